@@ -37,8 +37,8 @@ GROUP = "orbit.backends"
 RENDERERS = "orbit.renderers"
 MATTER_SOLVERS = "orbit.matter"
 _MATTER_EXTRA = "matter"
+# Extras that bring a distribution of the same name which simulates nothing
 _NO_PLUGINS = frozenset({"conformance", "data", "tasks", "viewer"})
-"""Extras that bring a distribution of the same name which simulates nothing."""
 
 
 def backend_names() -> list[str]:

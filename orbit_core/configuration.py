@@ -29,16 +29,16 @@ import numpy as np
 from orbit_core.interfaces.errors import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
 
 Config = TypeVar("Config")
+# Largest whole number: engines hold them in 32 bits
 _LARGEST = 2**31 - 1
-"""Largest whole number: engines hold them in 32 bits."""
+# Bytes of a TOML file
 _LONGEST_FILE = 2**20
-"""Bytes of a TOML file."""
+# Levels of tables and lists within each other in a TOML file
 _DEEPEST = 32
-"""Levels of tables and lists within each other in a TOML file."""
+# Word that switches a field off in text, where the field may be None
 _OFF = "none"
-"""Word that switches a field off in text, where the field may be None."""
+# Characters of a value that a message shows
 _SHOWN = 80
-"""Characters of a value that a message shows."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,6 +18,7 @@ from typing import Any
 from orbit_core.installing import install_command
 from orbit_core.interfaces.errors import ConfigurationError
 
+# Module -> modules of the same package that it took in, by the last part of their names
 _MERGED = {
     "orbit_core.active.laws": ("factory", "law", "magnetic_seal"),
     "orbit_core.actuators.actuators": ("delay", "factory"),
@@ -50,7 +51,6 @@ _MERGED = {
     "orbit_core.sensors.rays": ("patterns",),
     "orbit_core.sensors.timed": ("averaging", "context", "memory"),
 }
-"""Module -> modules of the same package that it took in, by the last part of their names."""
 MODULES = {
     "orbit_core.actuators.fitting": "orbit_learn.actuators.fitting",
     "orbit_core.actuators.network_model": "orbit_learn.actuators.network_model",

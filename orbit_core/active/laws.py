@@ -63,7 +63,7 @@ class ActiveLaw:
         return self._nominal
 
     def parameter(self, name: str, value: float) -> Tensor:
-        """Make a parameter: (N,) of one value, which may come to differ between environments."""
+        """Make a parameter: (N,) of one value, which may differ between environments later."""
         self._nominal[name] = float(value)
         self._parameters[name] = torch.full((self.num_envs,), float(value), device=self.device)
         return self._parameters[name]
@@ -82,11 +82,11 @@ class ActiveLaw:
         write_rows(self._parameters[name], chosen.values(values, (), what, NOT_NEGATIVE), chosen.rows)
 
     def efforts(self) -> Tensor:
-        """(N, len(joints)) N m or N, beside drives, springs and commands of these joints."""
+        """Return (N, len(joints)) N m or N, added to drives, springs and commands of these joints."""
         raise NotImplementedError(f"{type(self).__name__} names joints and gives no efforts")
 
     def wrenches(self) -> Tensor:
-        """(N, len(links), 6) force at the centre of mass and torque, world axes, beside those that are set."""
+        """Return (N, len(links), 6) force at the centre of mass and torque, world axes, added to those that are set."""
         raise NotImplementedError(f"{type(self).__name__} names links and gives no wrenches")
 
     def reset(self, env_ids: Tensor | None) -> None:
@@ -126,7 +126,7 @@ class MagneticSealLaw(ActiveLaw):
         self._force, self._decay = self.parameter("force", model.force), self.parameter("decay", model.decay)
 
     def gap(self) -> Tensor:
-        """(N,) metres of gap at the seal."""
+        """Return (N,) metres of gap at the seal."""
         position = self.thing.joint_positions[:, self.joints[0]]
         return (self._arm * self._way * (position - self._shut)).clamp_min(0.0)
 
@@ -140,7 +140,7 @@ GROUP = "orbit.active"
 
 @cache
 def active_laws() -> Registry[type[ActiveLaw]]:
-    """The classes of laws, by the name of the class of the model that they compute.
+    """Return the classes of laws, by the name of the class of the model that they compute.
 
     A program without a package adds its own: ``active_laws().add("GasSpring", GasSpringLaw)``.
     """
@@ -150,7 +150,7 @@ def active_laws() -> Registry[type[ActiveLaw]]:
 
 
 def create_law(model: ActiveModel, thing: Object, num_envs: int, device: torch.device, masking: Masking) -> ActiveLaw:
-    """The law of a model. A model derived from another has that one's, unless it has its own.
+    """Return the law of a model. A model derived from another has that one's, unless it has its own.
 
     Raises:
         UnknownNameError: nothing computes a model of that class.

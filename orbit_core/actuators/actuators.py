@@ -74,7 +74,7 @@ class CommandDelay:
         return self._history.gather(0, slots.expand(1, 3, *slots.shape)).squeeze(0)
 
     def save_state(self) -> DelayState:
-        """A detached copy."""
+        """Return a detached copy."""
         return DelayState(self._history.clone(), self._delays.clone(), self._age.clone())
 
     def load_state(self, state: DelayState) -> None:
@@ -89,7 +89,7 @@ GROUP = "orbit.actuators"
 
 @cache
 def actuator_models() -> Registry[type[ActuatorModel]]:
-    """The classes of actuator models, by the name of the class of the groups that they drive.
+    """Return the classes of actuator models, by the name of the class of the groups that they drive.
 
     A program without a package adds its own: ``actuator_models().add("SpringMotor", SpringMotorModel)``.
     """
@@ -216,12 +216,12 @@ class Actuators:
         return {f"{type(model).__name__} of joint '{joints[model.joints[0]].name}'": model for model in self._models}
 
     def memory(self) -> dict[str, Tensor]:
-        """Memory of the models between steps, by name."""
+        """Return memory of the models between steps, by name."""
         own = {f"{name}, {number}": model for number, (name, model) in enumerate(self.models.items())}
         return {f"{part} of {name}": value for name, model in own.items() for part, value in model.memory.items()}
 
     def temperatures(self) -> Tensor | None:
-        """(N, J) degrees Celsius of the motors' windings, 25 where none are described; None where there are none."""
+        """Return winding temperatures (N, J) in degrees Celsius, 25 for joints without; None if no joint has any."""
         warm = [(model.columns, model.temperatures) for model in self._models]
         if all(values is None for _, values in warm):
             return None
@@ -234,7 +234,9 @@ class Actuators:
     def set_gains(
         self, joints: Sequence[int], stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        """Stiffness and damping (n, k) of some joints of the scene, whoever computes their PD law. They outlast resets.
+        """Set stiffness and damping (n, k) of some joints, whether the core or the engine computes their PD law.
+
+        They outlast resets.
 
         Raises:
             ConfigurationError: a joint has no actuator.
@@ -279,7 +281,7 @@ class Actuators:
                 write_rows(own.temperatures, other.temperatures[source].clone(), rows)
 
     def save_state(self) -> ActuatorState:
-        """A detached copy."""
+        """Return a detached copy."""
         gains = tuple(tuple(part.clone() for part in model.gains or ()) for model in self._models)
         delays = tuple(None if delay is None else delay.save_state() for delay in self._delays)
         memory = tuple({name: value.clone() for name, value in model.memory.items()} for model in self._models)
@@ -305,7 +307,7 @@ def _place(shared: tuple[Any, list[int]]) -> int:
 
 
 def _group_of_joint(layout: SceneLayout) -> dict[int, ActuatorConfig]:
-    """Joint of the scene -> the group that drives it, in joint order."""
+    """Return joint of the scene -> the group that drives it, in joint order."""
     groups: dict[int, ActuatorConfig] = {}
     for entity in layout.entities:
         # Groups become objects of each robot's own, so that delays are drawn for each.

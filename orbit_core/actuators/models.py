@@ -25,7 +25,7 @@ from orbit_core.scene import DcMotor, Transmission, Windings
 _DIRECT = Transmission(ratios=(1.0,))
 _TINY = 1e-9
 REFERENCE = 25.0
-"""Degrees Celsius at which resistances are told, and of motors of which nothing is known."""
+"""Degrees Celsius at which resistances are described, and of motors of which nothing is known."""
 
 
 class Ratios:
@@ -48,7 +48,7 @@ class Ratios:
         self._first = torch.tensor([table.ratios[0] for table in tables], device=device)
 
     def at(self, position: Tensor) -> Tensor:
-        """(N, k) at positions (N, k) of the joints."""
+        """Return (N, k) at positions (N, k) of the joints."""
         along = torch.clamp(position[..., None] - self._starts, self._zeros, self._widths)
         return (self._first + (self._slopes * along).sum(-1)).abs()
 
@@ -60,7 +60,7 @@ class WindingModel:
         self, windings: Sequence[Windings | None], num_envs: int, physics_dt: float, device: torch.device
     ) -> None:
         cold = Windings(motor_constant=1.0, thermal_resistance=1.0, time_constant=1.0)
-        told = [motor or cold for motor in windings]
+        described = [motor or cold for motor in windings]
 
         def row(values: Sequence[float]) -> Tensor:
             return torch.tensor(values, dtype=torch.float32, device=device)
@@ -68,17 +68,17 @@ class WindingModel:
         self._rise_per_effort = row(
             [0.0 if w is None else w.thermal_resistance / w.motor_constant**2 for w in windings]
         )  # K over the surroundings, at rest, of a squared effort
-        self._growth = row([w.resistance_rise for w in told])
-        self._share = row([-math.expm1(-physics_dt / w.time_constant) for w in told])
-        self.ambient = row([w.ambient for w in told])
+        self._growth = row([w.resistance_rise for w in described])
+        self._share = row([-math.expm1(-physics_dt / w.time_constant) for w in described])
+        self.ambient = row([w.ambient for w in described])
         """(k,) degrees Celsius of what surrounds the motors."""
-        self._highest = row([w.highest for w in told])
-        self._span = row([w.highest - w.derating_from for w in told])
+        self._highest = row([w.highest for w in described])
+        self._span = row([w.highest - w.derating_from for w in described])
         self.temperatures = self.ambient.repeat(num_envs, 1)
         """(N, k) degrees Celsius."""
 
     def derating(self) -> Tensor:
-        """(N, k) part in [0, 1] of a motor's efforts that it may give."""
+        """Return (N, k) part in [0, 1] of a motor's efforts that it may give."""
         return ((self._highest - self.temperatures) / self._span).clamp(0.0, 1.0)
 
     def warm(self, efforts: Tensor, ratios: Tensor | None) -> None:
@@ -115,7 +115,7 @@ class ActuatorContext:
         return torch.as_tensor(limits, dtype=torch.float32, device=self.device)
 
     def values(self, name: str) -> Tensor:
-        """(N, k) a number that the groups hold under that field, as memory that may be written per environment."""
+        """Return a field of the groups as a tensor (N, k) that may be written per environment."""
         numbers = [float(getattr(group, name)) for group in self.groups]
         return torch.tensor(numbers, device=self.device).repeat(self.num_envs, 1)
 
@@ -168,8 +168,8 @@ class ActuatorModel(ABC):
         return None
 
 
+# rad/s or m/s, below which power is not looked at
 _STANDSTILL = 1e-6
-"""rad/s or m/s, below which power is not looked at."""
 
 
 class PdModel(ActuatorModel):
@@ -186,7 +186,7 @@ class PdModel(ActuatorModel):
         self.stiffness, self.damping = self.gains = context.values("stiffness"), context.values("damping")
 
     def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
-        """(N, k) from measured state (N, k) and position, velocity and effort targets (N, k) each."""
+        """Return (N, k) from measured state (N, k) and position, velocity and effort targets (N, k) each."""
         position_target, velocity_target, effort_target = targets
         efforts = torch.addcmul(effort_target, self.stiffness, position_target - position)
         return self._limited(torch.addcmul(efforts, self.damping, velocity_target - velocity), velocity)

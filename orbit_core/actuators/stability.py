@@ -55,14 +55,14 @@ class ExplicitGains:
     implicit_damping: FloatArray
 
     def loads(self, step: float) -> FloatArray:
-        """``h^2 K + 2 h D`` (J,), kg m^2 or kg."""
+        """Return ``h^2 K + 2 h D`` (J,), kg m^2 or kg."""
         return self.stiffness * step**2 + 2.0 * self.damping * step
 
 
 def unstable_drive(
     articulation: Articulation, gains: ExplicitGains, armature: FloatArray, time_step: float, *, fixed_base: bool
 ) -> UnstableDrive | None:
-    """The joint whose drive is least stable, where steps of ``time_step`` (s) diverge somewhere in the workspace.
+    """Return the least stable drive if steps of ``time_step`` (s) diverge somewhere in the workspace, else None.
 
     Configurations are drawn within the joints' limits; a free base moves. Effort limits, commands that come late and
     contacts are left out: the first two make matters worse or bound them, the last add inertia.
@@ -83,7 +83,7 @@ def unstable_drive(
     masses = matrices[:, free][:, :, free]
 
     def rates(step: float) -> tuple[FloatArray, FloatArray]:
-        """Largest eigenvalues (S,), below one where stable, and the joints' shares (S, leading) of their motions."""
+        """Return largest eigenvalues (S,), below 1 where stable, and the joints' shares (S, leading) of the motions."""
         loads = gains.loads(step)[leading]
         inertias = 4.0 * masses
         inertias[:, range(base, len(free)), range(base, len(free))] += 2.0 * step * gains.implicit_damping[leading]
@@ -130,7 +130,7 @@ def check_drives(layout: SceneLayout, backend: Backend) -> None:
             fixed_base=entity.spec.fixed_base,
         )
         if found is not None:
-            raise ConfigurationError(_told(found, layout, entity, backend))
+            raise ConfigurationError(_message(found, layout, entity, backend))
 
 
 def _gains(layout: SceneLayout, entity: EntityLayout, integration: DriveIntegration) -> ExplicitGains:
@@ -145,7 +145,7 @@ def _gains(layout: SceneLayout, entity: EntityLayout, integration: DriveIntegrat
     return ExplicitGains(stiffness=stiffness, damping=damping, implicit_damping=implicit)
 
 
-def _told(drive: UnstableDrive, layout: SceneLayout, entity: EntityLayout, backend: Backend) -> str:
+def _message(drive: UnstableDrive, layout: SceneLayout, entity: EntityLayout, backend: Backend) -> str:
     index = entity.spec.articulation.joint_names.index(drive.joint)
     explicit = not isinstance(actuator_of_joint(entity.spec)[index], ImplicitPd)
     remedy = ""
@@ -163,7 +163,7 @@ def _told(drive: UnstableDrive, layout: SceneLayout, entity: EntityLayout, backe
 
 
 def _below(value: float) -> float:
-    """To three significant digits, rounded down: what is told to be stable must be."""
+    """Round down to three significant digits: the gains that the message names must be stable."""
     if value <= 0.0:
         return 0.0
     unit = 10.0 ** (np.floor(np.log10(value)) - 2)

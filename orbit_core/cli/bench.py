@@ -61,7 +61,7 @@ def main(words: Sequence[str]) -> None:
 def bench(
     settings: BenchSettings, progress: Callable[[int], None] = lambda steps: None
 ) -> tuple[str, list[Throughput]]:
-    """The backend's name, and the throughput at each number of environments, ascending.
+    """Return the backend's name, and the throughput at each number of environments, ascending.
 
     Args:
         settings: what to measure.
@@ -107,7 +107,7 @@ def _measure(environment: Environment, settings: BenchSettings, progress: Callab
 
 
 def _wait(environment: Environment) -> None:
-    """Wait until a GPU has done what it was told to, which a step does not."""
+    """Wait until a GPU has finished its work, which a step does not do."""
     if environment.device.type != "cpu":
         import torch
 
@@ -115,7 +115,7 @@ def _wait(environment: Environment) -> None:
 
 
 def _peak_memory() -> float | None:
-    """MiB; None where the platform does not tell."""
+    """Return the peak memory in MiB; None where the platform does not report it."""
     import sys
 
     try:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def show_object(console: Console, name: str) -> None:
-    """The parameters of a kind of object, and what it is made of as they are by default."""
+    """Return the parameters of a kind of object, and what it is made of as they are by default."""
     config = object_config(name)
     print_heading(console, f"Object {name}", first_line(type(config)))
     print_line(console, "brought by", object_kinds().origin(name))
@@ -51,7 +51,7 @@ def show_object(console: Console, name: str) -> None:
 
 
 def show_sensor(console: Console, name: str) -> None:
-    """The fields of a sensor's specification, and the values that the sensor holds."""
+    """Return the fields of a sensor's specification, and the values that the sensor holds."""
     sensor = sensor_types().get(name)
     spec = next((kind for kind in _derived(SensorSpec) if kind.__name__ == name), None)
     print_heading(console, f"Sensor {name}", first_line(spec or sensor))
@@ -159,7 +159,7 @@ def _terms(task: Task, part: str) -> str:
 
 
 def _robots_like(name: str) -> str:
-    """The default robot of a task, then those of its kind: arms, arms with grippers, legged robots."""
+    """Return the default robot of a task, then those of its kind: arms, arms with grippers, legged robots."""
     kind = _kind(name)
     others = [other for other in robot_names() if other != name and _kind(other) == kind]
     return ", ".join([f"{name} (default)", *others])
@@ -227,7 +227,7 @@ def _show_actuators(console: Console, robot: RobotSpec) -> None:
 
 
 def _span(least: float, most: float) -> str:
-    """A range over the workspace, one number where it is none."""
+    """Return a range over the workspace, one number where it is none."""
     low, high = f"{least:.2g}", f"{most:.2g}"
     return low if low == high else f"{low} to {high}"
 

@@ -42,7 +42,7 @@ class ActorSource(Protocol):
 
 
 def check_actor(name: str) -> None:
-    """Refuse a name that no actor bears.
+    """Reject a name that no actor has.
 
     Raises:
         UnknownNameError: there is none of that name.
@@ -80,7 +80,12 @@ def _source(name: str) -> ActorSource:
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverged: bool = False) -> Environment:
-    """The environment that the settings ask for; of ``reset_diverged`` tells Environment.
+    """Make the environment that the settings describe.
+
+    Args:
+        settings: of a command.
+        num_envs: environments that are stepped together.
+        reset_diverged: as of :class:`~orbit_core.envs.environment.Environment`.
 
     Raises:
         OrbitError: of many kinds; each names the setting.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run came to."""
+    """Result of a run."""
 
     task: str
     backend: str
@@ -46,7 +46,7 @@ class RunResult:
     episode_return: Statistic
     episode_steps: Statistic
     premises: tuple[PremiseCheck, ...]
-    """What the task takes for granted of an episode's start, and in how many sampled starts it did not hold."""
+    """Premises of the task about an episode's start, and the number of sampled starts in which each failed."""
     out_of_reach: float
     """In [0, 1]: of looks at what hands were asked for, those that found it out of reach."""
     farthest_out_of_reach: float
@@ -57,7 +57,7 @@ class RunResult:
     """Seconds from the settings to the result, building and filming included."""
 
     def as_json(self) -> dict[str, Any]:
-        """All fields for a file, the rate's interval apart, and ``metric``, the leading one with its name."""
+        """Return all fields for a file, the rate's interval apart, and ``metric``, the leading one with its name."""
         name, leading = next(iter(self.metrics.items()))
         rate = self.success_rate
         success = {"success_rate": rate.value, "success_interval": [rate.low, rate.high]}
@@ -111,8 +111,8 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     )
 
 
-class _Teller(StepObserver):
-    """Tells how far a run has come."""
+class _ProgressReporter(StepObserver):
+    """Reports the progress of a run."""
 
     def __init__(self, counter: EpisodeCounter, recorder: VideoRecorder | None, progress: Progress) -> None:
         self._counter = counter
@@ -131,13 +131,13 @@ def _episodes(environment: Environment, settings: RunSettings, progress: Progres
     environment.reset(settings.seed)
     with _video(environment, settings) as recorder:
         filming = () if recorder is None else (recorder,)
-        observers = (*filming, counter, reach, _Teller(counter, recorder, progress))
+        observers = (*filming, counter, reach, _ProgressReporter(counter, recorder, progress))
         pace = roll_out(environment, actor, observers, lambda: counter.complete)
     return counter.episodes(), pace, reach
 
 
 def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:
-    """The recorder of the video that the settings ask for, or None."""
+    """Return the recorder of the video that the settings ask for, or None."""
     if settings.video is None:
         return nullcontext()
     from orbit_core.rollout.video import VideoRecorder
@@ -146,8 +146,8 @@ def _video(environment: Environment, settings: RunSettings) -> AbstractContextMa
     return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
 
 
-_TOLD_SHARE = 0.01
-"""Of looks at what hands are asked for, how many must find it out of reach for the table to tell."""
+# Share of looks at hands' targets that must find one out of reach for the table to report it
+_REPORTED_SHARE = 0.01
 
 
 def main(words: Sequence[str]) -> None:
@@ -179,11 +179,11 @@ def _table(result: RunResult) -> Table:
         table.add_row(name, _words(metric))
     for check in result.premises:
         if check.failed:
-            told = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"
-            table.add_row(f"premise '{check.name}'", told)
-    if result.out_of_reach >= _TOLD_SHARE:
-        told = f"in {100.0 * result.out_of_reach:.0f} % of looks, by up to {result.farthest_out_of_reach:.2f} m"
-        table.add_row("poses asked for out of reach", told)
+            failures = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"
+            table.add_row(f"premise '{check.name}'", failures)
+    if result.out_of_reach >= _REPORTED_SHARE:
+        looks = f"in {100.0 * result.out_of_reach:.0f} % of looks, by up to {result.farthest_out_of_reach:.2f} m"
+        table.add_row("poses asked for out of reach", looks)
     table.add_row("return", _words(result.episode_return))
     table.add_row("episode steps", _words(result.episode_steps))
     table.add_row("environment steps per second", f"{result.env_steps_per_second:,.0f}")

@@ -29,7 +29,7 @@ KeyValues = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentSettings:
-    """Which task, and how it is simulated."""
+    """Settings of an environment: task, robot, backend and the like."""
 
     task: Annotated[Positional[str | None], arg(metavar="TASK")] = None
     """Name of a task ('orbit list tasks'); may stand in the file instead."""
@@ -173,12 +173,12 @@ def check_size(name: str, size: tuple[int, ...]) -> None:
 _Settings = TypeVar("_Settings", bound=EnvironmentSettings)
 _Parsed = TypeVar("_Parsed")
 
-# In a file, tables ([fields], [settings] ...) stand for these, and a file names no other file.
+# A file has tables ([fields], [settings] ...) in place of these, and names no other file.
 _COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
 
 
 def parse_settings(settings_type: type[_Settings], words: Sequence[str], program: str) -> _Settings:
-    """Settings from the words of the command line, and from the file that they name.
+    """Return settings from the words of the command line, and from the file that they name.
 
     Raises:
         ConfigurationError: the file is not readable or not TOML, or a value is not of its key's type.
@@ -191,7 +191,7 @@ def parse_settings(settings_type: type[_Settings], words: Sequence[str], program
 
 
 def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default: Any = None) -> _Parsed:
-    """A dataclass from the words of the command line alone."""
+    """Return a dataclass from the words of the command line alone."""
     _check_options(kind, words, program)
     complaint = io.StringIO()
     try:
@@ -207,7 +207,7 @@ def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default
 
 
 def read_file(settings_type: type[_Settings], path: Path) -> _Settings:
-    """The settings of a TOML file over the defaults of ``settings_type``."""
+    """Return the settings of a TOML file over the defaults of ``settings_type``."""
     values = read_toml(path, "configuration file")
     known = field_types(settings_type).keys() - {*_COMMAND_LINE_ONLY}
     for key in values.keys() - known:
@@ -226,14 +226,14 @@ def _check_options(kind: type, words: Sequence[str], program: str) -> None:
 
 
 def _one_line(complaint: str) -> str:
-    """The sentence inside the box that the parser draws around its complaint; the title and the hint fall away."""
+    """Return the sentence inside the box that tyro draws around its complaint, without title and hint."""
     text = [line for line in complaint.splitlines() if not line.startswith(("╭", "╰"))]
     sentence = " ".join(re.split(r"─{3,}", "\n".join(text))[0].replace("│", " ").split())
     return sentence.rstrip(".") or "malformed command line"
 
 
 def _hints(kind: type) -> dict[str, Any]:
-    """The types of a dataclass's fields, with the parser's marks."""
+    """Return the types of a dataclass's fields, with the parser's marks."""
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
 

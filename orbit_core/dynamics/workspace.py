@@ -1,4 +1,4 @@
-"""What a robot's joints move, over all positions that they can take."""
+"""Inertia that joints move over the workspace, and the response of their drives."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from orbit_core.interfaces.layout import SceneLayout, actuator_of_joint
 from orbit_core.scene import Articulation, Joint, JointType, RobotSpec, Scene
 
 _SAMPLES = 256
+# Range in which joints without limits are sampled, to either side of zero
 _TURN = math.pi
-"""Range in which joints without limits are sampled, to either side of zero."""
 
 
 def workspace_mass_matrices(
     articulation: Articulation, *, free_root: bool = False, armature: Sequence[float] | None = None
 ) -> npt.NDArray[np.float64]:
-    """Mass matrices (S, D, D) at configurations drawn evenly within the joints' limits, the same at each call.
+    """Return mass matrices (S, D, D) at configurations drawn evenly within the joints' limits, the same at each call.
 
     Joints that follow others are folded into these, whose columns carry them; their own rows and columns are zero.
 
@@ -44,7 +44,10 @@ def workspace_mass_matrices(
 
 
 def workspace_positions(articulation: Articulation) -> npt.NDArray[np.float64]:
-    """(S, J) drawn evenly within the joints' limits, the same at each call; followers where their leaders put them."""
+    """Return configurations (S, J) drawn evenly within the joints' limits, the same at each call.
+
+    Followers are where their leaders put them.
+    """
     joints = articulation.movable_joints
     low, high = (np.array([_ends(joint)[end] for joint in joints]) for end in (0, 1))
     drawn = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(joints)))
@@ -53,7 +56,7 @@ def workspace_positions(articulation: Articulation) -> npt.NDArray[np.float64]:
 
 
 def leaders(articulation: Articulation) -> list[int]:
-    """For each movable joint (J) its own index, or that of the joint that it follows."""
+    """Return for each movable joint (J) its own index, or that of the joint that it follows."""
     names = articulation.joint_names
     return [
         index if joint.mimic is None else names.index(joint.mimic.joint)
@@ -63,7 +66,7 @@ def leaders(articulation: Articulation) -> list[int]:
 
 @dataclass(frozen=True)
 class ReflectedInertia:
-    """What each joint moves while all others stand still, kg m^2 or kg, armature included: (J,) over the workspace.
+    """Inertia (J,) that each joint moves while all others are at rest, over the workspace: kg m^2 or kg, with armature.
 
     Joints that mimic another have the value of the joint that they follow.
     """
@@ -74,7 +77,7 @@ class ReflectedInertia:
 
 
 def reflected_inertia(articulation: Articulation, armature: Sequence[float] | None = None) -> ReflectedInertia:
-    """The diagonal of the mass matrix over configurations drawn evenly within the joints' limits.
+    """Return the diagonal of the mass matrix over configurations drawn evenly within the joints' limits.
 
     ``armature`` (J,) takes the place of the joints' own. A free base does not follow the joints' motion here, as that
     of a robot that stands does not.
@@ -87,7 +90,7 @@ def reflected_inertia(articulation: Articulation, armature: Sequence[float] | No
 
 @dataclass(frozen=True)
 class DriveResponse:
-    """How a joint follows its position target over the workspace, as a second-order system: all others stand still.
+    """Second-order response of a joint to its position target over the workspace, all other joints at rest.
 
     Frequencies are natural ones, Hz; a damping ratio of 1 is critical. The slowest response, at the largest inertia, is
     the least damped.
@@ -101,7 +104,7 @@ class DriveResponse:
 
 
 def drive_responses(robot: RobotSpec) -> tuple[DriveResponse, ...]:
-    """The response of each joint whose actuator has a stiffness, in the joints' order; followers are left out.
+    """Return the response of each joint whose actuator has a stiffness, in the joints' order; followers are left out.
 
     The mechanism's own damping counts, as do armatures that an actuator group gives.
 

@@ -32,7 +32,7 @@ from orbit_core.scene import (
 
 
 class Level(Enum):
-    """How well an engine does one thing."""
+    """Levels of support for a capability."""
 
     EXACT = "exact"
     APPROXIMATE = "approximate"
@@ -55,17 +55,17 @@ EXACT = Support(Level.EXACT)
 
 
 def approximate(reason: str) -> Support:
-    """The engine does it, but not as the contract says; ``reason`` says how it differs."""
+    """Return support that differs from the contract; ``reason`` says how."""
     return Support(Level.APPROXIMATE, reason)
 
 
 def unsupported(reason: str) -> Support:
-    """The engine does not do it."""
+    """Return lack of support; ``reason`` says why."""
     return Support(Level.UNSUPPORTED, reason)
 
 
 class Capability(Enum):
-    """One thing that an engine may do. Each value is the words that people read."""
+    """One thing that an engine may do. The value is the text that people read."""
 
     ARTICULATIONS = "articulated robots and objects"
     FLOATING_BASE = "articulations with a free root"
@@ -132,7 +132,7 @@ class Capability(Enum):
 
 
 class DriveIntegration(Enum):
-    """At which state of a physics step an engine takes the efforts of its own PD drives."""
+    """State within a physics step at which an engine evaluates its native PD drives."""
 
     IMPLICIT = "implicit"
     """At the end of the step, or with as much damping added as keeps it stable: no gain makes it diverge."""
@@ -142,7 +142,7 @@ class DriveIntegration(Enum):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """A backend's declaration. What is not declared is unsupported."""
+    """Declared capabilities of a backend. Everything else is unsupported."""
 
     declared: Mapping[Capability, Support]
 
@@ -150,7 +150,7 @@ class Capabilities:
         return self.declared.get(capability, unsupported("not declared by the backend"))
 
     def has(self, capability: Capability) -> bool:
-        """Whether the engine does it at all, exactly or not."""
+        """Return True if the engine supports it, exactly or approximately."""
         return self[capability].level is not Level.UNSUPPORTED
 
 
@@ -180,10 +180,10 @@ IMAGES = (
     Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION,
     Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS, Capability.COLORS_PER_ENVIRONMENT,
 )  # fmt: skip
-"""What scenes need of whatever draws them; all else they need of the engine."""
+"""Needs of a scene that its renderer fulfils; the engine fulfils all others."""
 
 MATTER = (Capability.CLOTH, Capability.ROPES, Capability.SOFT_BODIES, Capability.FLUIDS)
-"""What scenes need of the matter solver where one is chosen, and else of the engine."""
+"""Needs of a scene that the matter solver fulfils where one is chosen, and otherwise the engine."""
 
 _CHANNEL_NEEDS = {
     Channel.RGB: Capability.RGB,
@@ -203,7 +203,7 @@ _CONTACT = {
 
 
 def required_capabilities(scene: Scene) -> dict[Capability, str]:
-    """Each capability that the scene needs, with the first thing in it that needs it."""
+    """Return each capability that the scene needs, with the first thing in it that needs it."""
     needs: dict[Capability, str] = {}
     for capability, culprit in _needs(scene):
         if capability not in _CONTACT or _may_touch(scene):
@@ -212,7 +212,7 @@ def required_capabilities(scene: Scene) -> dict[Capability, str]:
 
 
 def _may_touch(scene: Scene) -> bool:
-    """Whether there are two things that could meet."""
+    """Return True if the scene has two things that could touch."""
     articulations = [entity.alternatives for entity in scene.entities]
     solid = sum(any(link.collisions for each in kinds for link in each.links) for kinds in articulations)
     alone = any(each.self_collisions for kinds in articulations for each in kinds)
@@ -312,7 +312,7 @@ def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Cap
 
 
 def _sensor_needs(sensor: SensorSpec, looped: AbstractSet[str]) -> Iterator[tuple[Capability, str]]:
-    """Yield what a sensor needs; ``looped`` names the entities with closed loops."""
+    """Yield the needs of a sensor; ``looped`` names the entities with closed loops."""
     culprit = f"sensor '{sensor.name}'"
     match sensor:
         case CameraSpec(channels=channels):

@@ -1,7 +1,7 @@
 """Layout of a scene in the flat tensors that core and engine share, and the model that an engine built of it.
 
 All links of a scene are numbered through, and so are all movable joints: entity by entity in the scene's order, within
-an entity in the articulation's order. An engine then moves one tensor per kind of state, whatever the scene holds.
+an entity in the articulation's order. An engine then moves one tensor per kind of state for any scene.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from orbit_core.scene import (
 from orbit_core.scene.articulation import Link
 
 TERRAIN = -2
-"""Stands for the terrain where a link index is expected."""
+"""Index of the terrain where a link index is expected."""
 BACKGROUND = -1
-"""Stands for nothing at all where a link index is expected."""
+"""Index of the background where a link index is expected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class EntityLayout:
 
     @property
     def name(self) -> str:
-        """The entity's, in the scene."""
+        """Name of the entity in the scene."""
         return self.spec.name
 
 
@@ -92,7 +92,7 @@ class JointParameters:
 
 @dataclass(frozen=True, eq=False)
 class SceneLayout:
-    """The numbering of one scene, and what the engine must measure in it."""
+    """Numbering of one scene, and the measurements that the engine must take in it."""
 
     scene: Scene
     entities: tuple[EntityLayout, ...]
@@ -181,7 +181,7 @@ class SceneLayout:
         ]
 
     def entity(self, name: str) -> EntityLayout:
-        """The entity of that name.
+        """Return the entity of that name.
 
         Raises:
             UnknownNameError: there is none.
@@ -190,7 +190,7 @@ class SceneLayout:
 
 
 def contact_queries_of(sensor: ContactSensorSpec, entities: dict[str, EntityLayout]) -> tuple[ContactQuery, ...]:
-    """What a contact sensor asks of the engine: for each link the total, then one query per filter."""
+    """Return the queries of a contact sensor: for each link the total, then one query per filter."""
     entity = _named(entities, sensor.entity, sensor.name)
     names = entity.spec.articulation.link_names
     queries: list[ContactQuery] = []
@@ -282,7 +282,7 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
 
 
 def actuator_of_joint(entity: Entity) -> dict[int, ActuatorConfig]:
-    """The actuator group of each movable joint that has one, by the joint's index.
+    """Return the actuator group of each movable joint that has one, by the joint's index.
 
     Raises:
         UnknownNameError: a group names no joint of the entity.
@@ -292,14 +292,14 @@ def actuator_of_joint(entity: Entity) -> dict[int, ActuatorConfig]:
 
 
 def gripper_positions(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> Mapping[int, float]:
-    """Positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
+    """Return positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
     values = value if isinstance(value, tuple) else (value,) * len(gripper.joints)
     names = spec.articulation.joint_names
     return match_values(dict(zip(gripper.joints, values, strict=True)), names, "joint", f"the gripper of '{spec.name}'")
 
 
 def home_positions(entity: Entity) -> npt.NDArray[np.float64]:
-    """Positions (J,) of the movable joints at reset."""
+    """Return positions (J,) of the movable joints at reset."""
     return _entity_parameters(entity)["home"]
 
 
@@ -321,12 +321,12 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
 
 
 def joint_constants(entity: Entity, name: Literal["armature", "damping", "friction"]) -> npt.NDArray[np.float64]:
-    """Reflected inertias, damping or dry friction (J,) of the movable joints: an actuator's where it names one."""
+    """Return reflected inertias, damping or dry friction (J,) of the movable joints, with overrides of actuators."""
     return _entity_parameters(entity)[name]
 
 
 def joint_limits(entity: Entity, name: Literal["effort_limit", "velocity_limit"]) -> npt.NDArray[np.float64]:
-    """Limits (J,) of the movable joints: an actuator's where it names one, else the joint's own."""
+    """Return limits (J,) of the movable joints, with overrides of actuators."""
     return _entity_parameters(entity)[name]
 
 

@@ -18,12 +18,12 @@ below what single precision resolves of the sum. A joint's acceleration is off b
 
 
 def is_massless(articulation: Articulation, link: Link) -> bool:
-    """Whether the link moves without mass. A root without mass is that of a fixed base."""
+    """Return True if the link moves and has no mass. A root without mass is that of a fixed base."""
     return link.mass == 0 and link is not articulation.root
 
 
 def carried(articulation: Articulation, link: Link) -> list[Link]:
-    """The links with mass that hang on a link without, no other link with mass between."""
+    """Return the links with mass that hang on a link without, no other link with mass between."""
     by_name = {other.name: other for other in articulation.links}
     found: list[Link] = []
     pending = [link.name]
@@ -36,7 +36,7 @@ def carried(articulation: Articulation, link: Link) -> list[Link]:
 
 
 def with_stand_in(articulation: Articulation, link: Link) -> Link:
-    """The link, with a share (:data:`STAND_IN`) of what it carries as mass and inertia if it moves without mass."""
+    """Return the link; if it has no mass, with :data:`STAND_IN` times the mass and inertia that it carries."""
     if not is_massless(articulation, link):
         return link
     held = carried(articulation, link)
@@ -45,7 +45,7 @@ def with_stand_in(articulation: Articulation, link: Link) -> Link:
 
 
 def stand_in_approximations(entity: EntityLayout, engine: str) -> Iterator[Approximation]:
-    """A line of the build report for each link of the entity that has a stand-in for no mass."""
+    """Yield A line of the build report for each link of the entity that has a stand-in for no mass."""
     articulation = entity.spec.articulation
     for link in articulation.links:
         if is_massless(articulation, link):
@@ -54,8 +54,8 @@ def stand_in_approximations(entity: EntityLayout, engine: str) -> Iterator[Appro
             yield Approximation(f"link '{link.name}' of '{entity.name}'", "no mass", got, why)
 
 
+# Share of the largest moment that the sum of the others may lack without a line in the build report
 _ROUNDING = 1e-9
-"""Share of the largest moment that the sum of the others may lack without a line in the build report."""
 
 
 def inertia_approximations(entity: EntityLayout, engine: str) -> Iterator[Approximation]:
@@ -76,7 +76,7 @@ def _listed(moments: FloatArray) -> str:
 
 
 def on_leaders(layout: SceneLayout, values: FloatArray) -> FloatArray:
-    """Inertias or dampings (J,) with those of followers borne by the joints that they follow, and none left on them.
+    """Return inertias or dampings (J,) with those of followers added to the joints that they follow.
 
     A gear passes them on by its ratio squared: the kinetic energy, or the power lost, is the same.
     """
@@ -91,13 +91,13 @@ def on_leaders(layout: SceneLayout, values: FloatArray) -> FloatArray:
     return borne
 
 
+# The most of ``h^2 k / m``, m being the least that the joint moves: joints of a chain together shake up to twice as
+# fast as each does alone
 _SOFT = 1.0
-"""The most of ``h^2 k / m``, m being the least that the joint moves: joints of a chain together shake up to twice as
-fast as each does alone."""
 
 
 def least_inertias(layout: SceneLayout) -> FloatArray:
-    """(J,) the least that each joint moves, whatever hangs on it: its child link, in kg or kg m^2, and the armature."""
+    """Return the least inertia (J,) that each joint moves: its child link and the armature, kg or kg m^2."""
     values = [
         _least_inertia(entity.spec.articulation, joint)
         for entity in layout.entities
@@ -107,12 +107,12 @@ def least_inertias(layout: SceneLayout) -> FloatArray:
 
 
 def softest(layout: SceneLayout, time_step: float) -> FloatArray:
-    """(J,) the largest stiffness of a spring that may be taken at the beginning of steps of ``time_step`` seconds."""
+    """Return the largest spring stiffness (J,) that may be taken at the beginning of steps of ``time_step`` seconds."""
     return _SOFT * least_inertias(layout) / time_step**2
 
 
 def soft_springs(layout: SceneLayout, time_step: float) -> npt.NDArray[np.bool_]:
-    """(J,) whether the joint's spring is slow enough to be taken at the beginning of steps of ``time_step`` seconds."""
+    """Return a mask (J,) of the springs that may be taken at the beginning of steps of ``time_step`` seconds."""
     return layout.joint_parameters.spring_stiffness <= softest(layout, time_step)
 
 
@@ -131,7 +131,7 @@ STANDARD_GRAVITY = 9.81
 
 
 def hanging_weight(rope: Rope, scene: Scene) -> float:
-    """Newtons that the rope and the free bodies that are attached to it weigh together, on Earth; 0 without any."""
+    """Return the weight on Earth, in newtons, of a rope with its free attached bodies; 0 without such bodies."""
     held = {attachment.entity for attachment in rope.attachments}
     loads = [
         sum(link.mass for link in entity.articulation.links)

@@ -71,10 +71,10 @@ class PartedEngine(Engine, Generic[_State, _Parameters]):
 
     @abstractmethod
     def _rows(self, env_ids: Tensor | None) -> Any:
-        """Environments as the parts take them; all for None."""
+        """Return the index of environments in the parts' own form; all environments for None."""
 
     def _own(self, tensor: Tensor) -> Any:
-        """Indices or values as the parts take them."""
+        """Return indices or values in the parts' own form."""
         return tensor
 
     @property
@@ -107,7 +107,7 @@ class PartedEngine(Engine, Generic[_State, _Parameters]):
 
 
 def velocity_at(velocity: Tensor, arm: Tensor) -> Tensor:
-    """The velocity (..., 6) of the point of a body that lies at ``arm`` (..., 3) from the one whose velocity is given.
+    """Return the velocity (..., 6) of a point of a body at ``arm`` (..., 3) from the point whose velocity is given.
 
     Linear, then angular, as ``arm`` in world axes: ``v + omega x arm``. From a link's origin to its centre of mass the
     arm is the rotated ``center_of_mass``; from the centre of mass back to the origin, its negative.
@@ -117,10 +117,17 @@ def velocity_at(velocity: Tensor, arm: Tensor) -> Tensor:
 
 
 def contact_signs(queries: Sequence[ContactQuery], pairs: Iterable[tuple[int, int]]) -> Tensor:
-    """What the force on the first link of each pair counts for in each query: (K, C) float64 of 1, -1 or 0.
+    """Return the sign with which the force on the first link of each pair counts in each query.
 
-    ``pairs`` are the C pairs of links that may touch, where ``TERRAIN`` stands for the terrain. With the forces
-    (N, C, 3) on the first of each pair, ``contact_signs(...) @ forces`` is ``Engine.contact_forces``.
+    With the forces (N, C, 3) on the first link of each pair, ``contact_signs(...) @ forces`` is
+    ``Engine.contact_forces``.
+
+    Args:
+        queries: K contact queries.
+        pairs: C pairs of links that may touch; ``TERRAIN`` is the terrain.
+
+    Returns:
+        (K, C) float64 of 1, -1 or 0.
     """
     known = list(pairs)
     signs = [

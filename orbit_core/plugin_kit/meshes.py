@@ -35,7 +35,7 @@ CREASE_ANGLE = math.radians(30.0)
 
 
 def height_field_mesh(field: HeightField) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Vertices (V, 3) and faces (F, 3), two a cell, whose normals point up."""
+    """Return vertices (V, 3) and faces (F, 3), two a cell, whose normals point up."""
     heights = np.asarray(field.heights, np.float64)
     rows, columns = heights.shape
     x = np.linspace(-field.size[0] / 2, field.size[0] / 2, columns)
@@ -48,7 +48,7 @@ def height_field_mesh(field: HeightField) -> tuple[npt.NDArray[np.float64], npt.
 
 
 def triangles(geometry: Geometry) -> Trimesh:
-    """The surface of a geometry in its own frame, with vertices doubled along sharp edges.
+    """Return the surface of a geometry in its own frame, with vertices doubled along sharp edges.
 
     Raises:
         ConfigurationError: a plane has no end.
@@ -76,16 +76,16 @@ def triangles(geometry: Geometry) -> Trimesh:
 
 
 FloatArray = npt.NDArray[np.float64]
+# Most planes of a height field that is made of its faces, and digits of slopes and metres that distinguish planes
 _FEW, _DIGITS = 8, 5
-"""Most planes of a height field that is made of its faces, and digits of slopes and metres that tell planes apart."""
 Point = tuple[float, float]
 Polygon = list[Point]
 IntArray = npt.NDArray[np.int64]
+# Largest sine of the angle between neighbours in one plane, which vertices in single precision keep within, and largest
+# share of a patch's width by which its corners leave their plane
 _SAME_PLANE, _FLAT = 1e-4, 1e-5
-"""Largest sine of the angle between neighbours in one plane, which vertices in single precision keep within, and
-largest share of a patch's width by which its corners leave their plane."""
+# Share of its convex hull's area that two faces may lack to be taken for a convex one
 _FULL = 1e-6
-"""Share of its convex hull's area that two faces may lack to be taken for a convex one."""
 
 
 def convex_faces(vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.integer]) -> list[FloatArray]:
@@ -188,7 +188,7 @@ def _join(corners: FloatArray, places: IntArray, normal: FloatArray) -> list[Flo
 def _grow(polygons: list[Polygon]) -> list[Polygon]:
     """Join neighbours whose union is convex, the largest first.
 
-    A face so grows along a row of cells to its end, then rows of one length join: what is left of edges lies between
+    A face so grows along a row of cells to its end, then rows of one length join: the remaining edges are between
     rectangles as wide as the patch, and seldom in the midst of it. The union of two convex polygons is convex only if
     they share one side from end to end.
     """
@@ -256,7 +256,7 @@ AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
 
 
 def marker_shapes(marker: MarkerSpec) -> tuple[Shape, ...]:
-    """A marker as shapes: an arrow along x, or a frame with x, y, z in red, green, blue."""
+    """Return a marker as shapes: an arrow along x, or a frame with x, y, z in red, green, blue."""
     size = marker.size
     match marker.shape:
         case MarkerShape.SPHERE:
@@ -276,7 +276,7 @@ def marker_shapes(marker: MarkerSpec) -> tuple[Shape, ...]:
 
 
 def _arrow(length: float, radius: float, pose: Pose, color: Color) -> tuple[Shape, Shape]:
-    """Along z of ``pose``, from its origin."""
+    """Return shaft and tip of an arrow along z of ``pose``, from its origin."""
     shaft = Cylinder(radius, 0.375 * length)
     return (
         Shape(shaft, pose @ Pose((0.0, 0.0, 0.375 * length)), color=color),

@@ -20,8 +20,8 @@ from torch import Tensor
 from orbit_core.interfaces import ConfigurationError, Image, Renderer
 from orbit_core.scene import CameraSpec, Channel, DeformableSpec, Fluid, Rope
 
+# Sides of the prism that shows a piece of rope
 _SIDES = 8
-"""Of the prism that stands for a piece of rope."""
 
 
 class DeformableSurface:
@@ -33,7 +33,7 @@ class DeformableSurface:
         """(F, 3) of indices into the vertices; seen from both sides."""
 
     def vertices(self, positions: Tensor) -> Tensor:
-        """(n, V, 3) of particles (n, P, 3)."""
+        """Return (n, V, 3) of particles (n, P, 3)."""
         if isinstance(self._spec, Rope):
             return _prisms(positions, self._spec.radius)
         if isinstance(self._spec, Fluid):
@@ -58,7 +58,7 @@ def _faces(spec: DeformableSpec) -> npt.NDArray[np.int64]:
 
 
 def _prisms(points: Tensor, radius: float) -> Tensor:
-    """(n, (P - 1) 2 sides, 3): two rings around each piece, across it."""
+    """Return (n, (P - 1) 2 sides, 3): two rings around each piece, across it."""
     along = points[:, 1:] - points[:, :-1]
     along = along / along.norm(dim=-1, keepdim=True).clamp_min(1e-12)
     # Any direction that is not along: the axis that is least so.
@@ -93,7 +93,7 @@ PIXELS: Mapping[Kind, tuple[int, torch.dtype]] = {
 
 @dataclass(frozen=True)
 class Wanted:
-    """Which fields of an image serve the channels of a call."""
+    """Fields of an image that serve the channels of a call."""
 
     channels: frozenset[Channel]
 
@@ -102,7 +102,7 @@ class Wanted:
 
     @property
     def measured(self) -> bool:
-        """Whether anything but colour is asked for, on which markers and lights do not show."""
+        """True if any channel but colour is requested; markers and lights do not show in those."""
         return bool(self.channels - _CHANNELS["rgb"])
 
 
@@ -147,7 +147,7 @@ class KitRenderer(Renderer):
 
     @abstractmethod
     def draw(self, request: Request) -> Image:
-        """The pictures that are wanted; a field that is not wanted is None."""
+        """Return the pictures that are wanted; a field that is not wanted is None."""
 
     @abstractmethod
     def free(self) -> None:
@@ -172,7 +172,7 @@ class HostRequest:
     """(n, L, 4) of links, as :attr:`Renderer.link_colors` has them; None: all have their own."""
 
     def canvas(self, kind: Kind) -> npt.NDArray[Any]:
-        """Pictures (n, H, W, numbers in a pixel) to be filled."""
+        """Return pictures (n, H, W, numbers in a pixel) to be filled."""
         count, dtype = PIXELS[kind]
         shape = (len(self.cameras), self.camera.height, self.camera.width, count)
         return torch.empty(shape, dtype=dtype).numpy()
@@ -180,7 +180,7 @@ class HostRequest:
 
 @dataclass(frozen=True)
 class Pictures:
-    """As :class:`Image`, on the host; what was drawn and is not wanted may stay in it."""
+    """Fields of an :class:`Image` on the host; fields that are not wanted may be set too."""
 
     rgb: npt.NDArray[np.uint8] | None = None
     depth: npt.NDArray[np.float32] | None = None
@@ -190,11 +190,11 @@ class Pictures:
 
 
 class HostRenderer(KitRenderer):
-    """Draws with NumPy on the host, whatever device the poses are on; waits for it."""
+    """Draws with NumPy on the host; waits for the device of the poses."""
 
     @abstractmethod
     def draw_pictures(self, request: HostRequest) -> Pictures:
-        """All pictures that are wanted."""
+        """Return all pictures that are wanted."""
 
     def draw(self, request: Request) -> Image:
         count, ids = len(request.link_poses), request.env_ids
@@ -219,9 +219,12 @@ class HostRenderer(KitRenderer):
 
 
 def painted(own: npt.NDArray[Any], links: npt.NDArray[Any], colors: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
-    """Colours (S, >= 3) of shapes, those of links (S,) that have one of their own in ``colors`` (L, 4) in their place.
+    """Return colours of shapes, replaced by those of their links where these have one.
 
-    Red, green and blue are in [0, 1]; links below zero are none.
+    Args:
+        own: (S, >= 3) colours of the shapes in [0, 1].
+        links: (S,) link of each shape; none if negative.
+        colors: (L, 4) colours of links; a link without one has zero in the fourth place.
     """
     chosen = colors[np.maximum(links, 0)]
     holds = (links >= 0) & (chosen[:, 3] > 0.0)
@@ -233,7 +236,13 @@ def painted(own: npt.NDArray[Any], links: npt.NDArray[Any], colors: npt.NDArray[
 def repainted(
     albedo: npt.NDArray[np.uint8], links: npt.NDArray[np.int32], colors: npt.NDArray[np.float32] | None
 ) -> npt.NDArray[np.uint8]:
-    """Albedo (n, H, W, 3) of what is seen, and of links (n, H, W) with a colour in ``colors`` (n, L, 4) that one."""
+    """Return albedo with the colours of links where these have one.
+
+    Args:
+        albedo: (n, H, W, 3) of the shapes.
+        links: (n, H, W) link that each pixel shows.
+        colors: (n, L, 4) colours of links, as of :func:`painted`; None leaves the albedo as it is.
+    """
     if colors is None:
         return albedo
     rows = np.arange(len(links))[:, None, None]

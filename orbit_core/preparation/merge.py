@@ -24,19 +24,19 @@ class MassProperties:
     inertia: FloatArray
 
     def placed(self, pose: Pose) -> MassProperties:
-        """The same body seen from the frame in which its own frame has ``pose``."""
+        """Return the same body seen from the frame in which its own frame has ``pose``."""
         rotation = pose.rotation_matrix()
         return MassProperties(
             self.mass, _vector(pose.transform(self.center_of_mass)), rotation @ self.inertia @ rotation.T
         )
 
     def about(self, point: npt.ArrayLike) -> FloatArray:
-        """The inertia (3, 3) about another point of the same frame, by the parallel-axis theorem."""
+        """Return the inertia (3, 3) about another point of the same frame, by the parallel-axis theorem."""
         return self.inertia + _point_mass_inertia(self.mass, np.asarray(point) - np.asarray(self.center_of_mass))
 
 
 def combine(bodies: Iterable[MassProperties]) -> MassProperties:
-    """Those of several bodies, given in one frame, that move as one.
+    """Return the mass properties of several bodies, given in one frame, that move as one.
 
     Raises:
         AssetError: the bodies have no mass.
@@ -50,7 +50,7 @@ def combine(bodies: Iterable[MassProperties]) -> MassProperties:
 
 
 def merge_fixed_links(articulation: Articulation) -> Articulation:
-    """The same mechanism without fixed joints.
+    """Return the same mechanism without fixed joints.
 
     Masses, centres of mass and inertias add up exactly (parallel-axis theorem). Each merged link leaves a
     :class:`Frame` of its name; shapes, frames, joints and collision exclusions move to the link that took it in, which
@@ -75,7 +75,7 @@ def merge_fixed_links(articulation: Articulation) -> Articulation:
 
 
 def link_hosts(articulation: Articulation) -> dict[str, tuple[str, Pose]]:
-    """For each link the link that it ends up in when fixed joints are taken out, and its pose there."""
+    """Return for each link the link that it is merged into, and its pose there."""
     hosts: dict[str, tuple[str, Pose]] = {}
     joint_of = {joint.child: joint for joint in articulation.joints}
     for link in articulation.links:

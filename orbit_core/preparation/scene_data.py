@@ -202,7 +202,7 @@ def check_mesh(mesh: Mesh, where: str) -> None:
         raise ArgumentError(f"{where}.faces are {faces.dtype} of shape {faces.shape}: give whole numbers (F, 3)")
     if len(faces) == 0 or len(vertices) < 3:
         raise ArgumentError(f"{where} has {len(vertices)} vertices and {len(faces)} triangles: give it a surface")
-    # A comparison with NaN is false, so what is not within the bounds is found, whatever it is.
+    # A comparison with NaN is false, so that this finds NaN as well as numbers beyond the bounds.
     if not (vertices.min() >= -MAX_DISTANCE and vertices.max() <= MAX_DISTANCE):
         raise ArgumentError(f"{where} has a vertex that is not finite, or beyond {MAX_DISTANCE:g} m: mend it")
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -260,14 +260,14 @@ def check_height_field(field: HeightField, where: str) -> None:
 
 
 def _closed(mesh: Mesh) -> bool:
-    """Whether each edge of a face is that of one other, the other way round."""
+    """Return True if each edge of a face is an edge of exactly one other face, in the other direction."""
     edges = np.stack((mesh.faces, np.roll(mesh.faces, -1, axis=1)), -1).reshape(-1, 2)
     there, back = (np.unique(each, axis=0) for each in (edges, edges[:, ::-1]))
     return len(there) == len(edges) and np.array_equal(there, back)
 
 
 def extents(points: npt.ArrayLike) -> int:
-    """The number of directions, 0 to 3, in which points (V, 3) spread."""
+    """Return the number of directions, 0 to 3, in which points (V, 3) spread."""
     vertices = np.asarray(points, dtype=np.float64)
     centred = vertices - vertices.mean(axis=0)
     spreads = np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(centred)), 0.0))

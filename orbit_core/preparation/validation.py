@@ -30,7 +30,7 @@ from orbit_core.scene import (
 
 
 def link_poses(articulation: Articulation, positions: Mapping[str, float]) -> dict[str, Pose]:
-    """The pose of each link by name, in the root link's frame.
+    """Return the pose of each link by name, in the root link's frame.
 
     ``positions`` are rad or m by joint, zero where not named; followers stand where it puts them, not where their
     leaders would. Links must be in topological order.
@@ -49,14 +49,14 @@ def _motion(joint: Joint, position: float) -> Pose:
     return Pose.from_axis_angle(joint.axis, position) if joint.movable else Pose()
 
 
+# Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there
 _ELSEWHERE = (0.3, -0.5, 0.7, 0.4, -0.6, 0.2)
-"""Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there."""
+# Share of the largest singular value of the joints' unit motions below which they are dependent
 _DEPENDENT = 1e-6
-"""Share of the largest singular value of the joints' unit motions below which they are dependent."""
 
 
 def check_massless(articulation: Articulation) -> None:
-    """Hold the moving links without mass to what can be simulated. There must be no fixed joints.
+    """Check that the moving links without mass can be simulated. There must be no fixed joints.
 
     Such a link has no inertia and collides with nothing, it carries links with mass, and the joints on the way to the
     next of these, those with armature left out, move it in independent ways: otherwise some effort would meet no
@@ -83,7 +83,7 @@ def check_massless(articulation: Articulation) -> None:
 
 
 def _chain(link: str, joint_of: dict[str, Joint], massless: set[str]) -> list[Joint]:
-    """The joints from the last link with mass, or the root, to ``link``, the outermost first."""
+    """Return the joints from the last link with mass, or the root, to ``link``, the outermost first."""
     joints = [joint_of[link]]
     while joints[-1].parent in massless:
         joints.append(joint_of[joints[-1].parent])
@@ -105,7 +105,7 @@ def _check_independent(articulation: Articulation, joints: list[Joint]) -> None:
 
 
 def _unit_motions(joints: list[Joint]) -> npt.NDArray[np.float64]:
-    """(6, k) velocity and angular velocity that each joint gives the last link, each column of length one."""
+    """Return (6, k) velocity and angular velocity that each joint gives the last link, each column of length one."""
     pose = Pose()
     columns: list[npt.NDArray[np.float64]] = []
     for number, joint in enumerate(joints):
@@ -127,29 +127,29 @@ def _link_error(articulation: Articulation, link: str, fault: str) -> AssetError
     return AssetError(f"'{articulation.name}': link '{link}' {fault}")
 
 
+# Tolerance as a share of the largest principal moment: published models round their inertias to three digits
 _TRIANGLE_TOLERANCE = 1e-3
-"""Tolerance as a share of the largest principal moment: published models round their inertias to three digits."""
+# Metres by which a loop may be open at home, and radians by which a weld may be turned
 _CLOSED = 1e-3
-"""Metres by which a loop may be open at home, and radians by which a weld may be turned."""
+# rad or m: files round home positions, and those that were recorded in a simulation press on soft limits
 _HOME_TOLERANCE = 1e-3
-"""rad or m: files round home positions, and those that were recorded in a simulation press on soft limits."""
 _MEND = "compute its inertia from its shape, or have it mended by ReadOptions(repair=Repair.BALANCE)"
+# Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes
 _POWERS = 3
-"""Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes."""
+# Largest difference of a quaternion's length from 1; written ones have few digits
 _UNIT = 1e-3
-"""Largest difference of a quaternion's length from 1; written ones have few digits."""
 
 
 def validate(articulation: Articulation) -> Articulation:
-    """The articulation with joint axes of unit length, checked.
+    """Return the articulation with joint axes of unit length, checked.
 
     Inertias are checked per rigid body, links joined by fixed joints taken together: a sensor's own entry may be
     rounded beyond physics while the body that carries it is sound. The root may have no mass, as that of a fixed base,
     and so may links between joints (:func:`orbit_core.preparation.validation.check_massless`).
 
     Raises:
-        AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` mends
-            that), a number of a shape, joint or link is impossible (:func:`.scene_data.check_data`),
+        AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` sorts
+            them), a number of a shape, joint or link is impossible (:func:`.scene_data.check_data`),
             a mimic is, a drive or home position is of no movable joint, or a body's mass or inertia is impossible.
     """
     try:
@@ -192,7 +192,7 @@ def validate_entity(entity: Entity) -> None:
         AssetError: as :func:`validate`, the root of a free base has no mass, a loop is open at the home positions, or a
             variant is no single link like the entity's own.
         UnknownNameError: an end effector, a finger tip, a foot or a wheel of a robot names no link or frame, or an end
-            effector's arm or gripper or a planar base no joint; tells the nearest.
+            effector's arm or gripper or a planar base no joint; names the nearest.
     """
     validate(entity.articulation)
     if isinstance(entity, RobotSpec):
@@ -235,7 +235,7 @@ def _check_robot(robot: RobotSpec) -> None:
 
 
 def _check_variant(entity: Entity, variant: Articulation) -> None:
-    """Refuse what cannot stand in for the entity's own articulation."""
+    """Reject a variant that cannot replace the entity's own articulation."""
     own = entity.articulation
     if len(own.links) > 1 or len(variant.links) > 1:
         raise _error(variant, f"'{entity.name}' has variants, which are for single links: join its links")
@@ -247,7 +247,7 @@ def _check_variant(entity: Entity, variant: Articulation) -> None:
 
 
 def sort_links(articulation: Articulation) -> Articulation:
-    """The same tree with links depth first, children in their given order, and joints in the order of their links.
+    """Return the same tree with links in depth-first order and joints in the order of their child links.
 
     Raises:
         AssetError: the links form no single tree.
@@ -271,7 +271,7 @@ def sort_links(articulation: Articulation) -> Articulation:
 
 
 def check_structure(articulation: Articulation) -> None:
-    """Check that names are unique and that the joints make one tree of all links, in whatever order.
+    """Check that names are unique and that the joints make one tree of all links, in any order.
 
     Raises:
         AssetError: they do not.
@@ -394,7 +394,7 @@ def _check_loop(articulation: Articulation, loop: LoopJoint, hosts: dict[str, tu
 
 
 def _check_closed(entity: Entity) -> None:
-    """Every loop, at the home positions."""
+    """Check that every loop is closed at the home positions."""
     articulation = entity.articulation
     positions = dict(zip(articulation.joint_names, home_positions(entity).tolist(), strict=True))
     poses = link_poses(articulation, positions)
@@ -435,7 +435,7 @@ def _check_drives(articulation: Articulation) -> None:
 
 
 def _checked_home(articulation: Articulation) -> Articulation:
-    """The articulation with home positions that a file rounds to just beyond their limits at the limits."""
+    """Return the articulation with home positions that a file rounds to just beyond their limits at the limits."""
     names = articulation.joint_names
     limits = {joint.name: (joint.lower_limit, joint.upper_limit) for joint in articulation.joints}
     home: list[tuple[str, float]] = []

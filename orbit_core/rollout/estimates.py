@@ -1,4 +1,4 @@
-"""What a sample says of the truth behind it: values with confidence intervals."""
+"""Estimates from samples: values with confidence intervals."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Estimate:
     high: float
 
     def percent(self) -> str:
-        """The value and its interval in percent, for people."""
+        """Return the value and its interval in percent, for people."""
         return f"{100.0 * self.value:.1f} % [{100.0 * self.low:.1f}, {100.0 * self.high:.1f}]"
 
 
 def proportion(successes: int, trials: int) -> Estimate:
-    """Share of successes among independent trials, with Wilson's score interval.
+    """Return share of successes among independent trials, with Wilson's score interval.
 
     E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927), 209-212.
     """
@@ -52,7 +52,7 @@ def mean(values: Sequence[float]) -> Estimate:
 
 @dataclass(frozen=True)
 class Statistic:
-    """Mean and standard deviation of a sample (of its own values, not of a population behind it)."""
+    """Mean and standard deviation of a sample (population formula, not Bessel-corrected)."""
 
     mean: float
     deviation: float

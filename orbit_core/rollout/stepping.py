@@ -25,10 +25,10 @@ class StepObserver:
     """Looks on while an environment is stepped. Override what is of interest."""
 
     def before_step(self) -> None:
-        """Called before the actor acts."""
+        """Observe the environment before the actor acts."""
 
     def stepped(self, action: Tensor, result: StepResult) -> None:
-        """Called after each step; hands on to :meth:`after_step`, which most observers can do with.
+        """Observe a step with all that it returned; most observers only need :meth:`after_step`.
 
         Args:
             action: (N, A) that was taken.
@@ -37,7 +37,7 @@ class StepObserver:
         self.after_step(action, result[4])
 
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
-        """Called after each step.
+        """Observe a step.
 
         Args:
             action: (N, A) that was taken.
@@ -47,7 +47,7 @@ class StepObserver:
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast an environment was stepped."""
+    """Stepping rate of an environment."""
 
     env_steps: int
     """Steps of single environments."""
@@ -92,7 +92,7 @@ def roll_out(
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
-    """What n episodes came to: those of the first environment, in the order in which they ended, then the next's."""
+    """Results of n episodes, ordered by environment, then by the time at which they ended."""
 
     env_ids: Tensor
     """(n,) int64"""
@@ -135,7 +135,7 @@ class EpisodeCounter(StepObserver):
 
     @property
     def complete(self) -> bool:
-        """Whether all episodes are in."""
+        """True if every requested episode has finished."""
         return self.counted == self.wanted
 
     @property
@@ -160,7 +160,7 @@ class EpisodeCounter(StepObserver):
         self.counted += len(rows)
 
     def episodes(self) -> Episodes:
-        """What has been counted; at least one episode."""
+        """Return the results of the counted episodes, of which there must be at least one."""
         parts = self._counted
         env_ids = torch.cat([part.env_ids for part in parts])
         order = env_ids.argsort(stable=True)
@@ -173,8 +173,8 @@ class EpisodeCounter(StepObserver):
         )
 
 
+# Steps from one look to the next: searching for a pose takes as long as several steps
 _EVERY = 50
-"""Steps from one look to the next: searching for a pose takes as long as several steps."""
 
 
 class ReachWatch(StepObserver):
@@ -192,7 +192,7 @@ class ReachWatch(StepObserver):
 
     @property
     def share(self) -> float:
-        """In [0, 1]: of the looks at hands, those that found one out of reach of what was asked."""
+        """Share of the looks at hands that found the target out of reach, in [0, 1]."""
         return self._found / max(self._looks, 1)
 
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:

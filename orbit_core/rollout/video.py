@@ -34,7 +34,7 @@ class OverviewCamera:
         self._pose = torch.tensor((*view.position, *view.orientation), device=world.device)
 
     def pictures(self, env_ids: Tensor | None = None) -> Tensor:
-        """(n, height, width, 3) uint8 on the CPU."""
+        """Return (n, height, width, 3) uint8 on the CPU."""
         rows = slice(None) if env_ids is None else env_ids
         links = self._world.link_poses[rows]
         image = self._renderer.render(
@@ -53,10 +53,10 @@ class OverviewCamera:
         self._renderer.close()
 
 
+# Pixels; an encoder's macroblock. Other sizes would be rescaled.
 _MULTIPLE = 16
-"""Pixels; an encoder's macroblock. Other sizes would be rescaled."""
+# About the most frames in a second of a video; steps in between are not drawn
 _FRAMES_PER_SECOND = 25.0
-"""About the most frames in a second of a video; steps in between are not drawn."""
 
 
 class VideoFile:
@@ -187,7 +187,7 @@ class VideoRecorder(StepObserver):
 
     @property
     def full(self) -> bool:
-        """Whether the video has its length; more frames are ignored."""
+        """True if the video has its full length; more frames are ignored."""
         return self._left == 0
 
     def before_step(self) -> None:
@@ -219,7 +219,7 @@ class VideoRecorder(StepObserver):
 
 
 def tile(pictures: npt.NDArray[np.uint8], columns: int) -> npt.NDArray[np.uint8]:
-    """Pictures (n, height, width, 3) in rows of ``columns``, the last row filled up with black."""
+    """Return pictures (n, height, width, 3) in rows of ``columns``, the last row filled up with black."""
     count, height, width, channels = pictures.shape
     lines = math.ceil(count / columns)
     grid = np.zeros((lines * columns, height, width, channels), np.uint8)

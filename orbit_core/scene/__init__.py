@@ -1,4 +1,4 @@
-"""What to simulate, as plain typed data: no engine, no tensor library, no file format.
+"""Descriptions of scenes as plain typed data: no engine, no tensor library, no file format.
 
 Units are SI, angles radians, z is up, quaternions are ``(w, x, y, z)``.
 """

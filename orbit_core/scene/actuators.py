@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Of the tables that functions make; a ratio that doubles over its range is off by less than a thousandth between
 _KNOTS = 129
-"""Of the tables that functions make; a ratio that doubles over its range is off by less than a thousandth between."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class Transmission:
             raise ValueError(f"a transmission's positions must rise: {self.positions}")
 
     def ratio(self, position: float) -> float:
-        """Motor's velocity over the joint's at a position of the joint."""
+        """Return motor's velocity over the joint's at a position of the joint."""
         return float(np.interp(position, self.positions, self.ratios))
 
 
@@ -59,10 +59,10 @@ def four_bar(
     *, crank: float, coupler: float, rocker: float, ground: float, within: tuple[float, float],
     crossed: bool = False, rotor_inertia: float = 0.0,
 ) -> Transmission:  # fmt: skip
-    """A four-bar linkage: the motor turns the crank, the joint is the rocker.
+    """Return the transmission of a four-bar linkage: the motor turns the crank, the joint is the rocker.
 
     The crank turns about the origin, the rocker about (ground, 0); the joint's position is the rocker's angle from the
-    x axis, towards y. With rocker end P, the crank's end lies on circles about the origin and about P; the ratio
+    x axis, towards y. With rocker end P, the crank's end is on circles about the origin and about P; the ratio
     ``rocker sin(rocker - coupler) / (crank sin(crank - coupler))``, of the three links' angles, follows from the loop's
     derivative (Norton, Design of Machinery, chapter 6). A parallelogram has 1 everywhere.
 
@@ -72,7 +72,7 @@ def four_bar(
         rocker: length in m.
         ground: distance of the two axes in m.
         within: positions of the joint that it shall reach, lowest and highest, rad.
-        crossed: whether the crank lies on the other side of the line from the origin to P.
+        crossed: whether the crank is on the other side of the line from the origin to P.
         rotor_inertia: kg m^2.
 
     Raises:
@@ -96,10 +96,17 @@ def four_bar(
 def linear_drive(
     *, base: float, lever: float, within: tuple[float, float], offset: float = 0.0, rotor_inertia: float = 0.0
 ) -> Transmission:
-    """A linear actuator across a joint: the motor's position is the actuator's length, in m, its effort a force, in N.
+    """Return the transmission of a linear actuator across a joint.
 
-    Its ends lie ``base`` and ``lever`` (m) from the joint's axis, at an angle ``position + offset`` between them; the
-    ratio is ``base lever sin(angle) / length``, the lever arm in m. ``rotor_inertia`` is then a mass, in kg.
+    The motor's position is the actuator's length in m, and its effort a force in N. The ratio is
+    ``base lever sin(angle) / length``, the lever arm in m, with ``angle = position + offset``.
+
+    Args:
+        base: distance of one end of the actuator from the joint's axis, m.
+        lever: distance of the other end, m.
+        within: positions of the joint that it shall reach, lowest and highest, rad.
+        offset: angle between the two ends where the joint's position is zero, rad.
+        rotor_inertia: mass that moves with the actuator, kg.
 
     Raises:
         ValueError: the ends meet at one of the positions ``within`` (rad).
@@ -225,8 +232,8 @@ class DcMotor(IdealPd):
 class ActuatorNetwork(ActuatorConfig):
     """A learned model of the actuator: effort from the error of position and the velocity, and their past.
 
-    It stands for the drive's own controller too, so that gains are left out, and velocity targets do not count. What it
-    gives, and the effort target with it, is limited to ``effort_limit``. Files come from ``orbit train-actuator``.
+    It includes the drive's own controller, so that gains are left out and velocity targets do not count. Its effort
+    plus the effort target is limited to ``effort_limit``. Files come from ``orbit train-actuator``.
     """
 
     file: str

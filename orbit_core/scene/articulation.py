@@ -16,7 +16,7 @@ from orbit_core.scene.shapes import Shape
 
 
 class JointType(Enum):
-    """How a joint lets its child link move."""
+    """Kinds of joints, by the motion of the child link."""
 
     FIXED = "fixed"
     REVOLUTE = "revolute"
@@ -42,7 +42,7 @@ class Mimic:
 
     @property
     def linear(self) -> bool:
-        """Whether the follower moves in proportion to its leader."""
+        """True if the follower moves in proportion to its leader."""
         return not any(self.higher_powers)
 
     @property
@@ -51,16 +51,16 @@ class Mimic:
         return (self.offset, self.multiplier, *self.higher_powers)
 
     def position(self, leader: Any) -> Any:
-        """The follower's position where the leader is at ``leader``: a number, an array or a tensor."""
+        """Return the follower's position where the leader is at ``leader``: a number, an array or a tensor."""
         return _polynomial(self.coefficients, leader)
 
     def slope(self, leader: Any) -> Any:
-        """Velocity of the follower per unit of the leader's, where the leader is at ``leader``."""
+        """Return velocity of the follower per unit of the leader's, where the leader is at ``leader``."""
         return _polynomial([power * factor for power, factor in enumerate(self.coefficients)][1:], leader)
 
 
 def _polynomial(coefficients: Sequence[float], x: Any) -> Any:
-    """Horner's scheme, from the highest power down; of the shape of ``x``."""
+    """Evaluate a polynomial by Horner's scheme; the result has the shape of ``x``."""
     value = x * 0.0 + coefficients[-1]
     for coefficient in reversed(coefficients[:-1]):
         value = value * x + coefficient
@@ -101,12 +101,12 @@ class Joint:
 
     @property
     def movable(self) -> bool:
-        """Whether the joint has a position."""
+        """True if the joint has a position."""
         return self.type is not JointType.FIXED
 
 
 class LoopType(Enum):
-    """What a joint that closes a loop holds together."""
+    """Kinds of joints that close a loop, by what they constrain."""
 
     BALL = "ball"
     """A point of one link at a point of the other."""
@@ -119,7 +119,7 @@ class LoopJoint:
     """Closes a kinematic loop: holds a point of one link at a point of another, and a weld their orientation too.
 
     Each point is in its link's frame; ``orientation`` (w, x, y, z) is the second link's in the first and counts for a
-    weld alone. The joint has no position of its own: those of the tree's joints must satisfy it, at home and whenever
+    weld alone. The joint has no position: the positions of the tree's joints must satisfy it, at home and whenever
     they are written.
     """
 
@@ -134,7 +134,7 @@ class LoopJoint:
 
 @dataclass(frozen=True)
 class DriveGains:
-    """What a file says of the drive on ``joint``; nothing acts by it until somebody takes it over.
+    """Gains of the drive on ``joint`` as a file states them; no actuator uses them until a program makes one of them.
 
     The effort is ``stiffness * (target - position) + damping * (target velocity - velocity)``, at most
     ``effort_limit`` (N or N m); stiffness is N/m or N m/rad, damping N s/m or N m s/rad. With both zero the drive is a
@@ -241,7 +241,7 @@ class Articulation:
         return sum(link.mass for link in self.links)
 
     def frame(self, name: str) -> Frame:
-        """The frame of that name; a link's own name gives the link's frame.
+        """Return the frame of that name; a link's own name gives the link's frame.
 
         Raises:
             KeyError: no link or frame has that name, or it is no text.
@@ -259,6 +259,6 @@ class Articulation:
 def single_link(
     name: str, shape: Shape, mass: float, inertia: npt.ArrayLike, center_of_mass: Vector3 = (0.0, 0.0, 0.0)
 ) -> Articulation:
-    """A rigid body with one shape, for collision and drawing alike."""
+    """Return a rigid body with one shape, for collision and drawing alike."""
     link = Link(name, mass, center_of_mass, np.asarray(inertia, dtype=float), (shape,), (shape,))
     return Articulation(name, (link,))

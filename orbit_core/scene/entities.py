@@ -85,7 +85,7 @@ class Workspace:
     """rad"""
 
     def placed(self, pose: Pose) -> Workspace:
-        """The box in the frame in which ``pose`` is that of the root; turns are of 90 degrees, as boxes allow."""
+        """Return the box in the frame in which the root has ``pose``; rotations are multiples of 90 degrees."""
         first, second = (pose @ Pose(self.low)).position, (pose @ Pose(self.high)).position
         x, y, z = (sorted(pair) for pair in zip(first, second, strict=True))
         return Workspace((x[0], y[0], z[0]), (x[1], y[1], z[1]), self.tilt, self.yaw)
@@ -110,7 +110,7 @@ class EndEffector:
 
 @dataclass(frozen=True, kw_only=True)
 class JointCommands:
-    """Which of a robot's joints an action moves, and how far, where a task does not say it."""
+    """Joints of a robot that an action moves, and their range, where a task does not state them."""
 
     joints: tuple[str, ...]
     """Regular expressions over joint names (full match)."""
@@ -181,12 +181,12 @@ class Entity:
 
     @property
     def alternatives(self) -> tuple[Articulation, ...]:
-        """What the entity may be: environment i has the one of index i modulo their number."""
+        """Articulations that the entity may have: environment i has the one of index i modulo their number."""
         return (self.articulation,)
 
     @property
     def is_free_body(self) -> bool:
-        """Whether it is one rigid body that nothing holds: neither fixed nor with joints."""
+        """True if it is one rigid body that is neither fixed nor has joints."""
         return not (self.fixed_base or self.articulation.joints)
 
 
@@ -228,7 +228,7 @@ class RobotSpec(Entity):
 
     @property
     def has_arm(self) -> bool:
-        """Whether joints move the first end effector; a hand by itself has none that do."""
+        """True if joints move the first end effector; a hand on its own has no such joints."""
         return bool(self.end_effectors and self.end_effectors[0].arm_joints)
 
     @property
@@ -251,7 +251,7 @@ class RobotSpec(Entity):
 
     @property
     def categories(self) -> tuple[RobotCategory, ...]:
-        """What the robot is, by what it has: end effectors, feet, wheels, a planar base."""
+        """Categories of the robot, derived from its end effectors, feet, wheels and planar base."""
         effectors = self.end_effectors
         holds = {
             RobotCategory.ARM: any(effector.arm_joints for effector in effectors),

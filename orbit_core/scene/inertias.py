@@ -22,7 +22,7 @@ SINGLE = 1e-6
 
 
 def principal_axes(inertia: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Principal moments (3,), ascending, and the rotation (3, 3) whose columns are the principal axes."""
+    """Return principal moments (3,), ascending, and the rotation (3, 3) whose columns are the principal axes."""
     moments, axes = np.linalg.eigh(np.asarray(inertia, dtype=float))
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]

@@ -68,7 +68,7 @@ Light = AmbientLight | DirectionalLight
 
 @dataclass(frozen=True)
 class Sky:
-    """What is seen where nothing else is, lit by no light.
+    """Background of pictures; lights do not affect it.
 
     Colours straight above and straight below; between them the part of ``above`` is ``(1 + z) / 2``, where ``z`` is the
     height of the unit vector along the pixel's ray.
@@ -79,7 +79,7 @@ class Sky:
 
 
 class MarkerShape(Enum):
-    """How a marker looks."""
+    """Appearance of a marker."""
 
     FRAME = "frame"
     SPHERE = "sphere"

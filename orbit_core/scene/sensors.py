@@ -1,4 +1,4 @@
-"""What is measured, how often, how late and how noisily."""
+"""Specifications of sensors: quantity, rate, delay and noise."""
 
 from __future__ import annotations
 

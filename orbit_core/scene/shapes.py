@@ -79,7 +79,7 @@ class Plane:
 
 
 class MeshCollision(Enum):
-    """How a mesh collides; a visual mesh ignores it."""
+    """Collision geometry that is made of a mesh; a visual mesh ignores it."""
 
     CONVEX_HULL = "convex_hull"
     CONVEX_DECOMPOSITION = "convex_decomposition"

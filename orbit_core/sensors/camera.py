@@ -17,7 +17,7 @@ from orbit_core.sensors.timed import SensorContext, TimedSensor, Values
 
 
 def intrinsic_matrix(camera: CameraSpec) -> Tensor:
-    """(3, 3) pinhole matrix in pixels: u to the right and v down from the image's top left corner.
+    """Return (3, 3) pinhole matrix in pixels: u to the right and v down from the image's top left corner.
 
     Pixel (row, column) has its centre at ``(u, v) = (column + 0.5, row + 0.5)``; pixels are square.
     """
@@ -26,7 +26,7 @@ def intrinsic_matrix(camera: CameraSpec) -> Tensor:
 
 
 def point_cloud(depth: Tensor, intrinsics: Tensor, pose: Tensor | None = None) -> Tensor:
-    """Points (n, H, W, 3) of depth images (n, H, W, 1), infinite where nothing was seen.
+    """Return points (n, H, W, 3) of depth images (n, H, W, 1), infinite where nothing was seen.
 
     In the camera's frame (-z forward, y up), or in the environment's where the camera's ``pose`` (n, 7) is given.
     """
@@ -43,7 +43,7 @@ def point_cloud(depth: Tensor, intrinsics: Tensor, pose: Tensor | None = None) -
 
 
 def project(points: Tensor, intrinsics: Tensor) -> Tensor:
-    """Pixel coordinates (..., 2), u then v, of points (..., 3) in the camera's frame (-z forward, y up)."""
+    """Return pixel coordinates (..., 2), u then v, of points (..., 3) in the camera's frame (-z forward, y up)."""
     depth = -points[..., 2]
     u = intrinsics[0, 0] * points[..., 0] / depth + intrinsics[0, 2]
     v = -intrinsics[1, 1] * points[..., 1] / depth + intrinsics[1, 2]
@@ -96,7 +96,7 @@ class CameraSensor(TimedSensor):
         return {channel: self.image(channel) for channel in self._camera.channels}
 
     def image(self, channel: Channel) -> Tensor:
-        """(N, H, W, channels)
+        """Return (N, H, W, channels)
 
         Raises:
             ConfigurationError: the camera was specified without that channel.
@@ -116,7 +116,7 @@ class CameraSensor(TimedSensor):
         return self._read("link_poses")
 
     def point_cloud(self) -> Tensor:
-        """(N, H, W, 3) where each pixel's surface is, in the environment's frame; infinite where nothing is.
+        """Return (N, H, W, 3) where each pixel's surface is, in the environment's frame; infinite where nothing is.
 
         Raises:
             ConfigurationError: the camera has neither a depth nor a position channel.

@@ -46,11 +46,11 @@ class ContactSensor(AveragingSensor):
         return self._read("filtered")
 
     def in_contact(self, threshold: float = 1.0) -> Tensor:
-        """(N, links) whether the net force exceeds ``threshold`` newtons."""
+        """Return (N, links) whether the net force exceeds ``threshold`` newtons."""
         return self.forces.norm(dim=-1) > threshold
 
     def timer(self, threshold: float = 1.0) -> ContactTimer:
-        """A stopwatch per link, that runs from its first asking; the same threshold gives the same one."""
+        """Return a stopwatch per link, that runs from its first asking; the same threshold gives the same one."""
         if threshold not in self._timers:
             self._timers[threshold] = ContactTimer(self.num_envs, len(self.link_names), threshold, self.device)
         return self._timers[threshold]
@@ -111,7 +111,7 @@ class ContactTimer:
         return self.times[3]
 
     def touched_down(self, within: float) -> Tensor:
-        """(N, links) whether the link touched down during the last ``within`` seconds."""
+        """Return (N, links) whether the link touched down during the last ``within`` seconds."""
         return (self.contact_time > 0.0) & (self.contact_time <= within + 1e-6)
 
     def advance(self, forces: Tensor, duration: float) -> None:

@@ -42,7 +42,7 @@ _OWN: dict[type[SensorSpec], type[TimedSensor]] = {
 
 @cache
 def sensor_types() -> Registry[type[TimedSensor]]:
-    """The classes of sensors, by the name of the class that specifies them.
+    """Return the classes of sensors, by the name of the class that specifies them.
 
     A program without a package adds its own: ``sensor_types().add("RadarSpec", RadarSensor)``.
     """
@@ -53,7 +53,9 @@ def sensor_types() -> Registry[type[TimedSensor]]:
 
 
 def create_sensor(spec: SensorSpec, context: SensorContext) -> TimedSensor:
-    """The sensor that ``spec`` describes. A specification derived from another has that one's, unless it has its own.
+    """Create the sensor that ``spec`` describes.
+
+    A specification that derives from another has the sensor of that one, unless it has its own.
 
     Raises:
         ConfigurationError: its rate, delay or pattern cannot be, or the package that brings the sensor is broken.

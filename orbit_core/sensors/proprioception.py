@@ -50,12 +50,12 @@ class Mount:
         self._offset = None if offset == Pose() else pose_tensor(offset, engine.device)
 
     def pose(self, env_ids: Tensor | None = None) -> Tensor:
-        """(n, 7) in the environment's frame, a copy; of all environments where they are given by mask."""
+        """Return (n, 7) in the environment's frame, a copy; of all environments where they are given by mask."""
         link = self._of_link(self._engine.link_poses, env_ids)
         return link if self._offset is None else pose_multiply(link, self._offset)
 
     def velocity(self, env_ids: Tensor | None = None) -> Tensor:
-        """(n, 6) of the frame's origin, linear then angular, world axes, a copy."""
+        """Return (n, 6) of the frame's origin, linear then angular, world axes, a copy."""
         velocity = self._of_link(self._engine.link_velocities, env_ids)
         if self._offset is None:
             return velocity
@@ -69,7 +69,7 @@ class Mount:
 
 
 def find_entity(layout: SceneLayout, name: str, sensor: str) -> EntityLayout:
-    """The entity that a sensor names.
+    """Return the entity that a sensor names.
 
     Raises:
         UnknownNameError: the scene has none of that name.
@@ -78,7 +78,7 @@ def find_entity(layout: SceneLayout, name: str, sensor: str) -> EntityLayout:
 
 
 def pose_tensor(pose: Pose, device: torch.device) -> Tensor:
-    """(7,) position and quaternion."""
+    """Return (7,) position and quaternion."""
     return torch.tensor((*pose.position, *pose.orientation), dtype=torch.float32, device=device)
 
 
@@ -182,8 +182,8 @@ class ImuSensor(AveragingSensor):
         super().__init__(spec, context, (3,))
         self._mount = Mount(context.engine, context.layout, spec.entity, spec.frame, spec.name)
         self._context = context
+        # (N, 3) velocity at the end of the last chunk
         self._before = torch.zeros(self.num_envs, 3, device=self.device)
-        """(N, 3) velocity at the end of the last chunk."""
         self._before_known = False
 
     @property

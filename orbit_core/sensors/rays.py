@@ -21,7 +21,7 @@ def lidar_pattern(
     horizontal_fov: tuple[float, float] = (-np.pi, np.pi),
     horizontal_resolution: float = np.pi / 180,
 ) -> tuple[Vector3, ...]:
-    """Unit directions (channels x columns) of a scanning LiDAR that spins about z, x forward.
+    """Return unit directions (channels x columns) of a scanning LiDAR that spins about z, x forward.
 
     Args:
         channels: how many rays stand above each other.
@@ -48,7 +48,7 @@ def lidar_pattern(
 def grid_pattern(
     size: tuple[float, float], resolution: float, direction: Vector3 = (0.0, 0.0, -1.0)
 ) -> tuple[tuple[Vector3, ...], tuple[Vector3, ...]]:
-    """Origins and directions of parallel rays from a centred grid in the sensor's xy plane, as height scans use.
+    """Return origins and directions of parallel rays from a centred grid in the sensor's xy plane, as height scans use.
 
     Args:
         size: full extent (x, y) in metres; both ends get a ray, where the resolution divides it.

@@ -67,7 +67,7 @@ class Memory(MutableMapping[str, Tensor]):
         return len(self._tensors)
 
     def saved(self) -> dict[str, Tensor]:
-        """A detached copy."""
+        """Return a detached copy."""
         return {name: tensor.clone() for name, tensor in self._tensors.items()}
 
     def load(self, saved: dict[str, Tensor]) -> None:
@@ -79,7 +79,7 @@ class Memory(MutableMapping[str, Tensor]):
 
 
 def with_rows(old: Tensor, values: Tensor, env_ids: Tensor | None, dim: int = 0) -> Tensor:
-    """``old`` with the values of some environments, which dimension ``dim`` counts, by index or by mask (N,)."""
+    """Return ``old`` with the values of some environments, which dimension ``dim`` counts, by index or by mask (N,)."""
     if env_ids is None:
         return values
     if is_mask(env_ids):
@@ -99,7 +99,7 @@ class TimedSensor(Sensor):
     A sensor without a rate measures at the first read after the world has stepped, and costs nothing unread. A sensor
     with a rate measures when it is due, read or not, for the state will be gone later. Its due times are multiples of
     its period on the world's clock, which a reset leaves running. A reset environment's next reading is fresh (that of
-    the first read, or of the next step's start), and stands for all of its delayed past. Writing state without a step
+    the first read, or of the next step's start), and fills all of its delayed past. Writing state without a step
     or reset leaves the held value.
 
     A subclass implements :meth:`_measure` and names in ``noisy`` the values that noise is added to.
@@ -126,19 +126,19 @@ class TimedSensor(Sensor):
         self._masking = context.random.masking
         self._delay = _delay_in_periods(spec)
         self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
+        # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt
         self._fleeting = self._lazy and not self._noisy and not self.costly
-        """Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt."""
         self._elapsed = 0
         self._outdated = True
+        # Whether nothing was measured yet, or since all environments were reset
         self._empty = True
-        """Whether nothing was measured yet, or since all environments were reset."""
         self._some_wait = False
+        # (N,) environments that were reset and not measured since
         self._waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        """(N,) environments that were reset and not measured since."""
+        # Values of a fleeting sensor at the present state
         self._present: Values = {}
-        """Values of a fleeting sensor at the present state."""
+        # Last measurements (1 + delay, N, ...) of all other sensors, the newest first
         self._held = Memory(self._masking)
-        """Last measurements (1 + delay, N, ...) of all other sensors, the newest first."""
         self._bias = Memory(self._masking)
 
     # The world's side ------------------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ class TimedSensor(Sensor):
             self._bias[name] = with_rows(bias, self._draw_bias(bias.shape[1:], env_ids), env_ids)
 
     def save_state(self) -> dict[str, Any]:
-        """Everything that later readings depend on besides the engine's state."""
+        """Return all that later readings depend on, without the engine's state."""
         return {
             "phase": self.phase,
             "waiting": self._waiting.clone(),
@@ -194,19 +194,19 @@ class TimedSensor(Sensor):
 
     @property
     def phase(self) -> tuple[Hashable, ...]:
-        """What Python decides the sensor's next step by, besides what tensors hold."""
+        """Schedule key of the sensor's next step: the state that is not in tensors."""
         return self._elapsed, self._outdated or self._fleeting, self._empty, self._some_wait
 
     def enter(self, phase: tuple[Any, ...]) -> None:
-        """A step was repeated without Python, which left the sensor in that phase."""
+        """Return a step was repeated without Python, which left the sensor in that phase."""
         self._elapsed, self._outdated, self._empty, self._some_wait = phase[:4]
 
     def touch(self) -> None:
-        """What was computed from the present state alone does not hold."""
+        """Invalidate values that depend on the present state only."""
         self._outdated |= self._fleeting
 
     def memory(self) -> Mapping[str, Tensor]:
-        """The tensors that later readings depend on, by name."""
+        """Return the tensors that later readings depend on, by name."""
         return {**{f"held {n}": t for n, t in self._held.items()}, **{f"bias {n}": t for n, t in self._bias.items()}}
 
     # The subclass's side ---------------------------------------------------------------------------------------------
@@ -219,12 +219,12 @@ class TimedSensor(Sensor):
         """
 
     def _read(self, name: str) -> Tensor:
-        """The held value (N, ...) of that name."""
+        """Return the held value (N, ...) of that name."""
         self._settle()
         return self._present[name] if self._fleeting else self._held[name][-1]
 
     def _noise(self, name: str, shape: tuple[int, ...], env_ids: Tensor | None) -> Tensor:
-        """A draw (n, *shape) of white noise plus the value's bias."""
+        """Return a draw (n, *shape) of white noise plus the value's bias."""
         if name not in self._bias:
             self._bias[name] = self._draw_bias(shape, None)
         rows = None if is_mask(env_ids) else env_ids  # a mask is set, and means itself
@@ -291,7 +291,7 @@ class TimedSensor(Sensor):
 
 
 def period_in_steps(spec: SensorSpec, physics_dt: float) -> int | None:
-    """Physics steps between two measurements; None without a rate.
+    """Return physics steps between two measurements; None without a rate.
 
     Raises:
         ConfigurationError: the rate does not divide the physics rate.
@@ -312,8 +312,8 @@ def period_in_steps(spec: SensorSpec, physics_dt: float) -> int | None:
     return steps
 
 
+# Longest delay in periods of a sensor, for each of which a value is kept
 _MOST_PERIODS = 10_000
-"""Longest delay in periods of a sensor, for each of which a value is kept."""
 
 
 def _delay_in_periods(spec: SensorSpec) -> int:
@@ -391,8 +391,8 @@ class AveragingSensor(TimedSensor):
 
     @abstractmethod
     def _integrate(self, steps: int) -> Tensor:
-        """(N, *shape) the quantity's mean over the last ``steps`` steps, times ``steps``."""
+        """Return (N, *shape) the quantity's mean over the last ``steps`` steps, times ``steps``."""
 
     def _mean(self, env_ids: Tensor | None) -> Tensor:
-        """(n, *shape) over the window so far; zero in one that is empty."""
+        """Return (n, *shape) over the window so far; zero in one that is empty."""
         return take_rows(self._sum / self._count.clamp_min(1.0), env_ids)
