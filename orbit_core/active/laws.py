@@ -65,6 +65,7 @@ class ActiveLaw:
     def parameter(self, name: str, value: float) -> Tensor:
         """Make a parameter: (N,) of one value, which may differ between environments later."""
         self._nominal[name] = float(value)
+        # One value per environment, so that events can randomise it.
         self._parameters[name] = torch.full((self.num_envs,), float(value), device=self.device)
         return self._parameters[name]
 
@@ -79,6 +80,7 @@ class ActiveLaw:
             raise UnknownNameError("parameter", name, self._parameters, f"active model '{self.model.name}'")
         chosen = self._masking.choose(env_ids)
         what = f"{name} of active model '{self.model.name}' of '{self.thing.name}'"
+        # In place: captured steps hold on to the tensor.
         write_rows(self._parameters[name], chosen.values(values, (), what, NOT_NEGATIVE), chosen.rows)
 
     def efforts(self) -> Tensor:
@@ -115,6 +117,7 @@ class MagneticSealLaw(ActiveLaw):
                     f"{name} of active model '{model.name}' of '{thing.name}' must be above zero, not "
                     f"{getattr(model, name):g}"
                 )
+        # Shut is a limit of the joint unless the model says otherwise.
         spec = thing.joints[joint]
         shut = (spec.lower_limit if model.opens_up else spec.upper_limit) if model.closed is None else model.closed
         if not math.isfinite(shut):
@@ -131,6 +134,7 @@ class MagneticSealLaw(ActiveLaw):
         return (self._arm * self._way * (position - self._shut)).clamp_min(0.0)
 
     def efforts(self) -> Tensor:
+        # The lower bound keeps a randomised decay of zero from dividing by zero.
         falls = 1.0 + self.gap() / self._decay.clamp_min(1e-9)
         return (-self._way * self._arm * self._force / falls.square())[:, None]
 
@@ -156,6 +160,7 @@ def create_law(model: ActiveModel, thing: Object, num_envs: int, device: torch.d
         UnknownNameError: nothing computes a model of that class.
         ConfigurationError: the model cannot be, or the package that brings its law is broken.
     """
+    # The nearest base that has a law wins, as method resolution does.
     kinds = [kind.__name__ for kind in type(model).__mro__ if issubclass(kind, ActiveModel)]
     registry = active_laws()
     known = registry.names

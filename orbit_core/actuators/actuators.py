@@ -46,10 +46,12 @@ class CommandDelay:
                     f"the delay of actuators {group.joints} must satisfy 0 <= min_delay <= max_delay, not "
                     f"{group.min_delay}, {group.max_delay}"
                 )
+        # By identity: two groups of equal numbers still draw separate delays.
         self._groups = list({id(group): group for group in groups}.values())
         members = [[j for j, other in enumerate(groups) if other is group] for group in self._groups]
         self._random = random
         device = random.device
+        # One slot more than the longest delay, for the command of this step.
         self._length = max((group.max_delay for group in groups), default=0) + 1
         self._history = torch.zeros(self._length, 3, num_envs, len(groups), device=device)
         self._delays = torch.zeros(num_envs, len(groups), dtype=torch.int64, device=device)
@@ -114,6 +116,7 @@ def model_of(group: ActuatorConfig, entity: str) -> type[ActuatorModel] | None:
     """
     registry, kind = actuator_models(), type(group)
     names = registry.names
+    # A derived class with further fields needs its own model: the base's would ignore them in silence.
     own = [c for c in kind.__mro__ if issubclass(c, ActuatorConfig) and (c is ImplicitPd or c.__name__ in names)]
     found = next((c for c in own if len(fields(c)) == len(fields(kind))), None)
     if found is None:
@@ -175,6 +178,7 @@ class Actuators:
         self._implicit = {joint for joint, model in models.items() if model is None}
         shared_by: dict[Any, list[int]] = {}
         for joint, model in models.items():
+            # Joints that share a model are computed in one call, whichever robot they belong to.
             if model is not None:
                 group = groups[joint]
                 shared_by.setdefault((model, isinstance(group, IdealPd), model.shared_by(group)), []).append(joint)
@@ -196,6 +200,7 @@ class Actuators:
     def apply(self) -> None:
         """Compute the efforts of explicit groups from the present joint state and hand them to the engine."""
         engine = self._engine
+        # Joints without a model keep the effort that was commanded directly.
         engine.efforts.copy_(self.effort_targets)
         positions, velocities = engine.joint_positions, engine.joint_velocities
         for model, delay in zip(self._models, self._delays, strict=True):
@@ -242,6 +247,7 @@ class Actuators:
             ConfigurationError: a joint has no actuator.
             UnsupportedCapabilityError: the engine cannot change the gains of its drives.
         """
+        # A call may mix joints of the engine's drives with joints of explicit models.
         native = [column for column, joint in enumerate(joints) if joint in self._implicit]
         if native:
             indices = torch.tensor([joints[column] for column in native], device=self._engine.device)
@@ -291,6 +297,7 @@ class Actuators:
         """Return to a saved state."""
         self.effort_targets.copy_(state.effort_targets)
         for model, gains, memory in zip(self._models, state.gains, state.memory, strict=True):
+            # In place: a captured step refers to these tensors by their memory.
             for own, saved in zip(model.gains or (), gains, strict=True):
                 own.copy_(saved)
             for name, saved in memory.items():

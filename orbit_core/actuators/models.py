@@ -59,6 +59,7 @@ class WindingModel:
     def __init__(
         self, windings: Sequence[Windings | None], num_envs: int, physics_dt: float, device: torch.device
     ) -> None:
+        # Numbers without effect for motors that do not warm up, so that all are computed alike.
         cold = Windings(motor_constant=1.0, thermal_resistance=1.0, time_constant=1.0)
         described = [motor or cold for motor in windings]
 
@@ -83,6 +84,7 @@ class WindingModel:
 
     def warm(self, efforts: Tensor, ratios: Tensor | None) -> None:
         """Pass one physics step in which motors exert ``efforts`` (N, k) at their joints, through ``ratios`` (N, k)."""
+        # The heat is that of the motor's own effort, on its side of the transmission.
         own = efforts if ratios is None else efforts / ratios.clamp_min(_TINY)
         resistance = 1.0 + self._growth * (self.temperatures - REFERENCE)
         target = self.ambient + self._rise_per_effort * own.square() * resistance
@@ -132,6 +134,7 @@ class ActuatorModel(ABC):
 
     def __init__(self, context: ActuatorContext) -> None:
         self.joints = list(context.joints)
+        # A slice where possible: reading it is a view and no copy.
         self.columns = columns_of(self.joints, context.device)
         self.memory: dict[str, Tensor] = {}
         """(N, ...) tensors that the model remembers, by name: part of snapshots, set to :meth:`fresh` by resets."""
@@ -182,6 +185,7 @@ class PdModel(ActuatorModel):
     def __init__(self, context: ActuatorContext) -> None:
         super().__init__(context)
         self._upper = context.effort_limits
+        # Made once, because the step is evaluated at the physics rate.
         self._lower = -self._upper
         self.stiffness, self.damping = self.gains = context.values("stiffness"), context.values("damping")
 

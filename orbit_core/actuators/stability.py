@@ -74,11 +74,13 @@ def unstable_drive(
         time_step: s.
         fixed_base: whether the root cannot move.
     """
+    # Most robots have implicit drives only; they skip the sampling of the workspace.
     if not np.any(gains.loads(time_step)):
         return None
     base = 0 if fixed_base else 6
     matrices = workspace_mass_matrices(articulation, free_root=not fixed_base, armature=armature.tolist())
     leading = [index for index, joint in enumerate(articulation.movable_joints) if joint.mimic is None]
+    # Followers have no equation of motion: their inertia is folded into the leaders'.
     free = [*range(base), *(base + index for index in leading)]
     masses = matrices[:, free][:, :, free]
 
@@ -96,6 +98,7 @@ def unstable_drive(
     if found[worst] < 1.0:
         return None
     shortest, longest = 0.0, time_step
+    # Bisection, since the largest eigenvalue has no closed form in the step.
     for _ in range(_HALVINGS):
         middle = (shortest + longest) / 2
         shortest, longest = (middle, longest) if rates(middle)[0].max() < 1.0 else (shortest, middle)
@@ -119,6 +122,7 @@ def check_drives(layout: SceneLayout, backend: Backend) -> None:
         ConfigurationError: names the joint, its gains, the step, and what would be stable.
     """
     for entity in layout.entities:
+        # Loops remove the motions that would diverge first, so that the limit would be too strict.
         if not entity.spec.actuators or entity.spec.articulation.loops:
             continue
         armature = layout.joint_parameters.armature[entity.joints]
@@ -150,6 +154,7 @@ def _message(drive: UnstableDrive, layout: SceneLayout, entity: EntityLayout, ba
     explicit = not isinstance(actuator_of_joint(entity.spec)[index], ImplicitPd)
     remedy = ""
     if explicit and backend.drive_integration is DriveIntegration.IMPLICIT:
+        # Only where it helps: an engine with explicit drives has the same limit for its own.
         remedy = ", or the engine's own drive, ImplicitPd, which is stable at any gain"
     share = _below(drive.share)
     return (

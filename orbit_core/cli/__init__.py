@@ -112,6 +112,7 @@ def _dispatch(words: list[str]) -> int:
         print(__version__)
         return 0
     name, registry = words[0], commands()
+    # Known commands of distributions that are missing get an install command in place of "unknown command".
     if name in OTHERS and name not in registry.names:
         distribution = OTHERS[name][0]
         raise ConfigurationError(

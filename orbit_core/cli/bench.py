@@ -77,6 +77,7 @@ def bench(
         raise ConfigurationError("num_envs must name at least one number of environments")
     figures: list[Throughput] = []
     backend = ""
+    # Ascending, because peak memory of the process never falls.
     for num_envs in sorted(set(settings.num_envs)):
         environment = make_environment(settings, num_envs)
         try:
@@ -89,9 +90,12 @@ def bench(
 
 def _measure(environment: Environment, settings: BenchSettings, progress: Callable[[int], None]) -> Throughput:
     agent = scripted_actor("random", environment, settings.seed)
+    # Warm-up: first steps compile kernels and record graphs.
     for _ in range(max(1, settings.steps // 10)):
         environment.step(agent.act())
+    # Drawn before the clock starts, so that only steps are timed.
     actions = [agent.act() for _ in range(16)]
+    # In blocks, so that a progress bar can advance; waiting for the device between them costs little.
     seconds, block = 0.0, max(1, settings.steps // 20)
     for first in range(0, settings.steps, block):
         numbers = range(first, min(first + block, settings.steps))
@@ -123,6 +127,7 @@ def _peak_memory() -> float | None:
     except ImportError:
         return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS reports bytes, Linux kibibytes.
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 

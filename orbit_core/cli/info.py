@@ -61,11 +61,13 @@ def show_sensor(console: Console, name: str) -> None:
     print_line(console, "reading", sensor.__name__)
     console.print(Text(inspect.getdoc(sensor) or ""))
     values = inspect.getmembers(sensor, lambda member: isinstance(member, property))
+    # Properties of the base class are the same for all sensors.
     own = [(value, first_line(read)) for value, read in values if value[0] != "_" and not hasattr(TimedSensor, value)]
     print_rows(console, "value", "is", own)
 
 
 def _derived(kind: type) -> Iterator[type]:
+    # Specifications are not registered themselves: only loaded classes can be described.
     for below in kind.__subclasses__():
         yield below
         yield from _derived(below)
@@ -87,6 +89,7 @@ class InfoSettings:
 
 def main(words: Sequence[str]) -> None:
     """Print what is known of a name."""
+    # Names of different kinds do not clash in practice; the order decides where they do.
     name = parse_words(InfoSettings, words, "orbit info").name
     console = make_console()
     if name in task_entries():
@@ -161,6 +164,7 @@ def _terms(task: Task, part: str) -> str:
 def _robots_like(name: str) -> str:
     """Return the default robot of a task, then those of its kind: arms, arms with grippers, legged robots."""
     kind = _kind(name)
+    # Robots of the same kind are the ones that a task is likely to run with.
     others = [other for other in robot_names() if other != name and _kind(other) == kind]
     return ", ".join([f"{name} (default)", *others])
 
@@ -217,6 +221,7 @@ def _show_actuators(console: Console, robot: RobotSpec) -> None:
     responses = drive_responses(robot)
     for group in robot.actuators:
         values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group)}
+        # Tables and nested settings of a group do not fit on the line.
         described = [f"{key} {value:g}" for key, value in values.items() if isinstance(value, float)]
         own = [response for response in responses if groups[names.index(response.joint)] is group]
         if own:
@@ -250,6 +255,7 @@ def _show_gaps(console: Console, plugin: Backend) -> None:
     if not plugin.gaps():
         return
     units: dict[tuple[str, str], str] = {}
+    # Units belong to the scenarios, which another distribution defines.
     for source in Registry[Callable[[], dict[tuple[str, str], str]]]("units", "orbit.units").values.values():
         units |= source()
     table = new_table("scenario or check", "metric", "error up to", "why", title="Declared gaps")

@@ -30,6 +30,7 @@ class ListSettings:
 def main(words: Sequence[str]) -> None:
     """Print the names of one kind."""
     rows = lists().get(parse_words(ListSettings, words, "orbit list").kind)()
+    # Plain print and not a table: the output is meant for grep and cut.
     width = max((len(name) for name, _ in rows), default=0)
     for name, description in rows:
         print(f"{name:<{width}}  {description}")
@@ -67,6 +68,7 @@ def _sensors() -> list[tuple[str, str]]:
     from orbit_core.sensors import sensor_types
 
     rows = []
+    # One by one, so that a broken package shows as a line and hides no others.
     for name in sensor_types().names:
         try:
             rows.append((name, first_line(sensor_types().get(name))))
@@ -124,6 +126,7 @@ def _state(name: str) -> str:
     return "installed: " + ", ".join(f"{package} {version}" for package, version in versions.items())
 
 
+# Functions import what they list, because each kind loads other modules.
 _LISTS = {
     "tasks": _tasks,
     "robots": _robots,

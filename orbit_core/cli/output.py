@@ -22,6 +22,7 @@ _WIDTH = 140
 def console() -> Console:
     """Return the console that results are printed on."""
     plain = _PlainConsole()
+    # A narrow default width would cut names in pipes and files.
     return plain if plain.is_terminal else _PlainConsole(width=_WIDTH)
 
 
@@ -50,6 +51,7 @@ def new_table(*headings: str, title: str | None = None) -> Table:
 
 def progress_bar() -> Progress:
     """Return a progress bar on stderr, gone when it is done; it shows nothing where stderr is no terminal."""
+    # On stderr, so that results on stdout can be piped.
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)

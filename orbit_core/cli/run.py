@@ -58,6 +58,7 @@ class RunResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return all fields for a file, the rate's interval apart, and ``metric``, the leading one with its name."""
+        # Tasks state their leading metric first.
         name, leading = next(iter(self.metrics.items()))
         rate = self.success_rate
         success = {"success_rate": rate.value, "success_interval": [rate.low, rate.high]}
@@ -78,6 +79,7 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
+    # All settings are checked before the environment is built, which may take minutes.
     check_actor(settings.agent)
     check_positive("episodes", settings.episodes)
     check_output(settings.json, ".json", settings.overwrite)
@@ -128,8 +130,10 @@ def _episodes(environment: Environment, settings: RunSettings, progress: Progres
     counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device)
     actor = make_actor(settings.agent, environment, settings.seed)
     reach = ReachWatch(environment)
+    # Seeded last, so that draws made while building do not change the episodes.
     environment.reset(settings.seed)
     with _video(environment, settings) as recorder:
+        # The recorder is the first observer: it films the state before the step.
         filming = () if recorder is None else (recorder,)
         observers = (*filming, counter, reach, _ProgressReporter(counter, recorder, progress))
         pace = roll_out(environment, actor, observers, lambda: counter.complete)
@@ -138,6 +142,7 @@ def _episodes(environment: Environment, settings: RunSettings, progress: Progres
 
 def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:
     """Return the recorder of the video that the settings ask for, or None."""
+    # The encoder is optional, and imported only for a video.
     if settings.video is None:
         return nullcontext()
     from orbit_core.rollout.video import VideoRecorder

@@ -31,6 +31,7 @@ KeyValues = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")
 class EnvironmentSettings:
     """Settings of an environment: task, robot, backend and the like."""
 
+    # None and not required: a TOML file may name the task.
     task: Annotated[Positional[str | None], arg(metavar="TASK")] = None
     """Name of a task ('orbit list tasks'); may stand in the file instead."""
     backend: Name = None
@@ -90,6 +91,7 @@ class RunSettings(EnvironmentSettings):
     """Write the result here."""
     video: File = None
     """Write an mp4 of the first episode of up to four environments here."""
+    # Multiples of 16, an encoder's macroblock.
     video_size: tuple[int, int] = (400, 304)
     """Width and height of an environment's picture in the video, multiples of 16."""
     frames: bool = False
@@ -125,6 +127,7 @@ def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
         raise ConfigurationError(f"the name of output file {path} must end in {suffix}")
     if not path.parent.is_dir():
         raise ConfigurationError(f"cannot write {path}: there is no folder {path.parent}")
+    # Tested now: a command should not fail after an hour of work.
     if not os.access(path.parent, os.W_OK):
         raise ConfigurationError(f"cannot write {path}: folder {path.parent} is read-only for this user")
     if path.is_dir():
@@ -185,6 +188,7 @@ def parse_settings(settings_type: type[_Settings], words: Sequence[str], program
         UnknownNameError: an option or a key of the file is unknown; names the nearest.
     """
     settings = parse_words(settings_type, words, program)
+    # Parsed twice: the first time finds the file, whose values are the defaults of the second.
     if settings.config is None:
         return settings
     return parse_words(settings_type, words, program, read_file(settings_type, settings.config))
@@ -195,6 +199,7 @@ def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default
     _check_options(kind, words, program)
     complaint = io.StringIO()
     try:
+        # tyro offers no other way to its messages than a box on stderr and an exit.
         with contextlib.redirect_stderr(complaint):
             parsed, unknown = tyro.cli(kind, args=words, prog=program, default=default, return_unknown_args=True)
     except SystemExit as stop:
@@ -220,6 +225,7 @@ def _check_options(kind: type, words: Sequence[str], program: str) -> None:
     known = {f"--{name.replace('_', '-')}" for name, hint in _hints(kind).items() if _is_option(hint)}
     known.add("--help")
     for word in words:
+        # tyro takes underscores and dashes alike.
         option = word.partition("=")[0].replace("_", "-")
         if option.startswith("--") and option not in known:
             raise UnknownNameError("option", option, known, program)

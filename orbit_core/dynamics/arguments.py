@@ -38,6 +38,7 @@ class Bounds:
         return Bounds(-most, most, unit)
 
 
+# Bounds are far beyond any robot: they catch mistakes of units and NaN, not unusual tasks.
 FINITE = Bounds.either_way(torch.finfo(torch.float32).max)
 POSITIONS = Bounds.either_way(MAX_DISTANCE, "m or rad")
 VELOCITIES = Bounds.either_way(MAX_SPEED, "m/s or rad/s")
@@ -57,6 +58,7 @@ def whole_number(value: object, what: str, least: int, most: int) -> int:
     Raises:
         ArgumentError: it is not.
     """
+    # The common case first: this runs at every call.
     if type(value) is int and least <= value <= most:
         return value
     if isinstance(value, bool) or not isinstance(value, numbers.Integral):
@@ -202,6 +204,7 @@ def check_numbers(value: Tensor, bounds: Bounds, what: str, env_ids: Tensor | No
     """
     if value.device.type != "cpu" or not value.numel():
         return
+    # One reduction for both bounds and NaN, instead of one each.
     least, most = torch.aminmax(value)  # both are NaN where anything is
     if not (bounds.least <= float(least) and float(most) <= bounds.most):
         _refuse_number(value, bounds, what, env_ids)

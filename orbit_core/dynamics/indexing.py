@@ -46,6 +46,7 @@ def write_block(target: Tensor, columns: Columns, values: Tensor, env_ids: Tenso
     if env_ids is None:
         target[:, columns] = values
     else:
+        # Indices of rows and of columns broadcast against each other only with one more dimension.
         target[env_ids if isinstance(columns, slice) else env_ids[:, None], columns] = values
 
 
@@ -122,6 +123,7 @@ class Masking:
     @contextmanager
     def only(self, mask: Tensor | None) -> Iterator[None]:
         """Set a mask, in the place of one that is set; None lifts it."""
+        # Masks nest: an event under a mask may reset a part of its environments.
         before, self.mask = self.mask, mask
         try:
             yield

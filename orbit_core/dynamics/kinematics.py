@@ -78,9 +78,11 @@ class PointJacobian:
         moves = joint_ancestry(articulation)[link]
         movable = articulation.movable_joints
         self._links = torch.tensor([children[j] for j in joints], dtype=torch.int64, device=device)
+        # Arms without prismatic joints save a third of the product.
         self._prismatic = any(moves[j] and movable[j].type is JointType.PRISMATIC for j in joints)
         constants = np.zeros((len(joints), 16, 9 if self._prismatic else 6))
         for column, index in enumerate(joints):
+            # A column of zeros for a joint beyond the link, so that the Jacobian keeps the shape that was asked for.
             if not moves[index]:
                 continue
             axis, origin = _axis_in_child(movable[index]), np.asarray(movable[index].child_pose.position)
@@ -117,6 +119,7 @@ class FixedFrame:
         right = [[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]]
         self._position = torch.as_tensor(_rotated(position), dtype=torch.float32, device=device)
         self._rotation = torch.tensor(right, dtype=torch.float32, device=device)
+        # copysign needs a tensor; a constant is made once and not at each call.
         self._one = torch.ones(1, device=device)
 
     def __call__(self, link_pose: Tensor) -> Tensor:
@@ -173,6 +176,7 @@ class KinematicTree:
         moved = torch.einsum("njt,jtab->njab", terms, self._varying)
         local = self._constant + torch.einsum("jl,njab->nlab", self._places, moved)
         transforms = [torch.cat((upper, self._last_row.expand(root_pose.shape[0], 1, 4)), 1)]
+        # The only loop: a parent's transform must be known before its children's.
         for link in range(1, len(self._parents)):
             transforms.append(transforms[self._parents[link]] @ local[:, link])
         stacked = torch.stack(transforms, 1)
@@ -216,6 +220,7 @@ class KinematicTree:
         Raises:
             UnknownNameError: no link or frame has that name.
         """
+        # Made on first use: most of the frames of a robot are never asked for a Jacobian.
         if frame not in self._jacobians:
             columns = range(len(self.articulation.movable_joints))
             self._jacobians[frame] = PointJacobian(
@@ -304,6 +309,7 @@ def mimic_matrix(articulation: Articulation) -> FloatArray:
     for index, joint in enumerate(articulation.movable_joints):
         if joint.mimic is not None:
             matrix[index, index] = 0.0
+            # A follower moves with its leader, and has no velocity of its own.
             matrix[index, names.index(joint.mimic.joint)] = joint.mimic.slope(0.0)
     return matrix
 
@@ -318,6 +324,7 @@ def _rotated(vector: FloatArray) -> FloatArray:
 
     From ``R(w, u) = (w^2 - u.u) I + 2 u u^T + 2 w [u]``, [u] the matrix of the cross product.
     """
+    # Rows and columns are the quaternion's components, w first.
     result = np.zeros((4, 4, 3))
     result[0, 0] = vector
     for i, unit in enumerate(np.eye(3), start=1):

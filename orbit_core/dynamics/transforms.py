@@ -16,6 +16,7 @@ def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
     """Return the rotation ``b`` followed by ``a``: (..., 4)."""
     aw, av = a[..., :1], a[..., 1:]
     bw, bv = b[..., :1], b[..., 1:]
+    # torch.linalg.cross does not broadcast its arguments.
     av, bv = torch.broadcast_tensors(av, bv)
     w = aw * bw - (av * bv).sum(-1, keepdim=True)
     v = aw * bv + bw * av + torch.linalg.cross(av, bv)
@@ -92,6 +93,7 @@ def quat_to_rotation_vector(q: Tensor) -> Tensor:
     q = torch.where(q[..., :1] < 0, -q, q)
     sine = q[..., 1:].norm(dim=-1, keepdim=True)
     angle = 2.0 * torch.atan2(sine, q[..., :1])
+    # Near zero the quotient of angle and sine tends to 2; where evaluates both branches, so that both must be finite.
     return torch.where(sine > 1e-7, angle / sine.clamp_min(1e-12), torch.full_like(sine, 2.0)) * q[..., 1:]
 
 

@@ -36,6 +36,7 @@ def workspace_mass_matrices(
     fold = mimic_matrix(articulation)
     positions = torch.as_tensor(workspace_positions(articulation))
     model = RigidBodyModel(articulation, not free_root, armature=armature, dtype=torch.float64)
+    # Mass matrices do not depend on the pose of the root.
     root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(_SAMPLES, 1)
     full = model.mass_matrix(model.kinematics.forward(root, positions)).numpy()
     if free_root:
@@ -50,6 +51,7 @@ def workspace_positions(articulation: Articulation) -> npt.NDArray[np.float64]:
     """
     joints = articulation.movable_joints
     low, high = (np.array([_ends(joint)[end] for joint in joints]) for end in (0, 1))
+    # A fixed seed: gains that are designed from these samples must be the same on every machine.
     drawn = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(joints)))
     offsets = np.array([joint.mimic.offset if joint.mimic else 0.0 for joint in joints])
     return drawn @ mimic_matrix(articulation).T + offsets
@@ -82,6 +84,7 @@ def reflected_inertia(articulation: Articulation, armature: Sequence[float] | No
     ``armature`` (J,) takes the place of the joints' own. A free base does not follow the joints' motion here, as that
     of a robot that stands does not.
     """
+    # The diagonal is the inertia of a joint while all others are at rest.
     diagonal = np.diagonal(workspace_mass_matrices(articulation, armature=armature), axis1=1, axis2=2)
     leading = leaders(articulation)
     smallest, mean, largest = (reduce(diagonal, axis=0)[leading] for reduce in (np.min, np.mean, np.max))

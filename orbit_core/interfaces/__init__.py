@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+# Type checkers see every name; at run time a name's module is imported when the name is used.
 if TYPE_CHECKING:
     from orbit_core.interfaces.backend import Backend
     from orbit_core.interfaces.capabilities import (

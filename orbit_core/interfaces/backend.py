@@ -24,6 +24,7 @@ class Backend(ABC):
     name: ClassVar[str]
     config_type: ClassVar[type]
     """The dataclass of the engine's own settings; every field has a default."""
+    # Declared by the class, so that the core can refuse unstable gains before it builds anything.
     drive_integration: ClassVar[DriveIntegration] = DriveIntegration.IMPLICIT
     """How the engine integrates its own drives (:class:`~orbit_core.scene.ImplicitPd`), which the contract asks to be
     stable at any gain. The core refuses unstable gains of an engine that declares otherwise."""
@@ -62,4 +63,5 @@ class Backend(ABC):
         Raises:
             UnsupportedCapabilityError: the backend draws nothing.
         """
+        # Not abstract: an engine without a renderer is complete, and its scenes are drawn by another plugin.
         raise UnsupportedCapabilityError(f"backend '{self.name}' has no renderer: choose another with renderer=...")

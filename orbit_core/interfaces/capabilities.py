@@ -47,6 +47,7 @@ class Support:
     reason: str = ""
 
     def __post_init__(self) -> None:
+        # Reports and refusals show the reason; without it a user could not choose another engine.
         if self.level is not Level.EXACT and not self.reason:
             raise ValueError(f"a capability declared {self.level.value} needs a reason")
 
@@ -67,6 +68,7 @@ def unsupported(reason: str) -> Support:
 class Capability(Enum):
     """One thing that an engine may do. The value is the text that people read."""
 
+    # The order is that of reports: joints, contact, measurements, randomisation, reproducibility, images, matter.
     ARTICULATIONS = "articulated robots and objects"
     FLOATING_BASE = "articulations with a free root"
     IMPLICIT_DRIVES = "native PD drives"
@@ -147,6 +149,7 @@ class Capabilities:
     declared: Mapping[Capability, Support]
 
     def __getitem__(self, capability: Capability) -> Support:
+        # Undeclared means unsupported, so that a new capability never becomes a false promise of an old plugin.
         return self.declared.get(capability, unsupported("not declared by the backend"))
 
     def has(self, capability: Capability) -> bool:
@@ -206,7 +209,9 @@ def required_capabilities(scene: Scene) -> dict[Capability, str]:
     """Return each capability that the scene needs, with the first thing in it that needs it."""
     needs: dict[Capability, str] = {}
     for capability, culprit in _needs(scene):
+        # A pendulum alone needs no friction, though its shapes have a material.
         if capability not in _CONTACT or _may_touch(scene):
+            # Only the first culprit is named, to keep the message short.
             needs.setdefault(capability, culprit)
     return needs
 
@@ -214,6 +219,7 @@ def required_capabilities(scene: Scene) -> dict[Capability, str]:
 def _may_touch(scene: Scene) -> bool:
     """Return True if the scene has two things that could touch."""
     articulations = [entity.alternatives for entity in scene.entities]
+    # Entities with shapes; the terrain counts as one more for each of its shapes.
     solid = sum(any(link.collisions for each in kinds for link in each.links) for kinds in articulations)
     alone = any(each.self_collisions for kinds in articulations for each in kinds)
     return alone or bool(scene.deformables) or solid + len(scene.terrain) > 1
@@ -222,6 +228,7 @@ def _may_touch(scene: Scene) -> bool:
 def _needs(scene: Scene) -> Iterator[tuple[Capability, str]]:
     for entity in scene.entities:
         for articulation in entity.alternatives:
+            # Variants may need more than the entity's own articulation does.
             yield from _entity_needs(replace(entity, articulation=articulation))
         if len(entity.alternatives) > 1:
             yield Capability.SHAPES_PER_ENVIRONMENT, f"'{entity.name}'"
@@ -283,6 +290,7 @@ def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
         if link.mass == 0 and link is not articulation.root:
             yield Capability.MASSLESS_LINKS, f"link '{link.name}' of {culprit}"
         for shape in link.collisions:
+            # Static triangle meshes are common; moving ones only a few engines have.
             moving = not (entity.fixed_base and link is articulation.root)
             yield from _shape_needs(shape, f"link '{link.name}' of {culprit}", moving)
 
@@ -303,6 +311,7 @@ def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Cap
         yield Capability.RESTITUTION, culprit
     if material.static_friction != material.dynamic_friction:
         yield Capability.STATIC_FRICTION, culprit
+    # Defaults are so small that engines without these coefficients leave them out.
     if material.torsional_friction > PhysicsMaterial.torsional_friction:
         yield Capability.TORSIONAL_FRICTION, culprit
     if material.rolling_friction > PhysicsMaterial.rolling_friction:

@@ -92,6 +92,7 @@ class Engine(Watched, ABC):
     What it does for steps that are captured is its :attr:`capture`.
     """
 
+    # Switched off where environments are reset one by one, so that one that diverges does not stop the others.
     raises_divergence: bool = True
     """Whether :meth:`step` raises where environments diverged. Where not, its caller looks for them after each step,
     and resets them before the next; other faults raise as ever."""
@@ -101,6 +102,7 @@ class Engine(Watched, ABC):
         self.num_envs = num_envs
         self.device = device
         joints = len(layout.joints)
+        # Targets at home keep a robot without commands where a reset puts it.
         home = torch.as_tensor(layout.joint_parameters.home, dtype=torch.float32, device=device)
         self.position_targets = home.repeat(num_envs, 1)
         """(N, J) drive targets; the core writes them in place and the engine reads them at each step."""
@@ -348,6 +350,7 @@ class Engine(Watched, ABC):
         def repeated(whole: Tensor) -> Tensor:
             return whole[source].clone().to(self.device).expand(count, *whole.shape[1:])
 
+        # All reads come before the first write: source and target may be the same engine.
         poses, velocities = repeated(origin.link_poses), repeated(origin.link_velocities)
         positions, rates = repeated(origin.joint_positions), repeated(origin.joint_velocities)
         commands = {name: repeated(getattr(origin, name)) for name in _COMMANDS}

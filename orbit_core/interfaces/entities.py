@@ -15,6 +15,7 @@ from orbit_core.interfaces.names import match_names
 from orbit_core.scene import DeformableSpec, Entity, Joint, MarkerSpec, Region, RobotSpec, Texture
 
 
+# A protocol, because the classes that compute these laws are above the contract.
 class ActivePart(Protocol):
     """One of an object's active models (:mod:`orbit_core.active`), which adds forces at each step."""
 
@@ -119,6 +120,7 @@ class Object(ABC):
     @property
     def joints(self) -> tuple[Joint, ...]:
         """The movable joints' descriptions."""
+        # Fixed joints have no position and no column in any tensor.
         return self.spec.articulation.movable_joints
 
     @property
@@ -153,6 +155,7 @@ class Object(ABC):
 
     # Parameters per environment; they outlast resets. Only simulated entities have them.
 
+    # Immutable, since it is shared by all instances without active models.
     active: Mapping[str, ActivePart] = MappingProxyType({})
     """The object's active models, by name."""
 
@@ -163,6 +166,7 @@ class Object(ABC):
         Raises:
             UnsupportedCapabilityError: as all parameters do where there are none to set.
         """
+        # Recorded and real worlds have no masses to change, hence an error in place of an abstract method.
         raise self._unsupported("nominal masses")
 
     @cached_property
@@ -228,6 +232,7 @@ class Object(ABC):
         """Set stiffness and damping (n, k) of the actuators of some joints, implicit and explicit alike."""
         raise self._unsupported("gains to set")
 
+    # One sentence for all: the user has to choose another kind of world, whichever call failed.
     def _unsupported(self, what: str) -> UnsupportedCapabilityError:
         return UnsupportedCapabilityError(f"'{self.name}' has no {what}: {type(self).__name__} provides none")
 
@@ -316,6 +321,7 @@ class Deformable(ABC):
     @property
     def key_points(self) -> Tensor:
         """(N, K, 3) of the spec's key points, in its order."""
+        # Derived quantities have no default: a solver may compute them more cheaply than from positions.
         raise self._unsupported("key points")
 
     def key_point(self, name: str) -> Tensor:

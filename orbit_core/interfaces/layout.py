@@ -65,6 +65,7 @@ class ContactQuery:
     """
 
     link: int
+    # A frozen set makes equal queries equal, so that sensors share them.
     others: frozenset[int] | None = None
 
 
@@ -120,6 +121,7 @@ class SceneLayout:
     @cached_property
     def variants(self) -> tuple[SceneLayout, ...]:
         """The layout of each kind of environment, no choice left: environment i is of kind i modulo their number."""
+        # With 2 and 3 alternatives there are 6 kinds of environments, each of which an engine builds once.
         count = math.lcm(*(len(entity.spec.alternatives) for entity in self.entities))
         return (self,) if count == 1 else tuple(self._variant(kind) for kind in range(count))
 
@@ -154,6 +156,7 @@ class SceneLayout:
     def entity_of_link(self) -> npt.NDArray[np.int64]:
         """Entity index of each link (L,)."""
         sizes = [entity.links.stop - entity.links.start for entity in self.entities]
+        # Images hold link indices; this table turns them into instances.
         return np.repeat(np.arange(len(self.entities)), sizes)
 
     @cached_property
@@ -193,6 +196,7 @@ def contact_queries_of(sensor: ContactSensorSpec, entities: dict[str, EntityLayo
     """Return the queries of a contact sensor: for each link the total, then one query per filter."""
     entity = _named(entities, sensor.entity, sensor.name)
     names = entity.spec.articulation.link_names
+    # The sensor finds its columns by this order: the total of a link, then its filters.
     queries: list[ContactQuery] = []
     for index in match_names(sensor.links, names, "link", f"sensor '{sensor.name}'"):
         link = entity.links.start + index
@@ -216,6 +220,7 @@ def _named(entities: dict[str, EntityLayout], name: str, sensor: str) -> EntityL
 
 def _contact_queries(scene: Scene, entities: dict[str, EntityLayout]) -> tuple[ContactQuery, ...]:
     sensors = [sensor for sensor in scene.sensors if isinstance(sensor, ContactSensorSpec)]
+    # Engines measure a query once, however many sensors ask for it; dictionaries keep the order.
     return tuple(dict.fromkeys(query for sensor in sensors for query in contact_queries_of(sensor, entities)))
 
 
@@ -261,6 +266,7 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
     values["spring_rest"] = np.array([joint.rest_position for joint in joints], dtype=np.float64)
     for name in ("drive_stiffness", "drive_damping"):
         values[name] = np.zeros(len(joints))
+    # Two groups on one joint would add their efforts, which no robot means.
     driven: set[int] = set()
     for group in entity.actuators:
         indices = match_names(group.joints, names, "joint", f"an actuator group of '{entity.name}'")
@@ -270,6 +276,7 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
         for name in ("effort_limit", "velocity_limit", "armature", "friction"):
             if (override := getattr(group, name)) is not None:
                 values[name][indices] = override
+        # Only implicit drives are the engine's; the core computes all others and leaves the engine's gains at zero.
         if isinstance(group, ImplicitPd):
             values["drive_stiffness"][indices] = group.stiffness
             values["drive_damping"][indices] = group.damping
@@ -277,6 +284,7 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
     for index, group in actuator_of_joint(entity).items():
         if isinstance(group, DcMotor) and group.transmission is not None:
             ratio = group.transmission.ratio(values["home"][index])
+            # Engines take one armature per joint: the rotor's, reflected by the ratio at home.
             values["armature"][index] += group.transmission.rotor_inertia * ratio**2
     return values
 
@@ -304,9 +312,11 @@ def home_positions(entity: Entity) -> npt.NDArray[np.float64]:
 
 
 def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    # Zero where it is allowed, else the nearest limit: a start outside of the limits would be pushed back by force.
     home = np.clip(np.zeros_like(lower), lower, upper)
     names = entity.articulation.joint_names
     for index, position in match_values(entity.home, names, "joint", f"the home pose of '{entity.name}'").items():
+        # Files round both limits and home positions.
         if not lower[index] - 1e-6 <= position <= upper[index] + 1e-6:
             raise ConfigurationError(
                 f"home position {position} of joint '{names[index]}' of '{entity.name}' lies outside its limits "
@@ -315,6 +325,7 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
             )
         home[index] = position
     for index, joint in enumerate(entity.articulation.movable_joints):
+        # A home position of a follower would contradict its leader's.
         if joint.mimic:
             home[index] = joint.mimic.position(home[names.index(joint.mimic.joint)])
     return home
@@ -358,6 +369,7 @@ class BuiltModel:
     """(J,) rad or m; minus infinity, or less than -1e8, where there is none."""
     upper_limits: npt.NDArray[np.float64] | None = None
     """(J,) rad or m; infinity, or more than 1e8, where there is none."""
+    # None skips the comparison where an engine has no such number.
     armatures: npt.NDArray[np.float64] | None = None
     """(J,) kg or kg m^2 of reflected motor inertia."""
     effort_limits: npt.NDArray[np.float64] | None = None

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.renderer import Image
     from orbit_core.scene import CameraSpec
 
+# A plugin that registers under this name can never be chosen.
 NATIVE = "native"
 """Name of the physics engine's own deformables where the name of a solver is expected."""
 
@@ -71,6 +72,7 @@ class Matter(ABC):
     def reset(self, link_poses: Tensor, env_ids: Tensor | None = None) -> None:
         """Put environments, with links at ``link_poses`` (N, L, 7), into the initial state; what is held stays held."""
 
+    # Not abstract: solvers without free bodies need neither masses nor centres of mass.
     def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
         """Set masses (n, k) in kg of links (k,); inertias scale with them. Solvers that move free bodies need them."""
 
@@ -80,6 +82,7 @@ class Matter(ABC):
     @abstractmethod
     def step(
         self,
+        # Both ends of the step, so that a solver with smaller steps can interpolate the links' motion.
         before: Tensor,
         after: Tensor,
         velocities: tuple[Tensor, Tensor] | None = None,
@@ -124,12 +127,14 @@ class Matter(ABC):
     @property
     def build_report(self) -> tuple[Approximation, ...]:
         """Parts of the scene that the solver approximates."""
+        # Empty by default: a report lists differences only.
         return ()
 
     def close(self) -> None:
         """Free its resources; idempotent."""
 
 
+# Separate from the solver: renderers of other plugins know rigid shapes only.
 class MatterPainter(ABC):
     """Paints deformables into the pictures of any renderer."""
 
@@ -184,6 +189,7 @@ class MatterSolver(ABC):
         Raises:
             UnsupportedCapabilityError: the solver draws nothing.
         """
+        # The engine's own renderer may draw them, so that a solver without a painter is still of use.
         raise UnsupportedCapabilityError(f"matter solver '{self.name}' draws no deformables")
 
     @abstractmethod

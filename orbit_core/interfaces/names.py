@@ -31,6 +31,7 @@ class NamedThings(dict[str, _Thing]):
         siblings.append(self)
 
     def __missing__(self, name: str) -> NoReturn:
+        # The commonest mistake is an object looked up among robots, or the other way round.
         for other in self._siblings:
             if isinstance(name, str) and name in other:
                 article = "an" if other.kind[0] in "aeiou" else "a"
@@ -64,6 +65,7 @@ def match_names(patterns: Sequence[str], names: Sequence[str], kind: str, where:
         UnknownNameError: a pattern matches no name.
         ConfigurationError: a pattern is not a regular expression.
     """
+    # A set, since several patterns may match the same name; the order is that of the names.
     found: set[int] = set()
     for pattern in patterns:
         matches = _full_matches(pattern, names, kind)
@@ -89,6 +91,7 @@ def _full_matches(pattern: str, names: Sequence[str], kind: str) -> list[int]:
     if not isinstance(pattern, str):
         raise ConfigurationError(f"a {kind} pattern must be a string, not {pattern!r}: give several one by one")
     try:
+        # Compiled here for its error: fullmatch would report it without the pattern.
         expression = re.compile(pattern)
     except re.error as error:
         raise ConfigurationError(f"{kind} pattern '{pattern}' is not a regular expression: {error}") from None

@@ -27,6 +27,7 @@ class Node(ABC):
     name: str
     inputs: tuple[Port, ...] = ()
     outputs: tuple[Port, ...] = ()
+    # None and not a number, because a node does not know the rate of its agent.
     rate: float | None = None
 
     @abstractmethod

@@ -57,6 +57,7 @@ class WorldMasking(Protocol):
     traced: bool
     """True while a step is traced: no code may read the values of tensors then."""
 
+    # A context, so that the mask is lifted even where the code within raises.
     def only(self, mask: Tensor) -> AbstractContextManager[None]:
         """Set a mask (N,) bool for a while."""
         ...
@@ -121,6 +122,7 @@ class World(ABC):
     """Numbers of the scene's links and joints."""
     backend: str
     """Name of the backend, or what else the world comes from."""
+    # Typed by the plugin, which the core does not know.
     settings: Any = None
     """The backend's settings, a dataclass; None where nothing is simulated."""
     matter: str = ""
@@ -207,6 +209,7 @@ class World(ABC):
     @property
     def link_poses(self) -> Tensor:
         """(N, L, 7) of every link of the scene, in the layout's order."""
+        # Robots come first, as in the layout, whose link indices these rows match.
         entities = (*self.robots.values(), *self.objects.values())
         poses = [entity.link_poses for entity in entities]
         return torch.cat(poses, 1) if poses else torch.zeros(self.num_envs, 0, 7, device=self.device)
@@ -264,11 +267,13 @@ class World(ABC):
     @property
     def needs_python(self) -> str:
         """Reason why a step of this world cannot be captured (:mod:`orbit_core.capture`); empty if it can."""
+        # A recorded or real world steps in Python, which no graph can repeat.
         return f"{type(self).__name__} has no engine"
 
     @property
     def schedule_period(self) -> int:
         """Physics steps after which the same sensors are due again."""
+        # Without a schedule of its own every step is alike.
         return 1
 
     @property

@@ -63,6 +63,7 @@ def inertia_approximations(entity: EntityLayout, engine: str) -> Iterator[Approx
     for link in entity.spec.articulation.links:
         if link.mass <= 0:
             continue
+        # Compared in principal axes, where the triangle inequality holds.
         moments, _ = principal_axes(link.inertia)
         if lacking_moment(moments) > _ROUNDING * moments[2]:
             asked = f"principal moments {_listed(moments)} kg m^2"

@@ -63,6 +63,7 @@ _State = TypeVar("_State", bound=StatePart)
 _Parameters = TypeVar("_Parameters", bound=ParametersPart)
 
 
+# Four plugins had these forwarding methods word for word.
 class PartedEngine(Engine, Generic[_State, _Parameters]):
     """Reads from the one part and sets in the other; a derived class makes both, and writes and steps by itself."""
 
@@ -129,12 +130,15 @@ def contact_signs(queries: Sequence[ContactQuery], pairs: Iterable[tuple[int, in
     Returns:
         (K, C) float64 of 1, -1 or 0.
     """
+    # Read once: an iterator would be exhausted after the first query.
     known = list(pairs)
     signs = [
         [_sign(query, first, second) - _sign(query, second, first) for first, second in known] for query in queries
     ]
+    # view keeps the shape where there are no queries or no pairs.
     return torch.tensor(signs, dtype=torch.float64).view(len(signs), len(known))
 
 
 def _sign(query: ContactQuery, felt_by: int, exerted_by: int) -> float:
+    # None means everything, terrain included.
     return float(felt_by == query.link and (query.others is None or exerted_by in query.others))

@@ -62,6 +62,7 @@ def triangles(geometry: Geometry) -> Trimesh:
             return trimesh.creation.uv_sphere(radius, count=(24, 32))
         case Capsule(radius=radius, half_length=half):
             mesh = trimesh.creation.capsule(height=2.0 * half, radius=radius, count=(24, 32))
+            # trimesh puts the lower end of a capsule at the origin.
             mesh.apply_translation((0.0, 0.0, -mesh.bounds.mean(axis=0)[2]))
             return mesh
         case Cylinder(radius=radius, half_length=half):
@@ -117,6 +118,7 @@ def few_faces(field: HeightField) -> list[FloatArray] | None:
     vertices, triangles = height_field_mesh(field)
     corners = vertices[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # Triangles of a height field are never upright, so that this does not divide by zero.
     slopes = -normals[:, :2] / normals[:, 2:]
     planes = np.column_stack((slopes, corners[:, 0, 2] - (slopes * corners[:, 0, :2]).sum(-1)))
     planes = planes.round(_DIGITS)

@@ -98,6 +98,7 @@ class Wanted:
     channels: frozenset[Channel]
 
     def __contains__(self, kind: Kind) -> bool:
+        # Instance and semantic images are made of the same field.
         return not self.channels.isdisjoint(_CHANNELS[kind])
 
     @property
@@ -142,6 +143,7 @@ class KitRenderer(Renderer):
 
     def close(self) -> None:
         if not self._closed:
+            # Set first, so that free is not called again where it raises.
             self._closed = True
             self.free()
 
@@ -174,6 +176,7 @@ class HostRequest:
     def canvas(self, kind: Kind) -> npt.NDArray[Any]:
         """Return pictures (n, H, W, numbers in a pixel) to be filled."""
         count, dtype = PIXELS[kind]
+        # Through torch, whose types the contract states; NumPy shares the memory.
         shape = (len(self.cameras), self.camera.height, self.camera.width, count)
         return torch.empty(shape, dtype=dtype).numpy()
 
@@ -209,6 +212,7 @@ class HostRenderer(KitRenderer):
                 self._colors_of(count, ids),
             )
         )
+        # Pictures return to the device that the poses came from.
         device = request.link_poses.device
         return Image(**{kind: _tensor(getattr(pictures, kind), device) for kind in _CHANNELS if kind in request.wanted})
 
@@ -226,6 +230,7 @@ def painted(own: npt.NDArray[Any], links: npt.NDArray[Any], colors: npt.NDArray[
         links: (S,) link of each shape; none if negative.
         colors: (L, 4) colours of links; a link without one has zero in the fourth place.
     """
+    # Negative indices would wrap around to the last link.
     chosen = colors[np.maximum(links, 0)]
     holds = (links >= 0) & (chosen[:, 3] > 0.0)
     result = own.copy()
@@ -257,4 +262,5 @@ def _on_host(poses: Tensor) -> npt.NDArray[np.float64]:
 
 
 def _tensor(pictures: npt.NDArray[Any], device: torch.device) -> Tensor:
+    # Renderers often hand out flipped views, which torch does not take.
     return torch.from_numpy(np.ascontiguousarray(pictures)).to(device)

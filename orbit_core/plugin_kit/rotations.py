@@ -11,6 +11,7 @@ FloatArray = npt.NDArray[np.floating]
 def rotate(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
     """Return vectors of a rotated frame in its parent's axes."""
     real, imaginary = quaternions[..., :1], quaternions[..., 1:]
+    # v + 2 w (u x v) + 2 u x (u x v): a third of the operations of a rotation matrix.
     swept = cross(imaginary, vectors)
     return vectors + 2.0 * (real * swept + cross(imaginary, swept))
 

@@ -29,6 +29,7 @@ def host_rows(env_ids: Tensor | None) -> HostRows:
 
 def block(rows: _Index | slice, columns: _Index) -> tuple[_Index | slice, _Index]:
     """Return the index of ``columns`` (k,) in each of ``rows``."""
+    # Two index arrays broadcast against each other, which needs one more dimension on the rows.
     return (rows, columns) if isinstance(rows, slice) else (rows[:, None], columns)
 
 
@@ -49,6 +50,7 @@ def write_rows(target: Tensor, values: Tensor | float, env_ids: Tensor | None) -
     """
     if env_ids is None:
         target[:] = values
+    # Indexing by a mask would wait for the device to count its rows; where does not.
     elif env_ids.dtype != torch.bool:
         target[env_ids] = values
     else:

@@ -56,6 +56,7 @@ def merge_fixed_links(articulation: Articulation) -> Articulation:
     :class:`Frame` of its name; shapes, frames, joints and collision exclusions move to the link that took it in, which
     keeps its own semantic label. Links must be in topological order.
     """
+    # Most articulations were merged by their reader; they are returned unchanged.
     if all(joint.movable for joint in articulation.joints):
         return articulation
     hosts = link_hosts(articulation)
@@ -83,6 +84,7 @@ def link_hosts(articulation: Articulation) -> dict[str, tuple[str, Pose]]:
         if joint is None or joint.movable:
             hosts[link.name] = (link.name, Pose())
         else:
+            # Parents come first in topological order, so that their host is known.
             host, pose = hosts[joint.parent]
             hosts[link.name] = (host, pose @ joint.parent_pose @ joint.child_pose.inverse())
     return hosts
@@ -93,6 +95,7 @@ def _combine(members: list[tuple[Link, Pose]]) -> Link:
     if len(members) == 1:
         return host
     bodies = [MassProperties(link.mass, link.center_of_mass, link.inertia).placed(pose) for link, pose in members]
+    # A chain of fixed frames without mass stays without mass.
     body = combine(bodies) if any(part.mass for part in bodies) else bodies[0]
     return replace(
         host,
@@ -129,6 +132,7 @@ def _rename_pairs(
     pairs: tuple[tuple[str, str], ...], hosts: dict[str, tuple[str, Pose]]
 ) -> tuple[tuple[str, str], ...]:
     renamed = ((hosts[first][0], hosts[second][0]) for first, second in pairs)
+    # Exclusions within one merged link have no meaning any more.
     return tuple(dict.fromkeys(pair for pair in renamed if pair[0] != pair[1]))
 
 

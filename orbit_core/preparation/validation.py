@@ -94,6 +94,7 @@ def _check_independent(articulation: Articulation, joints: list[Joint]) -> None:
     free = [joint.armature == 0 for joint in joints]
     if not any(free):
         return
+    # Armature gives a joint inertia of its own, so that it may depend on others.
     motions = _unit_motions(joints)[:, free]
     values = np.linalg.svd(motions, compute_uv=False)
     if motions.shape[1] > 6 or values[-1] < _DEPENDENT * values[0]:
@@ -153,6 +154,7 @@ def validate(articulation: Articulation) -> Articulation:
             a mimic is, a drive or home position is of no movable joint, or a body's mass or inertia is impossible.
     """
     try:
+        # An articulation comes from a file more often than from a caller, hence the other class of error.
         check_data(articulation, f"'{articulation.name}'")
     except ArgumentError as error:
         raise AssetError(str(error)) from None
@@ -170,6 +172,7 @@ def validate(articulation: Articulation) -> Articulation:
     by_name = {joint.name: joint for joint in joints}
     for joint in joints:
         _check_mimic(articulation, joint, by_name)
+    # Loops are checked between rigid bodies, not between the links of the file.
     hosts = link_hosts(articulation) if articulation.loops else {}
     for loop in articulation.loops:
         _check_loop(articulation, loop, hosts)
@@ -177,6 +180,7 @@ def validate(articulation: Articulation) -> Articulation:
     articulation = _checked_home(articulation)
     if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
         articulation = replace(articulation, joints=joints)
+    # A single entry may be rounded beyond physics while the rigid body that carries it is sound.
     merged = merge_fixed_links(articulation)
     check_massless(merged)
     for link in merged.links:
@@ -258,6 +262,7 @@ def sort_links(articulation: Articulation) -> Articulation:
     for link in articulation.links:
         if link.name in joint_of:
             children.setdefault(joint_of[link.name].parent, []).append(link.name)
+    # check_structure has made sure that there is exactly one.
     (root,) = (link.name for link in articulation.links if link.name not in joint_of)
     order: list[str] = []
     stack = [root]
@@ -308,6 +313,7 @@ def _check_tree(articulation: Articulation, parent_of: dict[str, Joint]) -> None
                 raise _error(articulation, f"links form a cycle, {cycle}: remove one of its joints")
             path.append(name)
             name = parent_of[name].parent
+        # Links whose way to the root is known are not followed again: linear time for long chains.
         rooted.update(path)
     roots = [name for name in articulation.link_names if name not in parent_of]
     if len(roots) > 1:
@@ -444,6 +450,7 @@ def _checked_home(articulation: Articulation) -> Articulation:
             raise _error(articulation, f"a home position is of '{joint}', which is no movable joint: name one")
         if not math.isfinite(position):
             raise _error(articulation, f"joint '{joint}' has home position {position}: give a finite number")
+        # Clipped only where rounding explains it; a position further out is an error of the file.
         within = min(max(position, limits[joint][0]), limits[joint][1])
         home.append((joint, within if abs(within - position) <= _HOME_TOLERANCE else position))
     _check_unique(articulation, "home positions", (joint for joint, _ in articulation.home))
@@ -459,6 +466,7 @@ def _checked_home(articulation: Articulation) -> Articulation:
 
 
 def _check_inertia(articulation: Articulation, link: Link) -> None:
+    # eigvalsh reads one triangle only, and would not notice the other.
     if not np.allclose(link.inertia, link.inertia.T, rtol=1e-6, atol=1e-12):
         raise _error(articulation, f"link '{link.name}' has an inertia that is not symmetric: make it so")
     small, middle, large = np.linalg.eigvalsh(link.inertia)

@@ -30,6 +30,7 @@ def proportion(successes: int, trials: int) -> Estimate:
 
     E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927), 209-212.
     """
+    # Wilson's interval stays within [0, 1] and holds for few trials, unlike the normal approximation.
     z = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE)
     rate, z2 = successes / trials, z * z / trials
     center = (rate + 0.5 * z2) / (1.0 + z2)
@@ -44,6 +45,7 @@ def mean(values: Sequence[float]) -> Estimate:
     Efron and Tibshirani, An Introduction to the Bootstrap (1993), section 13.3.
     """
     sample = np.asarray(values, np.float64)
+    # A fixed seed: equal samples give equal intervals.
     rows = np.random.default_rng(0).integers(len(sample), size=(_RESAMPLES, len(sample)))
     tail = 0.5 * (1.0 - CONFIDENCE)
     low, high = np.quantile(sample[rows].mean(axis=1), (tail, 1.0 - tail))

@@ -36,6 +36,7 @@ class StepObserver:
         """
         self.after_step(action, result[4])
 
+    # Two levels of detail, since most observers need the ends of episodes only.
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
         """Observe a step.
 
@@ -80,6 +81,7 @@ def roll_out(
     while steps < max_steps and not complete():
         for observer in observers:
             observer.before_step()
+        # Only acting and stepping are timed: filming and counting are not part of the pace.
         begin = time.perf_counter()
         action = actor.act()
         result = environment.step(action)
@@ -126,6 +128,7 @@ class EpisodeCounter(StepObserver):
 
     def __init__(self, episodes: int, num_envs: int, device: torch.device | str = "cpu") -> None:
         ids = torch.arange(num_envs, device=device)
+        # Environments with a lower index take the remainder.
         self._left = episodes // num_envs + (ids < episodes % num_envs).long()
         self._counted: list[Episodes] = []
         self.wanted = episodes
@@ -150,6 +153,7 @@ class EpisodeCounter(StepObserver):
 
     def add(self, end: EpisodeEnd) -> None:
         """Count those of the episodes that are within their environment's share."""
+        # Later episodes of an environment that has its share are dropped.
         rows = self.running[end.env_ids].nonzero().squeeze(-1)
         if not len(rows):
             return
@@ -201,6 +205,7 @@ class ReachWatch(StepObserver):
             return
         for follower in self._followers:
             self._looks += follower.num_envs
+            # A hand that still moves towards its target is not out of reach.
             resting = follower.resting_off()
             if bool(resting.any()):
                 missing = follower.out_of_reach()[resting]

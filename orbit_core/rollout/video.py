@@ -77,8 +77,10 @@ class VideoFile:
             raise ConfigurationError(f"videos need an encoder: {install_extra('video')}") from error
         self._path = path = as_path(path)
         self._count = imageio_ffmpeg.count_frames_and_secs
+        # Written next to the target and renamed at the end, so that there is never half a video.
         self._replacement = Replacement(path)
         self._size = (height, width, 3)
+        # The file must not be left open where the camera cannot be made.
         with contextlib.ExitStack() as stack:
             stack.callback(self._replacement.discard)
             stream: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
@@ -88,6 +90,7 @@ class VideoFile:
                 macro_block_size=_MULTIPLE,
                 quality=7,
             )
+            # A generator: the first send starts the encoder.
             stream.send(None)
             stack.pop_all()
         self._stream: Generator[None, Any, None] | None = stream
@@ -172,6 +175,7 @@ class VideoRecorder(StepObserver):
         self._columns = math.ceil(math.sqrt(count))
         lines = math.ceil(count / self._columns)
         self._length = self._left = environment.max_episode_steps
+        # Fast control rates would make videos of hundreds of frames a second.
         self._stride = max(1, round(1.0 / (environment.step_dt * _FRAMES_PER_SECOND)))
         rate = 1.0 / (environment.step_dt * self._stride)
         self._file = VideoFile(path, self._columns * width, lines * height, rate)

@@ -3,6 +3,8 @@
 Units are SI, angles radians, z is up, quaternions are ``(w, x, y, z)``.
 """
 
+# Modules below import one way: poses and shapes first, then articulations and actuators, entities, the scene last.
+# None of them imports torch, so that listing robots and tasks stays fast.
 from orbit_core.scene.actuators import (
     ActuatorConfig,
     ActuatorNetwork,

@@ -36,6 +36,7 @@ class Transmission:
         ValueError: lengths differ, positions do not rise, or a number is not finite or negative inertia.
     """
 
+    # One table per transmission: engines see only the ratio at home, models evaluate it at every physics step.
     positions: tuple[float, ...] = (0.0,)
     ratios: tuple[float, ...]
     rotor_inertia: float = 0.0
@@ -83,6 +84,7 @@ def four_bar(
         x, y = ground + rocker * math.cos(position), rocker * math.sin(position)
         reach = math.hypot(x, y)
         cosine = (crank**2 + reach**2 - coupler**2) / (2.0 * crank * reach)
+        # At a cosine of 1 the crank and the coupler are in line: a dead centre, where the ratio is not defined.
         if not abs(cosine) < 1.0 - 1e-9:
             raise ValueError(f"a four-bar linkage of these lengths cannot bring its rocker to {position:.4g} rad")
         turn = math.acos(cosine)
@@ -157,6 +159,7 @@ class Windings:
         for name in ("motor_constant", "thermal_resistance", "time_constant"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} of windings is {getattr(self, name):g}: give a number above zero")
+        # Derating divides by the difference of the last two, and falls with temperature only if they rise.
         if not -273.15 <= self.ambient < self.derating_from < self.highest < math.inf:
             raise ValueError(
                 f"windings are derated from {self.derating_from:g} to {self.highest:g} degrees in surroundings of "
@@ -184,6 +187,7 @@ class ActuatorConfig:
     joints: tuple[str, ...]
     stiffness: float = 0.0
     damping: float = 0.0
+    # None takes the value of the joint, so that one group may drive joints of different size.
     effort_limit: float | None = None
     velocity_limit: float | None = None
     armature: float | None = None
@@ -202,6 +206,7 @@ class IdealPd(ActuatorConfig):
     ``min_delay`` and ``max_delay`` (physics steps) hold commands back; each environment draws its delay at reset.
     """
 
+    # Whole physics steps: an actuator is evaluated once a physics step, and holds no state in between.
     min_delay: int = 0
     max_delay: int = 0
 

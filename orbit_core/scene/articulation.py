@@ -61,6 +61,7 @@ class Mimic:
 
 def _polynomial(coefficients: Sequence[float], x: Any) -> Any:
     """Evaluate a polynomial by Horner's scheme; the result has the shape of ``x``."""
+    # Multiplying by x keeps its type, shape and device, whether it is a number, an array or a tensor.
     value = x * 0.0 + coefficients[-1]
     for coefficient in reversed(coefficients[:-1]):
         value = value * x + coefficient
@@ -85,9 +86,11 @@ class Joint:
     type: JointType
     parent: str
     child: str
+    # Two poses, as in USD, so that neither link frame has to be at the joint.
     parent_pose: Pose = field(default_factory=Pose)
     child_pose: Pose = field(default_factory=Pose)
     axis: Vector3 = (0.0, 0.0, 1.0)
+    # Infinite means unlimited; readers never invent a limit that the file does not state.
     lower_limit: float = -np.inf
     upper_limit: float = np.inf
     effort_limit: float = np.inf
@@ -95,6 +98,7 @@ class Joint:
     damping: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
+    # Fields that not every file format has come last, with the value that has no effect.
     mimic: Mimic | None = None
     stiffness: float = 0.0
     rest_position: float = 0.0
@@ -160,6 +164,7 @@ class Link:
     name: str
     mass: float = 0.0
     center_of_mass: Vector3 = (0.0, 0.0, 0.0)
+    # An array as default would be shared between instances, which a factory avoids.
     inertia: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
     collisions: tuple[Shape, ...] = ()
     visuals: tuple[Shape, ...] = ()
@@ -226,6 +231,7 @@ class Articulation:
         The simple joints of a compound one connect its ends through links without mass and shapes
         (:mod:`orbit_assets.compound_joints`).
         """
+        # A compound joint is a chain of simple ones: its ends touch each other although no single joint connects them.
         above = {joint.child: joint.parent for joint in self.joints}
         between = {link.name for link in self.links if link.mass == 0 and not link.collisions}
         pairs = [(joint.parent, joint.child) for joint in self.joints]
@@ -246,12 +252,14 @@ class Articulation:
         Raises:
             KeyError: no link or frame has that name, or it is no text.
         """
+        # A pattern or a tuple would raise a TypeError where it cannot be hashed; all wrong names raise the same error.
         if not isinstance(name, str):
             raise KeyError(name)
         return self._frame_of[name]
 
     @cached_property
     def _frame_of(self) -> dict[str, Frame]:
+        # Named frames win over links, and the first of two frames of one name over the second.
         links = {link.name: Frame(link.name, link.name) for link in self.links}
         return links | {frame.name: frame for frame in reversed(self.frames)}
 

@@ -33,6 +33,7 @@ class MagneticSeal(ActiveModel):
     """Newtons at the seal where there is no gap."""
     decay: float = 0.004
     """Metres of gap at which the force has fallen to a quarter."""
+    # With the arm a seal on a hinge has the same force law as one on a slide.
     arm: float = 1.0
     """Metres from a turning joint's axis to the seal; 1 for one that slides."""
     closed: float | None = None
@@ -56,6 +57,7 @@ class Gripper:
     open_position: float | tuple[float, ...]
     closed_position: float | tuple[float, ...]
 
+    # A missing position would shift those of all later joints.
     def __post_init__(self) -> None:
         for name, value in (("open_position", self.open_position), ("closed_position", self.closed_position)):
             if isinstance(value, tuple) and len(value) != len(self.joints):
@@ -86,6 +88,7 @@ class Workspace:
 
     def placed(self, pose: Pose) -> Workspace:
         """Return the box in the frame in which the root has ``pose``; rotations are multiples of 90 degrees."""
+        # Corners may swap under a rotation, so that each axis is sorted again.
         first, second = (pose @ Pose(self.low)).position, (pose @ Pose(self.high)).position
         x, y, z = (sorted(pair) for pair in zip(first, second, strict=True))
         return Workspace((x[0], y[0], z[0]), (x[1], y[1], z[1]), self.tilt, self.yaw)
@@ -104,6 +107,7 @@ class EndEffector:
     gripper: Gripper | None = None
     finger_tips: tuple[str, ...] = ()
     """Links or frames at the ends of a hand's fingers."""
+    # Optional, because it depends on the whole robot: the same arm reaches elsewhere on another base.
     workspace: Workspace | None = None
     """None: a task computes it (:func:`orbit_core.actions.workspace.with_workspace`)."""
 
@@ -173,6 +177,7 @@ class Entity:
     articulation: Articulation
     pose: Pose = field(default_factory=Pose)
     fixed_base: bool = False
+    # By pattern and not by index: articulations are edited and merged after an entity is described.
     home: Mapping[str, float] = field(default_factory=dict)
     actuators: tuple[ActuatorConfig, ...] = ()
     semantic_label: str = ""
@@ -214,6 +219,7 @@ class RobotSpec(Entity):
     end_effectors: tuple[EndEffector, ...] = ()
     feet: tuple[str, ...] = ()
     """Frames of a legged robot where it is meant to touch the ground."""
+    # Policies that walk need softer drives than those that hold a pose.
     walking_drives: tuple[ActuatorConfig, ...] = ()
     """What drives a robot that learns to walk, over ``actuators`` where both name a joint; none where those do."""
     joint_commands: JointCommands | None = None
@@ -246,6 +252,7 @@ class RobotSpec(Entity):
     def base_link(self) -> str:
         """The link that carries the rest of the robot: what a planar base moves, else the root."""
         if self.planar_base is not None:
+            # The yaw joint is the last of the three, so that its child carries the rest.
             return next(joint.child for joint in self.articulation.joints if joint.name == self.planar_base.yaw)
         return self.articulation.root.name
 

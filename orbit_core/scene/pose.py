@@ -83,6 +83,7 @@ class Pose:
     def from_axis_angle(axis: Vector3, angle: float, position: Vector3 = (0.0, 0.0, 0.0)) -> Pose:
         """Return the rotation by ``angle`` radians about ``axis``, which need not have unit length."""
         length = math.sqrt(sum(component * component for component in axis))
+        # Dividing by the length here normalises the axis.
         s = math.sin(angle / 2) / length
         return Pose(position, canonical((math.cos(angle / 2), axis[0] * s, axis[1] * s, axis[2] * s)))
 

@@ -52,6 +52,7 @@ class DirectionalLight:
     @property
     def unit_direction(self) -> Vector3:
         """The direction, of length 1."""
+        # Normalised here and not at construction, so that files keep the numbers that a user wrote.
         length = math.hypot(*self.direction)
         x, y, z = self.direction
         return (x / length, y / length, z / length)
@@ -111,9 +112,11 @@ class Scene:
     robots: tuple[RobotSpec, ...] = ()
     objects: tuple[ObjectSpec, ...] = ()
     deformables: tuple[DeformableSpec, ...] = ()
+    # Ground by default: a scene without any lets everything fall forever, which is seldom meant.
     terrain: tuple[Shape, ...] = (Shape(Plane(), color=(0.35, 0.38, 0.42, 1.0), name="ground"),)
     sensors: tuple[SensorSpec, ...] = ()
     markers: tuple[MarkerSpec, ...] = ()
+    # One shadow-casting light by default: renderers must not invent lights, or pictures would differ.
     lights: tuple[Light, ...] = (AmbientLight(), DirectionalLight())
     sky: Sky = field(default_factory=Sky)
     gravity: Vector3 = (0.0, 0.0, -9.81)
@@ -128,6 +131,7 @@ class Scene:
     @property
     def ambient(self) -> Rgb:
         """The sum of all ambient lights."""
+        # Ambient lights add up; renderers take one sum.
         colors = [light.color for light in self.lights if isinstance(light, AmbientLight)]
         return (sum(c[0] for c in colors), sum(c[1] for c in colors), sum(c[2] for c in colors))
 

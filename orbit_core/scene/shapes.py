@@ -40,6 +40,7 @@ class PhysicsMaterial:
     torsional_friction: float = 0.005
     rolling_friction: float = 0.0001
     restitution: float = 0.0
+    # None is as stiff as the engine allows, which differs between engines.
     compliance: Compliance | None = None
 
 
@@ -100,6 +101,7 @@ class Mesh:
 
     def __eq__(self, other: object) -> bool:
         return (
+            # Comparing arrays with == gives an array, which a generated __eq__ cannot use.
             isinstance(other, Mesh)
             and self.collision == other.collision
             and np.array_equal(self.vertices, other.vertices)
@@ -107,6 +109,7 @@ class Mesh:
         )
 
     def __hash__(self) -> int:
+        # Hashing all vertices would be slow; equal meshes have equal shapes, which is all that a hash needs.
         return hash((self.vertices.shape, self.faces.shape, self.collision))
 
 
@@ -121,6 +124,7 @@ class HeightField:
     size: tuple[float, float]
 
 
+# A closed union: engines match on it, and a type checker finds a geometry that one of them forgets.
 Geometry = Box | Sphere | Capsule | Cylinder | Plane | Mesh | HeightField
 
 
@@ -141,6 +145,7 @@ class Shape:
     contact_distance: float | None = None
 
     def __post_init__(self) -> None:
+        # Zero would make engines detect contacts only after penetration.
         if self.contact_distance is not None and not 0.0 < self.contact_distance < math.inf:
             raise ValueError(
                 f"shape '{self.name}': contact_distance must be metres above zero, not {self.contact_distance}"
@@ -167,6 +172,7 @@ class Texture:
         Raises:
             ValueError: pixels of another shape or type, or none; a width that is not above zero.
         """
+        # Renderers take the bytes as they are: other types would be read as noise.
         pixels = self.pixels
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8 or pixels.size == 0:
             raise ValueError(f"a texture's pixels are (H, W, 3) of uint8, not {pixels.shape} of {pixels.dtype}")

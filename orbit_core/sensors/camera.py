@@ -21,6 +21,7 @@ def intrinsic_matrix(camera: CameraSpec) -> Tensor:
 
     Pixel (row, column) has its centre at ``(u, v) = (column + 0.5, row + 0.5)``; pixels are square.
     """
+    # Square pixels: one focal length, set by the vertical field of view.
     focal = 0.5 * camera.height / math.tan(0.5 * camera.vertical_fov)
     return torch.tensor([[focal, 0.0, camera.width / 2], [0.0, focal, camera.height / 2], [0.0, 0.0, 1.0]])
 
@@ -66,6 +67,7 @@ class CameraSensor(TimedSensor):
             ConfigurationError: an entity without a frame or a frame without an entity, or noise without depth.
         """
         super().__init__(spec, context)
+        # No renderer draws positions: they follow from depth, noise included.
         sources = (Channel.DEPTH if channel is Channel.POSITION else channel for channel in spec.channels)
         self._drawn = tuple(dict.fromkeys(sources))
         if (spec.entity is None) != (spec.frame is None):
@@ -133,6 +135,7 @@ class CameraSensor(TimedSensor):
 
     def _measure(self, env_ids: Tensor | None) -> Values:
         pose = take_rows(self._fixed_pose, env_ids) if self._mount is None else self._mount.pose(env_ids)
+        # A copy: the engine's buffer changes with the next step, and the picture does not.
         link_poses = take_rows(self.engine.link_poses, env_ids).clone()
         image = self._renderer().render(self._camera, pose, link_poses, self._drawn, env_ids=env_ids)
         held = {"pose": pose, "link_poses": link_poses}

@@ -29,6 +29,7 @@ from orbit_core.sensors.rays import RayCaster
 from orbit_core.sensors.timed import SensorContext, TimedSensor
 
 GROUP = "orbit.sensors"
+# Types and not names, so that a renamed class cannot be forgotten here.
 _OWN: dict[type[SensorSpec], type[TimedSensor]] = {
     JointSensorSpec: JointSensor,
     FrameSensorSpec: FrameSensor,
@@ -61,6 +62,7 @@ def create_sensor(spec: SensorSpec, context: SensorContext) -> TimedSensor:
         ConfigurationError: its rate, delay or pattern cannot be, or the package that brings the sensor is broken.
         UnknownNameError: nothing measures a specification of that type, or it names what the scene lacks.
     """
+    # The nearest base that has a sensor wins, as method resolution does.
     kinds = [kind.__name__ for kind in type(spec).__mro__ if issubclass(kind, SensorSpec)]
     registry = sensor_types()
     known = registry.names

@@ -47,6 +47,7 @@ class Mount:
         offset = found.pose if pose is None else found.pose @ pose
         self.link = self.entity.links.start + self.entity.spec.articulation.link_names.index(found.link)
         self._engine = engine
+        # Sensors at the link's own frame, the common case, skip one product per read.
         self._offset = None if offset == Pose() else pose_tensor(offset, engine.device)
 
     def pose(self, env_ids: Tensor | None = None) -> Tensor:
@@ -59,11 +60,13 @@ class Mount:
         velocity = self._of_link(self._engine.link_velocities, env_ids)
         if self._offset is None:
             return velocity
+        # Velocity of a point that is fixed to the link: v + omega x arm.
         arm = quat_rotate(self._of_link(self._engine.link_poses, env_ids)[:, 3:], self._offset[:3])
         angular = velocity[:, 3:]
         return torch.cat((velocity[:, :3] + torch.linalg.cross(angular, arm), angular), -1)
 
     def _of_link(self, state: Tensor, env_ids: Tensor | None) -> Tensor:
+        # Under a mask all rows are computed, since their number must not depend on values.
         all_or_none = env_ids is None or is_mask(env_ids)
         return state[:, self.link].clone() if all_or_none else state[env_ids, self.link]
 
@@ -84,6 +87,7 @@ def pose_tensor(pose: Pose, device: torch.device) -> Tensor:
 
 def _find_frame(entity: EntityLayout, name: str, sensor: str) -> Frame:
     articulation = entity.spec.articulation
+    # A scene may be built before its robot is known, hence the placeholder.
     if name == END_EFFECTOR and isinstance(entity.spec, RobotSpec) and entity.spec.end_effectors:
         name = entity.spec.end_effector.frame
     try:
@@ -153,6 +157,7 @@ class FrameSensor(TimedSensor):
         if self._reference is None:
             return {"pose": pose, "velocity": velocity}
         base, base_velocity = self._reference.pose(env_ids), self._reference.velocity(env_ids)
+        # The observer turns as well: its rotation carries the frame along.
         relative = velocity - base_velocity
         carried = torch.linalg.cross(base_velocity[:, 3:], pose[:, :3] - base[:, :3])
         seen = torch.stack((relative[:, :3] - carried, relative[:, 3:]), 1)
@@ -162,6 +167,7 @@ class FrameSensor(TimedSensor):
     def _corrupt(self, values: Values, env_ids: Tensor | None) -> None:
         super()._corrupt(values, env_ids)
         pose, noise = values["pose"], self._noise("pose", (6,), env_ids)
+        # Noise on the four components would change the length of the quaternion.
         orientation = quat_multiply(quat_from_rotation_vector(noise[:, 3:]), pose[:, 3:])
         orientation = torch.where(orientation[:, :1] < 0, -orientation, orientation)
         values["pose"] = torch.cat((pose[:, :3] + noise[:, :3], orientation), -1)
@@ -226,6 +232,7 @@ class ImuSensor(AveragingSensor):
 
     def _integrate(self, steps: int) -> Tensor:
         velocity = self._mount.velocity()[:, :3]
+        # Without a velocity before there is no acceleration to report after a reset.
         change = velocity - self._before if self._before_known else torch.zeros_like(velocity)
         self._before.copy_(velocity)
         self._before_known = True
@@ -233,6 +240,7 @@ class ImuSensor(AveragingSensor):
 
     def _measure(self, env_ids: Tensor | None) -> Values:
         orientation = self._mount.pose(env_ids)[:, 3:]
+        # An accelerometer measures the support, not the fall: gravity is subtracted.
         gravity = take_rows(self._context.gravity, env_ids)
         angular = self._mount.velocity(env_ids)[:, 3:]
         both = torch.stack((angular, self._mean(env_ids) - gravity), 1)

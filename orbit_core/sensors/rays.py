@@ -36,6 +36,7 @@ def lidar_pattern(
         raise ConfigurationError("a LiDAR pattern needs at least one channel and a positive horizontal resolution")
     elevations = np.linspace(*vertical_fov, channels) if channels > 1 else np.array([sum(vertical_fov) / 2])
     span = horizontal_fov[1] - horizontal_fov[0]
+    # The first and the last column of a full turn would be the same ray.
     full_turn = span >= 2 * np.pi - 1e-9
     intervals = max(int(np.ceil(span / horizontal_resolution - 1e-9)), 1)
     columns = intervals if full_turn else intervals + 1
@@ -138,6 +139,7 @@ class RayCaster(TimedSensor):
         origins = transform_points(pose[:, None], self._origins).expand(-1, rays, -1)
         directions = quat_rotate(pose[:, None, 3:], self._directions)
         reach = self._ray_spec.max_distance
+        # A sensor inside of a robot's shell would otherwise see nothing but the shell.
         own = self._mount.entity.links
         parts = origins.contiguous(), directions.contiguous(), reach, range(own.start, own.stop), env_ids
         hits = self.engine.cast_rays_past(*parts)
@@ -155,6 +157,7 @@ class RayCaster(TimedSensor):
 
 def _unit_directions(spec: RayCasterSpec) -> Tensor:
     directions = torch.tensor(spec.directions, dtype=torch.float32).view(-1, 3)
+    # Engines divide by the length of a direction.
     lengths = directions.norm(dim=-1, keepdim=True)
     if not len(directions) or bool((lengths < 1e-9).any()):
         raise ConfigurationError(f"sensor '{spec.name}' needs at least one ray direction, each of non-zero length")
