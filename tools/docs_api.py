@@ -125,14 +125,22 @@ def write_pages(folder: Path) -> None:
 
 
 def navigation() -> list[object]:
-    """Return the navigation of the reference: packages, each with its subpackages. Modules are linked from those."""
-    tree: list[object] = ["api/index.md"]
-    packages = [module.name for module in modules().values() if module.is_package]
-    for top in (name for name in packages if "." not in name):
-        below = [name for name in packages if name.startswith(f"{top}.")]
-        entries: list[object] = [{top: page_of(top)}, *({name.partition(".")[2]: page_of(name)} for name in below)]
-        tree.append({top: entries} if below else {top: page_of(top)})
-    return tree
+    """Return the navigation of the reference: packages, in each its packages and modules."""
+    tops = [module.name for module in modules().values() if "." not in module.name]
+    return ["api/index.md", *({top: _branch(top)} for top in tops)]
+
+
+def _branch(package: str) -> list[object]:
+    entries: list[object] = [page_of(package)]
+    for module in _members(package):
+        own = module.name.rpartition(".")[2]
+        entries.append({own: _branch(module.name) if module.is_package else page_of(module.name)})
+    return entries
+
+
+def _members(package: str) -> list[Module]:
+    """Return the packages and modules directly in a package."""
+    return [module for module in modules().values() if module.name.rpartition(".")[0] == package]
 
 
 def _page(module: Module) -> str:
@@ -144,8 +152,7 @@ def _page(module: Module) -> str:
     else:
         lines.append(f"::: {module.name}\n")
     lines += _exports(module)
-    below = [other for other in modules().values() if other.name.rpartition(".")[0] == module.name]
-    if below:
+    if below := _members(module.name):
         lines += ["## Modules\n", "| module | content |", "|---|---|"]
         lines += [f"| [`{other.name}`]({other.name}.md) | {_cell(other.summary)} |" for other in below]
     return "\n".join(lines) + "\n"

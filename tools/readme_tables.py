@@ -2,13 +2,17 @@
 
     python tools/readme_tables.py          rewrite the README and the pages of docs/
 
-A part stands between ``<!-- capabilities -->``, ``<!-- declarations -->`` or ``<!-- file: PATH -->``, and
-``<!-- end -->``.
+A part starts with ``<!-- capabilities -->``, ``<!-- exact: BACKEND -->``, ``<!-- settings: BACKEND -->``,
+``<!-- declarations: BACKEND -->`` or ``<!-- file: PATH -->``, and ends with ``<!-- end -->``.
 """
 
 from __future__ import annotations
 
+import ast
+import dataclasses
+import inspect
 import re
+import textwrap
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -19,23 +23,31 @@ from orbit_core.interfaces import Capability, Level
 
 ROOT = Path(__file__).parents[1]
 _PART = re.compile(
-    r"(?P<start><!-- (?P<kind>capabilities|declarations|file: (?P<path>\S+)) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
+    r"(?P<start><!-- (?P<kind>capabilities|exact|settings|declarations|file)(?:: (?P<of>\S+))? -->\n).*?(?P<end><!-- end -->)",
+    re.DOTALL,
 )
 
 
 def pages() -> list[Path]:
-    """The README files and all pages."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("plugins/*/README.md"))]
+    """Return the README files and all pages."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("plugins/*/README.md"))]
 
 
 def updated(text: str) -> str:
-    """A page with its generated parts as the code has them now."""
+    """Return a page with its generated parts as the code has them now."""
 
     def part(match: re.Match[str]) -> str:
-        if match["path"]:
-            content = quoted_file(match["path"])
-        else:
-            content = capability_table() if match["kind"] == "capabilities" else declarations()
+        match match["kind"]:
+            case "file":
+                content = quoted_file(match["of"])
+            case "exact":
+                content = exact_capabilities(match["of"])
+            case "settings":
+                content = settings(match["of"])
+            case "declarations":
+                content = declarations(match["of"])
+            case _:
+                content = capability_table()
         return match["start"] + content + match["end"]
 
     return _PART.sub(part, text)
@@ -70,17 +82,56 @@ def capability_table() -> str:
     return "\n".join(rows) + "\n"
 
 
-def declarations() -> str:
-    """What each offered backend declares, with what the committed report measured.
+def declarations(name: str) -> str:
+    """Return what a backend declares, with what the committed report measured.
 
     Raises:
-        BackendNotInstalledError: one is not installed.
+        BackendNotInstalledError: it is not installed.
     """
-    return declarations_of(offered_backends(), ROOT / "docs" / "conformance")
+    return declarations_of([name], ROOT / "docs" / "conformance")
+
+
+def exact_capabilities(name: str) -> str:
+    """Return the capabilities that a backend declares exact, as one sentence."""
+    capabilities = backend(name).capabilities()
+    exact = [capability.value for capability in Capability if capabilities[capability].level is Level.EXACT]
+    return "; ".join(exact) + ".\n"
+
+
+def settings(name: str) -> str:
+    """Return a table of a backend's settings, with the docstrings of their fields."""
+    config = backend(name).config_type
+    documented: dict[str, str] = {}
+    for owner in reversed(config.__mro__):
+        if dataclasses.is_dataclass(owner):
+            documented |= field_docs(owner)
+    rows = ["| setting | default | meaning |", "|---|---|---|"]
+    for field in dataclasses.fields(config):
+        default = field.default if field.default is not dataclasses.MISSING else field.default_factory()  # pyright: ignore[reportCallIssue]
+        meaning = _ROLE.sub(r"`\1`", documented.get(field.name, "")).replace("``", "`").replace("|", "\\|")
+        rows.append(f"| `{field.name}` | `{default!r}` | {meaning} |")
+    return "\n".join(rows) + "\n"
+
+
+_ROLE = re.compile(r":\w+:`~?([^`]+)`")
+
+
+def field_docs(owner: type) -> dict[str, str]:
+    """Return the docstrings that follow the fields of a class, each as one line."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+    assert isinstance(tree, ast.ClassDef)
+    documented: dict[str, str] = {}
+    for statement, after in zip(tree.body, tree.body[1:], strict=False):
+        match statement, after:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                documented[name] = " ".join(text.split())
+            case _:
+                pass
+    return documented
 
 
 def quoted_file(path: str) -> str:
-    """A Python file of the repository as a block of code."""
+    """Return a Python file of the repository as a block of code."""
     return f"```python\n{(ROOT / path).read_text(encoding='utf-8')}```\n"
 
 
