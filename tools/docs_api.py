@@ -12,8 +12,10 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("orbit_core", "orbit_tasks", "packages/*/orbit_*", "tests/conformance/orbit_conformance", "plugins/*/orbit_*",
-           "bridges/*/orbit_*", "packs/*/orbit_*")  # fmt: skip
+FOLDERS = (
+    "orbit_core", "orbit_tasks", "packages/*/orbit_*", "tests/conformance/orbit_conformance", "plugins/*/orbit_*",
+    "bridges/*/orbit_*", "packs/*/orbit_*",
+)  # fmt: skip
 """Where packages are, below the root of the checkout."""
 
 
@@ -57,6 +59,11 @@ def modules() -> dict[str, Module]:
             if not any(part.startswith(("_", "test_")) or part in ("conftest", "tests") for part in name.split(".")):
                 found[name] = _read(name, path)
     return found
+
+
+def module_at(path: Path) -> str:
+    """Return the full name of the public module in a file, empty if there is none."""
+    return next((module.name for module in modules().values() if module.path == path), "")
 
 
 def _read(name: str, path: Path) -> Module:
@@ -140,7 +147,15 @@ def _branch(package: str) -> list[object]:
 
 def _members(package: str) -> list[Module]:
     """Return the packages and modules directly in a package."""
-    return [module for module in modules().values() if module.name.rpartition(".")[0] == package]
+    return _children().get(package, [])
+
+
+@cache
+def _children() -> dict[str, list[Module]]:
+    found: dict[str, list[Module]] = {}
+    for module in modules().values():
+        found.setdefault(module.name.rpartition(".")[0], []).append(module)
+    return found
 
 
 def _page(module: Module) -> str:

@@ -10,10 +10,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import griffe
+import griffe  # pyright: ignore[reportMissingImports]
 
 sys.path.insert(0, str(Path(__file__).parent))
-import docs_api  # noqa: E402
+import docs_api
 
 _ROLE = re.compile(r":(?:mod|class|func|meth|attr|data|obj|exc):`~?([^`]+)`")
 _LITERAL = re.compile(r"::(?=\n\n)")

@@ -1,11 +1,12 @@
 """Build the documentation site: stage the pages, write the API reference, run Zensical strictly, check the result.
 
+    python tools/docs_site.py check            links and names only, in seconds
     python tools/docs_site.py build            into out/site; every warning is an error
-    python tools/docs_site.py serve [ADDRESS]  build, and serve at http://127.0.0.1:8000; pages rebuild when staged again
+    python tools/docs_site.py serve [ADDRESS]  build, and serve at http://127.0.0.1:8000
 
-Pages are written for GitHub and for the site alike. Staging copies docs/ to out/docs/pages and, in the copies, leads links
-to sources and other files of the checkout to pages of the site, and full names such as `orbit_core.envs.make` to the API
-reference. A name or a link that leads nowhere fails the build.
+Pages are written for GitHub and for the site alike. Staging copies docs/ to out/docs/pages. In the copies, links to
+sources and other files of the checkout lead to pages of the site, and full names such as `orbit_core.envs.make` to the
+API reference. A name or a link that leads nowhere fails the build.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pathlib import Path, PurePosixPath
 import tomlkit
 
 sys.path.insert(0, str(Path(__file__).parent))  # for runpy, which loads this file from elsewhere
-import docs_api  # noqa: E402
+import docs_api
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -34,7 +35,8 @@ _FENCE = re.compile(r"(^ *```.*?^ *```[^\n]*\n)", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(\]\()(?!https?:|mailto:|#)([^)\s#]+)(#[^)\s]+)?(\))")
 _NAME = re.compile(r"(?<![\[`])`(orbit_\w+(?:\.\w+)+)`(?!\])")
 _RESOURCE = re.compile(
-    r"<(?:script|img|source|iframe|video|link)\b[^>]*?\b(?:src|srcset|href)=[\"']?(?:https?:)?//[^\"'\s>]+", re.IGNORECASE
+    r"<(?:script|img|source|iframe|video|link)\b[^>]*?\b(?:src|srcset|href)=[\"']?(?:https?:)?//[^\"'\s>]+",
+    re.IGNORECASE,
 )
 _STYLE = re.compile(r"(?:url\(|@import\s+)[\"']?(?:https?:)?//[^\"')\s]+")
 
@@ -100,9 +102,8 @@ class Stage:
             return None
         if path.is_relative_to("docs"):
             return path.relative_to("docs")
-        module = next((m for m in docs_api.modules().values() if m.path == ROOT / path), None)
-        if module is not None:
-            return PurePosixPath(docs_api.page_of(module.name))
+        if path.suffix == ".py" and (module := docs_api.module_at(ROOT / path)):
+            return PurePosixPath(docs_api.page_of(module))
         place = path if path.suffix == ".md" else PurePosixPath(CODE_PAGES) / f"{path}.md"
         self.wanted[path] = place
         return place
@@ -130,8 +131,8 @@ def _relative(place: PurePosixPath, page: PurePosixPath) -> str:
     return os.path.relpath(place, page.parent)
 
 
-def stage() -> Path:
-    """Write pages and configuration below out/docs, and return the configuration's path.
+def check() -> None:
+    """Write the pages below out/docs.
 
     Raises:
         SystemExit: a link or a name leads nowhere.
@@ -140,6 +141,15 @@ def stage() -> Path:
     pages.write()
     if pages.problems:
         sys.exit("\n".join(pages.problems))
+
+
+def stage() -> Path:
+    """Write pages and configuration below out/docs, and return the configuration's path.
+
+    Raises:
+        SystemExit: a link or a name leads nowhere.
+    """
+    check()
     config = tomlkit.parse((DOCS / "zensical.toml").read_text(encoding="utf-8"))
     project = config["project"]
     project["docs_dir"], project["site_dir"] = "pages", "site"
@@ -180,7 +190,9 @@ def loaded_from_elsewhere(site: Path) -> list[str]:
         if "conformance" in path.relative_to(site).parts[:1]:
             continue  # a report is a page of its own, checked by tests/conformance
         pattern = _RESOURCE if path.suffix == ".html" else _STYLE
-        found += [f"{path.relative_to(site)}: {match[0]}" for match in pattern.finditer(path.read_text(encoding="utf-8"))]
+        found += [
+            f"{path.relative_to(site)}: {match[0]}" for match in pattern.finditer(path.read_text(encoding="utf-8"))
+        ]
     return found
 
 
@@ -192,6 +204,8 @@ def serve(address: str = "127.0.0.1:8000") -> None:
 
 if __name__ == "__main__":
     match sys.argv[1:]:
+        case ["check"]:
+            check()
         case ["build"]:
             build()
         case ["serve", *rest]:

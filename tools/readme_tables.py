@@ -2,8 +2,9 @@
 
     python tools/readme_tables.py          rewrite the README and the pages of docs/
 
-A part starts with ``<!-- capabilities -->``, ``<!-- exact: BACKEND -->``, ``<!-- settings: BACKEND -->``,
-``<!-- declarations: BACKEND -->`` or ``<!-- file: PATH -->``, and ends with ``<!-- end -->``.
+A part starts with ``<!-- capabilities -->``, ``<!-- pages -->``, ``<!-- exact: BACKEND -->``,
+``<!-- settings: BACKEND -->``, ``<!-- declarations: BACKEND -->`` or ``<!-- file: PATH -->``, and ends with
+``<!-- end -->``.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from orbit_core.interfaces import Capability, Level
 
 ROOT = Path(__file__).parents[1]
 _PART = re.compile(
-    r"(?P<start><!-- (?P<kind>capabilities|exact|settings|declarations|file)(?:: (?P<of>\S+))? -->\n).*?(?P<end><!-- end -->)",
+    r"(?P<start><!-- (?P<kind>capabilities|pages|exact|settings|declarations|file)(?:: (?P<of>\S+))? -->\n)"
+    r".*?(?P<end><!-- end -->)",
     re.DOTALL,
 )
 
@@ -46,6 +48,8 @@ def updated(text: str) -> str:
                 content = settings(match["of"])
             case "declarations":
                 content = declarations(match["of"])
+            case "pages":
+                content = page_table()
             case _:
                 content = capability_table()
         return match["start"] + content + match["end"]
@@ -62,6 +66,30 @@ def offered_backends() -> list[str]:
     ]
     registered = {name: _project(ROOT / f"plugins/orbit-{name}")["entry-points"] for name in brought}
     return [name for name in brought if name in registered[name].get("orbit.backends", {})]
+
+
+def page_table() -> str:
+    """Return a table of all pages by section, as the site's navigation has them."""
+    nav = tomllib.loads((ROOT / "docs" / "zensical.toml").read_text(encoding="utf-8"))["project"]["nav"]
+    rows = ["| section | pages |", "|---|---|"]
+    for entry in nav:
+        for section, content in entry.items() if isinstance(entry, dict) else ():
+            if isinstance(content, list):
+                rows += [f"| {title} | {', '.join(links)} |" for title, links in _sections(section, content)]
+    return "\n".join(rows) + "\n"
+
+
+def _sections(title: str, entries: list[Any]) -> list[tuple[str, list[str]]]:
+    """Return the links of a section of the navigation, and after them those of the sections within it."""
+    own: list[str] = []
+    within: list[tuple[str, list[str]]] = []
+    for entry in entries:
+        for name, content in entry.items() if isinstance(entry, dict) else ((title, entry),):
+            if isinstance(content, list):
+                within += _sections(name, content)
+            else:
+                own.append(f"[{name}]({content})")
+    return [(title, own), *within] if own else within
 
 
 def _project(folder: Path) -> dict[str, Any]:

@@ -1,8 +1,9 @@
-"""Draw each task in the midst of an episode, its expert acting, and write the gallery of tasks, robots and sensors.
+"""Draw each task in the midst of an episode, and write the gallery of tasks, robots and sensors.
 
     python tools/task_gallery.py [--only NAME ...] [--no-pictures]
 
-draws docs/images/tasks/NAME.jpg on MuJoCo and writes docs/gallery.md. ``--only`` limits the pictures to these tasks.
+draws docs/images/tasks/NAME.jpg on MuJoCo, its expert or a kept policy acting, and writes docs/gallery.md. ``--only``
+limits the pictures to these tasks.
 """
 
 from __future__ import annotations
@@ -16,8 +17,12 @@ import tyro
 from PIL import Image
 
 from orbit_core.envs import make, task_entries
+from orbit_core.envs.actors import ExpertActor
+from orbit_core.mdp.common import ROBOT
 from orbit_core.robots import robot_info, robot_names
 from orbit_core.rollout.pictures import OverviewCamera
+from orbit_core.scene import look_at
+from orbit_learn.acting import make as create_policy_actor
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE, PICTURES = DOCS / "gallery.md", DOCS / "images" / "tasks"
@@ -25,12 +30,18 @@ WIDTH, HEIGHT = 360, 270
 SEED = 4
 MOMENTS = {"Cloth-Dropping": 0.25, "Hockey": 0.3, "Recover": 0.15, "Reach": 0.2, "Cartpole-Swing-Up": 0.12}
 """Share of the episode at which the picture is taken, where not half."""
+LEARNED = {"Ant": "ant", "Humanoid": "humanoid", "In-Hand-Repose": "in_hand_repose"}
+"""Kept policies that act where a task has no expert."""
+FOLLOWED = {"Ant": 2.2, "Humanoid": 2.8, "Velocity-Flat": 1.7, "Velocity-Rough": 1.9, "Recover": 1.3}
+"""Metres from which a robot that leaves its place is drawn; other tasks are drawn from where they look."""
 GROUPS = (
     ("Manipulation", "manipulation-tasks.md", (
         "Reach", "Lift", "Cabinet", "Handover", "Stack", "Stack-Pyramid", "Peg-In-Hole", "Nut-Bolt", "Jenga", "Hockey",
         "Beat-The-Buzz", "Dishwasher", "In-Hand-Repose",
     )),
-    ("Mobile manipulation", "mobile-tasks.md", ("Mobile-Reach", "Mobile-Cabinet", "Mobile-Lift", "Room-Reorganization")),
+    ("Mobile manipulation", "mobile-tasks.md", (
+        "Mobile-Reach", "Mobile-Cabinet", "Mobile-Lift", "Room-Reorganization",
+    )),
     ("Locomotion", "legs.md", ("Velocity-Flat", "Velocity-Rough", "Recover")),
     ("Cloth and rope", "matter.md", (
         "Cloth-Lifting", "Cloth-Dropping", "Cloth-Spreading", "Cloth-Folding", "Flag-Hoisting", "Rope-Reshaping",
@@ -85,14 +96,19 @@ def main(settings: GallerySettings) -> None:
 
 
 def draw(name: str) -> Image.Image:
-    """Return a picture of an episode of the task, from where its task looks."""
-    environment = make(name, num_envs=1, seed=SEED, backend="mujoco", settings={"antialiasing": 4})
-    camera = OverviewCamera(environment.world, WIDTH, HEIGHT, environment.task.view)
-    expert = environment.expert()
+    """Return a picture of an episode of the task."""
+    environment = make(name, num_envs=1, seed=SEED, backend="mujoco", settings={"antialiasing": 4, "shadow_size": 4096})
+    actor = create_policy_actor(LEARNED[name], environment, SEED) if name in LEARNED else ExpertActor(environment, SEED)
     environment.reset(seed=SEED)
     with torch.inference_mode():
         for _ in range(round(environment.max_episode_steps * MOMENTS.get(name, 0.5))):
-            environment.step(expert.compute({})["action"])
+            environment.step(actor.act())
+    view = environment.task.view
+    if name in FOLLOWED:
+        x, y, z = environment.world.robots[ROBOT].root_pose[0, :3].tolist()
+        away = FOLLOWED[name]
+        view = look_at(eye=(x + 0.6 * away, y + 0.7 * away, z + 0.45 * away), target=(x, y, z - 0.1))
+    camera = OverviewCamera(environment.world, WIDTH, HEIGHT, view)
     picture = Image.fromarray(camera.pictures()[0].numpy())
     camera.close()
     environment.close()
