@@ -82,7 +82,7 @@ class Stage:
         for index in range(0, len(parts), 2):  # what is between the blocks of code
             parts[index] = _LINK.sub(lambda link: self._link(link, source, target), parts[index])
             parts[index] = _NAME.sub(lambda name: self._name(name, source, target), parts[index])
-        return "".join(parts)
+        return (_FRONT if source == PurePosixPath("docs/index.md") else "") + "".join(parts)
 
     def _link(self, link: re.Match[str], source: PurePosixPath, target: PurePosixPath) -> str:
         path = PurePosixPath(os.path.normpath(source.parent / link[2]))
@@ -119,6 +119,8 @@ class Stage:
         return f"[{name[0]}]({page}{'#' if place[1] else ''}{place[1]})"
 
 
+_FRONT = "---\nhide: [navigation, toc]\n---\n\n"
+"""Head of the front page, which takes the whole width."""
 _LANGUAGES = {".py": "python", ".toml": "toml", ".sh": "sh", ".json": "json"}
 
 
