@@ -1,15 +1,15 @@
-"""Franka Emika Panda, an arm of seven joints."""
+"""Franka Emika Panda: the arm of seven joints, and its hand with two parallel jaws."""
 
 from __future__ import annotations
 
 import math
 
 from orbit_assets.cache import Model
-from orbit_assets.compose import add_frames, edit_joints, simplify_collisions, without
+from orbit_assets.compose import add_frames, edit_joints, simplify_collisions, subtree, without
 from orbit_assets.installed import installed_urdf
 from orbit_assets.parts import PartKind, RobotPart
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.scene import Articulation, Frame, ImplicitPd, Pose, Workspace
+from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose, Workspace
 
 SOURCE = "example-robot-data"
 LICENCE = "Apache-2.0"
@@ -31,7 +31,7 @@ def simplified(articulation: Articulation) -> Articulation:
     return simplify_collisions(edit_joints(articulation, (".*",), note, armature=0.1))
 
 
-PART = RobotPart(
+PANDA = RobotPart(
     name="franka_panda",
     kind=PartKind.ARM,
     model=Model("franka_panda_arm", arm, (SOURCE,), LICENCE),
@@ -50,4 +50,20 @@ PART = RobotPart(
     joints=("panda_joint[1-7]",),
     workspace=Workspace(),
     end_effector="panda_hand",
+)
+
+
+def hand() -> Articulation:
+    """The hand; its frame ``panda_hand_tcp`` lies between the finger pads, 0.1034 m out of its root."""
+    return simplified(merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "panda_hand")))
+
+
+HAND = RobotPart(
+    name="panda_hand",
+    kind=PartKind.END_EFFECTOR,
+    model=Model("panda_hand", hand, (SOURCE,), LICENCE, parts=(simplified,)),
+    home={"panda_finger_joint.*": 0.04},
+    drives=(ImplicitPd(joints=("panda_finger_joint1",), stiffness=2000.0, damping=100.0),),
+    frame="panda_hand_tcp",
+    gripper=Gripper(("panda_finger_joint1",), 0.04, 0.0),
 )

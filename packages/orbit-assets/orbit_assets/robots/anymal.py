@@ -1,4 +1,4 @@
-"""ANYbotics ANYmal B, a quadruped with twelve joints."""
+"""ANYbotics ANYmal B and C, quadrupeds with twelve joints."""
 
 from __future__ import annotations
 
@@ -14,22 +14,43 @@ SOURCE = "example-robot-data"
 LICENCE = "BSD-3-Clause"
 
 
-def articulation() -> Articulation:
+def anymal_b() -> Articulation:
     """The robot with the frame ``mount`` on its back."""
     source = installed_urdf(SOURCE, "robots/anymal_b_simple_description/robots/anymal.urdf", "anymal_b")
     body = with_armature(merge_fixed_links(source))
     return add_frames(body, Frame("mount", "base", Pose((0.0, 0.0, 0.15))))
 
 
-PART = RobotPart(
+ANYMAL_B = RobotPart(
     name="anymal_b",
     kind=PartKind.BASE,
-    model=Model("anymal_b", articulation, (SOURCE,), LICENCE, parts=(with_armature,)),
+    model=Model("anymal_b", anymal_b, (SOURCE,), LICENCE, parts=(with_armature,)),
     home={".*_HAA": 0.0, ".F_HFE": 0.4, ".H_HFE": -0.4, ".F_KFE": -0.8, ".H_KFE": 0.8},
     # Gains of Rudin et al., Learning to Walk in Minutes (2021); effort and velocity limits are the URDF's.
     drives=(ImplicitPd(joints=(".*_(HAA|HFE|KFE)",), stiffness=80.0, damping=2.0),),
     mount="mount",
     feet=("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"),
     pose=Pose((0.0, 0.0, 0.6)),
+    fixed_base=False,
+)
+
+
+def anymal_c() -> Articulation:
+    """The robot with the frame ``mount`` on its back; its feet are part of the shanks and have frames of their own."""
+    body = installed_urdf(SOURCE, "robots/anymal_c_simple_description/urdf/anymal.urdf", "anymal_c")
+    return add_frames(merge_fixed_links(body), Frame("mount", "base", Pose((0.0, 0.0, 0.15))))
+
+
+ANYMAL_C = RobotPart(
+    name="anymal_c",
+    kind=PartKind.BASE,
+    model=Model("anymal_c", anymal_c, (SOURCE,), LICENCE),
+    home={".*_HAA": 0.0, ".F_HFE": 0.4, ".H_HFE": -0.4, ".F_KFE": -0.8, ".H_KFE": 0.8},
+    # Gains of Rudin et al., Learning to Walk in Minutes (2021); effort and velocity limits are the URDF's, and there is
+    # no armature, as in the policies that are kept for it.
+    drives=(ImplicitPd(joints=(".*_(HAA|HFE|KFE)",), stiffness=80.0, damping=2.0),),
+    mount="mount",
+    feet=("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"),
+    pose=Pose((0.0, 0.0, 0.6)),  # the feet are let down a little way
     fixed_base=False,
 )
