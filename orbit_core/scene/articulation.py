@@ -20,7 +20,7 @@ class Link:
     ``inertia`` (3, 3) in kg m^2 is about the centre of mass, in the link's axes; ``center_of_mass`` is in the link
     frame. ``semantic_label`` names the kind of thing in segmentation images; empty takes the entity's. A link without
     mass and inertia may be the root of a fixed base, or stand between two joints of a tree, as those of a compound
-    joint do (:mod:`orbit_assets.compound_joints`).
+    joint do (:mod:`orbit_assets.joint_models`).
     """
 
     name: str
@@ -61,7 +61,7 @@ class Articulation:
     """What a reader or the catalogue changed against the source, for the build report."""
     loops: tuple[LoopJoint, ...] = ()
     drives: tuple[DriveGains, ...] = ()
-    """What the file says of the motors; :mod:`orbit_assets.drives` makes actuators of it when asked."""
+    """What the file says of the motors; :mod:`orbit_assets.scene_files` makes actuators of it when asked."""
     home: tuple[tuple[str, float], ...] = ()
     """A joint's name and its position (rad or m) in the pose that the file names as home, for those that it names."""
 
@@ -90,7 +90,7 @@ class Articulation:
         """Pairs of links that a joint connects, compound joints and loops included: they never collide.
 
         The simple joints of a compound one connect its ends through links without mass and shapes
-        (:mod:`orbit_assets.compound_joints`).
+        (:mod:`orbit_assets.joint_models`).
         """
         above = {joint.child: joint.parent for joint in self.joints}
         between = {link.name for link in self.links if link.mass == 0 and not link.collisions}

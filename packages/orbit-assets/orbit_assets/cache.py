@@ -28,7 +28,7 @@ from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
-_NO_READERS = {"decomposition.py", "object_kinds.py", "objects.py", "parts.py", "robots", "audit", "cli"}
+_NO_READERS = {"decomposition.py", "object_kinds.py", "objects.py", "robot_parts.py", "robots", "audit", "cli"}
 """Modules and folders that change nothing in what is read from a file."""
 
 

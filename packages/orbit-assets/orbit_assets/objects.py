@@ -1,4 +1,7 @@
-"""Things to put into a scene: solids, a table, a cabinet with a drawer and a door."""
+"""Objects of a scene: solids, a table, a cabinet with a drawer and a door, towers of blocks, an ice hockey net.
+
+:func:`box_between` and :func:`solid_part` build furniture from boxes that are given by two corners.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,10 @@ from pathlib import Path
 from typing import TypedDict, Unpack
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from orbit_core.dynamics.transforms import quat_from_rotation_vector, quat_multiply, quat_rotate
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.inertia import MassProperties, mass_properties, shapes_mass_properties
 from orbit_core.preparation.scene_data import check_data
@@ -20,17 +26,43 @@ from orbit_core.scene import (
     Capsule,
     Color,
     Cylinder,
+    Frame,
     Geometry,
+    ImplicitPd,
+    Joint,
+    JointType,
     Link,
     MagneticSeal,
     Mesh,
     ObjectSpec,
     PhysicsMaterial,
     Pose,
+    RobotSpec,
     Shape,
     Sphere,
 )
 from orbit_core.scene.pose import Vector3
+
+
+def box_between(name: str, low: Vector3, high: Vector3, color: Color, surface: PhysicsMaterial) -> Shape:
+    """A box between two corners, in metres."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    middle = ((x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2)
+    return Shape(Box(((x1 - x0) / 2, (y1 - y0) / 2, (z1 - z0) / 2)), Pose(middle), surface, color, name)
+
+
+def solid_part(
+    name: str, shapes: tuple[Shape, ...], density: float, label: str, origin: Vector3 = (0.0, 0.0, 0.0)
+) -> Link:
+    """A solid link of shapes of one density (kg/m^3), given in the whole thing's frame.
+
+    ``origin`` is the place of the link's own frame there.
+    """
+    inward = Pose(origin).inverse()
+    own = tuple(Shape(shape.geometry, inward @ shape.pose, shape.material, shape.color, shape.name) for shape in shapes)
+    body = shapes_mass_properties(own, density)
+    return Link(name, body.mass, body.center_of_mass, body.inertia, own, own, label)
+
 
 DENSITY = 500.0
 """kg/m^3, of an object whose mass is not given: that of soft wood."""
@@ -264,3 +296,73 @@ def _object(
 def work_bench() -> ObjectSpec:
     """A table that carries an arm at the origin and 0.95 m of top in front of it; its top is at z = 0."""
     return table("table", size=(1.25, 1.4, BENCH_HEIGHT), pose=Pose((0.325, 0.0, 0.0)))
+
+
+SIZE: Vector3 = (0.12, 0.0395, 0.024)
+"""Metres: length, width and height of a block; every gripper of the catalogue opens wider than its width."""
+PITCH = 0.04
+"""Metres between the middles of two blocks of a layer."""
+
+
+def cell_poses(foot: Tensor, cells: Tensor, layers: int) -> Tensor:
+    """Poses (n, k, 7) of blocks in cells of towers.
+
+    Args:
+        foot: (n, 7) the middle of the towers' undersides. A block on top of the highest layer would lie along its x.
+        cells: (n, k) int64, numbered from the lowest layer, three a layer, along the layer's pitch.
+        layers: of the whole tower.
+    """
+    layer, slot = cells // 3, cells % 3
+    crossing = ((layer - layers) % 2).to(foot.dtype)
+    aside = (slot - 1) * PITCH
+    local = torch.stack((crossing * aside, (1.0 - crossing) * aside, SIZE[2] * (layer + 0.5)), dim=-1)
+    turn = torch.zeros_like(local)
+    turn[..., 2] = 0.5 * math.pi * crossing
+    standing = foot[:, None].expand(*cells.shape, 7)
+    position = standing[..., :3] + quat_rotate(standing[..., 3:], local)
+    return torch.cat((position, quat_multiply(standing[..., 3:], quat_from_rotation_vector(turn))), dim=-1)
+
+
+def tower(foot: Vector3, layers: int) -> list[Pose]:
+    """Poses of all blocks of a tower, from the lowest layer, where ``foot`` is the middle of its underside."""
+    cells = torch.arange(3 * layers)[None]
+    poses = cell_poses(torch.tensor([[*foot, 1.0, 0.0, 0.0, 0.0]]), cells, layers)[0].tolist()
+    return [Pose((x, y, z), (qw, qx, qy, qz)) for x, y, z, qw, qx, qy, qz in poses]
+
+
+LENGTH, WIDTH, DEPTH, BOARD = 0.14, 0.2, 0.12, 0.01
+"""Metres: from the hand to the blade's middle; between the net's posts; from its line to its back; its boards."""
+BLADE_HALF: Vector3 = (0.006, 0.05, 0.02)
+"""Metres, half of the blade's sides."""
+RED: Color = (0.75, 0.1, 0.1, 1.0)
+WHITE: Color = (0.9, 0.93, 0.97, 1.0)
+BLADE = PhysicsMaterial(0.3, 0.3)
+
+
+def stick() -> Articulation:
+    """A stick that hangs from its root along z; its frame ``blade`` is in the middle of its blade."""
+    shaft = Shape(Cylinder(0.006, 0.5 * LENGTH), Pose((0.0, 0.0, 0.5 * LENGTH)), BLADE, WOOD, "shaft")
+    blade = Shape(Box(BLADE_HALF), Pose((0.0, 0.0, LENGTH)), BLADE, RED, "blade")
+    tip = Frame("blade", "stick", Pose((0.0, 0.0, LENGTH)))
+    return Articulation("stick", (solid_link("stick", (shaft, blade), 600.0),), frames=(tip,))
+
+
+def net(pose: Pose) -> RobotSpec:
+    """A net of boards on a rail across the ice, along y, with a drive; its frame is in the middle of its line, on the
+    ice."""  # fmt: skip
+    half, up = 0.5 * WIDTH + BOARD, 0.03
+    parts = {
+        "left": ((0.5 * DEPTH, half - 0.5 * BOARD, up), (0.5 * DEPTH, 0.5 * BOARD, up - 0.002), RED),
+        "right": ((0.5 * DEPTH, 0.5 * BOARD - half, up), (0.5 * DEPTH, 0.5 * BOARD, up - 0.002), RED),
+        "back": ((DEPTH + 0.5 * BOARD, 0.0, up), (0.5 * BOARD, half, up - 0.002), WHITE),
+    }
+    boards = tuple(Shape(Box(size), Pose(at), BLADE, color, name) for name, (at, size, color) in parts.items())
+    rail = Joint("rail", JointType.PRISMATIC, "mount", "net", axis=(0.0, 1.0, 0.0), lower_limit=-0.3, upper_limit=0.3)
+    return RobotSpec(
+        name="net",
+        articulation=Articulation("net", (Link("mount"), solid_link("net", boards, 1000.0)), (rail,)),
+        pose=pose,
+        fixed_base=True,
+        actuators=(ImplicitPd(joints=("rail",), stiffness=2000.0, damping=60.0),),
+        gravity_compensation=True,
+    )

@@ -1,20 +1,68 @@
-"""Files as whole scenes: every robot, object and static thing in a USD or MJCF file, where the file puts it."""
+"""Whole scenes of USD and MJCF files: every robot, object and static shape, placed as in the file, with its drives."""
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from orbit_assets.drives import drives_from_model, home_from_model
 from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions
 from orbit_assets.placed import PlacedArticulation, SceneParts
-from orbit_assets.usd.names import unique_names
-from orbit_core.interfaces.errors import AssetError
+from orbit_assets.usd.library import unique_names
+from orbit_core.interfaces.errors import AssetError, ConfigurationError
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate
-from orbit_core.scene import Entity, HeightField, ObjectSpec, Plane, RobotSpec, Scene, Shape
+from orbit_core.scene import (
+    Articulation,
+    DriveGains,
+    Entity,
+    HeightField,
+    ImplicitPd,
+    ObjectSpec,
+    Plane,
+    RobotSpec,
+    Scene,
+    Shape,
+)
+
+
+def drives_from_model(articulation: Articulation) -> tuple[ImplicitPd, ...]:
+    """Actuator groups with the gains and effort limits of the articulation's ``drives``, for ``RobotSpec.actuators``.
+
+    Joints of one gain share a group. A drive without an effort limit keeps the joint's own.
+
+    Raises:
+        ConfigurationError: the file says of no drive.
+    """
+    if not articulation.drives:
+        raise ConfigurationError(f"the file of '{articulation.name}' says of no drive: give actuator groups yourself")
+    groups: dict[DriveGains, list[str]] = {}
+    for drive in articulation.drives:
+        groups.setdefault(replace(drive, joint=""), []).append(drive.joint)
+    return tuple(
+        ImplicitPd(
+            joints=tuple(re.escape(joint) for joint in joints),
+            stiffness=gains.stiffness,
+            damping=gains.damping,
+            effort_limit=gains.effort_limit if math.isfinite(gains.effort_limit) else None,
+        )
+        for gains, joints in groups.items()
+    )
+
+
+def home_from_model(articulation: Articulation) -> dict[str, float]:
+    """The articulation's ``home``, for ``RobotSpec.home``.
+
+    Raises:
+        ConfigurationError: the file says of no home pose.
+    """
+    if not articulation.home:
+        raise ConfigurationError(f"the file of '{articulation.name}' names no home pose: give home positions yourself")
+    return {re.escape(joint): position for joint, position in articulation.home}
+
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 _MJCF = (".xml", ".mjcf")
@@ -56,7 +104,7 @@ def load_scene(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Sce
 def _read(path: Path, options: ReadOptions) -> SceneParts:
     suffix = path.suffix.lower()
     if suffix in _USD:
-        from orbit_assets.usd.scene import read_usd_scene
+        from orbit_assets.usd.reader import read_usd_scene
 
         return read_usd_scene(path, options=options)
     if suffix in _MJCF:

@@ -1,4 +1,7 @@
-"""XML files in any encoding, read into element trees under the limits of the caller."""
+"""XML files: text in any encoding, element trees under the limits of the caller, and fields of their elements.
+
+:class:`Findings` collects faults, omissions and remarks of one reading; errors name file, element and remedy.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,67 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
-from orbit_assets.options import ReadLimits, ReadOptions
+from orbit_assets.options import ReadLimits, ReadOptions, Unsupported
 from orbit_assets.outside import check_file
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.scene.pose import Vector3
+
+_MOST = 3
+"""Places that a note lists; it counts the rest."""
+
+
+class Findings:
+    """Errors that name one file, and the notes on what was left out of it.
+
+    Args:
+        place: the file with its format, as "URDF file 'a.urdf'".
+        options: says whether what ORBIT has no word for is refused or left out.
+    """
+
+    def __init__(self, place: str, options: ReadOptions) -> None:
+        self.place = place
+        self._drop = options.unsupported is Unsupported.DROP
+        self._left_out: dict[str, list[str]] = {}
+        self._notes: dict[str, None] = {}
+
+    def error(self, fault: str, remedy: str) -> AssetError:
+        """The error for a fault of the file, to be raised."""
+        return AssetError(f"in {self.place}, {fault}: {remedy}")
+
+    def note(self, text: str) -> None:
+        """Remark something once, however often it is met."""
+        self._notes[text] = None
+
+    def leave_out(self, what: str, where: str) -> None:
+        """Count something that changes no motion of the model, or that ORBIT keeps elsewhere, as left out."""
+        self._left_out.setdefault(what, []).append(where)
+
+    def unsupported(self, what: str, where: str, remedy: str) -> None:
+        """Refuse something that the description cannot hold, or leave it out where the caller asked for that.
+
+        Raises:
+            AssetError: the caller did not ask for it.
+        """
+        if not self._drop:
+            raise self.error(
+                f"{where} has {what}, which ORBIT does not have",
+                f"{remedy}, or leave it out by ReadOptions(unsupported=Unsupported.DROP)",
+            )
+        self.leave_out(what, where)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Everything remarked and left out, in the order met."""
+        left_out = (f"{what} is left out of {_listed(where)}" for what, where in self._left_out.items())
+        return (*self._notes, *left_out)
+
+
+def _listed(places: list[str]) -> str:
+    distinct = list(dict.fromkeys(places))
+    if len(distinct) <= _MOST:
+        return ", ".join(distinct)
+    return f"{', '.join(distinct[:_MOST])} and {len(distinct) - _MOST} more"
+
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
@@ -130,3 +191,71 @@ def _decoded(data: bytes, encoding: str, path: Path | str) -> str:
         return data.decode(encoding)
     except (UnicodeDecodeError, LookupError) as error:
         raise AssetError(f"{path} is not in its encoding, {encoding} ({error}): save it as UTF-8") from None
+
+
+class Fields:
+    """Reads attributes and child elements, and names file, element and remedy where one is not as it should be.
+
+    ``where`` in all methods is the thing being read, as "joint 'elbow'".
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self.findings = findings
+
+    def attribute(self, element: Element, key: str, where: str) -> str:
+        """The attribute's text.
+
+        Raises:
+            AssetError: it is missing.
+        """
+        value = element.get(key)
+        if value is None:
+            raise self.findings.error(f"{where} lacks attribute '{key}' of <{element.tag}>", "add it")
+        return value
+
+    def child(self, element: Element, tag: str, where: str) -> Element:
+        """The first child element with the tag.
+
+        Raises:
+            AssetError: it is missing.
+        """
+        child = element.find(tag)
+        if child is None:
+            raise self.findings.error(f"{where} lacks <{tag}> in <{element.tag}>", "add it")
+        return child
+
+    def number(self, element: Element, key: str, where: str, default: float | None = None) -> float:
+        """The number in an attribute; ``default`` where it is missing.
+
+        Raises:
+            AssetError: it is missing without a default, or no number.
+        """
+        if default is not None and element.get(key) is None:
+            return default
+        return self.numbers(element, key, where, 1)[0]
+
+    def vector(self, element: Element, key: str, where: str, default: Vector3 | None = None) -> Vector3:
+        """The three numbers in an attribute; ``default`` where it is missing.
+
+        Raises:
+            AssetError: it is missing without a default, or not three numbers.
+        """
+        if default is not None and element.get(key) is None:
+            return default
+        x, y, z = self.numbers(element, key, where, 3)
+        return (x, y, z)
+
+    def numbers(self, element: Element, key: str, where: str, count: int) -> list[float]:
+        """As many numbers as asked for, from an attribute, apart by spaces.
+
+        Raises:
+            AssetError: it is missing, or holds another count or no numbers.
+        """
+        text = self.attribute(element, key, where)
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            values = []
+        if len(values) != count:
+            raise self.findings.error(f'{where} has {key}="{text}" in <{element.tag}>', f"give {count} number(s)")
+        return values

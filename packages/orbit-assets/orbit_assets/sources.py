@@ -1,4 +1,4 @@
-"""Where installed packages keep their robot models."""
+"""Installed packages of robot models: their versions and folders, and articulations read from them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.scene import Articulation
 
 _FOLDERS = {
     "example-robot-data": "cmeel.prefix/share/example-robot-data",
@@ -48,3 +49,15 @@ def missing_package(package: str) -> AssetError:
     extra = "maniskill" if package == "mani-skill" else "robots"
     remedy = f"{install_extra(extra)}" if package in _FOLDERS else f"pip install {package}"
     return AssetError(f"the models of package '{package}' are neither installed nor cached: {remedy}")
+
+
+def installed_urdf(package: str, path: str, name: str | None = None) -> Articulation:
+    """The articulation of a URDF file of an installed package; ``path`` starts at the package's folder of models.
+
+    Raises:
+        AssetError: the package is not installed, or the file cannot be read.
+    """
+    from orbit_assets.urdf import read_urdf  # late: the catalogue asks for versions only, and starts without a reader
+
+    folder = model_folder(package)
+    return read_urdf(folder / path, {package: folder, package.replace("-", "_"): folder}, name)

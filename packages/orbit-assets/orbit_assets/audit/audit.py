@@ -1,4 +1,4 @@
-"""A whole asset file audited: read, measured, checked, and held against other readers of its format."""
+"""Audit of an asset file: read, measured, checked, and compared with other readers of its format."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from orbit_assets.audit.bodies import Body, check_body, measure_body
-from orbit_assets.audit.findings import Finding, Severity
-from orbit_assets.audit.joints import check_joints, check_touching
+from orbit_assets.audit.checks import Body, Finding, Severity, check_body, check_joints, check_touching, measure_body
 from orbit_assets.audit.mjcf_reference import MujocoReference
-from orbit_assets.audit.reference import Comparison, Reference, compare
-from orbit_assets.audit.urdf_reference import PinocchioReference, pinocchio_installed
+from orbit_assets.audit.reference import Comparison, PinocchioReference, Reference, compare, pinocchio_installed
 from orbit_assets.files import load_articulation
 from orbit_assets.options import ReadOptions, Repair
 from orbit_core.files import as_path

@@ -61,8 +61,8 @@ def main(words: Sequence[str]) -> None:
     write = _writer(settings.target)
     check_apart(settings.target, (settings.source,))
     check_output(settings.target, settings.target.suffix, settings.overwrite)
+    from orbit_assets.files import check_written
     from orbit_assets.options import ReadOptions, Unsupported
-    from orbit_assets.written import check_written
 
     articulation = _read(settings)
     lost = write(articulation, settings.target)

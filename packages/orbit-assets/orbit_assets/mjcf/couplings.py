@@ -1,16 +1,137 @@
-"""Constraints of a compiled MJCF model on its joints: some follow others, some stand still."""
+"""Constraints and fixed tendons of a compiled MJCF model on its joints: mimics, fixed joints, springs."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from orbit_assets.mjcf.model import Compiled, vector_of
-from orbit_assets.mjcf.relations import Law, linear_law, polynomial_law
-from orbit_assets.mjcf.tendons import Share, share_of
 from orbit_assets.mjcf.trees import Tree
-from orbit_core.scene import Joint, JointType, Pose
+from orbit_core.scene import Joint, JointType, Mimic, Pose
+
+_NEGLIGIBLE = 1e-12
+"""Share of the largest coefficient of a law below which a coefficient counts as none."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """The position of joint ``follower``: a polynomial in that of ``leader``, or a constant where there is none."""
+
+    follower: int
+    leader: int | None
+    coefficients: tuple[float, ...]
+    """Coefficients of the leader's powers, from the zeroth on."""
+
+    def mimic(self, leader_name: str) -> Mimic:
+        """The mimic of the description."""
+        offset, multiplier, *higher = (*self.coefficients, 0.0)[: max(2, len(self.coefficients))]
+        return Mimic(leader_name, multiplier, offset, tuple(higher))
+
+    def turned(self) -> Law | None:
+        """The same law for the other joint's position, if there is one."""
+        if self.leader is None or len(self.coefficients) != 2 or not self.coefficients[1]:
+            return None
+        offset, slope = self.coefficients
+        return Law(self.leader, self.follower, (-offset / slope, 1.0 / slope))
+
+
+def polynomial_law(
+    follower: tuple[int, float], leader: tuple[int, float] | None, coefficients: np.ndarray, scales: tuple[float, float]
+) -> Law:
+    """The law of ``scale * (q - reference)`` of the follower, a polynomial in the same of the leader.
+
+    Args:
+        follower: a joint's number, and its reference.
+        leader: likewise, or ``None`` for a constant.
+        coefficients: (5,) of the polynomial, from the zeroth power on.
+        scales: of the follower and of the leader.
+    """
+    joint, rest = follower
+    own, others = scales
+    if leader is None:
+        return Law(joint, None, (rest + float(coefficients[0]) / own,))
+    other, other_rest = leader
+    powers = np.polynomial.Polynomial(coefficients / own)(
+        np.polynomial.Polynomial((-others * other_rest, others))
+    ).coef.tolist()
+    powers += [0.0] * (2 - len(powers))
+    powers[0] += rest
+    while len(powers) > 2 and powers[-1] == 0.0:
+        powers.pop()
+    return Law(joint, other, tuple(float(power) for power in powers))
+
+
+def linear_law(coefficients: Mapping[int, float], total: float) -> Law | None:
+    """The law of a weighted sum of joint positions of given value; ``None`` unless it is of one joint or two."""
+    largest = max((abs(value) for value in coefficients.values()), default=0.0)
+    held = {joint: value for joint, value in coefficients.items() if abs(value) > _NEGLIGIBLE * largest}
+    if len(held) == 1:
+        ((joint, coefficient),) = held.items()
+        return Law(joint, None, (total / coefficient,))
+    if len(held) == 2:
+        leader, follower = sorted(held)
+        return Law(follower, leader, (total / held[follower], -held[leader] / held[follower]))
+    return None
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a tendon adds to its joint, in the joint's own units; see :class:`orbit_core.scene.Joint`."""
+
+    lower_limit: float
+    upper_limit: float
+    stiffness: float
+    rest_position: float
+    damping: float
+    friction: float
+    armature: float
+
+    def added(self, joint: Joint) -> Joint:
+        """The joint with it: the narrower limits, and one spring that pulls as both do."""
+        lower, upper = max(joint.lower_limit, self.lower_limit), min(joint.upper_limit, self.upper_limit)
+        limited = (lower, upper) != (-math.inf, math.inf)
+        stiffness = joint.stiffness + self.stiffness
+        pull = joint.stiffness * joint.rest_position + self.stiffness * self.rest_position
+        return replace(
+            joint,
+            type=JointType.REVOLUTE if limited and joint.type is JointType.CONTINUOUS else joint.type,
+            lower_limit=lower,
+            upper_limit=max(lower, upper),
+            stiffness=stiffness,
+            rest_position=pull / stiffness if stiffness else 0.0,
+            damping=joint.damping + self.damping,
+            friction=joint.friction + self.friction,
+            armature=joint.armature + self.armature,
+        )
+
+
+def share_of(compiled: Compiled, tendon: int, coefficient: float) -> Share | None:
+    """What a tendon of length ``coefficient * position`` adds to its joint; ``None`` if no joint can have that.
+
+    The tendon's force acts on the joint times the coefficient (MuJoCo's documentation, "Computation", on actuation and
+    tendons), so that its stiffness, damping and armature count with the coefficient's square.
+    """
+    model = compiled.model
+    slack = model.tendon_lengthspring[tendon].tolist()
+    stiffness = float(model.tendon_stiffness[tendon])
+    curved = np.any(model.tendon_stiffnesspoly[tendon]) or np.any(model.tendon_dampingpoly[tendon])
+    if not coefficient or curved or (stiffness and slack[0] != slack[1]):
+        return None
+    ends = (-math.inf, math.inf)
+    if model.tendon_limited[tendon]:
+        first, second = (float(length) / coefficient for length in model.tendon_range[tendon])
+        ends = min(first, second), max(first, second)
+    return Share(
+        *ends,
+        stiffness * coefficient**2,
+        slack[0] / coefficient if stiffness else 0.0,
+        float(model.tendon_damping[tendon]) * coefficient**2,
+        float(model.tendon_frictionloss[tendon]) * abs(coefficient),
+        float(model.tendon_armature[tendon]) * coefficient**2,
+    )
 
 
 @dataclass(eq=False)

@@ -1,4 +1,4 @@
-"""Reads articulations from MJCF, with the format's own parser and compiler.
+"""Reader of MJCF files, with the format's own parser and compiler.
 
 Everything is taken from the compiled model, in which defaults, units, nested frames and inertias are settled.
 
@@ -8,23 +8,21 @@ Everything is taken from the compiled model, in which defaults, units, nested fr
 * Friction acts in the directions that ``condim`` opens.
 * Sites become frames. Planes and height fields that do not move are terrain, and terrain is the scene's.
 * Constraints on joints and fixed tendons become mimic joints, ``connect`` and ``weld`` loops.
-* Actuators become drives, and the keyframe becomes the home pose, for whoever takes them over.
+* Actuators become drives, and the keyframe becomes the home pose; a specification takes them over on request.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from orbit_assets.inertia_repair import repaired
-from orbit_assets.mjcf.actuators import Actuators
-from orbit_assets.mjcf.collisions import self_collisions
 from orbit_assets.mjcf.couplings import Couplings
-from orbit_assets.mjcf.geometry import Geoms
-from orbit_assets.mjcf.joints import body_chain, check_root
-from orbit_assets.mjcf.leftovers import meet_leftovers
+from orbit_assets.mjcf.geometry import Geoms, self_collisions
+from orbit_assets.mjcf.joints import Actuators, body_chain, check_root
 from orbit_assets.mjcf.loops import OWN_SITES, Loops
 from orbit_assets.mjcf.model import Compiled, compile_file, pose_of, vector_of
 from orbit_assets.mjcf.trees import WORLD, Tree, Trees
@@ -32,6 +30,79 @@ from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions
 from orbit_assets.placed import PlacedArticulation
 from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
+
+_SOLREF, _SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)
+"""MuJoCo's own for a contact or a limit."""
+_GRAVITY = (0.0, 0.0, -9.81)
+
+
+def meet_leftovers(compiled: Compiled, tree: Tree) -> None:
+    """Note what is the scene's or the engine's to say, and meet what changes how the bodies move.
+
+    Raises:
+        AssetError: the options have what the description cannot hold refused.
+    """
+    _meet_bodies(compiled, tree)
+    _note_contact(compiled, tree)
+    _note_surroundings(compiled)
+    model = compiled.model
+    counts = {
+        "tendons": model.ntendon,
+        "contact pairs": model.npair,
+        "sensors": model.nsensor,
+        "cameras": model.ncam,
+        "skins": model.nskin,
+        "textures": model.ntex,
+        "joints whose springs and limits are soft (solref, solimp or margin)": _soft_joints(model),
+    }
+    compiled.notes += [f"{what} are left out: {count}" for what, count in counts.items() if count]
+
+
+def _meet_bodies(compiled: Compiled, tree: Tree) -> None:
+    model, bodies = compiled.model, list(tree.bodies)
+    if model.nflex:
+        compiled.unsupported(f"there are {model.nflex} flexes, which are deformable", "remove them")
+    floating = [body for body in bodies if model.body_gravcomp[body]]
+    if floating:
+        compiled.unsupported(f"gravity is compensated on bodies {compiled.listed(floating)}", "remove gravcomp")
+    if plugged := [body for body in bodies if model.body_plugin[body] >= 0]:
+        compiled.unsupported(f"a plugin of MuJoCo acts on bodies {compiled.listed(plugged)}", "remove the plugin")
+
+
+def _note_contact(compiled: Compiled, tree: Tree) -> None:
+    model = compiled.model
+    ours = np.isin(model.geom_bodyid, tree.bodies)
+    solid = ours & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    of = {
+        "solref or solimp": _unlike(model.geom_solref, _SOLREF) | _unlike(model.geom_solimp, _SOLIMP),
+        "a margin or gap": (model.geom_margin != 0) | (model.geom_gap != 0),
+        "a priority or solmix": (model.geom_priority != 0) | (model.geom_solmix != 1),
+    }
+    for what, rows in of.items():
+        if count := int(np.sum(rows & solid)):
+            compiled.notes.append(f"{what} of geoms is left out: {count}")
+
+
+def _note_surroundings(compiled: Compiled) -> None:
+    """Options of the world, which are the scene's to say."""
+    option = compiled.model.opt
+    said = {
+        "gravity": not np.allclose(option.gravity, _GRAVITY, atol=0.01),
+        "the medium's density, viscosity or wind": bool(option.density or option.viscosity or np.any(option.wind)),
+        "overridden contact": bool(option.enableflags & int(compiled.mujoco.mjtEnableBit.mjENBL_OVERRIDE)),
+        "what the file disables": bool(option.disableflags),
+    }
+    if left := [what for what, is_said in said.items() if is_said]:
+        compiled.notes.append(f"options that are the scene's to say are left out: {', '.join(left)}")
+
+
+def _soft_joints(model: Any) -> int:
+    soft = _unlike(model.jnt_solref, _SOLREF) | _unlike(model.jnt_solimp, _SOLIMP) | (model.jnt_margin != 0)
+    return int(np.sum(soft & (model.jnt_limited != 0)))
+
+
+def _unlike(rows: Any, default: tuple[float, ...]) -> np.ndarray:
+    return ~np.all(np.isclose(rows, default), axis=1)
 
 
 @names_file

@@ -17,10 +17,9 @@ from orbit_assets.compose import (
     simplify_collisions,
     subtree,
 )
-from orbit_assets.installed import installed_urdf
 from orbit_assets.meshes import load_mesh
-from orbit_assets.parts import PartKind, RobotPart
-from orbit_assets.sources import model_folder
+from orbit_assets.robot_parts import PartKind, RobotPart
+from orbit_assets.sources import installed_urdf, model_folder
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Joint, JointType, Link, Mimic, Pose, Shape
 

@@ -11,11 +11,10 @@ import numpy as np
 
 from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames, attach, edit_joints, edit_links, renamed, simplify_collisions
-from orbit_assets.installed import installed_urdf
 from orbit_assets.mjcf.reader import read_mjcf
 from orbit_assets.options import ReadOptions, Unsupported
-from orbit_assets.parts import PartKind, RobotPart
-from orbit_assets.sources import model_folder
+from orbit_assets.robot_parts import PartKind, RobotPart
+from orbit_assets.sources import installed_urdf, model_folder
 from orbit_core.dynamics.drive_design import DriveDesign
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, Frame, Gripper, Link, Mimic, Pose

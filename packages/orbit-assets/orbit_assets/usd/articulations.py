@@ -1,24 +1,172 @@
-"""The articulations of a USD stage: its bodies and joints put together."""
+"""Articulations of a USD stage: mass and shapes of its bodies, put together by its joints."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from orbit_assets.placed import PlacedArticulation
-from orbit_assets.usd.actuators import Actuators
-from orbit_assets.usd.contents import STAGE, collect, is_frame
-from orbit_assets.usd.geometry import Placements
-from orbit_assets.usd.joints import Joints
-from orbit_assets.usd.library import pxr
-from orbit_assets.usd.links import Links
-from orbit_assets.usd.names import unique_names
-from orbit_assets.usd.stage import Reading, applies, attribute, is_authored, label, numbers, rotation, targets
+from orbit_assets.usd.contents import MASSLESS, STAGE, Contents, collect, is_frame
+from orbit_assets.usd.geometry import Placement, Placements, Shapes
+from orbit_assets.usd.joints import Actuators, Joints
+from orbit_assets.usd.library import pxr, unique_names
+from orbit_assets.usd.stage import (
+    Reading,
+    Units,
+    applies,
+    array,
+    attribute,
+    authored,
+    is_authored,
+    label,
+    number,
+    numbers,
+    rotation,
+    targets,
+)
 from orbit_assets.usd.tree import Edge, Tree, grow, stacked
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.inertia import MassProperties, combine, mass_properties
 from orbit_core.preparation.validation import sort_links
-from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
+from orbit_core.scene import Articulation, Frame, Joint, Link, Pose, Shape
+from orbit_core.scene.pose import FloatArray
+
+_DENSITY = 1000.0
+"""kg/m^3, where the stage gives none: UsdPhysics says so."""
+NOTHING = MassProperties(0.0, (0.0, 0.0, 0.0), np.zeros((3, 3)))
+"""Mass properties of a link without mass."""
+
+
+def is_given(body: Any) -> bool:
+    """Whether a body gives its mass and inertia, so that its colliders' need not be worked out."""
+    inertia = len(array(body, "newton:inertia", 1, float)) or any(numbers(body, "physics:diagonalInertia", _ZERO))
+    return number(body, "physics:mass") > 0 and bool(inertia)
+
+
+def solid(prim: Any, body: Any, material: Any, shape: Shape, units: Units) -> MassProperties:
+    """What a collider weighs: by its own mass, or the density of itself, its body, or its material.
+
+    UsdPhysics takes a mass of zero for one that is not given; MuJoCo, for a collider without mass.
+    """
+    if (mass := number(prim, "physics:mass")) > 0:
+        return mass_properties(shape.geometry, mass=mass * units.mass).placed(shape.pose)
+    if authored(prim, "physics:mass") == 0 and applies(prim, "MjcCollisionAPI"):
+        return NOTHING
+    sources = (prim, body, *([material] if material else []))
+    densities = [number(source, "physics:density") for source in sources]
+    given = next((value for value in densities if value > 0), None)
+    density = _DENSITY if given is None else given * units.mass / units.length**3
+    return mass_properties(shape.geometry, density=density).placed(shape.pose)
+
+
+def body_mass(body: Any, solids: list[MassProperties], placements: Placements, units: Units) -> MassProperties:
+    """A body's own mass, centre and inertia as far as it gives them, and those of its colliders for the rest."""
+    of_shapes = combine(solids) if any(each.mass > 0 for each in solids) else NOTHING
+    placement = placements.of(body, body)
+    mass = number(body, "physics:mass") * units.mass or of_shapes.mass
+    center = numbers(body, "physics:centerOfMass", (-math.inf,) * 3)
+    x, y, z = placement.point(center) if math.isfinite(center[0]) else of_shapes.center_of_mass
+    inertia = _inertia(body, placement, units)
+    if inertia is None:
+        inertia = of_shapes.inertia * (mass / of_shapes.mass if of_shapes.mass else 1.0)
+    return MassProperties(mass, (float(x), float(y), float(z)), inertia)
+
+
+def _inertia(body: Any, placement: Placement, units: Units) -> FloatArray | None:
+    full = array(body, "newton:inertia", 1, float)
+    if len(full) == 6:
+        xx, yy, zz, xy, xz, yz = full
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        axes = placement.pose.rotation_matrix()
+    else:
+        diagonal = numbers(body, "physics:diagonalInertia", _ZERO)
+        if not any(diagonal):
+            return None
+        tensor = np.diag(np.asarray(diagonal))
+        axes = placement.frame((0.0, 0.0, 0.0), rotation(body, "physics:principalAxes")).rotation_matrix()
+    return units.inertia(angular=True) * axes @ tensor @ axes.T
+
+
+_ZERO = (0.0, 0.0, 0.0)
+
+
+@dataclass(eq=False)
+class Links:
+    """Reads the links of one stage."""
+
+    reading: Reading
+    contents: Contents
+    placements: Placements
+
+    def __post_init__(self) -> None:
+        self.shapes = Shapes(self.reading, self.placements, self.contents.geometry)
+
+    def body(self, path: str, name: str) -> Link:
+        """The link of a rigid body."""
+        body = self.contents.bodies[path]
+        parts = self.contents.parts.get(path, [])
+        massless = bool(attribute(body, MASSLESS, False))
+        collisions, visuals, solids = self._shapes(parts, body, weighed=not (massless or is_given(body)))
+        properties = NOTHING if massless else body_mass(body, solids, self.placements, self.reading.units)
+        return Link(
+            name,
+            properties.mass,
+            properties.center_of_mass,
+            properties.inertia,
+            collisions,
+            visuals,
+            semantic_label(body),
+        )
+
+    def static(self, prim: Any, parts: list[Any], name: str) -> Link:
+        """A link without mass, in the frame of ``prim``, of geometry that does not move."""
+        collisions, visuals, _ = self._shapes(parts, prim, weighed=False)
+        kind = "" if str(prim.GetPath()) == STAGE else semantic_label(prim)
+        return Link(name, NOTHING.mass, NOTHING.center_of_mass, NOTHING.inertia, collisions, visuals, kind)
+
+    def _shapes(
+        self, parts: list[Any], body: Any, *, weighed: bool
+    ) -> tuple[tuple[Shape, ...], tuple[Shape, ...], list[MassProperties]]:
+        """What collides, what is drawn, and what each collider weighs."""
+        collisions: list[Shape] = []
+        visuals: list[Shape] = []
+        solids: list[MassProperties] = []
+        for prim in parts:
+            if not prim.IsA(pxr().UsdGeom.Gprim):
+                continue
+            collides = prim.HasAPI(pxr().UsdPhysics.CollisionAPI) and attribute(prim, "physics:collisionEnabled", True)
+            imageable = pxr().UsdGeom.Imageable(prim)
+            drawn = imageable.ComputePurpose() != "guide" and imageable.ComputeVisibility() != "invisible"
+            shape = self.shapes.read(prim, body, collides=collides) if collides or drawn else None
+            if shape is None:
+                self._lack_shape(prim, collides, drawn)
+                continue
+            visuals += [shape] if drawn else []
+            if collides:
+                collisions.append(shape)
+                if weighed:
+                    material = self.shapes.surfaces.physics_prim(prim)
+                    solids.append(solid(prim, body, material, shape, self.reading.units))
+        return tuple(collisions), tuple(visuals), solids
+
+    def _lack_shape(self, prim: Any, collides: bool, drawn: bool) -> None:
+        if collides:
+            raise AssetError(f"{prim.GetPath()} is a collider of type {prim.GetTypeName()}: make it a mesh")
+        if drawn:
+            self.reading.note(f"{prim.GetPath()} is drawn as a {prim.GetTypeName()} and left out: make it a mesh")
+
+
+def semantic_label(prim: Any) -> str:
+    """The first that the prim bears of any taxonomy; none where it bears none."""
+    for taxonomy in pxr().UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
+        if labels := pxr().UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr().Get():
+            return str(labels[0])
+    return ""
+
 
 WORLD = "world"
 """The root link of an articulation whose first movable joint hangs from the world."""

@@ -1,7 +1,7 @@
-"""USD stages opened with care: what they may open, what is missing from them, and the values that prims hold.
+"""USD stages opened under the caller's limits: allowed layers only, composed size, and typed values of prims.
 
-USD's library writes to the standard error stream what it thinks of a file. Here that is held back: what says that a
-part of the stage is missing refuses the file, and the rest becomes notes.
+USD's library writes its remarks on a file to the standard error stream. They are captured here: a remark that a part of
+the stage is missing becomes an error, all others become notes.
 """
 
 from __future__ import annotations
@@ -17,10 +17,170 @@ import numpy as np
 
 from orbit_assets.naming import naming, one_line
 from orbit_assets.options import ReadOptions, Unsupported
-from orbit_assets.usd.layers import open_stage
+from orbit_assets.outside import check_archive, check_file, resolve_file
 from orbit_assets.usd.library import pxr
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose
+
+_WALKED = 10_000
+"""Prim specs that are looked at; a layer of more is large by itself, and looking takes longer than opening it."""
+
+
+def composed_prims(layer: Any) -> int:
+    """An upper bound of the prims that a layer composes to, or 0 where it is too large to tell.
+
+    References, payloads, inherited and specialised classes count with all that they bring in turn; of variants none.
+    """
+    sizes = _Sizes()
+    try:
+        return sizes.of(layer, pxr().Sdf.Path.absoluteRootPath)
+    except _TooManySpecsError:
+        return 0
+
+
+class _TooManySpecsError(Exception):
+    """There are more specs than are looked at."""
+
+
+class _Sizes:
+    """Sizes of the prims met so far, by layer and path."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, str], int] = {}
+
+    def of(self, layer: Any, path: Any) -> int:
+        """Prims at and below a path, those that arcs bring included; a prim that brings itself counts once."""
+        key = (layer.identifier, str(path))
+        if key in self._known:
+            return self._known[key]
+        if len(self._known) >= _WALKED:
+            raise _TooManySpecsError
+        self._known[key] = 1
+        total = 1
+        spec = layer.GetPrimAtPath(path)
+        if spec is not None:
+            total += sum(self.of(layer, child.path) for child in spec.nameChildren)
+            total += sum(self.of(*arc) for arc in _arcs(layer, spec))
+        total += sum(self.of(each, path) for each in _sublayers(layer) if each.GetPrimAtPath(path) is not None)
+        self._known[key] = total
+        return total
+
+
+def _sublayers(layer: Any) -> Iterator[Any]:
+    for name in layer.subLayerPaths:
+        if name and (found := _opened(layer, name)) is not None:
+            yield found
+
+
+def _arcs(layer: Any, spec: Any) -> Iterator[tuple[Any, Any]]:
+    """The layers and paths that a prim refers to."""
+    if spec.path == pxr().Sdf.Path.absoluteRootPath:
+        return
+    for references in (spec.referenceList, spec.payloadList):
+        for arc in references.GetAddedOrExplicitItems():
+            target = _opened(layer, arc.assetPath) if arc.assetPath else layer
+            if target is not None:
+                yield target, arc.primPath if arc.primPath else pxr().Sdf.Path(f"/{target.defaultPrim}")
+    for classes in (spec.inheritPathList, spec.specializesList):
+        for path in classes.GetAddedOrExplicitItems():
+            yield layer, path
+
+
+def _opened(layer: Any, name: str) -> Any:
+    """A layer that has been opened already, and so may be; ``None`` for others."""
+    plain, _ = pxr().Sdf.Layer.SplitIdentifier(name)
+    return pxr().Sdf.Layer.Find(layer.ComputeAbsolutePath(plain))
+
+
+def open_stage(path: Path | str, options: ReadOptions) -> Any:
+    """The stage of a USD file, of which every sublayer, reference and payload is there.
+
+    Raises:
+        AssetError: the file or a layer that it names is missing, cannot be parsed, lies where the model may not read,
+            or composition fails otherwise; or USD is not installed.
+    """
+    usd = pxr()
+    layers = _checked_layers(Path(path), options)
+    if (prims := composed_prims(layers[0])) > options.limits.elements:
+        raise AssetError(
+            f"{path} composes to some {prims} prims: let it refer to less, or raise ReadLimits.elements from "
+            f"{options.limits.elements}"
+        )
+    try:
+        stage = usd.Usd.Stage.Open(str(path))
+    except usd.Tf.ErrorException as error:
+        raise AssetError(f"{path} is no USD file that can be opened: {one_line(str(error))}") from None
+    if errors := stage.GetCompositionErrors():
+        raise AssetError(f"{path} does not compose: {one_line(str(errors[0]))}: put the layer there, or mend its path")
+    known = {layer.realPath for layer in layers}
+    for layer in stage.GetUsedLayers():
+        if not layer.anonymous and layer.realPath not in known:
+            raise AssetError(f"{path} takes in {layer.identifier}, which was not checked: name it by its plain path")
+    return stage
+
+
+def _checked_layers(path: Path, options: ReadOptions) -> list[Any]:
+    """The layers, the file's own first, followed from one to the next, each held to be allowed before it is opened.
+
+    A layer that is missing is left to composition, to which one that only an unselected variant names does not matter.
+    """
+    sdf = pxr().Sdf
+    resolve = pxr().Ar.GetResolver().Resolve
+    check_file(path, options)
+    seen: set[str] = set()
+    waiting = [str(path)]
+    layers: list[Any] = []
+    while waiting:
+        found = waiting.pop()
+        if found in seen:
+            continue
+        seen.add(found)
+        file = _outer(found)
+        if file.lower().endswith(".usdz"):
+            check_archive(Path(file), options)
+        try:
+            layer = sdf.Layer.FindOrOpen(found)
+        except pxr().Tf.ErrorException as error:
+            raise AssetError(f"{found} is no USD file that can be opened: {one_line(str(error))}") from None
+        if layer is None:
+            raise AssetError(f"{found} is no USD file that can be opened: correct it")
+        layers.append(layer)
+        _refuse_clips(layer)
+        for reference in filter(None, layer.GetCompositionAssetDependencies()):
+            if sdf.VariableExpression.IsExpression(reference):
+                raise AssetError(f"{found} names a layer by the expression {reference}: write the path out")
+            plain, _ = sdf.Layer.SplitIdentifier(reference)
+            named = layer.ComputeAbsolutePath(plain)  # maybe within an archive: scene.usdz[part.usda]
+            if outer := resolve(_outer(named)).GetPathString():
+                resolve_file(outer, Path(file), options, model=path)
+                if target := resolve(named).GetPathString():
+                    waiting.append(target)
+    return layers
+
+
+def _outer(identifier: str) -> str:
+    """Return the file that a layer is in: the archive, for one within an archive."""
+    return identifier.partition("[")[0]
+
+
+def _refuse_clips(layer: Any) -> None:
+    """Refuse value clips, whose layers USD opens as it composes, by patterns of names and over time.
+
+    Raises:
+        AssetError: a prim has some.
+    """
+    waiting = [layer.pseudoRoot]
+    while waiting:
+        spec = waiting.pop()
+        if any(key.startswith("clip") for key in spec.ListInfoKeys()):
+            raise AssetError(
+                f"{layer.identifier}: {spec.path} has value clips, which take values from other files: write their "
+                "values into the layer"
+            )
+        waiting += spec.nameChildren
+        for variants in spec.variantSets.values():
+            waiting += [variant.primSpec for variant in variants.variants.values()]
+
 
 _METRICS = ("metersPerUnit", "upAxis", "kilogramsPerUnit")
 """Metadata of a layer that say in which units and axes its numbers are."""

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from orbit_assets.xacro.formatting import format_value, percent_text
 from orbit_assets.xacro.values import (
     LARGEST,
     NUMBERS,
@@ -23,10 +22,12 @@ from orbit_assets.xacro.values import (
     check_integer,
     check_power,
     check_value,
+    format_value,
     is_namespace,
     items_of,
     known,
     methods_of,
+    percent_text,
 )
 
 _LONGEST = 20_000

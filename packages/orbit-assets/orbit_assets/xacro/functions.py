@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from orbit_assets.xacro.formatting import format_text
 from orbit_assets.xacro.values import (
     DATA,
     LARGEST,
@@ -17,6 +16,7 @@ from orbit_assets.xacro.values import (
     Function,
     Namespace,
     check_integer,
+    format_text,
     items_of,
 )
 
