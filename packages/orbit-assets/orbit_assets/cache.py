@@ -28,8 +28,8 @@ from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
+# Modules and folders that change nothing in what is read from a file.
 _NO_READERS = {"decomposition.py", "object_kinds.py", "objects.py", "robot_parts.py", "robots", "audit", "cli"}
-"""Modules and folders that change nothing in what is read from a file."""
 
 
 @dataclass(frozen=True)

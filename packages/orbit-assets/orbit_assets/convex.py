@@ -16,8 +16,8 @@ from orbit_core.scene import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
 from orbit_core.scene.pose import FloatArray
 
 _ROUNDS = 64
+# Metres below which a distance counts as none, and to which distances are found.
 _EXACT = 1e-9
-"""Metres below which a distance counts as none, and to which distances are found."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,10 +79,10 @@ def _read(path: Path, options: ReadOptions) -> Articulation:
     return read_usd(path, options=options)
 
 
+# Tolerance of masses, and of principal moments by the largest.
 _RELATIVE = 1e-3
-"""Tolerance of masses, and of principal moments by the largest."""
+# Metres by which a centre of mass may be off, per metre from the root where that is more.
 _APART = 1e-4
-"""Metres by which a centre of mass may be off, per metre from the root where that is more."""
 
 
 def check_written(articulation: Articulation, path: Path, options: ReadOptions) -> tuple[str, ...]:

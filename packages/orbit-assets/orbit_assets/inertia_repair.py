@@ -14,12 +14,12 @@ from orbit_core.preparation.merge import link_hosts
 from orbit_core.scene import Articulation, Link, Pose, Sphere
 from orbit_core.scene.inertias import raised_moments
 
+# Least principal moment as a share of the largest; a thin rod's smallest one is about that.
 _LEAST = 1e-3
-"""Least principal moment as a share of the largest; a thin rod's smallest one is about that."""
+# As in :mod:`orbit_core.preparation.validation`: published models round their inertias to three digits.
 _TRIANGLE_TOLERANCE = 1e-3
-"""As in :mod:`orbit_core.preparation.validation`: published models round their inertias to three digits."""
+# kg/m^3, of the ball that stands in for an inertia of zero.
 _WATER = 1000.0
-"""kg/m^3, of the ball that stands in for an inertia of zero."""
 
 
 def repaired(articulation: Articulation, options: ReadOptions) -> Articulation:

@@ -132,8 +132,8 @@ def _resolved(joint: Joint, joints: dict[str, Joint]) -> Joint:
     return joint if law is joint.mimic else replace(joint, mimic=law)
 
 
+# Those whose activation is, in the end, the command or its integral.
 _PLAIN_DYNAMICS = ("none", "integrator", "filter", "filterexact")
-"""Those whose activation is, in the end, the command or its integral."""
 
 Range = tuple[float, float]
 """The least and the largest value."""

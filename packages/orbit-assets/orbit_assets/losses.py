@@ -13,10 +13,10 @@ JointTraits = tuple[tuple[str, Callable[[Joint], object]], ...]
 """Properties of joints that a format lacks, each with its test."""
 LinkTraits = tuple[tuple[str, Callable[[Link], object]], ...]
 """Properties of links that a format lacks, each with its test."""
+# Share of a link's inertia by which it may be rounded up without a sentence.
 _ROUNDING = 1e-6
-"""Share of a link's inertia by which it may be rounded up without a sentence."""
+# Names that a sentence lists; it counts the rest.
 _MOST = 4
-"""Names that a sentence lists; it counts the rest."""
 
 
 def missing_traits(

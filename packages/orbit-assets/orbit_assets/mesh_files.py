@@ -24,10 +24,10 @@ from orbit_assets.outside import check_archive, check_file, check_picture, resol
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 
+# Bytes, of a binary STL file.
 _STL_HEADER, _STL_TRIANGLE = 84, 50
-"""Bytes, of a binary STL file."""
+# Least number of words in a line of an OBJ file, by its first word.
 _LEAST_WORDS = {b"v": 4, b"f": 4, b"vn": 4, b"vt": 2}
-"""Least number of words in a line of an OBJ file, by its first word."""
 _COLLADA = "http://www.collada.org/2005/11/COLLADASchema"
 _GREY = "0.7 0.7 0.7 1"
 

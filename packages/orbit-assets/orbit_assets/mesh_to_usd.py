@@ -16,10 +16,10 @@ from orbit_core.preparation.inertia import mass_properties
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Link, Mesh, MeshCollision, PhysicsMaterial, Pose, Shape
 
+# Formats that have y up by their specification.
 _Y_UP = (".glb", ".gltf")
-"""Formats that have y up by their specification."""
+# kg/m^3, as of an object whose density nobody gives.
 _SOFT_WOOD = 500.0
-"""kg/m^3, as of an object whose density nobody gives."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +84,8 @@ def mesh_to_usd(
     return (*articulation.notes, *write_usd(articulation, out))
 
 
+# The rotation that takes y to z.
 _Y_TO_Z = Pose.from_euler(math.pi / 2, 0.0, 0.0)
-"""The rotation that takes y to z."""
 
 
 def _upright(mesh: Mesh, turn: Pose) -> Mesh:

@@ -16,8 +16,8 @@ from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Color, Mesh
 from orbit_core.scene.pose import Vector3
 
+# Directions in which a simplified hull keeps the farthest point of the exact one, beside the six along the axes.
 _DIRECTIONS = 32
-"""Directions in which a simplified hull keeps the farthest point of the exact one, beside the six along the axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,10 +174,10 @@ def _mesh(geometries: list[Any], scale: Vector3, path: Path) -> Mesh:
     return Mesh(*merge_vertices(np.concatenate(vertices), joined))
 
 
+# Metres of a triangle's height below which it is a line.
 _THINNEST = 1e-10
-"""Metres of a triangle's height below which it is a line."""
+# Odd numbers with evenly mixed bits (those of xxHash), which spread coordinates over 64 bits.
 _PRIMES = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
-"""Odd numbers with evenly mixed bits (those of xxHash), which spread coordinates over 64 bits."""
 
 
 def merge_vertices(

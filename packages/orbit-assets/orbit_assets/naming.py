@@ -17,8 +17,8 @@ from typing import Concatenate, ParamSpec, TypeVar
 from orbit_core.interfaces.errors import ArgumentError, AssetError, OrbitError
 from orbit_core.interfaces.typed import Typed
 
+# Characters of a message; parsers quote whole files.
 _LONGEST = 1000
-"""Characters of a message; parsers quote whole files."""
 
 _TYPED = Typed()
 

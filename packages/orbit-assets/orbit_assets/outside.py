@@ -16,10 +16,10 @@ from orbit_assets.options import ReadOptions
 from orbit_core.interfaces.errors import AssetError
 
 _INSTALLED = ("site-packages", "dist-packages")
+# Where distributions made by cmeel keep what is no Python.
 _SHARE = ("cmeel.prefix", "share")
-"""Where distributions made by cmeel keep what is no Python."""
+# Folders above a model in which its package's own may be, where nothing else marks that.
 _NEAR = 3
-"""Folders above a model in which its package's own may be, where nothing else marks that."""
 _PACKAGE_SCHEMES = ("package://", "model://")
 
 

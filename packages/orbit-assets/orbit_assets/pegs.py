@@ -52,10 +52,10 @@ COLORS: Sequence[Color] = (
 """For blocks that are to look different."""
 FIT = 0.001
 """Metres from which engines may make contacts between block and board."""
+# Metres of board that a hole leaves at its tile's edge.
 _LEAST_RIM = 0.01
-"""Metres of board that a hole leaves at its tile's edge."""
+# Sides of the polygon around a round hole.
 _ROUND_SIDES = 24
-"""Sides of the polygon around a round hole."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,8 +48,8 @@ class PartKind(Enum):
 
 
 _BASE, _ARM, _TOOL = PartKind
+# What a robot may be composed of: an end effector needs an arm that moves it, or stands by itself.
 _ORDERS = ((_BASE,), (_BASE, _ARM), (_BASE, _ARM, _TOOL), (_ARM,), (_ARM, _TOOL), (_TOOL,))
-"""What a robot may be composed of: an end effector needs an arm that moves it, or stands by itself."""
 
 
 @dataclass(frozen=True, kw_only=True)

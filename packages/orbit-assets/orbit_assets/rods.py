@@ -18,8 +18,8 @@ from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Capsule, Color, Frame, ObjectSpec, Pose, Shape
 from orbit_core.scene.pose import Vector3
 
+# Points to a piece of a spline, between which it is taken as straight.
 _FINE = 100
-"""Points to a piece of a spline, between which it is taken as straight."""
 _STEEL: Color = (0.72, 0.74, 0.78, 1.0)
 _BRASS: Color = (0.85, 0.62, 0.2, 1.0)
 

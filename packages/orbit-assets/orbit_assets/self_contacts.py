@@ -17,8 +17,8 @@ from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.posture import link_poses
 from orbit_core.scene import Articulation, Entity
 
+# Metres between links that count as touching: a drive that holds home lets them move by as much.
 _CLEARANCE = 1e-3
-"""Metres between links that count as touching: a drive that holds home lets them move by as much."""
 
 
 def without_home_contacts(articulation: Articulation, home: Mapping[str, float]) -> Articulation:

@@ -16,8 +16,8 @@ from orbit_assets.outside import check_file
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene.pose import Vector3
 
+# Places that a note lists; it counts the rest.
 _MOST = 3
-"""Places that a note lists; it counts the rest."""
 
 
 class Findings:
@@ -73,6 +73,7 @@ def _listed(places: list[str]) -> str:
     return f"{', '.join(distinct[:_MOST])} and {len(distinct) - _MOST} more"
 
 
+# How files of each encoding begin; UTF-32 before UTF-16, of whose marks its own begins with one.
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF32_LE, "utf-32-le"),
@@ -82,7 +83,6 @@ _MARKS = (
     (b"<\0", "utf-16-le"),
     (b"\0<", "utf-16-be"),
 )
-"""How files of each encoding begin; UTF-32 before UTF-16, of whose marks its own begins with one."""
 _DECLARATION = re.compile(r"\s*<\?xml\b[^>]*\?>")
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _ENCODING = re.compile(rb"<\?xml[^>]*\bencoding\s*=\s*[\"']([\w.:-]+)[\"']")

@@ -11,8 +11,8 @@ from orbit_core.scene import Texture
 
 _SIDE = 256
 _LARGEST = 64 * 1024 * 1024
+# Formats that Pillow decodes by itself; for PostScript it runs a program.
 _FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TGA", "TIFF", "WEBP")
-"""Formats that Pillow decodes by itself; for PostScript it runs a program."""
 """Pixels of a picture file, beyond which it is refused before it is decoded."""
 
 Gray = float

@@ -30,18 +30,18 @@ from orbit_core.scene import (
     Shape,
 )
 
+# Rows of vertices in each turn of a thread.
 _ROWS = 10
-"""Rows of vertices in each turn of a thread."""
+# Vertices around.
 _AROUND = 48
-"""Vertices around."""
+# Boxes in each turn of a thread of boxes.
 _BOXES = 12
-"""Boxes in each turn of a thread of boxes."""
+# Metres from which engines may make contacts between boxes of threads.
 _NEAR = 1e-3
-"""Metres from which engines may make contacts between boxes of threads."""
+# kg/m^3
 _STEEL = 7800.0
-"""kg/m^3"""
+# Metres of a nut's wall outside its thread that belong to the field of distances.
 _WALL = 0.002
-"""Metres of a nut's wall outside its thread that belong to the field of distances."""
 
 
 @dataclass(frozen=True, kw_only=True)

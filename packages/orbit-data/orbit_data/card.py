@@ -15,8 +15,8 @@ from orbit_data.episodes import Dataset
 
 CARD = "README.md"
 """Name of the card of a dataset that is a folder."""
+# Lines after a card's title.
 _HEAD = ("", "| | |", "|---|---|")
-"""Lines after a card's title."""
 
 
 def card(dataset: Dataset) -> str:

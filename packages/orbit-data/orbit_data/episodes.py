@@ -113,12 +113,12 @@ def check_found(names: Sequence[str] | None, arrays: Collection[str], where: str
             raise ConfigurationError(f"{where} has no '{asked}', which this needs")
 
 
+# Steps of an episode; no recording comes near.
 _LONGEST = 100_000_000
-"""Steps of an episode; no recording comes near."""
+# Bytes of an array that are checked at a time.
 _STRETCH = 1 << 24
-"""Bytes of an array that are checked at a time."""
+# Memory of what is known of an episode.
 _INFO_BYTES = 512
-"""Memory of what is known of an episode."""
 
 
 def check_infos(infos: Sequence[EpisodeInfo], account: ReadAccount) -> None:

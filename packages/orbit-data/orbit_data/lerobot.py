@@ -34,11 +34,11 @@ MANIFEST, EPISODES, INFO = "meta/orbit_manifest.json", "meta/orbit_episodes.json
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+# Files that a dataset of ours consists of, besides its card.
 _LAYOUT = re.compile(
     r"meta/(info|stats|orbit_manifest|orbit_episodes)\.json|meta/tasks\.parquet"
     r"|(meta/episodes|data)/chunk-\d{3,}/file-\d{3,}\.parquet|videos/[^/]+/chunk-\d{3,}/file-\d{3,}\.mp4"
 )
-"""Files that a dataset of ours consists of, besides its card."""
 _FILES_A_CHUNK = 1000
 _STEPS_A_FILE = 50_000
 

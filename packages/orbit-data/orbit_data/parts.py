@@ -23,8 +23,8 @@ from orbit_core.reading.budget import MAX_DOCUMENT
 from orbit_data.episodes import INITIAL, Array, Episode, EpisodeInfo
 
 _MANIFEST = "manifest.json"
+# Marks a recording that takes the place of the dataset in the end, instead of going on with it.
 _REPLACES = "replaces"
-"""Marks a recording that takes the place of the dataset in the end, instead of going on with it."""
 _PART = re.compile(r"part_(\d{6,})\.safetensors")
 _KEY = "episodes"
 

@@ -14,12 +14,12 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import ReadAccount
 from orbit_data.episodes import Array
 
+# Every second frame stands by itself, so that any one is soon found; nearly no loss that an eye sees.
 _EVERY_OTHER = {"g": "2", "crf": "18"}
-"""Every second frame stands by itself, so that any one is soon found; nearly no loss that an eye sees."""
 
 
+# Decoders that datasets use, of the hundreds that the library has.
 _DECODERS = ("h264", "hevc", "libdav1d", "av1", "vp9", "mpeg4")
-"""Decoders that datasets use, of the hundreds that the library has."""
 
 
 def write_video(path: Path | str, stretches: Iterable[Array], rate: int) -> None:

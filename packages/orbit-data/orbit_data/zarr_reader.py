@@ -37,10 +37,10 @@ from orbit_data.episodes import (
 
 SUFFIXES = (".zarr", ".zarr.zip")
 _ENDS = "meta/episode_ends"
+# Bytes that are read at a time, after which the clock is looked at.
 _SLAB = 1 << 25
-"""Bytes that are read at a time, after which the clock is looked at."""
+# Chunks that are read at a time.
 _CHUNKS = 500
-"""Chunks that are read at a time."""
 
 
 def is_zarr(path: Path | str) -> bool:

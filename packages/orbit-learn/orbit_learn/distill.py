@@ -25,9 +25,9 @@ from orbit_learn.student import RunningMoments, build_actor, copied_actor, netwo
 EXPERT = "expert"
 """Name of the teacher that is the task's own expert."""
 _MOST_GRADIENT = 0.1
+# Errors of an action beyond which the loss grows no longer as their square: Huber, Robust Estimation of a Location
+# Parameter (1964).
 _OUTLIER = 0.5
-"""Errors of an action beyond which the loss grows no longer as their square: Huber, Robust Estimation of a Location
-Parameter (1964)."""
 
 
 class DistillTrainer(LoopTrainer[DistillSettings]):

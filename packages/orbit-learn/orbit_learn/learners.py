@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from orbit_learn.trainer import Trainer
 
 GROUP = "orbit.learners"
+# Modules in this package. Each but the last is also the name of the extra that installs it.
 _LIBRARIES = {
     "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several GPUs"),
     "sb3": ("sb3:Sb3Trainer", "PPO, pictures"),
@@ -30,7 +31,6 @@ _LIBRARIES = {
     "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
     "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
 }
-"""Modules in this package. Each but the last is also the name of the extra that installs it."""
 
 
 @cache

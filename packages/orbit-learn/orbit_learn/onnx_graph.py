@@ -17,8 +17,8 @@ from orbit_core.interfaces import ConfigurationError, NonFiniteError, UnknownNam
 from orbit_learn.policy_cost import depth_of
 
 _MOST_NODES = 10_000
+# Most numbers of one environment between two operators.
 _MOST_NUMBERS = 2**24
-"""Most numbers of one environment between two operators."""
 
 
 def _gemm(

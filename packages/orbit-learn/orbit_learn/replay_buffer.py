@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+# How pictures are kept: depth to within half a millimetre in a metre, colours as they are.
 _SHORT = {torch.float32: torch.float16}
-"""How pictures are kept: depth to within half a millimetre in a metre, colours as they are."""
 
 
 class ReplayBuffer:

@@ -25,8 +25,8 @@ from orbit_learn.networks import ActorNetwork, perceptron_actor
 from orbit_learn.sb3_pictures import PictureExtractor, PicturePpo, Seen, array_of, observed_space, row_of, seen_arrays
 from orbit_learn.trainer import Progress, Trainer
 
+# Episodes over which success is averaged, as the library does for returns.
 _RECENT = 100
-"""Episodes over which success is averaged, as the library does for returns."""
 
 
 class Sb3Environment(VecEnv):

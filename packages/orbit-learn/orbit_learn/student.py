@@ -13,8 +13,8 @@ from orbit_learn.convolutional import PictureActor, convolutional
 from orbit_learn.description import group_parts
 from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron
 
+# Added to standard deviations: what never changes in training must not weigh more for that.
 _LEAST_STD = 1e-2
-"""Added to standard deviations: what never changes in training must not weigh more for that."""
 
 
 def network_for(layout: GroupLayout, hidden_sizes: Sequence[int]) -> Network:

@@ -24,12 +24,12 @@ from orbit_learn.trainer import Progress, Trainer
 RECORD = "training.json"
 CURVE = "curve.jsonl"
 CHECKPOINT = "checkpoint"
+# Most bytes of a curve, some 300 of each iteration.
 _MOST_CURVE = 1 << 26
-"""Most bytes of a curve, some 300 of each iteration."""
+# Environments that may diverge in any iteration; of many, one in a hundred may.
 _FEW_DIVERGED = 3
-"""Environments that may diverge in any iteration; of many, one in a hundred may."""
+# Beyond which the products of three layers overflow in single precision.
 _LARGEST_WEIGHT = 1e12
-"""Beyond which the products of three layers overflow in single precision."""
 
 
 @dataclass

@@ -15,9 +15,9 @@ from orbit_learn.networks import ActorNetwork, NormalizedActor, Perceptron
 from orbit_learn.policy import Policy
 
 LAST_ACTION = "last_action"
+# At first, of what the environment shows now and the policy did not see: robots that begin on level ground see the
+# same everywhere, and will see more than that.
 _LEAST_STD = 0.2
-"""At first, of what the environment shows now and the policy did not see: robots that begin on level ground see the
-same everywhere, and will see more than that."""
 
 
 def started_from(policy: Policy, environment: Environment) -> ActorNetwork:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+# Share of the range below which a distance counts as this in the metric: float32 resolves what is left free.
 _NEAREST = 0.03
-"""Share of the range below which a distance counts as this in the metric: float32 resolves what is left free."""
+# The same of the margin, in the potential.
 _TOUCHING = 0.05
-"""The same of the margin, in the potential."""
 
 
 @dataclass(frozen=True)

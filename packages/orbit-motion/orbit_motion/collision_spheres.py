@@ -11,12 +11,12 @@ import numpy.typing as npt
 from orbit_core.scene import Articulation, Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
 
 _Array = npt.NDArray[np.float64]
+# Balls for one shape.
 _MOST = 6
-"""Balls for one shape."""
+# m: boxes within this are fingertips, which go closer to things than their slices' balls would let them.
 _SMALL = 0.03
-"""m: boxes within this are fingertips, which go closer to things than their slices' balls would let them."""
+# Points around a round shape.
 _RING = 8
-"""Points around a round shape."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.manipulability import manipulability_gradient
 
+# Of the distance to a limit that a joint may cover in one step (Faverjon and Tournassoud's velocity damper, 1987).
 _LIMIT_SHARE = 0.5
-"""Of the distance to a limit that a joint may cover in one step (Faverjon and Tournassoud's velocity damper, 1987)."""
 
 
 class Priority(Enum):

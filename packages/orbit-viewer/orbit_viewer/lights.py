@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 _GAMMA = 2.2
+# Metres from a directional light to the origin, which it shines at.
 _DISTANCE = 3.0
-"""Metres from a directional light to the origin, which it shines at."""
 
 
 def add_lights(server: ViserServer, scene: Scene) -> None:

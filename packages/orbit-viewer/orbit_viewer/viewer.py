@@ -33,8 +33,8 @@ FRAME_PERIOD = 1.0 / 30.0
 """Seconds from one frame of the scene to the next, at the least."""
 PANEL_PERIOD = 0.2
 """Seconds from one update of the panel's text, curve and picture to the next, at the least."""
+# Share of the time that the panel's pictures may take; where drawing is slow they are fewer.
 _DRAWING = 0.1
-"""Share of the time that the panel's pictures may take; where drawing is slow they are fewer."""
 
 
 class ViewedWorld(Protocol):

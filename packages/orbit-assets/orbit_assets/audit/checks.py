@@ -140,14 +140,14 @@ _CHECKS: tuple[tuple[Severity, str, str, Callable[[Joint], bool]], ...] = (
 )
 
 
+# kg/m^3 of a link's shapes taken as solid: stiff foam, and beyond tungsten.
 _LIGHTEST, _HEAVIEST = 20.0, 25_000.0
-"""kg/m^3 of a link's shapes taken as solid: stiff foam, and beyond tungsten."""
+# Of the bounding box's diagonal: how far outside the box a centre of mass may lie.
 _OUTSIDE = 0.1
-"""Of the bounding box's diagonal: how far outside the box a centre of mass may lie."""
+# Of a solid box's least moment.
 _TOO_SMALL = 0.01
-"""Of a solid box's least moment."""
+# Ratio of volumes, or of lengths of bounding boxes, of what collides and what is seen.
 _UNLIKE = 1.5
-"""Ratio of volumes, or of lengths of bounding boxes, of what collides and what is seen."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,8 @@ from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation
 
 _SEED = 0
+# Radians or metres: joints without limits are moved within so much of zero.
 _REACH = 2.0
-"""Radians or metres: joints without limits are moved within so much of zero."""
 
 
 class Reference(Protocol):

@@ -14,6 +14,7 @@ from tyro.conf import UseAppendAction, arg
 from orbit_assets.options import ReadOptions, Repair, Unsupported
 from orbit_core.interfaces.errors import AssetError, ConfigurationError
 
+# Remedies as readers say them to programs, and the flag that does the same on the command line.
 _FLAGS = (
     (r"ReadOptions\(unsupported=[^)]*\)", "--unsupported drop"),
     (r"ReadOptions\(repair=[^)]*\)", "--repair balance"),
@@ -24,7 +25,6 @@ _FLAGS = (
     (r"ReadOptions\(articulation=[^)]*\)", "--articulation NAME"),
     (r"ReadOptions\(environment=[^)]*\)", "--environment NAME"),
 )
-"""Remedies as readers say them to programs, and the flag that does the same on the command line."""
 
 
 def in_flags(text: str) -> str:

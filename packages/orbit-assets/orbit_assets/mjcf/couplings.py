@@ -12,8 +12,8 @@ from orbit_assets.mjcf.model import Compiled, vector_of
 from orbit_assets.mjcf.trees import Tree
 from orbit_core.scene import Joint, JointType, Mimic, Pose
 
+# Share of the largest coefficient of a law below which a coefficient counts as none.
 _NEGLIGIBLE = 1e-12
-"""Share of the largest coefficient of a law below which a coefficient counts as none."""
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,10 @@ from orbit_core.scene import (
 )
 from orbit_core.scene.pose import Vector3
 
+# A geom of this colour shows its material's.
 _UNPAINTED: Color = (0.5, 0.5, 0.5, 1.0)
-"""A geom of this colour shows its material's."""
+# MuJoCo's viewer draws geoms of the groups below this one, unless it is told otherwise.
 _DRAWN_GROUPS = 3
-"""MuJoCo's viewer draws geoms of the groups below this one, unless it is told otherwise."""
 
 
 class Geoms:

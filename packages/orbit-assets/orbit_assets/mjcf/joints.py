@@ -145,8 +145,8 @@ def ball_angles(quaternion: Any) -> tuple[float, float, float]:
     return math.atan2(-m[1, 2], m[2, 2]), middle, math.atan2(-m[0, 1], m[0, 0])
 
 
+# The keyframe that counts, where there are several.
 _HOME = "home"
-"""The keyframe that counts, where there are several."""
 
 
 class Actuators:

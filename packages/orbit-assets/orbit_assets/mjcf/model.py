@@ -31,8 +31,8 @@ _COUNTS = {
     "hfield": ("nrow", "vertices"),
     "texture": ("width", "pixels"),
 }
+# Corners of faces that a built-in mesh has for each of its squares, and that MuJoCo makes of them meanwhile.
 _CORNERS = 10
-"""Corners of faces that a built-in mesh has for each of its squares, and that MuJoCo makes of them meanwhile."""
 _SECOND = {"nrow": "ncol", "width": "height"}
 
 
@@ -232,8 +232,8 @@ def _number(text: str) -> float:
 
 PARSER = "mujoco"
 """The package that reads MJCF."""
+# The name that MuJoCo gives to a model without one.
 _UNNAMED = "MuJoCo Model"
-"""The name that MuJoCo gives to a model without one."""
 
 
 @dataclass(eq=False)

@@ -31,8 +31,8 @@ from orbit_assets.options import ReadOptions
 from orbit_assets.placed import PlacedArticulation
 from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
 
+# MuJoCo's own for a contact or a limit.
 _SOLREF, _SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)
-"""MuJoCo's own for a contact or a limit."""
 _GRAVITY = (0.0, 0.0, -9.81)
 
 

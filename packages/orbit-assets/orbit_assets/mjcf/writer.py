@@ -85,8 +85,8 @@ def _two_frictions(shape: Shape) -> bool:
     return shape.material.static_friction != shape.material.dynamic_friction
 
 
+# Groups of geoms that MuJoCo's viewer draws, and that it hides.
 _DRAWN, _HIDDEN = "0", "3"
-"""Groups of geoms that MuJoCo's viewer draws, and that it hides."""
 
 
 class GeomWriter:
@@ -181,8 +181,8 @@ def _rub(element: Element, material: PhysicsMaterial) -> None:
     element.set("friction", numbers((sliding, torsional, rolling)))
 
 
+# Rad, m, N or N m between limits that the description has equal: MuJoCo asks for some.
 _WIDTH = 1e-9
-"""Rad, m, N or N m between limits that the description has equal: MuJoCo asks for some."""
 
 
 @dataclass(eq=False)

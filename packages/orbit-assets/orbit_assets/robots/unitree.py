@@ -78,8 +78,8 @@ GRASP = {
     "middle_0": (-0.615, -0.982), "middle_1": (-0.847, -1.014),
     "index_0": (-0.615, -0.982), "index_1": (-0.847, -1.014),
 }  # fmt: skip
+# The right hand is the mirror image of the left.
 _SIGNS = {"left": 1.0, "right": -1.0}
-"""The right hand is the mirror image of the left."""
 _TIPS = {"thumb": "thumb_2", "middle": "middle_1", "index": "index_1"}
 
 

@@ -23,10 +23,10 @@ from orbit_core.scene.pose import Vector3
 
 _JOINT_TYPES = {type_.value: type_ for type_ in JointType}
 _COMPOUND = ("ball", "universal", "revolute2")
+# SDFormat's default limits are 1e16.
 _UNLIMITED = 1e15
-"""SDFormat's default limits are 1e16."""
+# The version from which axes are given in the joint's frame.
 _BEFORE_JOINT_FRAMES = (1, 5)
-"""The version from which axes are given in the joint's frame."""
 _KNOWN = {
     "link": {"pose", "inertial", "visual", "collision", "self_collide", "gravity", "kinematic"},
     "joint": {"pose", "parent", "child", "axis", "axis2"},

@@ -115,8 +115,8 @@ class SdfFields:
         return values
 
 
+# Files that include one another.
 _DEEPEST = 8
-"""Files that include one another."""
 _CONFIG = "model.config"
 _DEFAULT_VERSION = "1.7"
 

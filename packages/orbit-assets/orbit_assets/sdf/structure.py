@@ -250,8 +250,8 @@ class SdfShapes:
                 self.fields.findings.leave_out(f"<{child.tag}> of a {element.tag}", where)
 
 
+# Elements of a model that are read; all others are left out with a note.
 _READ = {"pose", "static", "link", "joint", "frame", "model", "self_collide", "allow_auto_disable", "include"}
-"""Elements of a model that are read; all others are left out with a note."""
 
 
 @dataclass(frozen=True, eq=False)

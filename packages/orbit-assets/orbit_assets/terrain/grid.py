@@ -14,12 +14,12 @@ from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import Box, HeightField, Mesh, MeshCollision, PhysicsMaterial, Pose, RobotSpec, Shape
 from orbit_core.scene.materials import Color
 
+# Metres: thickness of the level ground around the grid.
 _BORDER_DEPTH = 1.0
-"""Metres: thickness of the level ground around the grid."""
+# At which heights are sampled; they are held as numbers of 8 bytes, and again by each engine.
 _MOST_POINTS = 2**25
-"""At which heights are sampled; they are held as numbers of 8 bytes, and again by each engine."""
+# Metres: a robot starts above the highest point within this distance, in x and in y, of its cell's middle.
 _START = 0.5
-"""Metres: a robot starts above the highest point within this distance, in x and in y, of its cell's middle."""
 
 
 class TerrainForm(Enum):

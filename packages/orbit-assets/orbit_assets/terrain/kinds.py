@@ -20,10 +20,10 @@ from orbit_core.interfaces import ConfigurationError
 Array = npt.NDArray[np.floating[Any]]
 Surface = Callable[[Array, Array], Array]
 """Height in metres at x and y in metres from the middle of a cell; arrays of one shape."""
+# Metres: a place on an edge belongs to the side that is nearer to the middle.
 _EDGE = 1e-9
-"""Metres: a place on an edge belongs to the side that is nearer to the middle."""
+# In a row across a cell.
 _MOST_STONES = 1000
-"""In a row across a cell."""
 
 
 @dataclass(frozen=True)

@@ -71,14 +71,14 @@ def _tree(articulation: Articulation, root: str) -> Articulation:
 
 
 _JOINT_TYPES = {type_.value: type_ for type_ in JointType}
+# The last two are no words of ROS, but common ones.
 _COMPOUND = {"floating": FLOATING, "planar": PLANAR, "spherical": BALL, "ball": BALL}
-"""The last two are no words of ROS, but common ones."""
+# Elements that are read; all others are left out with a note.
 _KNOWN = {
     "robot": {"link", "joint", "material"},
     "link": {"inertial", "visual", "collision"},
     "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"},
 }
-"""Elements that are read; all others are left out with a note."""
 
 
 @names_file

@@ -18,8 +18,8 @@ from orbit_core.preparation.surface_checks import extents
 from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, Mesh, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
 
+# Metres.
 _HALF_THICKNESS = 0.5e-3
-"""Metres."""
 
 
 def touchable(geometry: Geometry, findings: Findings, where: str) -> Geometry | None:

@@ -35,8 +35,8 @@ from orbit_core.preparation.validation import sort_links
 from orbit_core.scene import Articulation, Frame, Joint, Link, Pose, Shape
 from orbit_core.scene.pose import FloatArray
 
+# kg/m^3, where the stage gives none: UsdPhysics says so.
 _DENSITY = 1000.0
-"""kg/m^3, where the stage gives none: UsdPhysics says so."""
 NOTHING = MassProperties(0.0, (0.0, 0.0, 0.0), np.zeros((3, 3)))
 """Mass properties of a link without mass."""
 
@@ -171,8 +171,8 @@ def semantic_label(prim: Any) -> str:
 WORLD = "world"
 """The root link of an articulation whose first movable joint hangs from the world."""
 _ADDS = "newton:jointsAddMobility"
+# Types of joints of which several may act one after another between the same bodies.
 _MOVING = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsSphericalJoint")
-"""Types of joints of which several may act one after another between the same bodies."""
 
 
 class StageReader:

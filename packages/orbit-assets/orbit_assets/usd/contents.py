@@ -17,6 +17,7 @@ MASSLESS = "orbit:massless"
 STAGE = "/"
 """The path of what does not move: the stage itself."""
 _INSTANCES = "orbit_instance_"
+# Beginnings of the names of types and applied schemas that the description has nothing for, and what they are.
 _LACKING = {
     "PhysxDeformable": "a deformable body",
     "OmniPhysicsDeformable": "a deformable body",
@@ -33,14 +34,13 @@ _LACKING = {
     "PhysxPhysicsAttachment": "an attachment",
     "MjcTendon": "a tendon",
 }
-"""Beginnings of the names of types and applied schemas that the description has nothing for, and what they are."""
+# Attributes by applied schema that are left out with a note, as each engine has its own ways with them.
 _SMALL = {
     "PhysxCollisionAPI": ("physxCollision:contactOffset", "physxCollision:restOffset"),
     "NewtonCollisionAPI": ("newton:contactMargin", "newton:contactGap"),
     "PhysicsRigidBodyAPI": ("physics:velocity", "physics:angularVelocity"),
     "PhysxRigidBodyAPI": ("physxRigidBody:linearDamping", "physxRigidBody:angularDamping"),
 }
-"""Attributes by applied schema that are left out with a note, as each engine has its own ways with them."""
 
 
 @dataclass(eq=False)

@@ -20,8 +20,8 @@ from orbit_core.scene import DriveGains, Joint, JointType, Mimic, Pose
 from orbit_core.scene.pose import Vector3
 
 _AXES: dict[str, Vector3] = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+# Axes of a generic joint: it moves along the first three of its first frame, then turns about x, y and z in turn.
 _GENERIC = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
-"""Axes of a generic joint: it moves along the first three of its first frame, then turns about x, y and z in turn."""
 
 
 @dataclass(frozen=True)

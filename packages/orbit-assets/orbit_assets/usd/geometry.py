@@ -131,12 +131,12 @@ def _color(rgb: Any, alpha: float) -> Color:
 
 UNNAMED = "orbit:unnamed"
 """The attribute that marks a shape without a name, as every prim has one."""
+# The rotation that takes z to a prim's own axis.
 _TO_Z = {"X": Pose.from_euler(0.0, math.pi / 2, 0.0), "Y": Pose.from_euler(-math.pi / 2, 0.0, 0.0), "Z": Pose()}
-"""The rotation that takes z to a prim's own axis."""
+# Of the pyramid that a cone becomes.
 _SIDES = 32
-"""Of the pyramid that a cone becomes."""
+# Relative; stages hold most numbers in single precision.
 _SHEAR = 1e-4
-"""Relative; stages hold most numbers in single precision."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,8 @@ from orbit_core.scene import DriveGains, Joint, JointType, Link, LoopJoint, Loop
 from orbit_core.scene.pose import Vector3
 
 _NONE = (-math.inf, math.inf)
+# Names that a note lists; it counts the rest.
 _SHOWN = 8
-"""Names that a note lists; it counts the rest."""
 
 
 class Actuators:
@@ -132,12 +132,12 @@ def _some(names: Sequence[str]) -> str:
     return shown + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
 
 
+# Metres and radians by which bodies may stand beside where their joint can bring them; beyond, it is told.
 _APART = 1e-3
-"""Metres and radians by which bodies may stand beside where their joint can bring them; beyond, it is told."""
+# Metres or radians from zero at which a joint counts as standing elsewhere.
 _MOVED = 1e-6
-"""Metres or radians from zero at which a joint counts as standing elsewhere."""
+# Metres from the middle of a hinge that closes a loop to either of the two balls that it becomes.
 _HINGE = 0.05
-"""Metres from the middle of a hinge that closes a loop to either of the two balls that it becomes."""
 
 
 @dataclass(eq=False)

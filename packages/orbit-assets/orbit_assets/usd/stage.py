@@ -22,8 +22,8 @@ from orbit_assets.usd.library import pxr
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose
 
+# Prim specs that are looked at; a layer of more is large by itself, and looking takes longer than opening it.
 _WALKED = 10_000
-"""Prim specs that are looked at; a layer of more is large by itself, and looking takes longer than opening it."""
 
 
 def composed_prims(layer: Any) -> int:
@@ -182,8 +182,8 @@ def _refuse_clips(layer: Any) -> None:
             waiting += [variant.primSpec for variant in variants.variants.values()]
 
 
+# Metadata of a layer that say in which units and axes its numbers are.
 _METRICS = ("metersPerUnit", "upAxis", "kilogramsPerUnit")
-"""Metadata of a layer that say in which units and axes its numbers are."""
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 from orbit_assets.usd.contents import STAGE
 from orbit_core.scene import Pose
 
+# Types of joints that close a loop rather than one with a position of its own, where either may.
 _LAST = ("PhysicsSphericalJoint", "PhysicsJoint", "PhysicsFixedJoint")
-"""Types of joints that close a loop rather than one with a position of its own, where either may."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,8 +171,8 @@ def _usd_axis(axis: Vector3) -> tuple[str, Pose]:
     return "Z", Pose.from_matrix(np.stack((x, np.cross(z, x), z), axis=1))
 
 
+# What USD's errors say went wrong, behind where.
 _REASON = re.compile(r" : '(.*)'")
-"""What USD's errors say went wrong, behind where."""
 
 
 def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:

@@ -19,16 +19,16 @@ from orbit_assets.xacro.order import Expansion, Order
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 
+# For one file; macros may call themselves.
 _SECONDS = 15
-"""For one file; macros may call themselves."""
+# Bytes of address space of the process, Python's own included.
 _MEMORY = 2**30
-"""Bytes of address space of the process, Python's own included."""
+# Most characters of the URDF.
 _CHARACTERS = 16 * 2**20
-"""Most characters of the URDF."""
+# Most bytes that are taken from the process.
 _BYTES = 4 * _CHARACTERS
-"""Most bytes that are taken from the process."""
+# Substitutions of ROS in attributes, which files without a macro have too.
 _SUBSTITUTION = re.compile(r"\$\((optenv|env|arg|eval)\s")
-"""Substitutions of ROS in attributes, which files without a macro have too."""
 
 
 @dataclass(frozen=True)

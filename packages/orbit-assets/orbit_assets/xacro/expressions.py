@@ -30,8 +30,8 @@ from orbit_assets.xacro.values import (
     percent_text,
 )
 
+# Characters of one expression.
 _LONGEST = 20_000
-"""Characters of one expression."""
 _NUMERIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -63,8 +63,8 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.In: lambda item, container: item in container,
     ast.NotIn: lambda item, container: item not in container,
 }
+# Types that ``+`` joins and ``*`` repeats.
 _JOINED = (str, list, tuple)
-"""Types that ``+`` joins and ``*`` repeats."""
 
 
 def evaluate(text: str, names: Mapping[str, Any]) -> Any:

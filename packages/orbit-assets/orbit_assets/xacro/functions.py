@@ -20,19 +20,19 @@ from orbit_assets.xacro.values import (
     items_of,
 )
 
+# Functions of ``math`` whose results are no larger than their arguments; factorials and products are not.
 _MATH = (
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign", "cos", "cosh", "degrees",
     "dist", "erf", "erfc", "exp", "exp2", "expm1", "fabs", "floor", "fmod", "frexp", "fsum", "gamma", "gcd", "hypot",
     "isclose", "isfinite", "isinf", "isnan", "isqrt", "ldexp", "lgamma", "log", "log10", "log1p", "log2", "modf",
     "nextafter", "pow", "radians", "remainder", "sin", "sinh", "sqrt", "tan", "tanh", "trunc", "ulp",
 )  # fmt: skip
-"""Functions of ``math`` whose results are no larger than their arguments; factorials and products are not."""
 _CONSTANTS = ("e", "inf", "nan", "pi", "tau")
+# Functions of the namespace ``python`` that xacro has without the namespace too, besides those of ``_GLOBAL``.
 _DEPRECATED = ("sorted", "range")
-"""Functions of the namespace ``python`` that xacro has without the namespace too, besides those of ``_GLOBAL``."""
 _GLOBAL = ("list", "dict", "map", "len", "str", "float", "int", "bool", "True", "False", "min", "max", "round")
+# Most digits to round to.
 _DIGITS = 400
-"""Most digits to round to."""
 
 
 def global_symbols(xacro: Namespace) -> Namespace:
@@ -215,13 +215,13 @@ _NUMERIC = Namespace(
     {name: Function(name, _checked(getattr(math, name))) for name in _MATH if hasattr(math, name)}
     | {name: getattr(math, name) for name in _CONSTANTS}
 )
+# Methods of text whose results are no larger than their arguments.
 _PLAIN = (
     "capitalize", "count", "endswith", "find", "index", "isalnum", "isalpha", "isdecimal", "isdigit", "islower",
     "isnumeric", "isspace", "isupper", "lower", "lstrip", "partition", "removeprefix", "removesuffix", "rfind",
     "rindex", "rpartition", "rsplit", "rstrip", "split", "splitlines", "startswith", "strip", "swapcase", "title",
     "upper",
 )  # fmt: skip
-"""Methods of text whose results are no larger than their arguments."""
 _TEXT: dict[str, Callable[..., Any]] = {name: getattr(str, name) for name in _PLAIN} | {
     name: _padded(getattr(str, name)) for name in ("center", "ljust", "rjust", "zfill")
 }

@@ -30,8 +30,8 @@ from orbit_assets.xacro.functions import global_symbols, launch_symbols, tokeniz
 from orbit_assets.xacro.order import Expansion, Order
 from orbit_assets.xacro.values import LARGEST, ExpressionError, Function, Namespace, check_value
 
+# Lists and dictionaries of a YAML file within each other, and files that include one another.
 _DEEPEST = 100
-"""Lists and dictionaries of a YAML file within each other, and files that include one another."""
 
 
 class Markup:
@@ -232,16 +232,16 @@ class _Plain:
 
 
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+# Operations that no xacro file needs, by how the interpreter's audit events begin.
 _REFUSED = (
     "subprocess.", "os.", "socket.", "shutil.", "ctypes.", "pty.", "gc.", "code.", "mmap.", "fcntl.", "sys._",
     "resource.", "signal.", "tempfile.", "_thread.", "syslog.", "webbrowser.", "urllib.", "http.", "ftplib.",
 )  # fmt: skip
-"""Operations that no xacro file needs, by how the interpreter's audit events begin."""
 _PATHS = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+# Folders of Python's own files, from which modules may still load.
 _LIBRARY = [*_PATHS, *map(os.path.realpath, _PATHS)]
-"""Folders of Python's own files, from which modules may still load."""
+# Events of includes by pattern; the files found are opened, or not, as any file.
 _LISTING = ("os.listdir", "os.scandir")
-"""Events of includes by pattern; the files found are opened, or not, as any file."""
 
 
 def main() -> int:

@@ -10,8 +10,8 @@ from typing import Any
 
 LARGEST = 1_000_000
 """Characters and items of one value, those of its parts included."""
+# Most bits of an integer.
 _BITS = 4096
-"""Most bits of an integer."""
 NUMBERS = (int, float, bool)
 _CONTAINERS = (list, tuple, set, dict)
 DATA = (*NUMBERS, str, type(None), *_CONTAINERS)
@@ -140,8 +140,8 @@ def check_value(value: Any) -> Any:
     return value
 
 
+# Width and precision of one formatted value.
 _WIDEST = 1000
-"""Width and precision of one formatted value."""
 _COUNT = re.compile(r"\d+")
 _PERCENT = re.compile(r"%(?:\((?P<name>[^()]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?P<precision>\*|\d*))?")
 _CONVERSIONS = {"r": repr, "s": str, "a": ascii}

@@ -15,10 +15,10 @@ from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import ReadAccount
 
+# Bytes of a number of each type; columns of others, such as texts, are not read.
 _SIZES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
-"""Bytes of a number of each type; columns of others, such as texts, are not read."""
+# Structures of a page's header within each other.
 _DEEPEST = 8
-"""Structures of a page's header within each other."""
 _MOST_COLUMNS = 10_000
 
 

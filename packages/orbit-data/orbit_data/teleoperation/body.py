@@ -17,10 +17,10 @@ from orbit_core.interfaces import Robot, UnknownNameError
 from orbit_core.scene import EndEffector
 from orbit_data.teleoperation.device import Event, Reading
 
+# m and rad by which the pose that is asked for may lead the measured one.
 _LEADS = (0.1, 0.5)
-"""m and rad by which the pose that is asked for may lead the measured one."""
+# rad or m, likewise of joints.
 _JOINT_LEAD = 0.2
-"""rad or m, likewise of joints."""
 
 
 class Hand:

@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from viser import ViserServer
     from viser._messages import HotkeyKey
 
+# s that a button counts as held after it was last heard of; it is heard of 30 times a second.
 _HELD = 0.12
-"""s that a button counts as held after it was last heard of; it is heard of 30 times a second."""
+# s after a person's last move of gizmo or sliders from which on they follow the robot again.
 _RESTS = 0.4
-"""s after a person's last move of gizmo or sliders from which on they follow the robot again."""
+# s from one time that sliders follow the robot to the next: each is a message to the page.
 _SHOWN = 0.1
-"""s from one time that sliders follow the robot to the next: each is a message to the page."""
 _PAD = f'<iframe src="{PATH}" title="gamepad" style="width:100%;height:22em;border:0;border-radius:6px"></iframe>'
+# rad: a joint without limits is moved by a turn either way.
 _TURN = 6.28
-"""rad: a joint without limits is moved by a turn either way."""
 _HAND_BUTTONS = (
     ("Forward", 0, 1.0), ("Back", 0, -1.0), ("Left", 1, 1.0), ("Right", 1, -1.0), ("Up", 2, 1.0), ("Down", 2, -1.0),
     ("Turn left", 5, 1.0), ("Turn right", 5, -1.0), ("Tilt down", 4, 1.0), ("Tilt up", 4, -1.0), ("Roll left", 3, -1.0),

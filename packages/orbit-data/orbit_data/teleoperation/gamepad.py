@@ -18,8 +18,8 @@ EVENTS = {
     _A: Event.GRIPPER, _B: Event.DISCARD, _X: Event.RESET, _Y: Event.SUCCESS, _BACK: Event.SAVE, _START: Event.RECORD,
     _LEFT_STICK: Event.NEXT,
 }  # fmt: skip
+# Deflection of a stick that counts as none.
 _DEAD = 0.1
-"""Deflection of a stick that counts as none."""
 
 
 class Gamepad(Device):

@@ -24,8 +24,8 @@ EVENTS = {
     " ": Event.GRIPPER, "r": Event.RECORD, "v": Event.SAVE, "x": Event.DISCARD, "z": Event.RESET, "m": Event.SUCCESS,
     "n": Event.NEXT,
 }  # fmt: skip
+# s that a key counts as held after its last character: longer than a terminal's repetition, of some 30 a second.
 _HELD = 0.15
-"""s that a key counts as held after its last character: longer than a terminal's repetition, of some 30 a second."""
 _KEY = re.compile(r"\x1b\[[A-D]|.", re.DOTALL)
 
 

@@ -18,12 +18,12 @@ from orbit_data.teleoperation.device import Event
 from orbit_viewer.guard import Page
 
 PATH = "/pad"
+# s that sticks count as held after they were last heard of; a held pad is heard of 20 times a second.
 _HELD = 0.25
-"""s that sticks count as held after they were last heard of; a held pad is heard of 20 times a second."""
+# s from one telling of how things stand to the next.
 _TOLD = 0.2
-"""s from one telling of how things stand to the next."""
+# Bytes of a frame; who sends more is no pad.
 _LONGEST = 1024
-"""Bytes of a frame; who sends more is no pad."""
 _REST = (0.0,) * 6, (0.0,) * 3
 
 

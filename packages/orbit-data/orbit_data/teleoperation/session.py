@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
 
+# s from one telling of how things stand to the next.
 _TOLD = 0.2
-"""s from one telling of how things stand to the next."""
+# s from one look whether what is asked for is out of reach to the next.
 _LOOKED = 1.0
-"""s from one look whether what is asked for is out of reach to the next."""
 
 
 class Session:

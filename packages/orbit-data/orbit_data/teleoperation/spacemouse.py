@@ -19,10 +19,10 @@ from orbit_data.teleoperation.device import Device, DeviceLostError, Event, Read
 
 _COUNTS = 350.0
 _DEAD = 0.05
+# Products by maker: those that Logitech sold, and those of 3Dconnexion.
 _MAKERS = {0x046D: range(0xC603, 0xC62C), 0x256F: range(0xC62C, 0xC670)}
-"""Products by maker: those that Logitech sold, and those of 3Dconnexion."""
+# In the order of the device's buttons; the left one is the first. Most models have two.
 _BUTTONS = (Event.GRIPPER, Event.RECORD, Event.SAVE, Event.DISCARD, Event.RESET, Event.SUCCESS, Event.NEXT)
-"""In the order of the device's buttons; the left one is the first. Most models have two."""
 
 
 class SpaceMouse(Device):

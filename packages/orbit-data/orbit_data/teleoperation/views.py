@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 Picture = npt.NDArray[np.uint8]
 _HAND = CameraSpec(name="hand view", width=160, height=120, vertical_fov=1.2, far=5.0)
 _SIDE = CameraSpec(name="side view", width=160, height=120, vertical_fov=0.8)
+# In the end effector's frame, whose z leads out of the hand.
 _BESIDE_FINGERS = look_at(eye=(0.1, 0.0, -0.12), target=(0.045, 0.0, 0.03), up=(1.0, 0.0, 0.0))
-"""In the end effector's frame, whose z leads out of the hand."""
+# m from what is looked at to the camera: before the robot, to its right; the page's own camera stands to its left.
 _FROM = (0.75, -0.85, 0.5)
-"""m from what is looked at to the camera: before the robot, to its right; the page's own camera stands to its left."""
 
 
 class Views:

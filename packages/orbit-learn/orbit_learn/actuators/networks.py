@@ -26,10 +26,10 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.tensor_file import read_tensors, write_tensors
 
 _MOST_UNITS, _MOST_LAYERS, _MOST_HISTORY = 1024, 8, 64
+# Error of position and velocity.
 _INPUTS = 2
-"""Error of position and velocity."""
+# Part of the rate.
 _RATE_TOLERANCE = 1e-4
-"""Part of the rate."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from orbit_core.manifest.manifest import Manifest
     from orbit_learn.policy import Policy
 
+# Settings of a training that make its environment's numbers, beside what the policy itself tells.
 _OF_A_TRAINING = ("robot", "action", "fields", "set", "settings", "setting")
-"""Settings of a training that make its environment's numbers, beside what the policy itself tells."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from orbit_core.interfaces import Robot, World
     from orbit_motion.planning import BasePlannerConfig
 
+# rad or m by which the joint that travels most leads on a free way.
 _JOINT_LEAD = 0.5
-"""rad or m by which the joint that travels most leads on a free way."""
+# rad or m within which all joints are at the end of a free way, although a base that sways may have moved its end.
 _THERE = 0.1
-"""rad or m within which all joints are at the end of a free way, although a base that sways may have moved its end."""
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from orbit_core.interfaces import World
 
 
+# Metres from a place at which the next one is headed for. What a base on two wheels lacks then, it lacks for good.
 _NEAR, _NEAR_ON_WHEELS = 0.1, 0.03
-"""Metres from a place at which the next one is headed for. What a base on two wheels lacks then, it lacks for good."""
 
 
 class DrivenBase:

@@ -16,8 +16,8 @@ from torch import Tensor
 from orbit_core.plugin_kit.scratch import ScratchFolder
 from orbit_motion.fusion.interpreter import Unfusable
 
+# Of a block on a GPU: few, so that a few thousand environments fill all multiprocessors.
 _THREADS = 32
-"""Of a block on a GPU: few, so that a few thousand environments fill all multiprocessors."""
 GPU_FLAGS = ["--prec-div=false", "--prec-sqrt=false"]
 """Quotients and roots to two units in the last place, as in what inductor compiles, and without calls for them."""
 _FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-w")

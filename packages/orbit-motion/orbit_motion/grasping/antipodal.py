@@ -20,14 +20,14 @@ from orbit_core.interfaces import ArgumentError
 from orbit_motion.grasping.hand_boxes import HandBoxes
 from orbit_motion.grasping.surface import Surface
 
+# m between an open finger and the thing, at least.
 _CLEARANCE = 0.002
-"""m between an open finger and the thing, at least."""
+# m around the line between the fingers, within which the surface is judged.
 _PATCH = 0.01
-"""m around the line between the fingers, within which the surface is judged."""
+# Points of the surface that are looked for in the hand and between its fingers.
 _CHECKED = 400
-"""Points of the surface that are looked for in the hand and between its fingers."""
+# m that two points of a grasp are apart at least.
 _SPARSE = 1e-3
-"""m that two points of a grasp are apart at least."""
 
 
 @dataclass(frozen=True, kw_only=True)

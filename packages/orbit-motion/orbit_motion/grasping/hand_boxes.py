@@ -12,8 +12,8 @@ from orbit_assets.audit.robots.postures import gripper_posture, gripping_links, 
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import Gripper, Link, RobotSpec
 
+# m along the approach from the frame, within which fingers limit the opening.
 _NEAR = 0.01
-"""m along the approach from the frame, within which fingers limit the opening."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,12 +17,12 @@ from orbit_motion.grasping.hand_boxes import HandBoxes
 from orbit_motion.planning import JointPlanner, PlannerConfig
 from orbit_motion.still import PlacedRobot, PlacedWorld
 
+# Postures along a straight part.
 _STRAIGHT = 8
-"""Postures along a straight part."""
+# Candidates whose inverse kinematics are solved together, so that the first plan does not wait for all.
 _AT_ONCE = 8
-"""Candidates whose inverse kinematics are solved together, so that the first plan does not wait for all."""
+# rad or m from one posture to the next on a straight part, beyond which the arm is on another branch.
 _JUMP = 0.5
-"""rad or m from one posture to the next on a straight part, beyond which the arm is on another branch."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,12 @@ from orbit_motion.grasping.surface import surface_of
 from orbit_motion.obstacles import TERRAIN
 from orbit_motion.planning import JointTrajectory, PlannerConfig, StillWorld, time_optimal
 
+# Share of the joints' velocity limits that is used.
 _SPEED = 0.5
-"""Share of the joints' velocity limits that is used."""
+# 1/s: accelerations over velocity limits.
 _SPEED_UP = 2.0
-"""1/s: accelerations over velocity limits."""
+# m around the line between the fingers, within which they must meet the thing.
 _BETWEEN = 0.005
-"""m around the line between the fingers, within which they must meet the thing."""
 
 
 @dataclass(frozen=True, eq=False)

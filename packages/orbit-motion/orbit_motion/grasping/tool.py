@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 _NOTHING = "(none)"
+# s that the ghost stays at the end of its motion.
 _PAUSE = 0.5
-"""s that the ghost stays at the end of its motion."""
 
 
 class GraspedEnvironment:

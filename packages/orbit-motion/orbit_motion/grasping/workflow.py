@@ -29,10 +29,10 @@ from orbit_motion.grasping.arm_driver import ArmDriver
 from orbit_motion.grasping.search import GraspMotion, GraspSearch
 from orbit_motion.planning import StillWorld
 
+# m by which a thing may have moved since its grasps were planned.
 _MOVED = 0.005
-"""m by which a thing may have moved since its grasps were planned."""
+# m above which a thing counts as lifted.
 _LIFTED = 0.05
-"""m above which a thing counts as lifted."""
 
 
 class Stage(Enum):

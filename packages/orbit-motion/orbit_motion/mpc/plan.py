@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+# rad or m by which a plan may pass a limit of position: limits are costs, and costs yield a little.
 _BEYOND = 0.02
-"""rad or m by which a plan may pass a limit of position: limits are costs, and costs yield a little."""
+# Times a limit of velocity.
 _TOO_FAST = 1.1
-"""Times a limit of velocity."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,10 @@ from orbit_motion.mpc.model import libraries, reduced_model
 from orbit_motion.mpc.plan import Array, Limits, Plan
 from orbit_motion.mpc.predictive import PredictiveConfig
 
+# Gradient's square over which the solver goes on.
 _ENOUGH = 1e-5
-"""Gradient's square over which the solver goes on."""
+# Times the friction coefficient that a planned force may need at a foot: the cone is a cost, and yields a little.
 _SLIDING = 1.5
-"""Times the friction coefficient that a planned force may need at a foot: the cone is a cost, and yields a little."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,8 +23,8 @@ from orbit_core.interfaces import ConfigurationError, ShapeError
 from orbit_core.scene.pose import Vector3
 from orbit_core.sensors.points import point_cloud, project
 
+# Metres: where a picture sees nothing, it sees that far.
 _FREE = 1e4
-"""Metres: where a picture sees nothing, it sees that far."""
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,14 @@ from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
 from orbit_motion.planning.follower import longer
 
+# Metres from the end of its path within which a base turns to its heading there.
 _ARRIVING = 0.5
-"""Metres from the end of its path within which a base turns to its heading there."""
+# Cosine of the angle to where it goes within which a base that faces its way goes on.
 _AHEAD = 0.9
-"""Cosine of the angle to where it goes within which a base that faces its way goes on."""
+# Metres within which a base on two wheels backs up to a place behind it.
 _CLOSE = 0.3
-"""Metres within which a base on two wheels backs up to a place behind it."""
+# Tolerances from its place at which a base on two wheels that has arrived drives there again.
 _STRAYED = 3.0
-"""Tolerances from its place at which a base on two wheels that has arrived drives there again."""
 
 
 class BasePathFollower(Node):

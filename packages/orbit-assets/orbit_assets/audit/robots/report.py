@@ -41,14 +41,14 @@ from orbit_core.preparation.validation import validate_entity
 from orbit_core.robots import RobotEntry, robot_info
 from orbit_core.scene import EndEffector, Gripper, ImplicitPd, Mesh, MeshCollision, Pose, RobotSpec, Scene
 
+# Metres between the lowest and the highest foot.
 _LEVEL = 0.005
-"""Metres between the lowest and the highest foot."""
+# Metres from the ground at which a robot may be put: it falls, or is pushed up.
 _ABOVE, _BELOW = 0.02, 0.002
-"""Metres from the ground at which a robot may be put: it falls, or is pushed up."""
+# Metres above the lowest point in which shapes are taken to carry.
 _SUPPORT = 0.02
-"""Metres above the lowest point in which shapes are taken to carry."""
+# Metres from the edge of the support at which a centre of mass is near it.
 _INSIDE = 0.01
-"""Metres from the edge of the support at which a centre of mass is near it."""
 
 
 @dataclass(frozen=True)
@@ -126,19 +126,19 @@ def _margin(points: FloatArray, place: FloatArray) -> float:
     return -float((sides[:, :2] @ place + sides[:, 2]).max())
 
 
+# Metres to either side of the frame, between which fingers are looked for.
 _WIDEST = 0.2
-"""Metres to either side of the frame, between which fingers are looked for."""
+# Metres that are free where nothing is met on either side.
 _NOTHING = 2.0 * _WIDEST - 1e-6
-"""Metres that are free where nothing is met on either side."""
+# Half extents (m) along x and z of what is widened along y until it touches the fingers.
 _PROBE = (0.004, 0.002)
-"""Half extents (m) along x and z of what is widened along y until it touches the fingers."""
+# Metres: a gripper that opens less has its frame beside its fingers.
 _NARROW = 0.005
-"""Metres: a gripper that opens less has its frame beside its fingers."""
 _ASKEW = np.cos(np.radians(20.0))
+# Metres from its link's origin within which a frame's direction tells nothing.
 _SHORT = 0.01
-"""Metres from its link's origin within which a frame's direction tells nothing."""
+# Metres that a finger must move to count.
 _STILL = 1e-4
-"""Metres that a finger must move to count."""
 
 
 @dataclass(frozen=True)
@@ -260,14 +260,14 @@ def _along_y(spec: RobotSpec, effector: EndEffector, opened: Mapping[str, float]
     return float(abs(weight.eigenvectors[1, -1]))
 
 
+# Hz: a joint of a lower natural frequency is left hanging.
 _SLOW = 1.0
-"""Hz: a joint of a lower natural frequency is left hanging."""
+# Damping ratios: below the first a joint rings, beyond the second it creeps.
 _LOOSE, _STIFF = 0.3, 10.0
-"""Damping ratios: below the first a joint rings, beyond the second it creeps."""
+# kg m^2 or kg that a joint without armature moves: less is light. Motors reflect more, see MOTOR_TIME.
 _LIGHT = 1e-3
-"""kg m^2 or kg that a joint without armature moves: less is light. Motors reflect more, see MOTOR_TIME."""
+# rad or m that a drive may give way at home.
 _SAG = 0.02
-"""rad or m that a drive may give way at home."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,12 +424,12 @@ def _gravity_loads(spec: RobotSpec, parameters: JointParameters) -> FloatArray:
 
 TIME_STEP = 0.005
 """Seconds, that of the tasks."""
+# Vertices of a hull that collides, beyond which it costs more than it tells.
 _MANY_POINTS = 100
-"""Vertices of a hull that collides, beyond which it costs more than it tells."""
+# What the check of the motors tells itself, with the actuators' overrides.
 _OWN = ("effort limit", "velocity limit", "no joint has armature")
-"""What the check of the motors tells itself, with the actuators' overrides."""
+# Share of a joint's range from its limit that counts as near.
 _NEAR = 0.02
-"""Share of a joint's range from its limit that counts as near."""
 
 
 @dataclass(frozen=True, eq=False)
