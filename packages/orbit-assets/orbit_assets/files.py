@@ -20,13 +20,13 @@ _SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usd
 
 
 def asset_folder() -> Path:
-    """ORBIT's own asset files: ``assets`` of the checkout, or the copy inside the installed package."""
+    """Return the folder of ORBIT's own asset files: ``assets`` of the checkout, or the installed copy."""
     installed = Path(__file__).parent / "files"
     return installed if installed.is_dir() else Path(__file__).parents[3] / "assets"
 
 
 def asset_file(name: str) -> Path:
-    """The path of one of ORBIT's own asset files, such as ``"table.usda"``.
+    """Return the path of one of ORBIT's own asset files, such as ``"table.usda"``.
 
     Raises:
         UnknownNameError: there is no such file.
@@ -41,14 +41,17 @@ def asset_file(name: str) -> Path:
 
 @names_file
 def load_articulation(path: Path | str, *, merge: bool = True, options: ReadOptions = ReadOptions()) -> Articulation:
-    """The articulation that a URDF, xacro, MJCF, USD or SDFormat file describes, validated.
+    """Read the articulation of a URDF, xacro, MJCF, USD or SDFormat file, and validate it.
 
-    ``merge`` takes fixed joints out, as every scene needs it; a converter keeps them. ``options`` says which files the
-    model may open, how large it may be, and what is done with what ORBIT lacks or no body can have.
+    Args:
+        path: the file.
+        merge: remove fixed joints, as every scene needs it; a converter keeps them.
+        options: files that the model may open, limits of size, and handling of unsupported elements and bad inertias.
 
     Raises:
         AssetError: the file is missing, of another format, malformed, or describes nothing that can be simulated.
     """
+    # Imports in functions: each reader brings the library of its format, and only one is needed.
     from orbit_core.preparation.merge import merge_fixed_links
     from orbit_core.preparation.validation import validate
 
@@ -79,7 +82,7 @@ def _read(path: Path, options: ReadOptions) -> Articulation:
     return read_usd(path, options=options)
 
 
-# Tolerance of masses, and of principal moments by the largest.
+# Relative tolerance of masses, and of principal moments by the largest.
 _RELATIVE = 1e-3
 # Metres by which a centre of mass may be off, per metre from the root where that is more.
 _APART = 1e-4
@@ -126,6 +129,7 @@ def _difference(asked: Articulation, got: Articulation) -> str | None:
         off = float(np.linalg.norm(got_poses[link.name].transform(back.center_of_mass) - here))
         if off > _APART * max(1.0, float(np.linalg.norm(here))):
             return f"the centre of mass of link '{link.name}' is {off:.3g} m off"
+        # Writers raise moments that no solid has: the same must be done before comparing.
         moments, others = raised_moments(np.linalg.eigvalsh(link.inertia)), np.linalg.eigvalsh(back.inertia)
         if moments[2] > 0 and np.abs(others - moments).max() > _RELATIVE * moments[2]:
             return f"link '{link.name}' has principal moments {others} kg m^2 instead of {moments}"

@@ -56,7 +56,7 @@ FLOATING = (
 
 
 def compound(joint: Joint, freedoms: Sequence[Freedom]) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
-    """The links without mass and the simple joints, in order, that together let ``joint``'s child move so.
+    """Build the massless links and simple joints, in order, that together move ``joint``'s child by ``freedoms``.
 
     ``joint`` gives everything but type, axis and limits: its frames, and the efforts, damping, friction, armature and
     stiffness that each of the simple joints gets. Its links stay as they are. Without a freedom it is a fixed joint.
@@ -83,7 +83,7 @@ def compound(joint: Joint, freedoms: Sequence[Freedom]) -> tuple[tuple[Link, ...
 
 
 def chain(joints: Sequence[Joint]) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
-    """Joints that act one after another between the same two links, as a chain with links without mass between them.
+    """Chain joints that act one after another between the same two links, with massless links between them.
 
     Every joint is given as if it were the only one between the links; the first moves all others along. Where all are
     at zero the child stands where the first of them places it. The link after joint ``a`` is called ``a_link`` and
@@ -105,7 +105,7 @@ def chain(joints: Sequence[Joint]) -> tuple[tuple[Link, ...], tuple[Joint, ...]]
 
 
 def resolve_chains(articulation: Articulation) -> Articulation:
-    """The articulation in which joints that mimic a mimic follow its leader, by the law that this amounts to.
+    """Make joints that mimic a mimic follow its leader, by the composed law.
 
     Laws with higher powers, circles, and leaders that do not exist are left as they are, for validation to name.
     """
@@ -132,7 +132,7 @@ def _resolved(joint: Joint, joints: dict[str, Joint]) -> Joint:
     return joint if law is joint.mimic else replace(joint, mimic=law)
 
 
-# Those whose activation is, in the end, the command or its integral.
+# Dynamics whose activation is, in the end, the command or its integral.
 _PLAIN_DYNAMICS = ("none", "integrator", "filter", "filterexact")
 
 Range = tuple[float, float]
@@ -160,16 +160,19 @@ class ActuatorLaw:
         motor, affine = self.bias_type == "none", self.bias_type == "affine"
         if self.gain_type != "fixed" or self.dynamics not in _PLAIN_DYNAMICS or not (motor or affine):
             return None
+        # Joint-space values: a gear g multiplies both the effort and the velocity of the actuator: g^2.
         own = self.gear**2 * self.damping
         if motor:
             return 0.0, own
         constant, stiffness, damping = self.bias[0], -self.bias[1], -self.bias[2]
         if constant or stiffness < 0 or damping < 0:
+            # A position servo has gain = -bias[1], a velocity servo gain = -bias[2] (MJCF's <position> and <velocity>).
             return None
         position = math.isclose(self.gain[0], stiffness, rel_tol=1e-9)
         velocity = not stiffness and math.isclose(self.gain[0], damping, rel_tol=1e-9)
         if not (position or velocity):
             return None
+        # ``+ 0.0`` turns the -0.0 of an absent term into 0.0.
         return self.gear**2 * stiffness + 0.0, self.gear**2 * damping + own
 
     def effort_range(self) -> Range:
@@ -177,6 +180,7 @@ class ActuatorLaw:
         ranges: list[Range] = []
         if self.force_range is not None:
             ranges.append(_scaled(self.force_range, self.gear))
+        # A motor's command is an effort: its range limits the effort.
         if self.command_range is not None and self.bias_type == "none" and self.gain_type == "fixed":
             ranges.append(_scaled(self.command_range, self.gear * self.gain[0]))
         return max((low for low, _ in ranges), default=-math.inf), min((high for _, high in ranges), default=math.inf)

@@ -16,15 +16,16 @@ from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Color, Mesh
 from orbit_core.scene.pose import Vector3
 
-# Directions in which a simplified hull keeps the farthest point of the exact one, beside the six along the axes.
+# Directions, in addition to the six along the axes, in which a simplified hull keeps the farthest point of the exact
+# one.
 _DIRECTIONS = 32
 
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """The part of a mesh file that has one colour; ``None`` where the file gives no colour.
+    """Part of a mesh file that has one colour; None where the file gives no colour.
 
-    ``textured`` tells that the colour stands for a picture.
+    ``textured`` is True if the colour is computed from a picture.
     """
 
     mesh: Mesh
@@ -39,7 +40,7 @@ def load_mesh(
     *,
     options: ReadOptions = ReadOptions(),
 ) -> Mesh:
-    """The triangles of an STL, OBJ, DAE, GLB or other mesh file, placed by its scene graph, in metres.
+    """Read the triangles of an STL, OBJ, DAE, GLB or other mesh file, placed by its scene graph, in metres.
 
     A DAE file's unit is honoured and its up axis is not, as in ROS. ``scale`` may reflect: faces then turn round, so
     that they still look outward. Vertices that are equal in single precision are merged.
@@ -57,7 +58,7 @@ def load_parts(
     *,
     options: ReadOptions = ReadOptions(),
 ) -> tuple[MeshPart, ...]:
-    """The file's triangles as :func:`load_mesh` reads them, one part per colour; a texture counts as its median colour.
+    """Read the file's triangles as :func:`load_mesh` does, one part per colour; a texture counts as its median colour.
 
     Raises:
         AssetError: as :func:`load_mesh`.
@@ -66,7 +67,7 @@ def load_parts(
 
 
 class MeshFiles:
-    """The mesh files of one model: each is decoded once, whatever shapes and scales it is used for.
+    """The mesh files of one model: each is decoded once, however many shapes and scales use it.
 
     Args:
         options: the limits, and what files may be opened.
@@ -81,7 +82,7 @@ class MeshFiles:
         self._parts: dict[tuple[Path, Vector3], tuple[MeshPart, ...]] = {}
 
     def mesh(self, path: Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> Mesh:
-        """The triangles of a file, as :func:`load_mesh` reads them.
+        """Return the triangles of a file, as :func:`load_mesh` reads them.
 
         Raises:
             AssetError: as :func:`load_mesh`.
@@ -95,7 +96,7 @@ class MeshFiles:
         return self._meshes[key]
 
     def parts(self, path: Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[MeshPart, ...]:
-        """The parts of a file, as :func:`load_parts` reads them.
+        """Return the parts of a file, as :func:`load_parts` reads them.
 
         Raises:
             AssetError: as :func:`load_mesh`.
@@ -111,6 +112,7 @@ class MeshFiles:
         geometries = self._geometries(path)
         for geometry in geometries:
             by_color.setdefault(surface_color(geometry), []).append(geometry)
+        # Most files have one colour: the whole mesh is then shared with the collision shape.
         if len(by_color) == 1:
             ((color, textured),) = by_color
             return (MeshPart(self.mesh(path, scale), color, textured),)
@@ -125,14 +127,15 @@ class MeshFiles:
 
 
 def simplified_hull(mesh: Mesh) -> Mesh:
-    """The convex hull of the points of ``mesh`` that lie farthest in each of evenly spread directions.
+    """Return the convex hull of the points of ``mesh`` that are farthest in each of evenly spread directions.
 
-    It lies within the exact hull, has at most :data:`_DIRECTIONS` + 6 vertices, and touches the exact hull's bounding
+    It is within the exact hull, has at most :data:`_DIRECTIONS` + 6 vertices, and touches the exact hull's bounding
     box on all sides. Directions are the axes and a Fibonacci lattice (Gonzalez, Measurement of areas on a sphere,
     2010).
     """
     from trimesh.convex import convex_hull
 
+    # The Fibonacci lattice turns by the golden angle from one point to the next.
     index = np.arange(_DIRECTIONS) + 0.5
     polar, azimuth = np.arccos(1 - 2 * index / _DIRECTIONS), np.pi * (1 + 5**0.5) * index
     spread = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
@@ -143,10 +146,11 @@ def simplified_hull(mesh: Mesh) -> Mesh:
 
 
 def _decoded(path: Path, options: ReadOptions, model: Path) -> list[Any]:
-    """The file's surfaces, placed by its scene graph, in metres."""
+    """Decode the file's surfaces, placed by its scene graph, in metres."""
     import trimesh
 
     scene = open_mesh(path, options, model)
+    # trimesh knows a unit for some formats only; without one the numbers are taken as metres.
     if scene.units not in (None, "meters"):
         scene = scene.convert_units("meters")
     geometries = [
@@ -158,7 +162,7 @@ def _decoded(path: Path, options: ReadOptions, model: Path) -> list[Any]:
 
 
 def _mesh(geometries: list[Any], scale: Vector3, path: Path) -> Mesh:
-    """Several surfaces as one mesh, scaled."""
+    """Join several surfaces into one mesh, scaled."""
     if 0.0 in scale or not np.isfinite(scale).all():
         raise AssetError(f"mesh file '{path}' is scaled by {scale}: give finite factors that are not zero")
     vertices: list[npt.NDArray[np.float32]] = []
@@ -169,6 +173,7 @@ def _mesh(geometries: list[Any], scale: Vector3, path: Path) -> Mesh:
         faces.append(np.asarray(geometry.faces, dtype=np.int64) + first)
         first += len(vertices[-1])
     joined = np.concatenate(faces)
+    # A reflection turns triangles inside out: the reversed order of corners makes them face outward again.
     if np.prod(np.sign(scale)) < 0:
         joined = joined[:, ::-1]
     return Mesh(*merge_vertices(np.concatenate(vertices), joined))
@@ -183,7 +188,7 @@ _PRIMES = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 def merge_vertices(
     vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.integer]
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
-    """The same surface with each point (V, 3) once, and without triangles (F, 3) that are points or lines.
+    """Merge equal points (V, 3), and remove triangles (F, 3) that are points or lines.
 
     Points keep the order in which they are first met; those of no triangle are left out.
     """
@@ -198,7 +203,13 @@ def merge_vertices(
 
 
 def _distinct(vertices: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Where each distinct point is first met, ascending, and for every vertex which of them it is."""
+    """Find the distinct points.
+
+    Points are sorted by a hash: three times faster than sorting rows, which remains for the rare collision.
+
+    Returns:
+        The index at which each distinct point is first met, ascending, and for every vertex the number of its point.
+    """
     keys = np.zeros(len(vertices), dtype=np.uint64)
     for column, prime in zip(vertices.view(np.uint32).T, _PRIMES, strict=True):
         keys = (keys ^ column) * np.uint64(prime)
@@ -217,14 +228,14 @@ def _distinct(vertices: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.intp], 
 
 
 def _starts(rows: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
-    """For sorted rows, which differ from the one before."""
+    """Return True for each of the sorted rows that differs from the one before."""
     starts = np.ones(len(rows), dtype=bool)
     starts[1:] = np.any(rows[1:] != rows[:-1], axis=1)
     return starts
 
 
 def _solid(vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """Which triangles have a height."""
+    """Return True for each triangle that has a height."""
     a, b, c = (vertices[faces[:, corner]].astype(np.float64) for corner in range(3))
     doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
@@ -232,9 +243,13 @@ def _solid(vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.intp]) -> np
 
 
 def surface_color(geometry: Any) -> tuple[Color | None, bool]:
-    """A trimesh geometry's colour, ``None`` where the file gives none, and whether it stands for a picture.
+    """Find the colour of a trimesh geometry.
 
-    A picture counts as the median of what the surface shows of it, or of all of it where nothing says what that is.
+    A picture counts as the median of the part that the surface shows, or of all of it where texture coordinates are
+    missing.
+
+    Returns:
+        The colour, None where the file gives none, and True if it is computed from a picture.
     """
     visual = geometry.visual
     if not visual.defined:
@@ -256,5 +271,6 @@ def _shown(geometry: Any, picture: Any) -> Any:
 
 
 def _color(channels: Any) -> Color:
+    # Four digits: 8 bits per channel resolve no more, and equal colours must compare equal.
     r, g, b, a = (round(float(channel) / 255.0, 4) for channel in channels)
     return (r, g, b, a)

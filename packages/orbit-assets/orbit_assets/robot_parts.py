@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class PartKind(Enum):
-    """Where a part stands in a robot: a base carries an arm, and an arm an end effector."""
+    """Role of a part in a robot: a base carries an arm, and an arm an end effector."""
 
     BASE = "base"
     ARM = "arm"
@@ -48,7 +48,7 @@ class PartKind(Enum):
 
 
 _BASE, _ARM, _TOOL = PartKind
-# What a robot may be composed of: an end effector needs an arm that moves it, or stands by itself.
+# Allowed compositions: an end effector needs an arm that moves it, or is a robot without one.
 _ORDERS = ((_BASE,), (_BASE, _ARM), (_BASE, _ARM, _TOOL), (_ARM,), (_ARM, _TOOL), (_TOOL,))
 
 
@@ -70,28 +70,28 @@ class RobotPart:
     mount: str = ""
     """Frame that carries the next part; empty where nothing can be mounted."""
     frame: str = ""
-    """An end effector's: between its fingers. An arm's: what a task moves where no end effector is mounted."""
+    """End effector: frame between its fingers. Arm: frame that a task moves where no end effector is mounted."""
     joints: tuple[str, ...] = ()
-    """An arm's joints, by regular expression."""
+    """Joints of an arm, by regular expression."""
     gripper: Gripper | None = None
     finger_tips: tuple[str, ...] = ()
     workspace: Workspace | None = None
-    """An arm's, in its own root link; None: a task computes it."""
+    """Workspace of an arm, in its root link; None: a task computes it."""
     end_effector: str = ""
-    """An arm's own end effector, by name, mounted where a composition names none."""
+    """Name of an arm's default end effector, mounted where a composition names none."""
     feet: tuple[str, ...] = ()
     walking_drives: tuple[ActuatorConfig, ...] = ()
-    """A base's, for learning to walk (:attr:`orbit_core.scene.RobotSpec.walking_drives`)."""
+    """Drives of a base for learning to walk (:attr:`orbit_core.scene.RobotSpec.walking_drives`)."""
     wheels: tuple[str, ...] = ()
-    """A base's: links or frames that roll on the ground."""
+    """Links or frames of a base that roll on the ground."""
     planar_base: PlanarBase | None = None
     differential_base: DifferentialBase | None = None
     end_effectors: tuple[EndEffector, ...] = ()
-    """Those that a base brings itself, as a humanoid its hands; one that is mounted on it comes first."""
+    """End effectors that a base has already, such as a humanoid's hands; one that is mounted on it comes first."""
     pose: Pose = field(default_factory=Pose)
     """Pose of the root link, where this part is the first."""
     fixed_base: bool = True
-    """Whether the root is held, where this part is the first."""
+    """True to fix the root, where this part is the first."""
 
     def composed(self, name: str, others: Sequence[RobotPart]) -> RobotSpec:
         """Return the robot of this part and of others, from the base up; see :func:`compose`."""
@@ -99,7 +99,7 @@ class RobotPart:
 
 
 def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
-    """The robot of these parts, from the base up.
+    """Compose a robot of these parts, from the base up.
 
     Names of a part's links, joints and frames that a part below it has already get the part's name as prefix.
 
@@ -109,6 +109,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         UnknownNameError: a mount is no link or frame of its part.
         AssetError: a part's model cannot be had.
     """
+    # Late: drive design imports torch, which the catalogue does not need.
     from orbit_core.dynamics.drive_design import designed_drives
 
     _check_order(name, parts)
@@ -117,15 +118,18 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
     for part in others:
         carrier = mounted[-1]
         articulation = cached_articulation(part.model)
+        # A prefix is only given where names clash: the names of most robots stay those of their files.
         prefix = f"{part.name}_" if _taken(body) & _taken(articulation) else ""
         mounted.append(_prefixed(part, prefix))
         body = attach(body, articulation, carrier.mount, prefix=prefix)
     body = replace(merge_fixed_links(body), name=name)
     home = {pattern: value for part in mounted for pattern, value in part.home.items()}
     if body.self_collisions:
+        # Only the whole robot shows which links touch: a hand may touch the arm that carries it.
         body = without_home_contacts(body, home)
     designs = [design for part in mounted for design in part.designs]
     drives: tuple[ActuatorConfig, ...] = tuple(drive for part in mounted for drive in part.drives)
+    # After composition: an arm's gains depend on the mass of its hand.
     if designs:
         computed, note = designed_drives(body, designs)
         drives, body = drives + computed, replace(body, notes=(*body.notes, note))
@@ -137,6 +141,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         home=home,
         actuators=drives,
         semantic_label="robot",
+        # Arms compensate gravity; robots that stand on the ground must carry their weight.
         gravity_compensation=first.fixed_base,
         end_effectors=_end_effectors(mounted, body),
         feet=first.feet,
@@ -176,9 +181,10 @@ def _taken(articulation: Articulation) -> set[str]:
 
 
 def _prefixed(part: RobotPart, prefix: str) -> RobotPart:
-    """The part with its names as :func:`attach` gives them."""
+    """Return the part with its names as :func:`attach` gives them."""
     if not prefix:
         return part
+    # Names in patterns are regular expressions: the prefix must match literally.
     pattern = re.escape(prefix)
     gripper = part.gripper and _patterned(part.gripper, pattern)
     return replace(
@@ -204,6 +210,7 @@ def _end_effectors(parts: Sequence[RobotPart], body: Articulation) -> tuple[EndE
     tool = parts[-1]
     if arm is not None:
         space = arm.workspace
+        # A workspace is given in the arm's root, which the base carries at its mount.
         if space is not None and arm is not parts[0]:
             space = space.placed(_seat(body, parts[0]))
         return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips, space), *own)
@@ -213,7 +220,7 @@ def _end_effectors(parts: Sequence[RobotPart], body: Articulation) -> tuple[EndE
 
 
 def _seat(body: Articulation, carrier: RobotPart) -> Pose:
-    """The pose of a base's mount in its root, its joints at home."""
+    """Return the pose of a base's mount in its root, its joints at home."""
     names = body.joint_names
     home = match_values(carrier.home, names, "joint", f"the home pose of '{carrier.name}'")
     frame = body.frame(carrier.mount)

@@ -54,7 +54,7 @@ def drives_from_model(articulation: Articulation) -> tuple[ImplicitPd, ...]:
 
 
 def home_from_model(articulation: Articulation) -> dict[str, float]:
-    """The articulation's ``home``, for ``RobotSpec.home``.
+    """Return the articulation's ``home``, for ``RobotSpec.home``.
 
     Raises:
         ConfigurationError: the file says of no home pose.
@@ -70,7 +70,7 @@ _MJCF = (".xml", ".mjcf")
 
 @names_file
 def load_scene(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Scene:
-    """The scene that a USD or MJCF file describes.
+    """Read the scene that a USD or MJCF file describes.
 
     What the file drives is a robot: its drives' gains become its actuators, and the positions that the file gives its
     joints its home. Everything else is an object, fixed where the file fixes it. Planes and height fields that do not
@@ -90,6 +90,7 @@ def load_scene(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Sce
             entities.append(_entity(rest, name))
     if entities and parts.notes:
         first = entities[0].articulation
+        # A scene has no notes: those of the file go to the first articulation.
         noted = replace(first, notes=tuple(dict.fromkeys((*parts.notes, *first.notes))))
         entities[0] = replace(entities[0], articulation=noted)
     said: dict[str, Any] = {"lights": parts.lights, "gravity": parts.gravity, "physics_dt": parts.physics_dt}
@@ -115,7 +116,7 @@ def _read(path: Path, options: ReadOptions) -> SceneParts:
 
 
 def _without_ground(placed: PlacedArticulation, terrain: list[Shape]) -> PlacedArticulation | None:
-    """What is left once ground of a static link has gone to ``terrain``; ``None`` where nothing is."""
+    """Move the ground of a static link to ``terrain``; return the rest, or None if nothing is left."""
     articulation = placed.articulation
     if not placed.fixed_base or len(articulation.links) > 1:
         return placed
@@ -145,6 +146,7 @@ def _entity(placed: PlacedArticulation, name: str) -> Entity:
         "fixed_base": placed.fixed_base,
         "home": home_from_model(articulation) if articulation.home else {},
     }
+    # Drives make a robot: an object has no actuators.
     if articulation.drives:
         return RobotSpec(actuators=drives_from_model(articulation), **common)
     return ObjectSpec(**common)

@@ -16,7 +16,7 @@ from orbit_assets.outside import check_file
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene.pose import Vector3
 
-# Places that a note lists; it counts the rest.
+# Places that a note lists by name; it counts the rest.
 _MOST = 3
 
 
@@ -35,19 +35,19 @@ class Findings:
         self._notes: dict[str, None] = {}
 
     def error(self, fault: str, remedy: str) -> AssetError:
-        """The error for a fault of the file, to be raised."""
+        """Return the error for a fault of the file, to be raised."""
         return AssetError(f"in {self.place}, {fault}: {remedy}")
 
     def note(self, text: str) -> None:
-        """Remark something once, however often it is met."""
+        """Record a remark once, however often it occurs."""
         self._notes[text] = None
 
     def leave_out(self, what: str, where: str) -> None:
-        """Count something that changes no motion of the model, or that ORBIT keeps elsewhere, as left out."""
+        """Record an omission that changes no motion of the model, or that ORBIT keeps elsewhere."""
         self._left_out.setdefault(what, []).append(where)
 
     def unsupported(self, what: str, where: str, remedy: str) -> None:
-        """Refuse something that the description cannot hold, or leave it out where the caller asked for that.
+        """Reject something that the description cannot hold, or record it as left out if the options say so.
 
         Raises:
             AssetError: the caller did not ask for it.
@@ -61,7 +61,7 @@ class Findings:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Everything remarked and left out, in the order met."""
+        """All remarks and omissions, in the order of their first occurrence."""
         left_out = (f"{what} is left out of {_listed(where)}" for what, where in self._left_out.items())
         return (*self._notes, *left_out)
 
@@ -73,7 +73,7 @@ def _listed(places: list[str]) -> str:
     return f"{', '.join(distinct[:_MOST])} and {len(distinct) - _MOST} more"
 
 
-# How files of each encoding begin; UTF-32 before UTF-16, of whose marks its own begins with one.
+# First bytes of files by encoding; UTF-32 before UTF-16, whose little-endian mark is its beginning.
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF32_LE, "utf-32-le"),
@@ -89,7 +89,7 @@ _ENCODING = re.compile(rb"<\?xml[^>]*\bencoding\s*=\s*[\"']([\w.:-]+)[\"']")
 
 
 def read_xml(path: Path | str, options: ReadOptions) -> Element:
-    """The root element of an XML file. Comments and instructions are left out; prefixes stay in names, ``xacro:if``.
+    """Return the root element of an XML file, without comments and instructions; prefixes stay in names, ``xacro:if``.
 
     Prefixes need no declaration, for published files use ``xacro:`` and ``gazebo:`` without one.
 
@@ -100,7 +100,7 @@ def read_xml(path: Path | str, options: ReadOptions) -> Element:
 
 
 def read_text(path: Path | str, options: ReadOptions) -> str:
-    """The text of an XML file: by its byte-order mark, else as it declares, else UTF-8, else Latin-1.
+    """Read the text of an XML file: by its byte-order mark, else as it declares, else UTF-8, else Latin-1.
 
     Raises:
         AssetError: the file is missing or too large, or its bytes are not of the encoding that it declares.
@@ -110,19 +110,21 @@ def read_text(path: Path | str, options: ReadOptions) -> str:
     for mark, encoding in _MARKS:
         if data.startswith(mark):
             return _decoded(data, encoding, path).removeprefix("\ufeff")
+    # An XML declaration is within the first 200 bytes of any file that has one.
     declared = _ENCODING.search(data[:200])
     if declared is not None:
         name = declared.group(1).decode("ascii")
-        # Without a mark, bytes in which the declaration could be read are no UTF-16, whatever it says.
+        # Without a mark, bytes in which the declaration could be read are no UTF-16, although it says so.
         return _decoded(data, "utf-8" if name.lower().startswith(("utf-16", "utf-32", "ucs")) else name, path)
     try:
         return data.decode("utf-8")
+    # Old exporters write Latin-1 without saying so; every byte sequence is valid in it.
     except UnicodeDecodeError:
         return data.decode("latin-1")
 
 
 def parse_xml(text: str, name: str, limits: ReadLimits) -> Element:
-    """The root element of XML text, as :func:`read_xml` gives it.
+    """Parse XML text to its root element, as :func:`read_xml` does.
 
     Args:
         text: the document; an encoding that it declares no longer matters.
@@ -133,6 +135,7 @@ def parse_xml(text: str, name: str, limits: ReadLimits) -> Element:
         AssetError: as :func:`read_xml`.
     """
     builder = _Builder(name, limits)
+    # One call per run of text instead of one per line.
     parser = expat.ParserCreate("utf-8")
     parser.buffer_text = True
     parser.StartElementHandler = builder.start
@@ -155,7 +158,7 @@ def plain_document(text: str) -> bytes:
 
 
 class _Builder:
-    """Builds the tree as the parser goes, and stops it at what is refused."""
+    """Tree builder that stops the parser at rejected content."""
 
     def __init__(self, name: str, limits: ReadLimits) -> None:
         self.name = name
@@ -182,8 +185,8 @@ class _Builder:
         self.tree.end(tag)
 
     def refuse_entity(self, entity: str, *_: object) -> None:
-        """An entity may stand for gigabytes, or for another file."""
-        raise AssetError(f"{self.name} declares the entity '{entity}': write out what it stands for")
+        """Reject every entity: it may expand to gigabytes, or include another file."""
+        raise AssetError(f"{self.name} declares the entity '{entity}': write its text out")
 
 
 def _decoded(data: bytes, encoding: str, path: Path | str) -> str:
@@ -194,7 +197,7 @@ def _decoded(data: bytes, encoding: str, path: Path | str) -> str:
 
 
 class Fields:
-    """Reads attributes and child elements, and names file, element and remedy where one is not as it should be.
+    """Reader of attributes and child elements; errors name file, element and remedy.
 
     ``where`` in all methods is the thing being read, as "joint 'elbow'".
     """
@@ -203,7 +206,7 @@ class Fields:
         self.findings = findings
 
     def attribute(self, element: Element, key: str, where: str) -> str:
-        """The attribute's text.
+        """Return the attribute's text.
 
         Raises:
             AssetError: it is missing.
@@ -214,7 +217,7 @@ class Fields:
         return value
 
     def child(self, element: Element, tag: str, where: str) -> Element:
-        """The first child element with the tag.
+        """Return the first child element with the tag.
 
         Raises:
             AssetError: it is missing.
@@ -225,7 +228,7 @@ class Fields:
         return child
 
     def number(self, element: Element, key: str, where: str, default: float | None = None) -> float:
-        """The number in an attribute; ``default`` where it is missing.
+        """Return the number in an attribute; ``default`` where it is missing.
 
         Raises:
             AssetError: it is missing without a default, or no number.
@@ -235,7 +238,7 @@ class Fields:
         return self.numbers(element, key, where, 1)[0]
 
     def vector(self, element: Element, key: str, where: str, default: Vector3 | None = None) -> Vector3:
-        """The three numbers in an attribute; ``default`` where it is missing.
+        """Return the three numbers in an attribute; ``default`` where it is missing.
 
         Raises:
             AssetError: it is missing without a default, or not three numbers.
@@ -246,7 +249,7 @@ class Fields:
         return (x, y, z)
 
     def numbers(self, element: Element, key: str, where: str, count: int) -> list[float]:
-        """As many numbers as asked for, from an attribute, apart by spaces.
+        """Return ``count`` numbers separated by spaces from an attribute.
 
         Raises:
             AssetError: it is missing, or holds another count or no numbers.

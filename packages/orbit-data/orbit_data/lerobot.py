@@ -296,8 +296,9 @@ def _foreign(folder: Path) -> Iterator[str]:
 
 
 def _columns_of(episode: Episode) -> dict[str, dict[str, Array]]:
-    """The terms that stand side by side in each column: what the policy sees, each group that it does not see, and each
-    picture that no video holds by itself."""
+    """Return the terms that stand side by side in each column: what the policy sees, each group that it does not see,
+    and each picture that no video holds by itself.
+    """
     columns: dict[str, dict[str, Array]] = {}
     for name, array in episode.named(OBSERVED).items():
         group, slash, _ = name.rpartition("/")

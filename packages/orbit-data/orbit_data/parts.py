@@ -125,7 +125,7 @@ class PartFolder:
         return [info for path in self.files for info in _header(path)]
 
     def read(self) -> Iterator[Episode]:
-        """All episodes, file by file.
+        """Yield all episodes, file by file.
 
         Raises:
             ConfigurationError: a file is damaged.

@@ -131,7 +131,9 @@ class DemonstrationRecorder(StepObserver):
         ring[self._step % self._capacity] = value
 
     def _leaves(self, observation: Observation) -> list[tuple[str, Tensor]]:
-        """A tensor for each group that is one, and for each term of a dictionary, by ``group`` or ``group/term``."""
+        """Return a tensor for each group that is one, and for each term of a dictionary, by ``group`` or
+        ``group/term``.
+        """
         leaves: list[tuple[str, Tensor]] = []
         for group in self._layouts:
             value = observation[group]
@@ -173,7 +175,7 @@ class DemonstrationRecorder(StepObserver):
         ]
 
     def _arrays(self, end: EpisodeEnd) -> dict[str, Array]:
-        """The steps of episodes that end now, one episode after the other, and how each began."""
+        """Return the steps of episodes that end now, one episode after the other, and how each began."""
         lengths, total = end.steps, int(end.steps.sum())
         last = lengths.cumsum(0) - 1
         first = (last - lengths + 1).repeat_interleave(lengths)

@@ -170,7 +170,7 @@ class RecordingFile:
         return [*dataset.episodes]
 
     def _episodes(self) -> Iterator[Episode]:
-        """All episodes in the order in which they were recorded, a file at a time; each number once."""
+        """Yield all episodes in the order in which they were recorded, a file at a time; each number once."""
         numbers: set[int] = set()
         if self._continued:
             dataset = Hdf5Dataset(self.path, TRUSTED)

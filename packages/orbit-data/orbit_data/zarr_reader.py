@@ -136,7 +136,7 @@ def _ours(name: str) -> str:
 
 
 def _rows(name: str, array: Any, begin: int, end: int, account: ReadAccount) -> Array:
-    """Rows of an array, read some chunks at a time."""
+    """Return rows of an array, read some chunks at a time."""
     row = math.prod(array.shape[1:]) * array.dtype.itemsize
     found_rows, rows = end - begin, array.chunks[0]
     account.take(name, row * max(found_rows, rows))

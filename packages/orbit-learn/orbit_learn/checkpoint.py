@@ -44,7 +44,7 @@ def tensors_in(state: Any) -> list[Tensor]:
 
 
 def read_checkpoint(path: Path | str, library: str) -> Any:
-    """The state that :func:`write_checkpoint` wrote, its tensors on the CPU.
+    """Return the state that :func:`write_checkpoint` wrote, its tensors on the CPU.
 
     Raises:
         ConfigurationError: the file is malformed, no checkpoint, or of another library.

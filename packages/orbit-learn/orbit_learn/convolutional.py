@@ -105,11 +105,11 @@ class Convolutional:
         return sum(part.size for part in self.vectors)
 
     def build_encoders(self) -> nn.ModuleList:
-        """One module for each encoder."""
+        """Return one module for each encoder."""
         return nn.ModuleList(encoder.build(activation_type(self.activation)) for encoder in self.encoders)
 
     def build(self, observation_size: int, action_size: int) -> PictureActor:
-        """The actor; what it sees is as large as encoders and vectors say, whatever the observation size."""
+        """Return the actor; what it sees is as large as encoders and vectors say, whatever the observation size."""
         return PictureActor(self, action_size)
 
 
@@ -173,7 +173,7 @@ def convolutional_actor(
     mean: Tensor | None = None,
     std: Tensor | None = None,
 ) -> ActorNetwork:
-    """A copy on the CPU of a library's actor that is made of this network's encoders and linear layers.
+    """Return a copy on the CPU of a library's actor that is made of this network's encoders and linear layers.
 
     Args:
         network: that the encoders were built by.
@@ -195,7 +195,7 @@ def convolutional_actor(
 
 
 def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int]) -> Convolutional:
-    """The network for a group of such terms.
+    """Return the network for a group of such terms.
 
     uint8 terms (N, H, W, C) are colours, and floating-point ones, such as depth in metres, are scaled from their bounds
     to [0, 1]. Terms of one camera and size are the channels of one picture.

@@ -35,7 +35,7 @@ _LIBRARIES = {
 
 @cache
 def learners() -> Registry[type[Trainer[Any]]]:
-    """All trainers by name; none is imported before it is asked for."""
+    """Return all trainers by name; none is imported before it is asked for."""
     registry = Registry["type[Trainer[Any]]"]("learning library", GROUP)
     for name, (place, _) in _LIBRARIES.items():
         registry.add_lazily(name, partial(_own_trainer, name, place))
@@ -53,7 +53,7 @@ def library_description(name: str) -> str:
 
 
 def trainer_type(library: str) -> type[Trainer[Any]]:
-    """The trainer of that library.
+    """Return the trainer of that library.
 
     Raises:
         UnknownNameError: there is none; names the nearest.

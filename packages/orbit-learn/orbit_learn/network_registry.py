@@ -34,7 +34,7 @@ def register_network(kind: type[Network]) -> None:
 
 
 def network_type(name: str) -> type[Network]:
-    """The network of that name.
+    """Return the network of that name.
 
     Raises:
         UnknownNameError: there is none; names the nearest, and the packages that were left out.

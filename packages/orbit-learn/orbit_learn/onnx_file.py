@@ -68,7 +68,7 @@ def write_onnx(
 
 
 def read_onnx(path: Path | str) -> tuple[PolicyDescription, Manifest | None, nn.Module]:
-    """A policy on the CPU from a file such as :func:`write_onnx` writes.
+    """Return a policy on the CPU from a file such as :func:`write_onnx` writes.
 
     Raises:
         OrbitError: the file is malformed, has an operator that is not known, weights elsewhere or that are not finite,

@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def from_plain(kind: type[T], values: Any, where: str) -> T:
-    """A dataclass from an object of the same fields.
+    """Return a dataclass from an object of the same fields.
 
     Fields may be truth values, integers, finite floats, texts, other dataclasses, ``tuple[X, ...]``, ``dict[str, X]``
     and ``X | None``.

@@ -31,7 +31,8 @@ SUFFIX = ".safetensors"
 
 
 def newest_file(folder: Path | str, prefix: str) -> Path | None:
-    """The file ``<prefix>_<iteration>.safetensors`` of the highest iteration; links that lead elsewhere are refused.
+    """Return the file ``<prefix>_<iteration>.safetensors`` of the highest iteration; links that lead elsewhere are
+    refused.
 
     Raises:
         ConfigurationError: that file is a link to a place outside the folder.
@@ -64,12 +65,12 @@ def write_policy(
 
 
 def manifest_document(manifest: Manifest | None) -> dict[str, Any]:
-    """The manifest's part of a policy's document, which files of earlier versions lack."""
+    """Return the manifest's part of a policy's document, which files of earlier versions lack."""
     return {} if manifest is None else {"manifest": manifest.document()}
 
 
 def manifest_of(document: Mapping[str, Any], path: Path) -> Manifest | None:
-    """The manifest in a policy's document, if there is one.
+    """Return the manifest in a policy's document, if there is one.
 
     Raises:
         ConfigurationError: it is none, or of another format.
@@ -78,7 +79,7 @@ def manifest_of(document: Mapping[str, Any], path: Path) -> Manifest | None:
 
 
 def read_policy(path: Path | str) -> tuple[PolicyDescription, Manifest | None, ActorNetwork]:
-    """A policy on the CPU, of which nothing was executed but the registered network that its file names.
+    """Return a policy on the CPU, of which nothing was executed but the registered network that its file names.
 
     Raises:
         OrbitError: the file is malformed, or its parts do not fit each other; names which.

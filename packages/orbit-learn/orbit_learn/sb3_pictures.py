@@ -62,7 +62,7 @@ def observed_space(layout: GroupLayout) -> spaces.Space[Any]:
 
 
 def seen_arrays(group: Tensor | Mapping[str, Tensor]) -> Seen:
-    """A group on the host, of the dtypes of :func:`observed_space`."""
+    """Return a group on the host, of the dtypes of :func:`observed_space`."""
     if isinstance(group, Tensor):
         return array_of(group)
     return {name: array_of(value if value.dim() == 4 else value.float()) for name, value in group.items()}
@@ -74,5 +74,5 @@ def row_of(seen: Seen, row: int) -> Seen:
 
 
 def array_of(values: Tensor) -> npt.NDArray[Any]:
-    """A copy on the host."""
+    """Return a copy on the host."""
     return values.cpu().numpy().copy()

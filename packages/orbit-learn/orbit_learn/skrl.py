@@ -53,7 +53,7 @@ class SkrlEnvironment(Wrapper):
         return action_space(self.environment)
 
     def reset(self) -> tuple[Tensor, dict[str, Any]]:
-        """The present observation; the episodes begin only with the first call, as they renew themselves."""
+        """Return the present observation; the episodes begin only with the first call, as they renew themselves."""
         if self._seed is not None:
             self.environment.reset(self._seed)
             self._seed = None
@@ -160,7 +160,7 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
 def _scaling(
     layout: GroupLayout | None, space: Space[Any] | None, settings: PpoSettings, device: torch.device
 ) -> tuple[type[RunningStandardScaler] | None, dict[str, Any]]:
-    """The class that normalises a group, and what it is made with; none where there is nothing to normalise."""
+    """Return the class that normalises a group, and what it is made with; none where there is nothing to normalise."""
     if layout is None or not settings.normalize_observations:
         return None, {}
     if layout.concatenated:

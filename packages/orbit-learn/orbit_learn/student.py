@@ -18,7 +18,7 @@ _LEAST_STD = 1e-2
 
 
 def network_for(layout: GroupLayout, hidden_sizes: Sequence[int]) -> Network:
-    """A perceptron for a concatenated group; for a dictionary with pictures, convolutions before it.
+    """Return a perceptron for a concatenated group; for a dictionary with pictures, convolutions before it.
 
     Raises:
         ConfigurationError: the dictionary holds pictures that are neither colour nor depth, or none at all.
@@ -29,14 +29,14 @@ def network_for(layout: GroupLayout, hidden_sizes: Sequence[int]) -> Network:
 
 
 def build_actor(network: Network, layout: GroupLayout, action_size: int) -> PictureActor | NormalizedActor:
-    """The module of :func:`network_for`."""
+    """Return the module of :func:`network_for`."""
     module = network.build(layout.size if layout.concatenated else 0, action_size)
     assert isinstance(module, PictureActor | NormalizedActor)
     return module
 
 
 def copied_actor(network: Network, module: nn.Module) -> ActorNetwork:
-    """A copy on the CPU that learns no more."""
+    """Return a copy on the CPU that learns no more."""
     copied = copy.deepcopy(module).cpu().to(memory_format=torch.contiguous_format)  # pyright: ignore[reportCallIssue]
     return ActorNetwork(network, copied.requires_grad_(False).eval())
 
@@ -67,7 +67,7 @@ class RunningMoments:
         return (self._squares / self.count.clamp(min=1.0)).sqrt() + _LEAST_STD
 
     def state(self) -> dict[str, Tensor]:
-        """The statistics, for a checkpoint."""
+        """Return the statistics, for a checkpoint."""
         return {"count": self.count, "mean": self.mean, "squares": self._squares}
 
     def load(self, state: dict[str, Tensor]) -> None:

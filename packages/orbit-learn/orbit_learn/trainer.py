@@ -108,7 +108,7 @@ class Trainer(ABC, Generic[Settings]):
 
     @abstractmethod
     def state(self) -> Any:
-        """All that learning goes on with, as :mod:`~orbit_learn.checkpoint` writes it."""
+        """Return all that learning goes on with, as :mod:`~orbit_learn.checkpoint` writes it."""
 
     @abstractmethod
     def restore(self, state: Any, iteration: int) -> None:
@@ -116,4 +116,4 @@ class Trainer(ABC, Generic[Settings]):
 
     @abstractmethod
     def actor(self) -> ActorNetwork:
-        """A copy of the policy on the CPU, without exploration, normalisation included."""
+        """Return a copy of the policy on the CPU, without exploration, normalisation included."""

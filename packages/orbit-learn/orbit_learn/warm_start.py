@@ -21,7 +21,8 @@ _LEAST_STD = 0.2
 
 
 def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
-    """A network that acts in the environment as the policy acts, whatever is shown there beside what the policy saw.
+    """Return a network that acts in the environment as the policy acts, whatever is shown there beside what the policy
+    saw.
 
     Terms of the observation are matched by their names. What is new weighs nothing, and is normalised by what the
     environment shows now, on which a training that goes on improves. Where joints' targets are

@@ -213,7 +213,7 @@ class RmpFlow(PoseFollower):
         return self._packed(metric, force), torch.cat((links, *spatial), -1), twists
 
     def _step(self, own: Tensor, around: Tensor, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
-        """Positions and velocities (N, k) after a step of integration under two of :meth:`_packed`."""
+        """Return positions and velocities (N, k) after a step of integration under two of :meth:`_packed`."""
         total, count = own + around, len(self.joints)
         metric, force = total[:, self._unpacked].unflatten(1, (count, count)), total[:, -count:]
         accelerations = solve_spd(metric, force.unsqueeze(-1)).squeeze(-1)

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
 
 
 def task_information(environment: Environment) -> Callable[[int], Mapping[str, str]]:
-    """A function of an environment's number: its episode's seconds, whether it succeeds now, the task's metrics."""
+    """Return a function of an environment's number: its episode's seconds, whether it succeeds now, the task's metrics.
+    """
     task, world = environment.task, environment.world
 
     def information(index: int) -> Mapping[str, str]:

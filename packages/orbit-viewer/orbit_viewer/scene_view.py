@@ -274,7 +274,7 @@ class SceneView:
 
 
 def _robot_axes(layout: SceneLayout) -> list[_Body]:
-    """The axes of all robots, by the links that they are fixed to."""
+    """Return the axes of all robots, by the links that they are fixed to."""
     return [
         _Body(entity.links.start + entity.spec.articulation.link_names.index(link), Drawing.of(shapes), 0, 1)
         for entity in layout.entities

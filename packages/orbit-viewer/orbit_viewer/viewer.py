@@ -283,7 +283,7 @@ class Viewer:
 
 
 def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tuple[ViserServer, str]:
-    """A server that answers its own pages alone and is never shared over the internet; and its token."""
+    """Return a server that answers its own pages alone and is never shared over the internet; and its token."""
     try:
         from viser import ViserServer
 

@@ -18,7 +18,7 @@ from orbit_core.scene.inertias import principal_axes
 
 
 class Severity(Enum):
-    """How much a finding matters."""
+    """Importance of a finding."""
 
     FAULT = "fault"
     """The simulation would be wrong."""
@@ -38,21 +38,24 @@ class Finding:
     text: str
 
 
+# A sentence with more names is not read.
 _SHOWN = 6
 
 
 def names_in_short(names: Iterable[str]) -> str:
-    """Names with commas, the first six and how many follow."""
+    """Return names with commas, the first six and how many follow."""
     listed = list(names)
     more = f" and {len(listed) - _SHOWN} more" if len(listed) > _SHOWN else ""
     return ", ".join(listed[:_SHOWN]) + more
 
 
+# A revolute joint beyond two turns is nearly always one whose limits are in degrees.
+
 _TURNS = 4.0 * math.pi
 
 
 def check_joints(articulation: Articulation) -> Iterator[Finding]:
-    """Findings on the movable joints, alike ones together; followers need no limits of effort."""
+    """Yield findings on the movable joints, alike ones together; followers need no limits of effort."""
     joints = articulation.movable_joints
     free = [joint for joint in joints if joint.mimic is None]
     for severity, text, group, holds in _CHECKS:
@@ -64,8 +67,9 @@ def check_joints(articulation: Articulation) -> Iterator[Finding]:
         yield Finding(Severity.NOTE, "model", text)
 
 
+# Files without a home pose start at zero, as simulators do.
 def home_of(articulation: Articulation) -> dict[str, float]:
-    """Positions by joint: the file's home, else zero or the nearest limit; followers after their leaders."""
+    """Return positions by joint: the file's home, else zero or the nearest limit; followers after their leaders."""
     named = dict(articulation.home)
     home = {
         joint.name: min(max(named.get(joint.name, 0.0), joint.lower_limit), joint.upper_limit)
@@ -78,7 +82,7 @@ def home_of(articulation: Articulation) -> dict[str, float]:
 
 
 def check_touching(articulation: Articulation) -> Iterator[Finding]:
-    """Pairs of links whose hulls touch at home although nothing keeps them from colliding with each other."""
+    """Yield pairs of links whose hulls touch at home although nothing keeps them from colliding with each other."""
     touching = [f"{first} with {second}" for first, second in touching_links(articulation, home_of(articulation))]
     if not touching:
         return
@@ -140,13 +144,13 @@ _CHECKS: tuple[tuple[Severity, str, str, Callable[[Joint], bool]], ...] = (
 )
 
 
-# kg/m^3 of a link's shapes taken as solid: stiff foam, and beyond tungsten.
+# Densities (kg/m^3) of a link's shapes taken as solid: stiff foam, and beyond tungsten.
 _LIGHTEST, _HEAVIEST = 20.0, 25_000.0
-# Of the bounding box's diagonal: how far outside the box a centre of mass may lie.
+# Share of the bounding box's diagonal by which a centre of mass may be outside the box.
 _OUTSIDE = 0.1
-# Of a solid box's least moment.
+# Share of a solid box's least moment.
 _TOO_SMALL = 0.01
-# Ratio of volumes, or of lengths of bounding boxes, of what collides and what is seen.
+# Ratio of colliding to visible volumes, or of lengths of their bounding boxes.
 _UNLIKE = 1.5
 
 
@@ -183,18 +187,19 @@ def measure_body(link: Link) -> Body:
 
 
 def solid_volume(shapes: Iterable[Shape]) -> float:
-    """The sum of the shapes' volumes in m^3; sheets and terrain have none, open meshes count as their hulls."""
+    """Return the sum of the shapes' volumes in m^3; sheets and terrain have none, open meshes count as their hulls."""
     total = 0.0
     for shape in shapes:
         try:
             total += mass_properties(shape.geometry, density=1.0).mass
+        # An open or flat mesh has no volume: it adds nothing.
         except AssetError:
             continue
     return total
 
 
 def check_body(link: Link, body: Body) -> Iterator[Finding]:
-    """Findings on one link of a description without fixed joints. A root without mass is a fixed base."""
+    """Yield findings on one link of a description without fixed joints. A root without mass is a fixed base."""
     if link.mass > 0:
         yield from _check_density(body)
         yield from _check_inertia(link, body)
@@ -218,6 +223,7 @@ def _check_inertia(link: Link, body: Body) -> Iterator[Finding]:
         yield Finding(
             Severity.WARNING, link.name, f"its centre of mass lies {outside:.3g} m outside its shapes: check the origin"
         )
+    # A mass within a box has at most the moment that it would have in the corner farthest from its centre.
     farthest = _farthest(box, center)
     most = link.mass * farthest**2
     largest = body.moments[2]
@@ -252,7 +258,7 @@ def _check_shapes(link: Link, body: Body) -> Iterator[Finding]:
 
 
 def _farthest(box: FloatArray, point: FloatArray) -> float:
-    """From a point to the box's farthest corner."""
+    """Return the distance from a point to the box's farthest corner."""
     return float(np.linalg.norm(np.maximum(np.abs(box[0] - point), np.abs(box[1] - point))))
 
 

@@ -46,9 +46,13 @@ class Posture:
 
 
 def posture(articulation: Articulation, positions: Mapping[str, float]) -> Posture:
-    """Where everything is when the movable joints are at ``positions`` (m, rad; zero where not named).
+    """Compute the poses of links, frames and joint axes at joint positions.
 
-    Followers stand where ``positions`` puts them, not where their leaders would. Links must be in topological order.
+    Followers are placed by ``positions``, not by their leaders. Links must be in topological order.
+
+    Args:
+        articulation: the description.
+        positions: of movable joints by name (m, rad); zero where not named.
     """
     links = {articulation.root.name: np.eye(4)}
     axes: dict[str, FloatArray] = {}
@@ -64,7 +68,8 @@ def posture(articulation: Articulation, positions: Mapping[str, float]) -> Postu
 
 
 def mass_matrix(articulation: Articulation, at: Posture) -> FloatArray:
-    """The mass matrix (J, J) of the movable joints, in their order, the root held and followers free; with armature.
+    """Return the mass matrix (J, J) of the movable joints, in their order, the root held and followers free; with
+    armature.
 
     The sum over links of ``m Jv^T Jv + Jw^T R I R^T Jw`` (Siciliano et al., Robotics, 2009, eq. 7.32).
     """
@@ -76,6 +81,7 @@ def mass_matrix(articulation: Articulation, at: Posture) -> FloatArray:
         center = pose[:3, :3] @ np.asarray(link.center_of_mass) + pose[:3, 3]
         linear, angular = np.zeros((3, len(joints))), np.zeros((3, len(joints)))
         for index, joint in enumerate(joints):
+            # Joints that are not between the link and the root do not move it: their columns stay zero.
             if joint.name not in above[link.name]:
                 continue
             axis = at.axes[joint.name]
@@ -90,7 +96,7 @@ def mass_matrix(articulation: Articulation, at: Posture) -> FloatArray:
 
 
 def _ancestors(articulation: Articulation) -> dict[str, frozenset[str]]:
-    """For each link the names of the movable joints between it and the root."""
+    """Return for each link the names of the movable joints between it and the root."""
     found = {articulation.root.name: frozenset[str]()}
     for joint in articulation.joints:
         own = frozenset([joint.name]) if joint.movable else frozenset[str]()
@@ -99,7 +105,7 @@ def _ancestors(articulation: Articulation) -> dict[str, frozenset[str]]:
 
 
 def _motion(joint: Joint, position: float) -> FloatArray:
-    """What the joint does at a position (4, 4): a shift along its axis, or Rodrigues' rotation about it."""
+    """Return the motion (4, 4) of the joint at a position: a shift along its axis, or Rodrigues' rotation about it."""
     result = np.eye(4)
     axis = np.asarray(joint.axis, dtype=float)
     if joint.type is JointType.PRISMATIC:
@@ -115,16 +121,21 @@ def _inverse(joint: Joint) -> FloatArray:
     return joint.child_pose.inverse().matrix()
 
 
+# Enough points that the hull of a sphere is within 3 % of its radius, and few enough for quick hulls.
 _ON_SPHERE, _ON_CIRCLE = 96, 24
 
 
 def shape_points(shape: Shape) -> FloatArray:
-    """Points (P, 3) in the link's frame whose hull is the shape's, round ones sampled; none of ground and terrain."""
+    """Return points (P, 3) in the link's frame whose hull is the shape's, round ones sampled; none of ground and
+    terrain.
+    """
     return shape.pose.transform(_points(shape.geometry))
 
 
 def bounds(shapes: Iterable[Shape]) -> FloatArray | None:
-    """The least and the greatest corner (2, 3) of all shapes in the link's frame; ``None`` where nothing has extent."""
+    """Return the least and the greatest corner (2, 3) of all shapes in the link's frame; ``None`` where nothing has
+    extent.
+    """
     clouds = [cloud for shape in shapes if len(cloud := shape_points(shape))]
     if not clouds:
         return None
@@ -133,7 +144,7 @@ def bounds(shapes: Iterable[Shape]) -> FloatArray | None:
 
 
 def colliding_volume(shape: Shape) -> float:
-    """In m^3, of what other shapes meet: a mesh's hull if it collides as that; sheets and terrain have none."""
+    """Return the volume (m^3) that collides: of a mesh's hull if it collides as that; sheets and terrain have none."""
     from scipy.spatial import QhullError
     from trimesh.convex import convex_hull
 
@@ -163,7 +174,7 @@ def _points(geometry: Geometry) -> FloatArray:
 
 
 def _sphere() -> FloatArray:
-    """Points spread evenly on the unit sphere (a Fibonacci lattice), and those on its axes."""
+    """Return points spread evenly on the unit sphere (a Fibonacci lattice), and those on its axes."""
     index = np.arange(_ON_SPHERE) + 0.5
     polar, azimuth = np.arccos(1 - 2 * index / _ON_SPHERE), np.pi * (1 + 5**0.5) * index
     spread = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)

@@ -21,8 +21,9 @@ from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation
 
+# Every audit of a file uses the same postures, so that two reports can be compared.
 _SEED = 0
-# Radians or metres: joints without limits are moved within so much of zero.
+# Radians or metres from zero within which joints without limits are moved.
 _REACH = 2.0
 
 
@@ -40,7 +41,7 @@ class Reference(Protocol):
         ...
 
     def masses(self, articulation: Articulation) -> Mapping[str, float]:
-        """Mass in kg by link of the description, which is without fixed joints."""
+        """Return mass in kg by link of the description, which is without fixed joints."""
         ...
 
     def move(self, positions: Mapping[str, float], at: Posture) -> None:
@@ -48,11 +49,11 @@ class Reference(Protocol):
         ...
 
     def links(self) -> Mapping[str, FloatArray]:
-        """Poses (4, 4) of links and fixed frames by name, in the root's frame."""
+        """Return poses (4, 4) of links and fixed frames by name, in the root's frame."""
         ...
 
     def mass_matrix(self, joints: tuple[str, ...]) -> FloatArray:
-        """The mass matrix (J, J) of the joints named, all else held."""
+        """Return the mass matrix (J, J) of the joints named, all else held."""
         ...
 
 
@@ -76,7 +77,13 @@ class Comparison:
 
 
 def compare(articulation: Articulation, reference: Reference, postures: int = 3) -> Comparison:
-    """Hold a description, fixed joints merged or not, against a reference in random postures, the same at each call."""
+    """Compare a description with a reference in random postures, the same at each call.
+
+    Args:
+        articulation: the description, its fixed joints merged or not.
+        reference: another reader's model of the same file.
+        postures: number of random postures.
+    """
     merged = merge_fixed_links(articulation)
     generator = np.random.default_rng(_SEED)
     masses = reference.masses(merged)
@@ -107,6 +114,7 @@ def _random_positions(articulation: Articulation, generator: np.random.Generator
     return positions
 
 
+# Entries are scaled by the diagonal, so that light joints count as much as heavy ones.
 def _relative(own: FloatArray, other: npt.NDArray[np.float64]) -> float:
     if not own.size:
         return 0.0
@@ -115,12 +123,12 @@ def _relative(own: FloatArray, other: npt.NDArray[np.float64]) -> float:
 
 
 def pinocchio_installed() -> bool:
-    """Whether the package pin is there."""
+    """Return True if Pinocchio (the package pin) is installed."""
     return importlib.util.find_spec("pinocchio") is not None
 
 
 def _text(path: Path, options: ReadOptions) -> str:
-    """The file's own text, unless it holds macros, which Pinocchio passes over, or is not written in UTF-8."""
+    """Return the file's own text, unless it holds macros, which Pinocchio passes over, or is not written in UTF-8."""
     expanded = read_expanded(path, options)
     with contextlib.suppress(UnicodeDecodeError):
         if not expanded.notes:
@@ -153,7 +161,7 @@ class PinocchioReference:
         return frozenset(self._simple)
 
     def masses(self, articulation: Articulation) -> dict[str, float]:
-        """Of the links behind each joint; the root's are in the universe's inertia."""
+        """Return the mass (kg) of the links behind each joint; the root's are in the universe's inertia."""
         model = self._model
         found = {articulation.root.name: float(model.inertias[0].mass)}
         for joint in articulation.joints:
@@ -174,12 +182,14 @@ class PinocchioReference:
                 q[part] = self._coordinate(joint, positions[str(model.names[index])])
             else:
                 q[part] = self._coordinates(joint, before.inverse() * self._child(index, at))
+            # Forward kinematics after each joint: the next one's own frame depends on it.
             pin.forwardKinematics(model, self._data, q)
             placed[index] = self._data.oMi[index]
         pin.framesForwardKinematics(model, self._data, q)
         self._q = q
 
     def _coordinate(self, joint: Any, position: float) -> list[float]:
+        # Pinocchio gives a joint without limits as cosine and sine.
         return [np.cos(position), np.sin(position)] if joint.nq == 2 else [position]
 
     def _coordinates(self, joint: Any, pose: Any) -> FloatArray:
@@ -196,7 +206,7 @@ class PinocchioReference:
         return self._pin.SE3(known[body.name]) * body.placement.inverse()
 
     def links(self) -> dict[str, FloatArray]:
-        """Of all bodies."""
+        """Return poses (4, 4) of all bodies by name, in the root's frame."""
         frames = enumerate(self._model.frames)
         return {
             str(frame.name): np.asarray(self._data.oMf[index].homogeneous)
@@ -205,8 +215,9 @@ class PinocchioReference:
         }
 
     def mass_matrix(self, joints: tuple[str, ...]) -> FloatArray:
-        """By the composite rigid body algorithm."""
+        """Return the mass matrix by the composite rigid body algorithm."""
         full = np.asarray(self._pin.crba(self._model, self._data, self._q))
+        # ``crba`` fills the upper triangle only.
         full = np.triu(full) + np.triu(full, 1).T
         rows = [self._model.joints[self._simple[name]].idx_v for name in joints]
         return full[np.ix_(rows, rows)]

@@ -20,7 +20,7 @@ from orbit_core.cli.parsing import parse_words
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:
-    """Return what an audit found as a table, the gravest first."""
+    """Build a table of an audit's findings, the gravest first."""
     table = new_table("", "where", "what")
     for level in Severity:
         for finding in findings:
@@ -61,7 +61,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def values_of(report: AssetReport) -> dict[str, Any]:
-    """Everything in the report, for a JSON file."""
+    """Return everything in the report, for a JSON file."""
     return {
         "file": str(report.path),
         "name": report.articulation.name,

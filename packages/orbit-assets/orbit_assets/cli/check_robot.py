@@ -56,7 +56,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def values_of(report: RobotReport) -> dict[str, Any]:
-    """Everything in the report, for a JSON file; limits that are infinite as text."""
+    """Return everything in the report, for a JSON file; infinite limits as text, which JSON has no number for."""
     return {
         "robot": report.entry.name,
         "mass": report.spec.articulation.mass,

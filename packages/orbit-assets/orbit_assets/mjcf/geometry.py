@@ -28,12 +28,12 @@ from orbit_core.scene.pose import Vector3
 
 # A geom of this colour shows its material's.
 _UNPAINTED: Color = (0.5, 0.5, 0.5, 1.0)
-# MuJoCo's viewer draws geoms of the groups below this one, unless it is told otherwise.
+# MuJoCo's viewer draws geoms of the groups below this one, by default.
 _DRAWN_GROUPS = 3
 
 
 class Geoms:
-    """Those of one tree of a model; ``terrain`` takes over planes and height fields that do not move.
+    """Geoms of one tree of a model; ``terrain`` takes over planes and height fields that do not move.
 
     Raises:
         AssetError: a height field moves, and the options have what cannot be held refused.
@@ -55,7 +55,7 @@ class Geoms:
         self._left = moves if terrain else endless
 
     def of_body(self, body: int) -> Iterator[int]:
-        """The body's geoms that are taken over."""
+        """Yield the body's geoms that are taken over."""
         model = self.compiled.model
         if body == 0 and not self.tree.world_geoms:
             return
@@ -65,7 +65,7 @@ class Geoms:
                 yield geom
 
     def shapes(self, body: int) -> tuple[tuple[Shape, ...], tuple[Shape, ...]]:
-        """Those that collide, and those that are drawn."""
+        """Return the shapes that collide, and the shapes that are drawn."""
         model = self.compiled.model
         collisions: list[Shape] = []
         visuals: list[Shape] = []
@@ -76,15 +76,16 @@ class Geoms:
         return tuple(collisions), tuple(visuals)
 
     def called(self, geom: int) -> str:
-        """The geom in words."""
+        """Return the name of the geom for messages."""
         body = self.compiled.body_names[int(self.compiled.model.geom_bodyid[geom])]
         return f"geom '{self.compiled.geom_names[geom] or geom}' of body '{body}'"
 
     def _shape(self, geom: int) -> Shape:
-        """A geom with its pose in the body, material and colour."""
+        """Return a geom with its pose in the body, material and colour."""
         model = self.compiled.model
         sliding, torsional, rolling = model.geom_friction[geom].tolist()
         dimensions = int(model.geom_condim[geom])
+        # condim 1 has no friction, 3 adds sliding, 4 torsional and 6 rolling friction.
         sliding = sliding if dimensions >= 3 else 0.0
         material = PhysicsMaterial(
             static_friction=sliding,
@@ -125,11 +126,12 @@ class Geoms:
         from trimesh.creation import icosphere
 
         self.compiled.notes.append(f"{self.called(geom)}, an ellipsoid, is a mesh of 320 triangles")
+        # 320 triangles: within 1 % of the ellipsoid, and few enough to collide as a hull.
         ball = icosphere(subdivisions=2)
         return Mesh(np.asarray(ball.vertices) * radii, np.asarray(ball.faces))
 
     def _mesh(self, mesh: int, collision: MeshCollision) -> Mesh:
-        """One object however many geoms show it."""
+        """Return one object however many geoms show it, so that engines store the mesh once."""
         if (mesh, collision) not in self._meshes:
             model = self.compiled.model
             first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
@@ -143,12 +145,14 @@ class Geoms:
         rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
         first = int(model.hfield_adr[field])
         x, y, top, _ = model.hfield_size[field].tolist()
+        # Heights of a compiled field are normalised to [0, 1]; the fourth size is the base's thickness.
         heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns) * top
         return HeightField(heights.astype(np.float64), (2 * x, 2 * y))
 
     def _color(self, geom: int) -> Color:
         model = self.compiled.model
         rgba = model.geom_rgba[geom]
+        # MuJoCo takes the material's colour where the geom has its default one.
         if model.geom_matid[geom] >= 0 and np.allclose(rgba, _UNPAINTED):
             rgba = model.mat_rgba[model.geom_matid[geom]]
         red, green, blue, alpha = rgba.tolist()
@@ -156,7 +160,7 @@ class Geoms:
 
 
 def self_collisions(compiled: Compiled, geoms: Geoms, tree: Tree) -> tuple[bool, tuple[tuple[str, str], ...]]:
-    """Whether any two links may collide, and the pairs that never do although others may."""
+    """Return whether any two links may collide, and the pairs that never do although others may."""
     model = compiled.model
     types = np.zeros(model.nbody, np.int64)
     affinities = np.zeros(model.nbody, np.int64)
@@ -172,7 +176,7 @@ def self_collisions(compiled: Compiled, geoms: Geoms, tree: Tree) -> tuple[bool,
     may = False
     apart: list[tuple[str, str]] = []
     unfiltered: list[tuple[str, str]] = []
-    # A row of all later bodies at a time, for time that grows with the square of their number must go by in NumPy.
+    # A row of all later bodies at a time: the number of pairs grows with the square, and only NumPy is fast enough.
     for position, first in enumerate(solid[:-1]):
         later = solid[position + 1 :]
         meet = (types[first] & affinities[later]) | (types[later] & affinities[first])
@@ -194,7 +198,7 @@ def self_collisions(compiled: Compiled, geoms: Geoms, tree: Tree) -> tuple[bool,
 
 
 def _excluded(model: Any) -> dict[int, set[int]]:
-    """For each body, the bodies that an ``<exclude>`` names with it."""
+    """Return for each body the bodies that an ``<exclude>`` names with it."""
     found: dict[int, set[int]] = {}
     for mark in model.exclude_signature.tolist():
         # The two bodies' numbers, 16 bits each.

@@ -15,7 +15,7 @@ from orbit_core.scene.pose import canonical
 
 
 def body_chain(compiled: Compiled, body: int, effort_limits: dict[int, float]) -> tuple[list[Link], list[Joint]]:
-    """The links without mass between a body and its parent, and the joints in order, the outermost first.
+    """Build the massless links between a body and its parent, and the joints in order, the outermost first.
 
     Args:
         compiled: the model.
@@ -40,10 +40,10 @@ def body_chain(compiled: Compiled, body: int, effort_limits: dict[int, float]) -
 
 
 def check_root(compiled: Compiled, body: int) -> None:
-    """Meet what a free joint has besides its freedom: the root of an articulation has none of it.
+    """Reject damping, armature, friction and springs of a free joint, which a floating root has not.
 
     Raises:
-        AssetError: the options have what the description cannot hold refused.
+        AssetError: the options refuse unsupported elements.
     """
     model = compiled.model
     for joint in compiled.joints_of(body):
@@ -66,7 +66,7 @@ def check_root(compiled: Compiled, body: int) -> None:
 def _joint(
     compiled: Compiled, index: int, parent: str, child: str, at_rest: Pose, effort_limit: float
 ) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
-    """One of the file's joints; a ball is three."""
+    """Convert one of the file's joints; a ball becomes three."""
     model, name = compiled.model, compiled.joint_names[index]
     anchor = Pose(vector_of(model.jnt_pos[index]))
     dof = int(model.jnt_dofadr[index])
@@ -112,6 +112,7 @@ def _simple(compiled: Compiled, index: int, ends: tuple[str, str], at_rest: Pose
     )
 
 
+# Since MuJoCo 3.3 springs and dampers may be polynomials; a joint of the description has one coefficient each.
 def _meet_curves(compiled: Compiled, index: int, dof: int) -> None:
     model = compiled.model
     if np.any(model.jnt_stiffnesspoly[index]) or np.any(model.dof_dampingpoly[dof]):
@@ -120,7 +121,9 @@ def _meet_curves(compiled: Compiled, index: int, dof: int) -> None:
 
 
 def _meet_ball(compiled: Compiled, index: int) -> None:
-    """A ball has one limit, spring, damper and friction of its whole rotation; the chain's joints have their own."""
+    """Reject or note the limit, spring, damper and friction of a ball's whole rotation: its three joints have their
+    own.
+    """
     model, name = compiled.model, compiled.joint_names[index]
     dof = int(model.jnt_dofadr[index])
     if model.jnt_limited[index]:
@@ -138,19 +141,19 @@ def _meet_ball(compiled: Compiled, index: int) -> None:
 
 
 def ball_angles(quaternion: Any) -> tuple[float, float, float]:
-    """The angles (a, b, c) in rad with which ``R_x(a) R_y(b) R_z(c)`` is the rotation of a quaternion (w, x, y, z)."""
+    """Return the angles (a, b, c) in rad with which ``R_x(a) R_y(b) R_z(c)`` is a rotation (w, x, y, z)."""
     w, x, y, z = (float(value) for value in quaternion)
     m = Pose(orientation=canonical((w, x, y, z))).rotation_matrix()
     middle = math.asin(max(-1.0, min(1.0, float(m[0, 2]))))
     return math.atan2(-m[1, 2], m[2, 2]), middle, math.atan2(-m[0, 1], m[0, 0])
 
 
-# The keyframe that counts, where there are several.
+# The keyframe that is home, where there are several.
 _HOME = "home"
 
 
 class Actuators:
-    """Those of a compiled model, by the joint that each drives."""
+    """Actuators of a compiled model, by the joint that each drives."""
 
     def __init__(self, compiled: Compiled) -> None:
         self.compiled = compiled
@@ -162,12 +165,14 @@ class Actuators:
                 self.of_joint.setdefault(int(model.actuator_trnid[actuator, 0]), []).append(actuator)
 
     def effort_limits(self) -> dict[int, float]:
-        """The largest effort on each joint, in either direction, within its own limit and those of its actuators."""
+        """Return the largest effort on each joint, in either direction, within its own limit and those of its
+        actuators.
+        """
         model = self.compiled.model
         return {joint: _largest(self._effort_range(joint, self.of_joint.get(joint, []))) for joint in range(model.njnt)}
 
     def drives(self, bodies: set[int]) -> tuple[DriveGains, ...]:
-        """The gains of the joints of some bodies; those of several actuators on one joint add up.
+        """Return the gains of the joints of some bodies; several actuators on one joint add up.
 
         An actuator that follows another law than a spring and a damper is left out with a note. So is an effort limit
         that differs by direction: the larger of the two holds in both.
@@ -177,6 +182,7 @@ class Actuators:
         left: list[str] = []
         lopsided: list[str] = []
         for joint in range(model.njnt):
+            # The model may hold several articulations, and these bodies are one of them.
             if int(model.jnt_bodyid[joint]) not in bodies:
                 continue
             least, most = self._effort_range(joint, self.of_joint.get(joint, []))
@@ -203,7 +209,7 @@ class Actuators:
         return tuple(found)
 
     def home(self, bodies: set[int]) -> tuple[tuple[str, float], ...]:
-        """Positions of the joints of some bodies in the keyframe ``home``, or the first; else the references not zero.
+        """Return the home positions of some bodies' joints: keyframe ``home``, else the first, else nonzero references.
 
         ``ref`` of a joint is where the file's simulation begins without a keyframe.
         """
@@ -228,17 +234,18 @@ class Actuators:
         return tuple(found)
 
     def home_values(self) -> np.ndarray:
-        """Of all positions of the model, in the keyframe that is home; else where its simulation begins."""
+        """Return all positions of the model in the home keyframe, else those at which its simulation begins."""
         keys = self.compiled.names_of("KEY")
         if not keys:
             return np.asarray(self.compiled.model.qpos0)
         return np.asarray(self.compiled.model.key_qpos[keys.index(_HOME) if _HOME in keys else 0])
 
     def _gains(self, actuator: int) -> tuple[float, float] | None:
-        """Stiffness and damping at the joint; ``None`` for another law than a spring and a damper."""
+        """Return stiffness and damping at the joint; None for another law than a spring and a damper."""
         return None if np.any(self.compiled.model.actuator_dampingpoly[actuator]) else self._law(actuator).gains()
 
     def _law(self, actuator: int) -> ActuatorLaw:
+        # Names are passed, not MuJoCo's numbers: :class:`ActuatorLaw` also reads USD, where they are words.
         model, kinds = self.compiled.model, self.compiled.mujoco
         forces, commands = model.actuator_forcerange[actuator], model.actuator_ctrlrange[actuator]
         return ActuatorLaw(
@@ -254,7 +261,7 @@ class Actuators:
         )
 
     def _effort_range(self, joint: int, actuators: list[int]) -> tuple[float, float]:
-        """The least and the largest effort on a joint that its own limit and these actuators allow."""
+        """Return the least and the largest effort on a joint that its own limit and these actuators allow."""
         model = self.compiled.model
         least, most = self._sum(actuators) if actuators else (-math.inf, math.inf)
         if model.jnt_actfrclimited[joint]:
@@ -263,7 +270,7 @@ class Actuators:
         return least, most
 
     def _sum(self, actuators: list[int]) -> tuple[float, float]:
-        """The least and the largest effort of actuators that act together."""
+        """Return the least and the largest effort of actuators that act together."""
         least, most = zip(*(self._law(each).effort_range() for each in actuators), strict=True)
         return sum(least), sum(most)
 
@@ -276,7 +283,7 @@ def _largest(limits: tuple[float, float]) -> float:
 
 
 def _word(kind: Any) -> str:
-    """A kind of MuJoCo's as MJCF has it: ``affine`` of ``mjBIAS_AFFINE``."""
+    """Return a kind of MuJoCo's as MJCF writes it: ``affine`` for ``mjBIAS_AFFINE``."""
     return kind.name.partition("_")[2].lower()
 
 

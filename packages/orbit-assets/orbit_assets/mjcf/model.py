@@ -24,6 +24,7 @@ from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose
 from orbit_core.scene.pose import Vector3, canonical
 
+# Attributes by which few characters make many elements, and the limit that applies to each.
 _COUNTS = {
     "composite": ("count", "copies"),
     "flexcomp": ("count", "copies"),
@@ -31,8 +32,9 @@ _COUNTS = {
     "hfield": ("nrow", "vertices"),
     "texture": ("width", "pixels"),
 }
-# Corners of faces that a built-in mesh has for each of its squares, and that MuJoCo makes of them meanwhile.
+# Corners of faces that a built-in mesh has per square; MuJoCo allocates as many while it builds the mesh.
 _CORNERS = 10
+# Second factors of the counts above.
 _SECOND = {"nrow": "ncol", "width": "height"}
 
 
@@ -48,7 +50,7 @@ class MjcfText:
 
 
 def read_whole(path: Path | str, options: ReadOptions) -> MjcfText:
-    """Read an MJCF file with all that it includes, and hold it to the files, sizes and copies that the caller allows.
+    """Read an MJCF file with all that it includes, and check files, sizes and copies against the limits.
 
     MuJoCo is given this text in place of the files: its own parser finds other elements than ours in some (a comment
     within an attribute or a CDATA section, another encoding), and could open files that were never checked.
@@ -62,7 +64,7 @@ def read_whole(path: Path | str, options: ReadOptions) -> MjcfText:
 
 
 class _Model:
-    """One model's main file, and what it includes."""
+    """Main file of one model, with the files that it includes."""
 
     def __init__(self, path: Path, options: ReadOptions, above: tuple[Path, ...] = ()) -> None:
         self.path = path
@@ -94,6 +96,7 @@ class _Model:
             self._set_folders(compiler)
         own = sum(1 for _ in root.iter())
         self.size = self._check_elements(root)
+        # Elements that are written out in the file are limited by read_xml; only copies are counted here.
         made = self.size - own
         if made > self.options.limits.copies:
             raise AssetError(
@@ -103,7 +106,7 @@ class _Model:
         return root
 
     def _collect(self, path: Path, above: tuple[Path, ...]) -> Element:
-        """Read a file, with the children of files that it includes in the place of each ``<include>``."""
+        """Read a file, and replace each ``<include>`` by the children of the file that it names."""
         if path in above:
             raise AssetError(f"{path} includes itself: remove the <include>")
         if len(above) > self.options.limits.nesting:
@@ -115,13 +118,14 @@ class _Model:
                 self.origin[element] = path
             if element.tag != "include" and element.tag.lower() == "include":
                 raise AssetError(f"{path} has an element <{element.tag}>, which MJCF lacks: write <include>")
+        # The list is taken before: elements of included files were already expanded by the recursion.
         for element in own:
             if element.find("include") is not None:
                 element[:] = [part for child in element for part in self._written_out(child, path, above)]
         return root
 
     def _written_out(self, element: Element, path: Path, above: tuple[Path, ...]) -> list[Element]:
-        """Return an element, or the elements that stand for it if it is an ``<include>``."""
+        """Return an element, or the elements of the included file if it is an ``<include>``."""
         if element.tag != "include":
             return [element]
         with naming(f"{path}, <include>"):
@@ -132,7 +136,7 @@ class _Model:
         return list(self._collect(found, (*above, path)))
 
     def _set_folders(self, compiler: Element) -> None:
-        """Take over where a ``<compiler>`` says that assets are; ``assetdir`` sets all kinds, others override it."""
+        """Read the asset folders of a ``<compiler>``; ``assetdir`` sets all kinds, others override it."""
         folder = compiler.get("assetdir")
         if folder is not None:
             self.folders |= {"mesh": folder, "texture": folder}
@@ -151,6 +155,7 @@ class _Model:
         while waiting:
             element, copies = waiting.pop()
             if element.tag == "replicate":
+                # Copies multiply through nested <replicate> elements.
                 copies *= max(int(_number(element.get("count", "1"))), 1)
             total += copies
             attached += copies if element.tag == "attach" else 0
@@ -170,6 +175,7 @@ class _Model:
             first, second, *_ = (*map(_number, element.get("params", "").split()), 0.0, 0.0)
             self._within("params", _CORNERS * first * max(first, second), "vertices")
         if element.tag == "texture" and element.get("type", "cube") != "2d":
+            # A cube texture has six square faces.
             self._within("width", 6.0 * _number(element.get("width", "")) ** 2, "pixels")
         if element.tag not in _COUNTS:
             return
@@ -178,6 +184,7 @@ class _Model:
         self._within(attribute, math.prod(_number(each) for each in counts), limit)
 
     def _within(self, attribute: str, value: float, limit: str) -> None:
+        # Limits are compared before anything is allocated.
         most = getattr(self.options.limits, limit)
         if value > most:
             raise AssetError(f"{attribute} asks for {value:g}: give {most} at most, or raise ReadLimits.{limit}")
@@ -223,7 +230,7 @@ class _Model:
 
 
 def _number(text: str) -> float:
-    """A number, or zero for what is none: the compiler then says so."""
+    """Return a number, or zero for other text: the compiler reports that with its place."""
     try:
         return float(text)
     except ValueError:
@@ -232,13 +239,13 @@ def _number(text: str) -> float:
 
 PARSER = "mujoco"
 """The package that reads MJCF."""
-# The name that MuJoCo gives to a model without one.
+# Name that MuJoCo gives to a model without one.
 _UNNAMED = "MuJoCo Model"
 
 
 @dataclass(eq=False)
 class Compiled:
-    """One compiled model; what is not taken over as it is becomes a line of ``notes``, or an error."""
+    """A compiled model; parts that are not taken over as they are become lines of ``notes``, or an error."""
 
     model: Any
     mujoco: Any
@@ -248,7 +255,7 @@ class Compiled:
     notes: list[str] = field(default_factory=list)
 
     def unsupported(self, what: str, remedy: str) -> None:
-        """Meet something that the description cannot hold, as the options say.
+        """Reject or note something that the description cannot hold, as the options say.
 
         Raises:
             AssetError: the options have it refused.
@@ -261,29 +268,29 @@ class Compiled:
 
     @cached_property
     def body_names(self) -> list[str]:
-        """Names of all bodies, the world's first; those without one are called by their number."""
+        """List of names of all bodies, the world's first; bodies without one are named by their number."""
         return _filled(self.names_of("BODY"), [f"body_{index}" for index in range(self.model.nbody)])
 
     @cached_property
     def joint_names(self) -> list[str]:
-        """Names of all joints; those without one are called by their body and number."""
+        """List of names of all joints; joints without one are named by their body and number."""
         bodies = [self.body_names[body] for body in self.model.jnt_bodyid]
         return _filled(self.names_of("JOINT"), [f"{body}_joint_{index}" for index, body in enumerate(bodies)])
 
     @cached_property
     def site_names(self) -> list[str]:
-        """Names of all sites, none of them a body's."""
+        """List of names of all sites, none of them a body's."""
         names = _filled(self.names_of("SITE"), [f"site_{index}" for index in range(self.model.nsite)])
         bodies = set(self.body_names)
         return [f"{name}_site" if name in bodies else name for name in names]
 
     @cached_property
     def geom_names(self) -> list[str]:
-        """Names of all geoms, as the file gives them: a name may be empty."""
+        """List of names of all geoms, as the file gives them: a name may be empty."""
         return self.names_of("GEOM")
 
     def names_of(self, kind: str) -> list[str]:
-        """The file's names of all objects of one kind, such as ``"TENDON"``; empty where it gives none."""
+        """Return the file's names of all objects of one kind, such as ``"TENDON"``; empty where it gives none."""
         counts = {
             "BODY": "nbody", "JOINT": "njnt", "SITE": "nsite", "GEOM": "ngeom", "EQUALITY": "neq", "TENDON": "ntendon",
             "ACTUATOR": "nu", "KEY": "nkey",
@@ -293,26 +300,26 @@ class Compiled:
         return [self.mujoco.mj_id2name(self.model, number, index) or "" for index in range(count)]
 
     def joints_of(self, body: int) -> range:
-        """The body's joints, the outermost first."""
+        """Return the body's joints, the outermost first."""
         first = int(self.model.body_jntadr[body])
         return range(first, first + int(self.model.body_jntnum[body]))
 
     def joint_kind(self, joint: int) -> str:
-        """``FREE``, ``BALL``, ``SLIDE`` or ``HINGE``."""
+        """Return the type of a joint: ``FREE``, ``BALL``, ``SLIDE`` or ``HINGE``."""
         return self.mujoco.mjtJoint(self.model.jnt_type[joint]).name.removeprefix("mjJNT_")
 
     def body_pose(self, body: int) -> Pose:
-        """Pose of a body in its parent, where all joints are at their references."""
+        """Return the pose of a body in its parent, where all joints are at their references."""
         return pose_of(self.model.body_pos[body], self.model.body_quat[body])
 
     def listed(self, bodies: list[int]) -> str:
-        """The bodies' names, a few of them where there are many."""
+        """Return the bodies' names, a few of them where there are many."""
         names = ", ".join(f"'{self.body_names[body]}'" for body in bodies[:12])
         return names if len(bodies) <= 12 else f"{names} and {len(bodies) - 12} more"
 
 
 def compile_file(path: Path, options: ReadOptions) -> Compiled:
-    """Compile an MJCF file, once it is known to ask for nothing that the options forbid.
+    """Compile an MJCF file after its text is checked against the options.
 
     Raises:
         AssetError: the file does not compile, opens or makes what the options forbid, or MuJoCo is not installed.
@@ -324,7 +331,9 @@ def compile_file(path: Path, options: ReadOptions) -> Compiled:
     whole = read_whole(path, options)
     said: list[str] = []
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(said.append)  # else it writes them to the terminal and to a file in the folder at hand
+    mujoco.set_mju_user_warning(
+        said.append
+    )  # by default they go to the terminal and to MUJOCO_LOG.TXT in the current folder
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -340,7 +349,7 @@ def compile_file(path: Path, options: ReadOptions) -> Compiled:
 
 
 def _filled(names: list[str], fallback: list[str]) -> list[str]:
-    """The names, with the fallback where one is empty, made longer until it is nobody else's."""
+    """Return the names, with the fallback where one is empty, made unique by underscores."""
     taken = set(names)
     result: list[str] = []
     for name, own in zip(names, fallback, strict=True):
@@ -352,12 +361,12 @@ def _filled(names: list[str], fallback: list[str]) -> list[str]:
 
 
 def pose_of(position: Any, quaternion: Any) -> Pose:
-    """The pose of arrays (3,) and (4,)."""
+    """Return the pose of arrays (3,) and (4,)."""
     w, x, y, z = (float(value) for value in quaternion)
     return Pose(vector_of(position), canonical((w, x, y, z)))
 
 
 def vector_of(values: Any) -> Vector3:
-    """Three numbers as Python's."""
+    """Convert three numbers to Python floats."""
     x, y, z = np.asarray(values).tolist()
     return (x, y, z)

@@ -31,13 +31,13 @@ from orbit_assets.options import ReadOptions
 from orbit_assets.placed import PlacedArticulation
 from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
 
-# MuJoCo's own for a contact or a limit.
+# MuJoCo's defaults for a contact or a limit.
 _SOLREF, _SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)
 _GRAVITY = (0.0, 0.0, -9.81)
 
 
 def meet_leftovers(compiled: Compiled, tree: Tree) -> None:
-    """Note what is the scene's or the engine's to say, and meet what changes how the bodies move.
+    """Note settings that belong to the scene or the engine, and reject or note what changes how the bodies move.
 
     Raises:
         AssetError: the options have what the description cannot hold refused.
@@ -54,6 +54,7 @@ def meet_leftovers(compiled: Compiled, tree: Tree) -> None:
         "skins": model.nskin,
         "textures": model.ntex,
         "joints whose springs and limits are soft (solref, solimp or margin)": _soft_joints(model),
+        # Every part of the file that is not read is counted, so that nothing is lost in silence.
     }
     compiled.notes += [f"{what} are left out: {count}" for what, count in counts.items() if count]
 
@@ -72,6 +73,7 @@ def _meet_bodies(compiled: Compiled, tree: Tree) -> None:
 def _note_contact(compiled: Compiled, tree: Tree) -> None:
     model = compiled.model
     ours = np.isin(model.geom_bodyid, tree.bodies)
+    # Contact settings of geoms that never collide have no effect and are not reported.
     solid = ours & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
     of = {
         "solref or solimp": _unlike(model.geom_solref, _SOLREF) | _unlike(model.geom_solimp, _SOLIMP),
@@ -84,7 +86,7 @@ def _note_contact(compiled: Compiled, tree: Tree) -> None:
 
 
 def _note_surroundings(compiled: Compiled) -> None:
-    """Options of the world, which are the scene's to say."""
+    """Note options of the world, which the scene sets."""
     option = compiled.model.opt
     said = {
         "gravity": not np.allclose(option.gravity, _GRAVITY, atol=0.01),
@@ -107,7 +109,7 @@ def _unlike(rows: Any, default: tuple[float, ...]) -> np.ndarray:
 
 @names_file
 def read_mjcf(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Articulation:
-    """The one articulation in an MJCF file, or the one that the options name.
+    """Read the one articulation in an MJCF file, or the one that the options name.
 
     Its root is the one body that floats freely or stands fixed in the world; where several bodies hang from the world,
     or one by a joint, the root is a link ``world`` without mass, for a fixed base. ``options.articulation`` names a
@@ -125,7 +127,7 @@ def read_mjcf(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Arti
 
 @names_file
 def read_mjcf_all(path: Path | str, *, options: ReadOptions = ReadOptions()) -> tuple[PlacedArticulation, ...]:
-    """All articulations in an MJCF file: each body right below the world with what hangs on it, and the world's shapes.
+    """Read all articulations in an MJCF file: each body right below the world with its tree, and the world's shapes.
 
     Bodies that hang from the world and that a constraint connects are one articulation, rooted in a link ``world``. The
     shapes of the world, ground included, are an articulation ``world`` of one link. Each is named by its root.
@@ -136,6 +138,7 @@ def read_mjcf_all(path: Path | str, *, options: ReadOptions = ReadOptions()) -> 
     compiled = compile_file(Path(path), options)
     placed: list[PlacedArticulation] = []
     for tree in Trees(compiled).every():
+        # Each articulation gets its own notes; those of the file as a whole are in all of them.
         own = replace(compiled, notes=list(compiled.notes))
         articulation = _read_tree(own, tree, own.body_names[_namesake(tree)], terrain=True)
         placed.append(PlacedArticulation(articulation, _placed(compiled, tree), not tree.floating))
@@ -143,15 +146,16 @@ def read_mjcf_all(path: Path | str, *, options: ReadOptions = ReadOptions()) -> 
 
 
 def _namesake(tree: Tree) -> int:
-    """The body after which the articulation is called: its root, or what hangs from the world as its root."""
+    """Return the body that names the articulation: its root, or the top body that hangs from the world."""
     return tree.bodies[1] if tree.root == 0 and len(tree.bodies) > 1 and not tree.world_geoms else tree.root
 
 
 def _placed(compiled: Compiled, tree: Tree) -> Pose:
-    """The root's pose in the world, in the pose that is home."""
+    """Return the root's pose in the world, at home."""
     if not tree.floating:
         return compiled.body_pose(tree.root) if tree.root else Pose()
     values = Actuators(compiled).home_values()
+    # A free joint has a position and a quaternion: seven coordinates.
     first = int(compiled.model.jnt_qposadr[compiled.joints_of(tree.root)[0]])
     return pose_of(values[first : first + 3], values[first + 3 : first + 7])
 
@@ -170,6 +174,7 @@ def _read_tree(compiled: Compiled, tree: Tree, name: str, *, terrain: bool) -> A
         between, chain = body_chain(compiled, body, limits) if body != tree.root else ([], [])
         links += [*between, _link(compiled, geoms, body)]
         joints += [couplings.applied(each, numbers.get(each.name, -1)) for each in chain]
+    # Last, for the calls above note what they leave out themselves.
     meet_leftovers(compiled, tree)
     moving = {joint.name for joint in joints if joint.movable}
     bodies = set(tree.bodies)
@@ -192,6 +197,7 @@ def _read_tree(compiled: Compiled, tree: Tree, name: str, *, terrain: bool) -> A
 def _link(compiled: Compiled, geoms: Geoms, body: int) -> Link:
     model = compiled.model
     collisions, visuals = geoms.shapes(body)
+    # body_inertia is diagonal in the frame body_iquat.
     axes = pose_of((0.0, 0.0, 0.0), model.body_iquat[body]).rotation_matrix()
     inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
     name = compiled.body_names[body] if body else WORLD
@@ -199,7 +205,7 @@ def _link(compiled: Compiled, geoms: Geoms, body: int) -> Link:
 
 
 def _frames(compiled: Compiled, bodies: set[int]) -> tuple[Frame, ...]:
-    """The sites, without those that only hold a constraint's ends."""
+    """Return the sites as frames, without those that are only a constraint's ends."""
     model = compiled.model
     ends = {f"{name}{end}" for name in compiled.names_of("EQUALITY") if name for end in OWN_SITES}
     return tuple(

@@ -60,7 +60,7 @@ _OF_LINKS: LinkTraits = (
 
 
 def losses(articulation: Articulation) -> tuple[str, ...]:
-    """What an MJCF file of the articulation does not say; a sentence each."""
+    """List what an MJCF file of the articulation does not hold, a sentence each."""
     traits = missing_traits("MJCF", articulation, _OF_JOINTS, _OF_LINKS)
     return (*traits, *raised_inertias(articulation), *_of_the_whole(articulation))
 
@@ -85,12 +85,12 @@ def _two_frictions(shape: Shape) -> bool:
     return shape.material.static_friction != shape.material.dynamic_friction
 
 
-# Groups of geoms that MuJoCo's viewer draws, and that it hides.
+# Groups of geoms that MuJoCo's viewer draws and hides by default.
 _DRAWN, _HIDDEN = "0", "3"
 
 
 class GeomWriter:
-    """Adds ``<geom>`` elements to bodies, and writes each mesh once.
+    """Writer of ``<geom>`` elements of bodies, and of each mesh once.
 
     Args:
         asset: the element that lists the model's meshes.
@@ -111,6 +111,7 @@ class GeomWriter:
         """Add a link's shapes: one that collides and is drawn alike is one geom."""
         drawn = list(link.visuals)
         for shape in link.collisions:
+            # Equal shapes are one geom: a copy would be compiled and drawn twice.
             both = shape in drawn
             if both:
                 drawn.remove(shape)
@@ -144,7 +145,7 @@ class GeomWriter:
                 return {"type": "plane", "size": "0 0 1"}
 
     def _mesh(self, mesh: Mesh, name: str) -> str:
-        """The name of a mesh; its file is written with the first geom that uses it."""
+        """Return the name of a mesh; its file is written with the first geom that uses it."""
         if id(mesh) not in self._meshes:
             # MuJoCo asks for four corners at least, though the faces need not use them all.
             vertices = np.concatenate([mesh.vertices, *[mesh.vertices[-1:]] * max(0, 4 - len(mesh.vertices))])
@@ -157,7 +158,7 @@ class GeomWriter:
         return self._meshes[id(mesh)][1]
 
     def _unique(self, name: str) -> str:
-        """MJCF has one name for each geom of a model, where the description has one for each of a link."""
+        """Return a unique name: MJCF has one namespace of geoms per model, the description one per link."""
         number, own = 1, name
         while own in self._names:
             number += 1
@@ -174,20 +175,20 @@ def place(element: Element, pose: Pose) -> None:
 
 
 def _rub(element: Element, material: PhysicsMaterial) -> None:
-    """Friction, in as many directions of a contact as have some."""
+    """Write friction, in as many directions of a contact as have some."""
     sliding, torsional, rolling = material.dynamic_friction, material.torsional_friction, material.rolling_friction
     dimensions = 6 if rolling > 0 else 4 if torsional > 0 else 3 if sliding > 0 else 1
     element.set("condim", str(dimensions))
     element.set("friction", numbers((sliding, torsional, rolling)))
 
 
-# Rad, m, N or N m between limits that the description has equal: MuJoCo asks for some.
+# Width (rad, m, N or N m) of equal limits in the file: MuJoCo requires the lower to be below the upper.
 _WIDTH = 1e-9
 
 
 @dataclass(eq=False)
 class BodyWriter:
-    """Writes one articulation's bodies below ``<worldbody>``."""
+    """Writer of one articulation's bodies below ``<worldbody>``."""
 
     articulation: Articulation
     geoms: GeomWriter
@@ -206,7 +207,7 @@ class BodyWriter:
             self._frames.setdefault(frame.link, []).append((frame.name, frame.pose))
 
     def write(self, worldbody: Element) -> dict[str, Element]:
-        """The elements of all links but those without mass between joints; the root ``world`` is the world itself."""
+        """Write all links but the massless ones between joints; the root ``world`` is the world itself."""
         elements: dict[str, Element] = {}
         for link in self.articulation.links:
             if self._between(link):
@@ -242,7 +243,7 @@ class BodyWriter:
             place(SubElement(body, "site", name=name), pose)
 
     def _carried(self, link: Link) -> bool:
-        """Whether a link without mass is rigid with one that has some."""
+        """Return True if a link without mass is rigid with one that has some."""
         waiting = [link.name]
         masses = {each.name: each.mass for each in self.articulation.links}
         while waiting:
@@ -253,18 +254,19 @@ class BodyWriter:
         return False
 
     def _between(self, link: Link) -> bool:
-        """Whether a link stands for nothing but the place between two joints of one body."""
+        """Return True if a link only separates two joints of one body."""
         joint, children = self._joint_of.get(link.name), self._children.get(link.name, [])
         empty = link.mass == 0 and not (link.collisions or link.visuals) and link.name not in self._named
         return bool(joint and joint.movable and empty and len(children) == 1 and children[0].movable)
 
     def _chain(self, link: Link) -> list[Joint]:
-        """The joints between a link and the next above that is a body, the outermost first."""
+        """Return the joints between a link and the next body above, the outermost first."""
         links = {each.name: each for each in self.articulation.links}
         chain = [self._joint_of[link.name]]
         while self._between(links[chain[0].parent]):
             parent = chain[0].parent
             chain.insert(0, self._joint_of[parent])
+            # Names that the reader gives to such links come back; others are lost.
             if parent != f"{chain[0].name}_link":
                 self.notes.append(f"MJCF does not hold the name of link '{parent}', which has no mass")
         return chain
@@ -293,13 +295,13 @@ class BodyWriter:
             pos=numbers(link.center_of_mass),
             quat=numbers(axes.orientation),
             mass=repr(float(link.mass)),
-            # MuJoCo holds inertias to the triangle inequality without any tolerance.
+            # MuJoCo checks the triangle inequality of inertias without any tolerance.
             diaginertia=numbers(moments),
         )
 
 
 def renamed_world(articulation: Articulation, *, fixed_base: bool) -> tuple[Articulation, tuple[str, ...]]:
-    """The articulation with no link or frame by the name that MJCF keeps for the world itself, and what was said.
+    """Rename links and frames called ``world``, which MJCF reserves for the world itself; return notes too.
 
     A root ``world`` that is fixed and has no mass keeps it, for it is the world.
     """
@@ -324,7 +326,7 @@ def renamed_world(articulation: Articulation, *, fixed_base: bool) -> tuple[Arti
 
 
 def _joint(body: Element, joint: Joint, frame: Pose) -> None:
-    """One joint, whose frame stands so in the body."""
+    """Write one joint, whose frame has this pose in the body."""
     angular = joint.type is not JointType.PRISMATIC
     axis = vector_of(frame.rotation_matrix() @ np.asarray(joint.axis))
     element = SubElement(
@@ -338,6 +340,7 @@ def _joint(body: Element, joint: Joint, frame: Pose) -> None:
     limits = joint.lower_limit, joint.upper_limit
     limited = limits != (-math.inf, math.inf)
     element.set("limited", str(limited).lower())
+    # MuJoCo rejects infinite ranges: one-sided limits end at a number that no joint reaches.
     if limited:
         lower, upper = max(limits[0], -UNLIMITED), min(limits[1], UNLIMITED)
         element.set("range", numbers((lower, max(upper, lower + _WIDTH))))
@@ -359,7 +362,7 @@ def _joint(body: Element, joint: Joint, frame: Pose) -> None:
 def write_mjcf(
     articulation: Articulation, path: Path | str, meshes: Path | str | None = None, *, fixed_base: bool = True
 ) -> tuple[str, ...]:
-    """Write one articulation to an ``.xml`` or ``.mjcf`` file and give what the format cannot hold, a sentence each.
+    """Write one articulation to an ``.xml`` or ``.mjcf`` file; return what the format cannot hold, a sentence each.
 
     Links without mass between joints become several joints on one body, and come back by the names that
     :func:`orbit_assets.joint_models.chain` gives. Links come back depth first, joints and links without mass
@@ -369,7 +372,7 @@ def write_mjcf(
     Args:
         articulation: what to write, in topological order.
         path: the file, which is overwritten.
-        meshes: the folder for mesh files, made where it is missing; beside the file and of its name unless given.
+        meshes: the folder for mesh files, made where it is missing; next to the file and named after it by default.
         fixed_base: whether the root stands fixed in the world, which a description leaves to its scene.
 
     Raises:
@@ -386,6 +389,7 @@ def write_mjcf(
     asset, worldbody = SubElement(root, "asset"), SubElement(root, "worldbody")
     geoms = GeomWriter(asset, folder, path.parent, self_collisions=articulation.self_collisions)
     writer = BodyWriter(articulation, geoms, fixed_base)
+    # Mesh files are written first: a document that exists names only files that exist.
     with storage_faults(folder):
         bodies = writer.write(worldbody)
     _exclusions(root, articulation, bodies)
@@ -400,7 +404,7 @@ def write_mjcf(
 
 
 def _exclusions(root: Element, articulation: Articulation, bodies: dict[str, Element]) -> None:
-    """Pairs that never collide: those excluded, and those joined that MuJoCo would let collide."""
+    """Write pairs that never collide: the excluded ones, and joined ones that MuJoCo would let collide."""
     if not articulation.self_collisions:
         return
     contact = SubElement(root, "contact")
@@ -416,6 +420,7 @@ def _constraints(root: Element, articulation: Articulation, bodies: dict[str, El
     equality = SubElement(root, "equality")
     for joint in articulation.joints:
         if joint.mimic is not None:
+            # ``polycoef`` has exactly five coefficients.
             law = numbers((*joint.mimic.coefficients, 0.0, 0.0, 0.0)[:5])
             SubElement(equality, "joint", joint1=joint.name, joint2=joint.mimic.joint, polycoef=law)
     for loop in articulation.loops:
@@ -442,7 +447,7 @@ def _actuators(root: Element, drives: tuple[DriveGains, ...]) -> None:
 
 
 def _keyframe(root: Element, worldbody: Element, home: dict[str, float]) -> None:
-    """Positions in the order of the file's joints; a floating root stands at the origin."""
+    """Write positions in the order of the file's joints; a floating root is at the origin."""
     free = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0) if next(worldbody.iter("freejoint"), None) is not None else ()
     positions = (home.get(joint.get("name", ""), 0.0) for joint in worldbody.iter("joint"))
     SubElement(SubElement(root, "keyframe"), "key", name="home", qpos=numbers((*free, *positions)))

@@ -12,8 +12,8 @@ from orbit_core.robots import RobotCatalogue, RobotEntry, composed
 if TYPE_CHECKING:
     from orbit_core.scene import RobotSpec
 
-# Robots that are parts as well, by default with their own end effector: name, description, package, licence, and where
-# the part is in this package.
+# Robots that are parts as well, by default with their own end effector: name, description, package, licence, and
+# module and name of the part in this package. Plain text, so that listing them builds none.
 _PARTS = (
     ("allegro_left", "Allegro hand, left: 16 joints", "example-robot-data", "BSD", "hands:ALLEGRO_LEFT"),
     ("allegro_right", "Allegro hand, right: 16 joints", "example-robot-data", "BSD", "hands:ALLEGRO_RIGHT"),
@@ -95,6 +95,7 @@ _COMPOSITES = (
     ("ur10_shadow_hand", "Universal Robots UR10: 6-joint arm, Shadow Dexterous Hand", "ur10+shadow_hand"),
 )
 
+# The licence of ManiSkill's assets, which are not distributed with ORBIT.
 _NONCOMMERCIAL = "CC BY-NC 4.0 (no commercial use)"
 _MANISKILL = (
     ("koch", "Koch v1.1: 5-joint low-cost arm, one moving jaw", "Apache-2.0"),
@@ -117,6 +118,7 @@ def register(catalogue: RobotCatalogue) -> None:
         source = ", ".join(dict.fromkeys(packages[part][0] for part in parts.split("+")))
         licence = "; ".join(f"{packages[part][1]} ({part})" for part in parts.split("+"))
         catalogue.add(RobotEntry(name, description, partial(_composite, name, parts), source, licence))
+    # ManiSkill's robots are not cached: without the package they cannot be built, and are not offered.
     if installed_version("mani-skill") is None:
         return
     for name, description, licence in _MANISKILL:

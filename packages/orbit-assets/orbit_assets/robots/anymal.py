@@ -15,7 +15,7 @@ LICENCE = "BSD-3-Clause"
 
 
 def anymal_b() -> Articulation:
-    """The robot with the frame ``mount`` on its back."""
+    """Read the robot, and add the frame ``mount`` on its back."""
     source = installed_urdf(SOURCE, "robots/anymal_b_simple_description/robots/anymal.urdf", "anymal_b")
     body = with_armature(merge_fixed_links(source))
     return add_frames(body, Frame("mount", "base", Pose((0.0, 0.0, 0.15))))
@@ -36,7 +36,7 @@ ANYMAL_B = RobotPart(
 
 
 def anymal_c() -> Articulation:
-    """The robot with the frame ``mount`` on its back; its feet are part of the shanks and have frames of their own."""
+    """Read the robot, and add the frame ``mount`` on its back; its feet are frames on the shanks."""
     body = installed_urdf(SOURCE, "robots/anymal_c_simple_description/urdf/anymal.urdf", "anymal_c")
     return add_frames(merge_fixed_links(body), Frame("mount", "base", Pose((0.0, 0.0, 0.15))))
 
@@ -51,6 +51,6 @@ ANYMAL_C = RobotPart(
     drives=(ImplicitPd(joints=(".*_(HAA|HFE|KFE)",), stiffness=80.0, damping=2.0),),
     mount="mount",
     feet=("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"),
-    pose=Pose((0.0, 0.0, 0.6)),  # the feet are let down a little way
+    pose=Pose((0.0, 0.0, 0.6)),  # the feet start slightly above the ground
     fixed_base=False,
 )

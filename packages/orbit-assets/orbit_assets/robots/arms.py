@@ -19,7 +19,7 @@ KUKA_FLANGE = Frame("flange", "lbr_iiwa_link_7", Pose.from_euler(0.0, 0.0, -math
 
 
 def kuka_iiwa7() -> Articulation:
-    """The arm up to the frame ``flange`` on its last link, 45 mm out, with z out of it."""
+    """Read the arm up to the frame ``flange`` on its last link, 45 mm out, with z out of it."""
     source = installed_urdf(KUKA_SOURCE, "pybullet_data/kuka_iiwa/model.urdf", "kuka_iiwa7")
     arm = simplify_collisions(merge_fixed_links(source))
     note = "velocity limit of 1.71 rad/s, the maker's for its slowest axes: the URDF has 10 rad/s on all"
@@ -51,7 +51,7 @@ SOURCE = "example-robot-data"
 
 
 def xarm7() -> Articulation:
-    """The arm up to the frame ``flange``, which is ``link_eef`` turned: z out of it, y across at home."""
+    """Read the arm up to the frame ``flange``, which is ``link_eef`` turned: z out of it, y across at home."""
     source = subtree(installed_urdf(SOURCE, "robots/xarm_description/urdf/xarm7.urdf"), "link_base", "xarm7")
     arm = with_armature(simplify_collisions(merge_fixed_links(source)))
     return add_frames(arm, Frame("flange", "link_eef", Pose.from_euler(0.0, 0.0, -math.pi / 2)))

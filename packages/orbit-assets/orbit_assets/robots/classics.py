@@ -28,13 +28,14 @@ from orbit_core.scene import (
     Shape,
 )
 
+# Metres and kg.
 RAIL_HEIGHT = 1.0
 CART_MASS, CART_HALF = 1.0, (0.1, 0.15, 0.06)
 POLE_MASS, POLE_LENGTH, POLE_RADIUS = 0.1, 1.0, 0.02
 
 
 def cartpole() -> RobotSpec:
-    """The cart in the middle of its rail, along x and 1 m up, the pole standing; position zero is upright.
+    """Build the cart in the middle of its rail, along x and 1 m up, the pole upright at position zero.
 
     Masses and lengths are those of Barto, Sutton and Anderson, Neuronlike adaptive elements (1983).
     """
@@ -50,6 +51,7 @@ def cartpole() -> RobotSpec:
         Link("cart", CART_MASS, inertia=cart_inertia, visuals=(cart,)),
         Link("pole", POLE_MASS, middle, np.diag([across, across, along]), visuals=(pole,)),
     )
+    # Gymnasium's limits of the track, and a motor that no policy saturates.
     slider = Joint("slider", JointType.PRISMATIC, "rail", "cart", axis=(1.0, 0.0, 0.0), lower_limit=-2.4,
                    upper_limit=2.4, effort_limit=100.0, velocity_limit=20.0)  # fmt: skip
     hinge = Joint("hinge", JointType.CONTINUOUS, "cart", "pole", axis=(0.0, 1.0, 0.0), velocity_limit=8 * math.pi)
@@ -67,6 +69,7 @@ def cartpole() -> RobotSpec:
 
 SOURCE = "gymnasium"
 LICENCE = "MIT"
+# The Ant's legs end in capsules without a body of their own: frames mark the ends.
 _FEET = {
     "front_left_foot": Frame("front_left_foot", "body_4", Pose((0.4, 0.4, 0.0))),
     "front_right_foot": Frame("front_right_foot", "body_7", Pose((-0.4, 0.4, 0.0))),
@@ -77,12 +80,12 @@ _SIDES = ("left", "right")
 
 
 def ant() -> Articulation:
-    """The Ant, with a frame at the end of each leg."""
+    """Read the Ant, with a frame at the end of each leg."""
     return add_frames(_read("ant"), *_FEET.values())
 
 
 def humanoid() -> Articulation:
-    """The Humanoid, with a frame under the sphere of each foot and in that of each hand."""
+    """Read the Humanoid, with a frame under the sphere of each foot and one in each hand."""
     feet = (Frame(f"{side}_sole", f"{side}_shin", Pose((0.0, 0.0, -0.425))) for side in _SIDES)
     hands = (
         Frame(f"{side}_hand", f"{side}_lower_arm", Pose((0.18, across, 0.18)))
@@ -93,6 +96,7 @@ def humanoid() -> Articulation:
 
 def _read(name: str) -> Articulation:
     (path,) = model_folder(SOURCE).glob(f"gymnasium/envs/*/assets/{name}.xml")
+    # Actuators and keyframes of the files are dropped: efforts command the joints.
     return merge_fixed_links(read_mjcf(path, options=ReadOptions(unsupported=Unsupported.DROP)))
 
 

@@ -17,14 +17,15 @@ FILE = "robots/panda_description/urdf/panda.urdf"
 
 
 def arm() -> Articulation:
-    """The arm up to the frame ``panda_flange``, which has z out of it and carries a hand 45 degrees about z."""
+    """Read the arm up to the frame ``panda_flange``, which has z out of it and carries a hand 45 degrees about z."""
     source = merge_fixed_links(without(installed_urdf(SOURCE, FILE, "franka_panda"), "panda_hand"))
+    # The maker's flange is 0.107 m out of link 7; hands are mounted at -45 degrees.
     flange = Frame("panda_flange", "panda_link7", Pose.from_euler(0.0, 0.0, -math.pi / 4, (0.0, 0.0, 0.107)))
     return simplified(add_frames(source, flange))
 
 
 def simplified(articulation: Articulation) -> Articulation:
-    """The arm, or its hand, with the motors' inertia and fewer points in its collision shapes."""
+    """Add the motors' inertia to the arm or its hand, and reduce the points of its collision shapes."""
     # The URDF leaves the motors' inertia out. 0.1 is that of a 10 kg mm^2 rotor behind a gear of 100:1; the fingers
     # (15 g) get as many kg, so that the drive and the contact forces act on bodies of like weight.
     note = "armature of 0.1 kg m^2 (arm) and 0.1 kg (fingers) is the catalogue's choice: the URDF has none"
@@ -54,7 +55,7 @@ PANDA = RobotPart(
 
 
 def hand() -> Articulation:
-    """The hand; its frame ``panda_hand_tcp`` lies between the finger pads, 0.1034 m out of its root."""
+    """Read the hand; its frame ``panda_hand_tcp`` is between the finger pads, 0.1034 m out of its root."""
     return simplified(merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "panda_hand")))
 
 

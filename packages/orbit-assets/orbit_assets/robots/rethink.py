@@ -19,7 +19,7 @@ ARM_JOINTS = ("left_[sew][012]",)
 
 
 def arm() -> Articulation:
-    """The arm from its mount on the torso to the frame ``left_flange``, z out of it, x towards the base at home."""
+    """Read the arm from its mount on the torso to the frame ``left_flange``, z out of it, x towards the base."""
     source = subtree(installed_urdf(SOURCE, FILE), "left_arm_mount", "baxter_arm")
     arm = merge_fixed_links(without(source, "left_gripper_base_link"))
     return with_armature(
@@ -44,11 +44,12 @@ FINGER = "l_gripper_l_finger_joint"
 
 
 def gripper() -> Articulation:
-    """The gripper in its wider setting: 16 to 58 mm between the pads, which are boxes in the URDF already.
+    """Read the gripper in its wider setting: 16 to 58 mm between the pads, which are boxes in the URDF already.
 
-    The frame ``rethink_tcp`` lies in the middle of the pads; the URDF's own, ``left_gripper``, is at their tips.
+    The frame ``rethink_tcp`` is in the middle of the pads; the URDF's own, ``left_gripper``, is at their tips.
     """
     source = merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "left_gripper_base_link", "rethink_gripper"))
+    # Inertias of the file are placeholders.
     fingers = inertia_of_shapes(source, ("l_gripper_._finger", "left_gripper_base_link"))
     note = "armature of 0.1 kg on the Rethink gripper's fingers is the catalogue's choice: they weigh 30 g"
     fingers = edit_joints(fingers, (".*",), note, armature=0.1)

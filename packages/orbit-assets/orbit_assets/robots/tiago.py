@@ -53,6 +53,7 @@ def tiago_base() -> Articulation:
         for joint in body.joints
     )
     body = simplify_collisions(merge_fixed_links(replace(body, joints=tuple(joints))))
+    # Spheres and thin cylinders touch the ground at one place: meshes of wheels stick in turns.
     ball = (Shape(Sphere(0.024), name="caster"),)
     tread = (Shape(Cylinder(0.0985, 0.005), name="tread"),)
     body = edit_links(body, ("caster_.*_2_link",), CASTERS, lambda link: replace(link, collisions=ball))
@@ -78,7 +79,8 @@ TIAGO_ARM_JOINTS = ("arm_[1-7]_joint",)
 
 
 def tiago_arm() -> Articulation:
-    """The arm from its seat on the torso to the frame ``arm_flange``, z out of it."""
+    """Read the arm from its seat on the torso to the frame ``arm_flange``, z out of it."""
+    # The arm's frame at the torso is turned so that the arm reaches along x, as other arms do.
     sideways = Pose.from_euler(0.0, 0.0, -math.pi / 2)
     source = branch(installed_urdf(SOURCE, TIAGO_FILE), "arm_1_joint", "torso_arm_link", "tiago_arm", sideways)
     limb = merge_fixed_links(without(without(source, "hand_palm_link"), "hand_safety_box"))
@@ -113,7 +115,7 @@ TIAGO_PRO_ARM_JOINTS = ("arm_left_[1-7]_joint",)
 
 
 def tiago_pro_arm() -> Articulation:
-    """The arm from its seat on the torso, joint 1 upright, to the frame ``arm_left_tool_link``, z out of it."""
+    """Read the arm from its seat on the torso, joint 1 upright, to the frame ``arm_left_tool_link``, z out of it."""
     source = branch(installed_urdf(SOURCE, TIAGO_PRO_FILE), "arm_left_1_joint", "torso_arm_left_link", "tiago_pro_arm")
     return with_armature(simplify_collisions(merge_fixed_links(without(source, "gripper_left_base_link"))))
 
@@ -143,7 +145,7 @@ FINGER = "gripper_left_finger_joint"
 
 
 def tiago_pro_gripper() -> Articulation:
-    """The gripper with two parallel jaws, open by 79 mm; the frame ``gripper_left_tcp`` lies between the pads."""
+    """Read the gripper with two parallel jaws, open by 79 mm; the frame ``gripper_left_tcp`` is between the pads."""
     hand = merge_fixed_links(
         subtree(installed_urdf(SOURCE, TIAGO_PRO_FILE), "gripper_left_base_link", "tiago_pro_gripper")
     )
@@ -175,12 +177,13 @@ RADIUS, LENGTH, WIDTH, WHEEL_EFFORT, WHEEL_RATE = 0.0762, 0.244, 0.223, 6.0, 13.
 # Wheels turn at (|x'| + |y'| + (LENGTH + WIDTH) |yaw'|) / RADIUS (Taheri, Qiao and Ghaeminezhad, Kinematic Model of a
 # Four Mecanum Wheeled Mobile Robot, 2015), and push with all four.
 SPEED, FORCE = WHEEL_RATE * RADIUS, 4.0 * WHEEL_EFFORT / RADIUS
+# A yaw rate moves each wheel's contact at this lever.
 LEVER = LENGTH + WIDTH
 WHEELS = tuple(f"wheel_{end}_{side}_link" for end in ("front", "rear") for side in ("left", "right"))
 
 
 def base_omni() -> Articulation:
-    """The base on virtual joints ``base_x``, ``base_y`` and ``base_yaw``; an arm's frame is ``mount``."""
+    """Read the base on virtual joints ``base_x``, ``base_y`` and ``base_yaw``; an arm's frame is ``mount``."""
     source = installed_urdf(SOURCE, "robots/tiago_pro_description/robots/tiago_pro.urdf")
     body = without(without(source, "torso_base_link"), "torso_fixed_column_link")
     # Its rollers are not in the model: wheels that slid sideways would scrape, so they neither turn nor collide.
@@ -195,6 +198,7 @@ def base_omni() -> Articulation:
     )  # fmt: skip
     yaw = Joint("base_yaw", JointType.CONTINUOUS, "base_y_link", "base_yaw_link",
                 effort_limit=FORCE * LEVER, velocity_limit=SPEED / LEVER)  # fmt: skip
+    # Translations before the rotation: the base moves along the world's axes, as commands have it.
     chain = Articulation("base_omni", tuple(map(Link, ("base_omni", *(j.child for j in (x, y, yaw))))), (x, y, yaw))
     note = (
         "the base moves by virtual joints x, y and yaw, limits from those of its wheels, which do not turn or collide"

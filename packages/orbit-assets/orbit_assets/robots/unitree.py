@@ -23,11 +23,12 @@ QUADRUPED_LEGS = ImplicitPd(joints=(".*_(hip|thigh|calf)_joint",), stiffness=40.
 
 
 _FOOT = Sphere(radius=0.022)
+# Unitree's description puts the sphere 2 mm behind the calf's end.
 _FOOT_POSE = Pose((-0.002, 0.0, 0.0))
 
 
 def _round_feet(articulation: Articulation) -> Articulation:
-    """The robot with meshes of feet replaced by the spheres that Unitree's own description of the Go2 has there.
+    """Return the robot with meshes of feet replaced by the spheres that Unitree's own description of the Go2 has there.
 
     The hull of 33 vertices is such a sphere within 3 mm. On terrain nine in ten of the pieces of ground that an engine
     holds a shape of the robot against are under a foot, and a sphere meets them without an iteration for its depth.
@@ -64,6 +65,7 @@ def _quadruped(name: str, folder: str, height: float, back: float) -> RobotPart:
     )
 
 
+# Heights at which the feet touch the ground at home, with the frame on the back.
 A1 = _quadruped("unitree_a1", "a1", 0.315, 0.057)
 GO1 = _quadruped("unitree_go1", "go1", 0.335, 0.057)
 GO2 = _quadruped("unitree_go2", "go2", 0.338, 0.057)
@@ -107,7 +109,9 @@ def _dex3(side: str) -> RobotPart:
 
 
 def with_hand_frames(robot: Articulation, side: str) -> Articulation:
-    """The robot with frames on its hand of that side, as the hand's part names them: between the tips, and at each."""
+    """Return the robot with frames on its hand of that side, as the hand's part names them: between the tips, and at
+    each.
+    """
     sign, prefix = _SIGNS[side], f"{side}_hand_"
     tips = (
         Frame(f"{prefix}{tip}_tip", f"{prefix}{link}_link", Pose(_tip_of(tip, sign))) for tip, link in _TIPS.items()
@@ -121,7 +125,7 @@ def _seat(sign: float) -> tuple[Vector3, Vector3, Vector3, float]:
 
 
 def _tip_of(finger: str, sign: float) -> tuple[float, float, float]:
-    """The middle of the last link's rounded end, in that link."""
+    """Return the middle of the last link's rounded end, in that link."""
     return (0.0, -0.042 * sign, 0.0) if finger == "thumb" else (0.042, 0.0, 0.0)
 
 
@@ -143,6 +147,7 @@ G1_WALKING = (
     ImplicitPd(joints=(".*_wrist_.*joint",), stiffness=10.0, damping=0.5),
 )
 G1_ARMS = DriveDesign(joints=(".*_(shoulder|elbow|wrist)_.*joint",))
+# The humanoid with hands takes their joints' home and drives from the hands as parts.
 HANDS = (DEX3_LEFT, DEX3_RIGHT)
 SIDES = ("left", "right")
 FOOT_RADIUS = 0.04
@@ -150,12 +155,12 @@ FOOT_RADIUS = 0.04
 
 
 def g1() -> Articulation:
-    """The robot with hands of rubber, which have frames ``left_rubber_hand`` and ``right_rubber_hand``."""
+    """Read the robot with hands of rubber, which have frames ``left_rubber_hand`` and ``right_rubber_hand``."""
     return _read("unitree_g1", "g1_29dof_rev_1_0")
 
 
 def g1_with_hands() -> Articulation:
-    """The robot with Dex3 hands, which have the frames that they have by themselves."""
+    """Read the robot with Dex3 hands, which have the frames that they have by themselves."""
     body = _read("unitree_g1_dex3", "g1_29dof_with_hand_rev_1_0")
     return with_hand_frames(with_hand_frames(body, "left"), "right")
 
@@ -166,7 +171,7 @@ def _read(name: str, file: str) -> Articulation:
 
 
 def _with_larger_spheres(articulation: Articulation) -> Articulation:
-    """The robot with the spheres at the corners of its soles larger, as low as they were.
+    """Return the robot with the spheres at the corners of its soles larger, as low as they were.
 
     Contacts give way by some millimetres where it stamps. A plane pushes a sphere out whose middle it has swallowed,
     but a height field is prisms side by side, and the nearest face, which leads out, may be one between two of them.

@@ -25,7 +25,7 @@ _JOINT_TYPES = {type_.value: type_ for type_ in JointType}
 _COMPOUND = ("ball", "universal", "revolute2")
 # SDFormat's default limits are 1e16.
 _UNLIMITED = 1e15
-# The version from which axes are given in the joint's frame.
+# First version in which axes are given in the joint's frame, instead of the model's.
 _BEFORE_JOINT_FRAMES = (1, 5)
 _KNOWN = {
     "link": {"pose", "inertial", "visual", "collision", "self_collide", "gravity", "kinematic"},
@@ -35,7 +35,7 @@ _DEFAULT_INERTIA = "links without <inertial> have SDFormat's default, 1 kg and 1
 
 
 class SdfModelReader:
-    """Reads one ``<model>``, with those nested in it.
+    """Reader of one ``<model>``, with the models nested in it.
 
     Args:
         source: the model.
@@ -56,11 +56,12 @@ class SdfModelReader:
         self.self_collisions = self.structure.self_collisions
 
     def read(self) -> Articulation:
-        """The articulation.
+        """Return the articulation.
 
         Raises:
             AssetError: something is malformed, or the links make no single tree.
         """
+        # Poses first: errors about frames are clearer than those about links that depend on them.
         for link in self.links:
             self.frames.pose(link)
         links = [self._link(link, element, scope) for link, (element, scope) in self.links.items()]
@@ -84,7 +85,7 @@ class SdfModelReader:
         return repaired(replace(articulation, notes=(*articulation.notes, *self.findings.notes)), self.options)
 
     def placement(self) -> Pose:
-        """The pose, in the model, of the frame that stands where the model is placed.
+        """Return the pose, in the model, of the frame that is at the model's pose.
 
         Raises:
             AssetError: the model has no frame of that name.
@@ -92,7 +93,7 @@ class SdfModelReader:
         return self.frames.pose(self.source.placement or MODEL)
 
     def pose_of(self, link: str) -> Pose:
-        """The pose of a link in the model; the world's link, which joints to the world are read with, is its frame."""
+        """Return the pose of a link in the model; the identity for the world's link, to which joints may connect."""
         return Pose() if link == WORLD and link not in self.links else self.frames.pose(link)
 
     def _link(self, name: str, element: Element, scope: SdfScope) -> Link:
@@ -126,13 +127,14 @@ class SdfModelReader:
             entries = Element("inertia")
         xx, yy, zz = (number(entries, key, where, 1.0) for key in ("ixx", "iyy", "izz"))
         xy, xz, yz = (number(entries, key, where, 0.0) for key in ("ixy", "ixz", "iyz"))
+        # The tensor is given in the inertial frame; a link has it in its own.
         rotation = pose.rotation_matrix()
         inertia = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
         mass = number(inertial, "mass", where, 1.0)
         return replace(link, mass=mass, center_of_mass=pose.position, inertia=inertia)
 
     def _placed(self, element: Element, link: str, scope: SdfScope, where: str) -> Pose:
-        """The pose of a part of a link, in the link."""
+        """Return the pose of a part of a link, in the link."""
         pose, frame = self.fields.pose(element, where)
         if not frame:
             return pose
@@ -141,7 +143,7 @@ class SdfModelReader:
     def _joint(
         self, name: str, element: Element, scope: SdfScope, carried: set[str]
     ) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
-        """The joint, the chain that a compound one becomes, or nothing where it closes a loop or holds the base."""
+        """Convert a joint; return its chain if it is compound, and nothing if it closes a loop or fixes the base."""
         where = f"joint '{name}'"
         self._note_unread(element, where)
         kind = element.get("type", "")
@@ -156,6 +158,7 @@ class SdfModelReader:
         at = self.frames.pose(name)
         ends = [(self.pose_of(link).inverse() @ at) for link in (parent, child)]
         joint = Joint(name, _JOINT_TYPES.get(kind, JointType.CONTINUOUS), parent, child, ends[0], ends[1])
+        # A link has one parent: a second joint to it closes a loop.
         if child in carried:
             self._close_loop(joint, kind, where)
             return (), ()
@@ -173,7 +176,7 @@ class SdfModelReader:
         return (), (self._moving(joint, element, "axis", scope, where),)
 
     def _end(self, element: Element, tag: str, scope: SdfScope, where: str) -> str:
-        """The link of a joint's end, which may name a frame on it or a nested model."""
+        """Return the link of a joint's end, which may name a frame on it or a nested model."""
         name = self.fields.text(element, tag, where)
         path = scope.named(name)
         return WORLD if name == WORLD and path not in self.links else self.frames.link_of(path)
@@ -184,6 +187,8 @@ class SdfModelReader:
             type_ = LoopType.BALL if kind == "ball" else LoopType.WELD
         elif kind in ("revolute", "continuous"):
             type_ = LoopType.BALL
+            # A revolute loop joint removes five freedoms; the description's ball joint removes three, and the tree the
+            # others.
             self.findings.note(f"{where} closes a loop and is held as a ball joint at its origin, without its axis")
         else:
             remedy = "close loops by ball, revolute or fixed joints"
@@ -195,7 +200,7 @@ class SdfModelReader:
         )
 
     def _moving(self, joint: Joint, element: Element, tag: str, scope: SdfScope, where: str) -> Joint:
-        """The joint with the axis, limits and dynamics that ``<axis>`` or ``<axis2>`` gives."""
+        """Return the joint with the axis, limits and dynamics that ``<axis>`` or ``<axis2>`` gives."""
         axis = element.find(tag)
         if axis is None:
             raise self.findings.error(f"{where} lacks <{tag}>", "add it")
@@ -226,10 +231,11 @@ class SdfModelReader:
         multiplier, offset = number(mimic, "multiplier", where, 1.0), number(mimic, "offset", where, 0.0)
         reference = number(mimic, "reference", where, 0.0)
         leader = scope.named(mimic.get("joint", ""))
+        # SDFormat: position = multiplier * (leader - reference) + offset.
         return replace(joint, mimic=Mimic(leader, multiplier, offset - multiplier * reference))
 
     def _direction(self, axis: Element, at: Pose, scope: SdfScope, where: str) -> Vector3:
-        """The axis in the joint's frame, which stands at ``at`` in the model."""
+        """Return the axis in the joint's frame, which has the pose ``at`` in the model."""
         given = self.fields.vector(axis, "xyz", where, "0 0 1")
         xyz = axis.find("xyz")
         frame = xyz.get("expressed_in", "") if xyz is not None else ""
@@ -256,7 +262,7 @@ class SdfModelReader:
         )
 
     def _frame(self, name: str) -> Frame:
-        """A ``<frame>`` on the link that it moves with."""
+        """Return a ``<frame>`` on the link that it moves with."""
         host = self.frames.link_of(name)
         return Frame(name, host, self.frames.pose(host).inverse() @ self.frames.pose(name))
 
@@ -271,25 +277,25 @@ def _bound(value: float) -> float:
 
 
 def _rated(value: float) -> float:
-    """An effort or velocity limit, of which SDFormat's negative values say that there is none."""
+    """Return an effort or velocity limit; negative values of SDFormat mean that there is none."""
     return math.inf if value < 0 or value >= _UNLIMITED else value
 
 
 @dataclass(frozen=True, eq=False)
 class SdfModel:
-    """A model of an SDFormat file, where it stands in the file's world, and whether the file says that it is fixed."""
+    """A model of an SDFormat file, its pose in the file's world, and True if the file fixes it."""
 
     articulation: Articulation
     pose: Pose
-    """Of the model's frame."""
+    """Pose of the model's frame."""
     static: bool
     root_pose: Pose
-    """Of the root link, as an entity of a scene needs it."""
+    """Pose of the root link, as an entity of a scene needs it."""
 
 
 @names_file
 def read_sdf(path: Path | str, name: str | None = None, *, options: ReadOptions = ReadOptions()) -> Articulation:
-    """The articulation that a model of an SDFormat file describes, in link order depth first, fixed joints kept.
+    """Read the articulation of a model of an SDFormat file, in link order depth first, fixed joints kept.
 
     Of several models ``options.articulation`` names the one. Poses are taken in the frames that they name, as
     SDFormat 1.7 has it; axes before version 1.5 are in the model's frame. Ball and universal joints become chains of
@@ -324,7 +330,7 @@ def read_sdf(path: Path | str, name: str | None = None, *, options: ReadOptions 
 
 @names_file
 def read_sdf_models(path: Path | str, *, options: ReadOptions = ReadOptions()) -> tuple[SdfModel, ...]:
-    """All models of an SDFormat file and of those that it includes, as :func:`read_sdf` reads one.
+    """Read all models of an SDFormat file and of those that it includes, as :func:`read_sdf` reads one.
 
     Raises:
         AssetError: as :func:`read_sdf`.
@@ -333,7 +339,7 @@ def read_sdf_models(path: Path | str, *, options: ReadOptions = ReadOptions()) -
 
 
 def _models(path: Path, options: ReadOptions) -> list[tuple[SdfWorld, SdfSource]]:
-    """The models of a file, world by world, each with its world."""
+    """Return the models of a file, world by world, each with its world."""
     return [(world, model) for world in SdfFiles(options).worlds(path) for model in world.models]
 
 

@@ -17,7 +17,7 @@ _TRUE, _FALSE = ("true", "1"), ("false", "0", "")
 
 
 class SdfFields:
-    """Reads child elements, and names file, element and remedy where one is not as it should be.
+    """Reader of child elements; errors name file, element and remedy.
 
     ``where`` in all methods is the thing being read, as "link 'arm'".
     """
@@ -26,7 +26,7 @@ class SdfFields:
         self.findings = findings
 
     def name(self, element: Element, where: str) -> str:
-        """The element's name.
+        """Return the element's name.
 
         Raises:
             AssetError: it has none.
@@ -37,7 +37,7 @@ class SdfFields:
         return name
 
     def text(self, element: Element, tag: str, where: str, default: str | None = None) -> str:
-        """The text of a child element; ``default`` where there is no such child.
+        """Return the text of a child element; ``default`` where there is no such child.
 
         Raises:
             AssetError: it is missing without a default.
@@ -50,7 +50,7 @@ class SdfFields:
         return default
 
     def number(self, element: Element, tag: str, where: str, default: float | None = None) -> float:
-        """The number in a child element.
+        """Return the number in a child element.
 
         Raises:
             AssetError: it is missing without a default, or no number.
@@ -58,7 +58,7 @@ class SdfFields:
         return self.numbers(element, tag, where, 1, None if default is None else repr(default))[0]
 
     def vector(self, element: Element, tag: str, where: str, default: str | None = None) -> Vector3:
-        """The three numbers in a child element.
+        """Return the three numbers in a child element.
 
         Raises:
             AssetError: it is missing without a default, or not three numbers.
@@ -67,7 +67,7 @@ class SdfFields:
         return (x, y, z)
 
     def numbers(self, element: Element, tag: str, where: str, count: int, default: str | None = None) -> list[float]:
-        """As many numbers as asked for, from a child element, apart by spaces.
+        """Return ``count`` numbers separated by spaces from a child element.
 
         Raises:
             AssetError: it is missing without a default, or holds another count or no numbers.
@@ -75,7 +75,7 @@ class SdfFields:
         return self._parsed(self.text(element, tag, where, default), tag, where, count)
 
     def flag(self, element: Element, tag: str, where: str) -> bool:
-        """Whether a child element says so; not where there is none.
+        """Return the truth value of a child element; False where there is none.
 
         Raises:
             AssetError: it says neither.
@@ -86,7 +86,7 @@ class SdfFields:
         return text in _TRUE
 
     def pose(self, element: Element, where: str) -> tuple[Pose, str]:
-        """The pose that a child ``<pose>`` gives, and the name of the frame that it is given in, empty for the default.
+        """Return the pose of a child ``<pose>``, and the name of the frame that it is given in, empty for the default.
 
         Raises:
             AssetError: its numbers are not as they should be.
@@ -94,6 +94,7 @@ class SdfFields:
         child = element.find("pose")
         if child is None:
             return Pose(), ""
+        # ``frame`` is the attribute's name before version 1.7.
         frame = child.get("relative_to") or child.get("frame") or ""
         text = (child.text or "").strip() or "0 0 0 0 0 0"
         if child.get("rotation_format", "euler_rpy") == "quat_xyzw":
@@ -101,6 +102,7 @@ class SdfFields:
             return Pose((px, py, pz), canonical((w, x, y, z))), frame
         px, py, pz, roll, pitch, yaw = self._parsed(text, "pose", where, 6)
         unit = math.pi / 180.0 if child.get("degrees", "").lower() in _TRUE else 1.0
+        # Without rotation the identity is exact, where Euler angles would leave rounding.
         if not (roll or pitch or yaw):
             return Pose((px, py, pz)), frame
         return Pose.from_euler(roll * unit, pitch * unit, yaw * unit, (px, py, pz)), frame
@@ -115,8 +117,9 @@ class SdfFields:
         return values
 
 
-# Files that include one another.
+# Most files that include one another.
 _DEEPEST = 8
+# A model's folder lists its SDF files by version in this file.
 _CONFIG = "model.config"
 _DEFAULT_VERSION = "1.7"
 
@@ -143,7 +146,7 @@ class SdfSource:
 
 @dataclass(frozen=True, eq=False)
 class SdfWorld:
-    """The models and ``<frame>`` elements of one world, or those of a file right below its root."""
+    """The models and ``<frame>`` elements of one world, or of a file right below its root."""
 
     fields: SdfFields
     models: list[SdfSource] = field(default_factory=list)
@@ -151,7 +154,7 @@ class SdfWorld:
 
 
 class SdfFiles:
-    """Reads the files of one model or world, under the limits of the caller.
+    """Reader of the files of one model or world, under the limits of the caller.
 
     Args:
         options: which files may be opened, and how many.
@@ -203,6 +206,7 @@ class SdfFiles:
         """
         uri = fields.text(element, "uri", "an <include>").rstrip("/")
         file = resolve_file(uri if uri.endswith(".sdf") else self._in_folder(uri, path), path, self.options)
+        # SDFormat takes the first model of an included file.
         model = next(model for world in self.worlds(file, (*above, path)) for model in world.models)
         name = fields.text(element, "name", "an <include>", model.name)
         where = f"the <include> of '{name}'"
@@ -244,7 +248,7 @@ class SdfFiles:
 def model_source(
     element: Element, path: Path, version: tuple[int, ...], fields: SdfFields, above: tuple[Path, ...]
 ) -> SdfSource:
-    """Return a ``<model>`` element as a source, placed as it says itself.
+    """Return a ``<model>`` element as a source, at its own pose.
 
     Args:
         element: the ``<model>``.

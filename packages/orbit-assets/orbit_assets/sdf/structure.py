@@ -33,7 +33,7 @@ class _Given:
 
 
 class SdfFrames:
-    """Poses and hosts of links, joints, frames and nested models, each given in another by name, in any order.
+    """Poses and hosts of links, joints, frames and nested models, each relative to another by name, in any order.
 
     Args:
         findings: for errors.
@@ -51,7 +51,7 @@ class SdfFrames:
         return name == self._root or name in self._given
 
     def add(self, name: str, pose: Pose, relative_to: str, placement: str = "") -> None:
-        """Record where a frame stands.
+        """Record the pose of a frame.
 
         Args:
             name: of the frame.
@@ -90,13 +90,15 @@ class SdfFrames:
             given = self._given[each]
             pose = pose @ given.pose
             if given.placement:
+                # A placement frame puts that part of the frame at the pose: the frame itself is the inverse away.
                 pose = pose @ self.pose(given.placement, each).inverse()
+            # Only poses in the root are cached: those within another frame are needed once.
             if root == self._root:
                 self._known[each] = pose
         return pose
 
     def link_of(self, name: str) -> str:
-        """Return the link that a frame moves with; a link, and what is unknown, as it is.
+        """Return the link that a frame moves with; a link and an unknown name are returned as they are.
 
         Raises:
             AssetError: frames are attached to each other in a circle.
@@ -121,7 +123,7 @@ _KNOWN = {
 
 
 class SdfShapes:
-    """Reads ``<collision>`` and ``<visual>`` elements of one file.
+    """Reader of ``<collision>`` and ``<visual>`` elements of one file.
 
     Args:
         path: the file, from which meshes are named.
@@ -136,7 +138,7 @@ class SdfShapes:
         self.meshes = MeshFiles(options, path)
 
     def collision(self, element: Element, pose: Pose, where: str) -> Iterator[Shape]:
-        """What collides, at ``pose`` in the link.
+        """Yield the shapes that collide, at ``pose`` in the link.
 
         Raises:
             AssetError: a value, a file or the geometry is not as it should be.
@@ -155,7 +157,7 @@ class SdfShapes:
                     yield Shape(shape, pose @ turned, material, name=name)
 
     def visual(self, element: Element, pose: Pose, where: str) -> Iterator[Shape]:
-        """What is drawn, at ``pose`` in the link, one shape for each colour of a mesh.
+        """Yield the shapes that are drawn, at ``pose`` in the link, one for each colour of a mesh.
 
         Raises:
             AssetError: as :meth:`collision`.
@@ -172,6 +174,7 @@ class SdfShapes:
                     yield shape if color is None else replace(shape, color=color)
                 continue
             file, scale = self._mesh_file(child, where)
+            # A mesh of scale zero hides a part in published models.
             if 0.0 in scale:
                 self.fields.findings.leave_out(SIZELESS, where)
                 continue
@@ -213,7 +216,7 @@ class SdfShapes:
             return resolve_file(uri, self.path, self.options), self.fields.vector(mesh, "scale", where, "1 1 1")
 
     def _material(self, element: Element, where: str) -> PhysicsMaterial:
-        """Friction and restitution; what SDFormat leaves out has ORBIT's defaults, of which mu is the same."""
+        """Return friction and restitution; ORBIT's defaults apply where SDFormat has none, and its mu is the same."""
         surface = element.find("surface")
         material = PhysicsMaterial()
         if surface is None:
@@ -236,6 +239,7 @@ class SdfShapes:
         if material is None:
             return None
         self._note_unread(material, where)
+        # Gazebo shows the diffuse colour; files of other tools have only an ambient one.
         for tag in ("diffuse", "ambient"):
             text = self.fields.text(material, tag, where, "")
             if text:
@@ -256,7 +260,7 @@ _READ = {"pose", "static", "link", "joint", "frame", "model", "self_collide", "a
 
 @dataclass(frozen=True, eq=False)
 class SdfScope:
-    """A model within which names are looked up.
+    """A model as a namespace of links, joints and frames.
 
     ``prefix`` leads to what the model holds, as ``hand::``; it is empty in the outermost model. ``model`` is the name
     of the model's own frame.
@@ -273,7 +277,7 @@ class SdfScope:
 
 
 class SdfStructure:
-    """What models hold, included ones too, each element with the scope of its model.
+    """Elements of a model and of the models in it, included ones too, each with the scope of its model.
 
     Args:
         findings: for errors and notes.
@@ -322,6 +326,7 @@ class SdfStructure:
         self.self_collisions |= self.fields.flag(model, "self_collide", "the model")
         scope = SdfScope(prefix, own, source.version, SdfShapes(source.path, self.fields, self.options))
         held: list[str] = []
+        # Frames last: they may be attached to links and joints.
         for tag, hold in (("link", self._add_link), ("joint", self._add_joint), ("frame", self._add_frame)):
             for element in model.findall(tag):
                 name = scope.named(self.fields.name(element, f"a {tag}"))
@@ -343,6 +348,7 @@ class SdfStructure:
             else:
                 self.add_nested(nested, prefix, own, named)
                 held.append(f"{prefix}{nested.name}")
+        # A model's frame moves with its canonical link, by default the first link or nested model.
         canonical = model.get("canonical_link")
         if canonical:
             self.frames.attach(own, scope.named(canonical))
@@ -351,6 +357,7 @@ class SdfStructure:
 
     def _merge(self, source: SdfSource, scope: SdfScope, named: str) -> str:
         """Collect a model as if its elements were those of the scope; return the name of the frame that it had."""
+        # ``merge`` puts the elements into the scope; the name of the model's own frame must still be unique.
         own = f"{scope.prefix}_merged__{source.name}__model__"
         self._check_new(own, f"the merged model '{source.name}'")
         self.frames.add(

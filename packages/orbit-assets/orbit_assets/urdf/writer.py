@@ -45,11 +45,11 @@ from orbit_core.scene.inertias import solid_moments
 from orbit_core.scene.pose import Vector3
 
 UNLIMITED = 1e30
-"""Written for an infinite limit, and from there on read as one: most parsers ask for a number."""
+"""Written for an infinite limit, and read as one from this value on: most parsers require a number."""
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Numbers in full precision, apart by spaces."""
+    """Format numbers in full precision, separated by spaces."""
     return " ".join(repr(float(value)) for value in values)
 
 
@@ -60,10 +60,11 @@ def origin(parent: Element, pose: Pose) -> None:
 
 
 def roll_pitch_yaw(pose: Pose) -> Vector3:
-    """Fixed-axis angles in radians, the inverse of :meth:`Pose.from_euler`.
+    """Return fixed-axis angles in radians, the inverse of :meth:`Pose.from_euler`.
 
-    Where pitch is a quarter turn, any yaw will do; the roll that goes with the one chosen is computed from it, so that
-    the rotation is exact near there as well.
+    Where pitch is a quarter turn, yaw is arbitrary; roll is computed from the yaw that was chosen, so that the rotation
+    is
+    exact near that singularity as well.
     """
     r = pose.rotation_matrix()
     yaw = math.atan2(r[1, 0], r[0, 0])
@@ -87,7 +88,7 @@ _OF_LINKS: LinkTraits = (
 
 
 def losses(articulation: Articulation) -> tuple[str, ...]:
-    """What a URDF file of the articulation does not say, or says in words that few read; a sentence each."""
+    """List what a URDF file of the articulation does not hold, or holds in elements that few parsers read."""
     traits = missing_traits("URDF", articulation, _OF_JOINTS, _OF_LINKS)
     return (*traits, *raised_inertias(articulation), *_of_the_whole(articulation))
 
@@ -115,7 +116,7 @@ def _has_material(link: Link) -> bool:
 
 
 class ShapeWriter:
-    """Adds ``<visual>`` and ``<collision>`` elements to links, and writes each mesh once.
+    """Writer of ``<visual>`` and ``<collision>`` elements of links, and of each mesh once.
 
     Args:
         folder: for the mesh files; made with the first.
@@ -154,10 +155,12 @@ class ShapeWriter:
         return self._colors.setdefault(color, f"color_{len(self._colors)}")
 
     def _file(self, mesh: Mesh, name: str) -> str:
-        """The mesh's file, named from the URDF file; written with the first shape that uses it."""
+        """Return the mesh's file name, relative to the URDF file; the file is written with the first shape that uses
+        it.
+        """
         if id(mesh) not in self._files:
             path = write_mesh(mesh, self.folder, name)
-            # The mesh is kept with its file's name, so that no other takes its place in memory meanwhile.
+            # The mesh is kept alive: else another one could get the same id.
             self._files[id(mesh)] = mesh, Path(os.path.relpath(path, self.base)).as_posix()
         return self._files[id(mesh)][1]
 
@@ -165,7 +168,7 @@ class ShapeWriter:
 def write_mesh(mesh: Mesh, folder: Path, name: str) -> Path:
     """Write a mesh's triangles as Wavefront OBJ, in full single precision, and return the file.
 
-    The file's name ends in a digest of what it holds. So no file is replaced by one that differs: a model of the same
+    The file's name ends in a digest of its content. So no file is replaced by one that differs: a model of the same
     folder, or the one that is being overwritten, keeps its meshes.
 
     Args:
@@ -176,6 +179,7 @@ def write_mesh(mesh: Mesh, folder: Path, name: str) -> Path:
     vertices = "".join("v {:.9g} {:.9g} {:.9g}\n".format(*vertex) for vertex in np.asarray(mesh.vertices).tolist())
     faces = "".join("f {} {} {}\n".format(*face) for face in (np.asarray(mesh.faces) + 1).tolist())
     data = (vertices + faces).encode("ascii")
+    # File systems differ in the characters and lengths that they allow.
     plain = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)[:80]
     path = folder / f"{plain}_{hashlib.sha256(data).hexdigest()[:12]}.obj"
     folder.mkdir(parents=True, exist_ok=True)
@@ -186,7 +190,7 @@ def write_mesh(mesh: Mesh, folder: Path, name: str) -> Path:
 
 
 def write_urdf(articulation: Articulation, path: Path | str, meshes: Path | str | None = None) -> tuple[str, ...]:
-    """Write one articulation to a ``.urdf`` file and give what the format cannot hold, a sentence each.
+    """Write one articulation to a ``.urdf`` file; return what the format cannot hold, a sentence each.
 
     A link's frame is its joint's in URDF: where the description has them apart, the file's links are the description's
     seen from their joints. Frames become links without mass on fixed joints. Limits that are infinite are written as
@@ -195,7 +199,7 @@ def write_urdf(articulation: Articulation, path: Path | str, meshes: Path | str 
     Args:
         articulation: what to write, in topological order.
         path: the file, which is overwritten.
-        meshes: the folder for mesh files, made where it is missing; beside the file and of its name unless given.
+        meshes: the folder for mesh files, made where it is missing; next to the file and named after it by default.
 
     Raises:
         AssetError: the suffix is another.
@@ -277,7 +281,7 @@ def _limit(value: float) -> str:
 
 
 def _in_joint_frames(articulation: Articulation) -> Articulation:
-    """The same mechanism with each link's frame at its joint's, so that no joint has a pose in its child."""
+    """Move each link's frame to its joint's, so that no joint has a pose in its child, as URDF requires."""
     at = {joint.child: joint.child_pose.inverse() for joint in articulation.joints if joint.child_pose != Pose()}
     if not at:
         return articulation
@@ -293,7 +297,7 @@ def _in_joint_frames(articulation: Articulation) -> Articulation:
 
 
 def _seen_from(link: Link, pose: Pose) -> Link:
-    """The link described in the frame in which its own has ``pose``."""
+    """Return the link described in the frame in which its own has ``pose``."""
 
     def moved(shapes: Iterable[Shape]) -> tuple[Shape, ...]:
         return tuple(replace(shape, pose=pose @ shape.pose) for shape in shapes)

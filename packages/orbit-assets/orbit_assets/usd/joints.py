@@ -24,8 +24,9 @@ from orbit_assets.usd.tree import Edge, Tree
 from orbit_core.scene import DriveGains, Joint, JointType, Link, LoopJoint, LoopType, Mimic, Pose
 from orbit_core.scene.pose import Vector3
 
+# Effort range of a joint without a limit.
 _NONE = (-math.inf, math.inf)
-# Names that a note lists; it counts the rest.
+# Most names that a note lists; it counts the rest.
 _SHOWN = 8
 
 
@@ -58,6 +59,7 @@ class Actuators:
         """Return the joint with the effort limit that its own range and all its actuators together leave it."""
         path = str(prim.GetPath())
         low, high = _sum(law for _, law in self._laws[path]) if path in self._laws else _NONE
+        # Several actuators act on one joint together: their ranges add up.
         own = _range(prim, "actuatorfrclimited", "actuatorfrcrange") or _NONE
         low, high = max(low, own[0]), min(high, own[1])
         most = max(-low, high)
@@ -81,7 +83,7 @@ class Actuators:
         for path in names:
             laws = self._laws.get(path, [])
             if laws and names[path] in driven:
-                reading.note(f"joint '{names[path]}' has a drive of UsdPhysics, which counts, besides an actuator")
+                reading.note(f"joint '{names[path]}' has a drive of UsdPhysics, which counts, and an actuator")
                 continue
             left += [called for called, law in laws if law.gains() is None]
             known = [(law, gains) for _, law in laws if (gains := law.gains()) is not None]
@@ -109,20 +111,20 @@ def _law(prim: Any) -> ActuatorLaw:
 
 
 def _parameters(prim: Any, name: str, first: float) -> tuple[float, ...]:
-    """The first three of an actuator's parameters, the schema's where the file gives none."""
+    """Return the first three of an actuator's parameters, the schema's where the file gives none."""
     given = [float(value) for value in array(prim, name, 1, float)[:3]] or [first]
     return (*given, *(0.0,) * (3 - len(given)))
 
 
 def _range(prim: Any, limited: str, name: str) -> Range | None:
-    """A range of MuJoCo's, if it acts: where it is said to, or where nothing is said and there is one."""
+    """Return a range of MuJoCo's schema if it is active; ``auto`` means active where both ends differ."""
     word = str(attribute(prim, f"mjc:{limited}", "auto"))
     low, high = (number(prim, f"mjc:{name}:{end}") for end in ("min", "max"))
     return (low, high) if word == "true" or (word == "auto" and low != high) else None
 
 
 def _sum(laws: Iterable[ActuatorLaw]) -> Range:
-    """The least and the largest effort of actuators that act together."""
+    """Return the least and the largest effort of actuators that act together."""
     lows, highs = zip(*(law.effort_range() for law in laws), strict=True)
     return sum(lows), sum(highs)
 
@@ -132,17 +134,17 @@ def _some(names: Sequence[str]) -> str:
     return shown + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
 
 
-# Metres and radians by which bodies may stand beside where their joint can bring them; beyond, it is told.
+# Metres and radians by which the stage's poses may differ from those that the joint can reach; beyond, it is noted.
 _APART = 1e-3
-# Metres or radians from zero at which a joint counts as standing elsewhere.
+# Metres or radians from zero at which a joint counts as not at zero.
 _MOVED = 1e-6
-# Metres from the middle of a hinge that closes a loop to either of the two balls that it becomes.
+# Metres from the middle of a hinge that closes a loop to either of the two balls that replace it.
 _HINGE = 0.05
 
 
 @dataclass(eq=False)
 class Joints:
-    """Joints, and the links without mass between those that one prim stands for, gathered over a tree."""
+    """Joints of a tree, and the massless links between those that come from one prim."""
 
     reading: Reading
     names: Mapping[str, str]
@@ -150,9 +152,9 @@ class Joints:
     joint_names: Mapping[str, str]
     """Names of joints by their prims' paths."""
     root_pose: Callable[[str], Pose]
-    """Where the link of a body's path stands in the world."""
+    """Returns the pose in the world of the link with a body's path."""
     actuators: Actuators
-    """MuJoCo's, of the whole stage."""
+    """Actuators of MuJoCo's schema in the whole stage."""
     links: list[Link] = field(default_factory=list)
     joints: list[Joint] = field(default_factory=list)
     drives: list[DriveGains] = field(default_factory=list)
@@ -167,6 +169,7 @@ class Joints:
         Raises:
             AssetError: a joint moves as no chain of simple joints can, or mimics what is missing.
         """
+        # Directions first: a follower needs the type of its leader, which may come later in the tree.
         parts = [part for edge, _ in tree.parent_edges.values() for part in edge.parts]
         ways: dict[str, tuple[Direction, ...]] = {
             str(part.prim.GetPath()): directions(part.prim, self.reading) or () for part in parts
@@ -183,6 +186,7 @@ class Joints:
                         part, backwards, ways[str(part.prim.GetPath())], leaders, stacked=stacked
                     )
                 ]
+                # A chain runs from the parent: the order reverses where the prim names the bodies the other way round.
                 links, joints = chain(simple[::-1] if backwards else simple)
                 self.links += links
                 self.joints += joints
@@ -192,6 +196,7 @@ class Joints:
                 self.reading.lack(f"joints {names} together close a loop")
             else:
                 self._close(edge)
+        # Last: mimics must be complete before references shift their positions.
         self.joints = [self._counted(joint) for joint in self.joints]
         names = {path: name for path, (name, _) in leaders.items()}
         self.drives += self.actuators.drives(names, {drive.joint for drive in self.drives}, self.reading)
@@ -205,7 +210,7 @@ class Joints:
         *,
         stacked: bool,
     ) -> list[Joint]:
-        """The joints that one prim stands for, in the prim's order, each as if it were alone between its bodies."""
+        """Return the joints of one prim, in the prim's order, each as if it were the only one between its bodies."""
         (parent, child), (parent_pose, child_pose) = edge.bodies, edge.frames
         if backwards:
             parent, child, parent_pose, child_pose = child, parent, child_pose, parent_pose
@@ -238,7 +243,7 @@ class Joints:
         return joint if several else self.actuators.limited(joint, prim, self.reading)
 
     def _counted(self, joint: Joint) -> Joint:
-        """The joint in positions of MuJoCo's, which has its reference where the joint's frames coincide."""
+        """Shift a joint's zero to MuJoCo's reference, which the joint has where its frames coincide."""
         reference = self.references.get(joint.name, 0.0)
         if joint.mimic is not None:
             leader = self.references.get(joint.mimic.joint, 0.0)
@@ -254,19 +259,20 @@ class Joints:
         return replace(joint, parent_pose=joint.parent_pose @ back)
 
     def _stand(self, edge: Edge, ways: tuple[Direction, ...], joints: list[Joint], *, stacked: bool) -> None:
-        """Take over where the stage's bodies stand, or where a joint's own state says that it does.
+        """Record home positions from the poses of the stage's bodies, or from a joint's own state.
 
-        Where bodies stand says nothing of each of several joints between them: those are at zero without a state.
+        Poses do not determine each of several joints between two bodies: without a state those are at zero.
         """
         first, second = (self.root_pose(path) @ frame for path, frame in zip(edge.bodies, edge.frames, strict=True))
         relative = first.inverse() @ second
         states = [authored(edge.prim, f"state:{way.instance}:physics:position") for way in ways]
         found, rest = coordinates(() if stacked else ways, relative)
         angle = 2.0 * math.acos(min(1.0, rest.orientation[0]))
+        # Nothing is guessed from poses that the joint cannot reach.
         if max(math.hypot(*rest.position), angle) > _APART and not (stacked and any(states)):
             self.reading.note(
                 f"the bodies of joint '{label(edge.prim)}' stand {math.hypot(*rest.position):.3g} m and "
-                f"{angle:.3g} rad beside where {'zero brings' if stacked else 'it can bring'} them"
+                f"{angle:.3g} rad from where {'zero brings' if stacked else 'it can bring'} them"
             )
             return
         for way, joint, state, implied in zip(ways, joints, states, found or [0.0] * len(ways), strict=True):
@@ -277,7 +283,7 @@ class Joints:
                 self.home.append((joint.name, min(max(position, joint.lower_limit), joint.upper_limit)))
 
     def _close(self, edge: Edge) -> None:
-        """A joint that closes a loop, as balls and welds."""
+        """Convert a joint that closes a loop into balls and welds."""
         ways = directions(edge.prim, self.reading)
         if ways is None:
             return
@@ -290,8 +296,9 @@ class Joints:
             kind = LoopType.WELD
         elif len(ways) == 1 and ways[0].angular:
             x, y, z = ways[0].axis
+            # Two balls on the axis leave only the turn about it.
             ends = [(side * x, side * y, side * z) for side in (-_HINGE, _HINGE)]
-            self.reading.note(f"joint '{name}' closes a loop: two balls on its axis {2 * _HINGE} m apart stand for it")
+            self.reading.note(f"joint '{name}' closes a loop: two balls on its axis {2 * _HINGE} m apart replace it")
             self._note_unheld(edge.prim, ways[0], name)
         elif not (len(ways) == 3 and all(way.angular for way in ways)):
             self.reading.lack(f"{edge.prim.GetPath()} closes a loop and is neither hinge, ball nor fixed")

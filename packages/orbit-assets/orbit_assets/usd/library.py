@@ -18,7 +18,7 @@ from orbit_core.scene.pose import Vector3
 
 @functools.cache
 def pxr() -> Any:
-    """USD's package ``pxr``, which has no types, with the modules used here imported.
+    """Return USD's package ``pxr``, which has no types, with the modules used here imported.
 
     Newton's schemas of joint friction, armature and mimic joints must register before USD first looks any schema up.
 
@@ -27,6 +27,7 @@ def pxr() -> Any:
     """
     modules = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdPhysics", "UsdSemantics", "UsdShade", "Vt")
     try:
+        # Before pxr: a schema registered after the first look-up of any schema is never found.
         importlib.import_module("newton_usd_schemas")
         for module in modules:
             importlib.import_module(f"pxr.{module}")
@@ -38,13 +39,13 @@ def pxr() -> Any:
 
 
 def unique_names(labels: Mapping[str, str], taken: frozenset[str] = frozenset()) -> dict[str, str]:
-    """A name for each path: its label, or where several would have that one, with names of the prims above before it.
+    """Return a unique name for each path: its label, prefixed by names of the prims above where several share it.
 
-    Where even whole paths do not tell them apart, numbers do.
+    Numbers distinguish names where even whole paths do not.
 
     Args:
         labels: by path, in the order in which the first keeps the shorter name where numbers are needed.
-        taken: names that none may have.
+        taken: names that are reserved.
     """
     names = dict(labels)
     parts = {path: [part for part in path.split("/")[1:-1] if part] for path in labels}
@@ -71,7 +72,7 @@ def _shared(names: Mapping[str, str], taken: frozenset[str]) -> list[str]:
 
 
 def define(stage: Any, parent: Any, name: str, kind: str) -> Any:
-    """A new prim below ``parent``; USD's name for it is made valid and unique, and its display name is ``name``."""
+    """Define a prim below ``parent`` with a valid and unique name; its display name is ``name``."""
     base = parent.GetPath() if parent else stage.GetPseudoRoot().GetPath()
     valid = pxr().Tf.MakeValidIdentifier(name)
     path, number = base.AppendChild(valid), 1
@@ -89,7 +90,7 @@ def assign(prim: Any, schema: str | None, attributes: dict[str, Any]) -> None:
         name, *instance = schema.split(":")
         prim.ApplyAPI(name, *instance)
     for key, value in attributes.items():
-        # USD takes no scalars of NumPy but float64.
+        # USD accepts no NumPy scalars other than float64.
         prim.GetAttribute(key).Set(value.item() if isinstance(value, np.generic) else value)
 
 
@@ -112,6 +113,6 @@ def place(prim: Any, pose: Pose, scale: Vector3 | None = None) -> None:
 
 
 def quatf(pose: Pose) -> Any:
-    """The orientation, in single precision."""
+    """Return the orientation in single precision."""
     w, x, y, z = pose.orientation
     return pxr().Gf.Quatf(w, x, y, z)

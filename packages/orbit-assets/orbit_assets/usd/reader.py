@@ -32,7 +32,7 @@ from orbit_core.scene.pose import Vector3
 
 
 def read_usd_scene(path: Path | str, *, options: ReadOptions = ReadOptions()) -> SceneParts:
-    """All that a USD file holds, z up.
+    """Read all contents of a USD file, z up.
 
     Geometry outside every rigid body is one fixed articulation for each prim right below the default prim (or the
     stage) that holds any; planes among it are terrain. Distant lights are directional ones, of which the brightest is
@@ -54,7 +54,7 @@ def read_usd_scene(path: Path | str, *, options: ReadOptions = ReadOptions()) ->
 
 
 def _static(stage: StageReader) -> tuple[list[PlacedArticulation], tuple[Shape, ...]]:
-    """What does not move, by the prim that holds it, and the planes among it in the world's frame."""
+    """Return static geometry, grouped by the prim that holds it, and its planes in the world's frame."""
     groups: dict[str, list[Any]] = {}
     planes: list[Shape] = []
     root = stage.reading.stage.GetPseudoRoot()
@@ -77,7 +77,7 @@ def _static(stage: StageReader) -> tuple[list[PlacedArticulation], tuple[Shape, 
 
 
 def _holder(stage: Any, prim: Any) -> str:
-    """The prim right below the default prim, or else below the stage, that holds ``prim``."""
+    """Return the prim right below the default prim, or else below the stage, that holds ``prim``."""
     prefixes = prim.GetPath().GetPrefixes()
     top = stage.GetDefaultPrim()
     within = bool(top) and len(prefixes) > 1 and prefixes[0] == top.GetPath()
@@ -85,14 +85,14 @@ def _holder(stage: Any, prim: Any) -> str:
 
 
 def _physics(reading: Reading, scene: Any) -> tuple[Vector3, float | None]:
-    """Gravity in m/s^2, and the time step in s where the file gives one."""
+    """Return gravity in m/s^2, and the time step in s where the file gives one."""
     if scene is None:
         return Scene().gravity, None
     direction = np.asarray(numbers(scene, "physics:gravityDirection", (0.0, 0.0, 0.0)))
     magnitude = number(scene, "physics:gravityMagnitude", -math.inf)
     length = float(np.linalg.norm(direction))
     turned = reading.units.up.rotation_matrix() @ (direction / length) if length > 0 else np.array((0.0, 0.0, -1.0))
-    # UsdPhysics: a negative magnitude stands for the earth's.
+    # UsdPhysics: a negative magnitude means the earth's.
     size = magnitude * reading.units.length if magnitude >= 0 else -Scene().gravity[2]
     x, y, z = (float(value) for value in size * turned)
     rates = (authored(scene, name) for name in ("newton:timeStepsPerSecond", "physxScene:timeStepsPerSecond"))
@@ -101,11 +101,12 @@ def _physics(reading: Reading, scene: Any) -> tuple[Vector3, float | None]:
 
 
 def _lights(reading: Reading, stage: StageReader) -> tuple[Light, ...] | None:
-    """The file's distant and dome lights; ``None`` where it has neither."""
+    """Return the file's distant and dome lights; None where it has neither."""
     distant: list[tuple[float, DirectionalLight]] = []
     ambient: list[Light] = []
     for prim in stage.contents.lights:
         kind = prim.GetTypeName()
+        # Exposure is in stops: powers of two.
         power = number(prim, "inputs:intensity", 1.0) * 2.0 ** number(prim, "inputs:exposure", 0.0)
         color: Rgb = tuple(numbers(prim, "inputs:color", (1.0, 1.0, 1.0)))  # pyright: ignore[reportAssignmentType]
         if power <= 0 or pxr().UsdGeom.Imageable(prim).ComputeVisibility() == "invisible":
@@ -123,18 +124,19 @@ def _lights(reading: Reading, stage: StageReader) -> tuple[Light, ...] | None:
     if len(distant) > MAX_DIRECTIONAL_LIGHTS:
         reading.note(f"of {len(distant)} distant lights the brightest {MAX_DIRECTIONAL_LIGHTS} are kept")
     kept = distant[:MAX_DIRECTIONAL_LIGHTS]
+    # USD's intensities are in units of luminance: only their ratios are kept.
     suns = [replace(light, intensity=light.intensity * power / kept[0][0]) for power, light in kept]
     return (*ambient, *suns) or None
 
 
 def _dimmed(color: Rgb) -> AmbientLight:
-    """A dome's light as bright as a scene's own ambient light, in the dome's colour."""
+    """Return an ambient light as bright as a scene's own, in the dome's colour."""
     red, green, blue = (own * part for own, part in zip(AmbientLight().color, color, strict=True))
     return AmbientLight((red, green, blue))
 
 
 def read_usd(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Articulation:
-    """One articulation of a USD file: the only one, or that which ``options.articulation`` names.
+    """Read one articulation of a USD file: the only one, or the one that ``options.articulation`` names.
 
     Where the root stands in the stage is left out, as is a fixed joint that holds it there: the entity says both. A
     stage with colliders and no rigid body is one static link.
@@ -157,9 +159,9 @@ def read_usd(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Artic
 
 
 def read_usd_all(path: Path | str, *, options: ReadOptions = ReadOptions()) -> tuple[PlacedArticulation, ...]:
-    """All articulations of a USD file that rigid bodies make, in the stage's order, each where the stage puts it.
+    """Read all articulations of a USD file, in the stage's order, each at its pose in the stage.
 
-    What is to be told of the stage as a whole is in the notes of the first.
+    Notes on the stage as a whole are in those of the first.
 
     Raises:
         AssetError: as :func:`read_usd`, but for several.

@@ -47,7 +47,7 @@ from orbit_core.scene.pose import Vector3
 
 @dataclass(eq=False)
 class JointWriter:
-    """Writes the joints of one articulation, whose links have prims already."""
+    """Writer of the joints of one articulation, whose links have prims already."""
 
     articulation: Articulation
     stage: Any
@@ -70,6 +70,7 @@ class JointWriter:
                 _set_drive(prim, joint, drives.get(joint.name))
             if joint.name in home:
                 assign_custom(prim, {f"state:{_instance(joint)}:physics:position": home[joint.name] * _unit(joint)})
+        # After all joints: a follower may come before its leader.
         for joint in self.articulation.joints:
             self._mimic(joint)
         for loop in self.articulation.loops:
@@ -77,6 +78,7 @@ class JointWriter:
 
     def _joint(self, scope: Any, joint: Joint) -> Any:
         kind = "Revolute" if _angular(joint) else "Prismatic" if joint.movable else "Fixed"
+        # USD has the axes X, Y and Z only: another one is reached by turning both frames.
         prim = define(self.stage, scope, joint.name, f"Physics{kind}Joint")
         axis, turn = _usd_axis(joint.axis)
         self._connect(prim, (joint.parent, joint.child), (joint.parent_pose @ turn, joint.child_pose @ turn))
@@ -115,6 +117,7 @@ class JointWriter:
             (loop.first, loop.second),
             (Pose(loop.first_point, turned.orientation), Pose(loop.second_point)),
         )
+        # Marks the joint as no part of the tree, as UsdPhysics has it.
         assign(prim, None, {"physics:excludeFromArticulation": True})
 
 
@@ -135,7 +138,7 @@ def _set_dynamics(prim: Any, joint: Joint) -> None:
 
 
 def _set_drive(prim: Any, joint: Joint, drive: DriveGains | None) -> None:
-    """The drive that the articulation names, and the effort limit: USD has one for both."""
+    """Write the drive of a joint and its effort limit, for which USD has one attribute."""
     instance, position = _instance(joint), _unit(joint)
     attributes: dict[str, Any] = {}
     if math.isfinite(joint.effort_limit):
@@ -156,27 +159,28 @@ def _instance(joint: Joint) -> str:
 
 
 def _unit(joint: Joint) -> float:
-    """USD's units of position in one radian or metre."""
+    """Return USD's units of position per radian or metre: degrees, and the stage's metres."""
     return math.degrees(1.0) if _angular(joint) else 1.0
 
 
 def _usd_axis(axis: Vector3) -> tuple[str, Pose]:
-    """The name of a joint axis, and the turn of the joint's frames that takes that axis to the one given."""
+    """Return the name of a joint axis, and the rotation of the joint's frames that takes that axis to the one given."""
     for name, basis in zip("XYZ", np.eye(3), strict=True):
         if np.array_equal(axis, basis):
             return name, Pose()
     z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    # Any vector that is not parallel serves: the smallest component is farthest from it.
     x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
     x /= np.linalg.norm(x)
     return "Z", Pose.from_matrix(np.stack((x, np.cross(z, x), z), axis=1))
 
 
-# What USD's errors say went wrong, behind where.
+# The reason in USD's errors, which follows the place in its source code.
 _REASON = re.compile(r" : '(.*)'")
 
 
 def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
-    """Write one articulation to a ``.usda``, ``.usdc`` or ``.usd`` file, and give what it cannot hold, a sentence each.
+    """Write one articulation to a ``.usda``, ``.usdc`` or ``.usd`` file; return what it cannot hold, a sentence each.
 
     The file is overwritten. Bodies stand at the home positions that the articulation names.
 
@@ -188,6 +192,7 @@ def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
     if path.suffix not in (".usda", ".usdc", ".usd"):
         raise AssetError(f"{path} is to be a USD file: name it *.usda, *.usdc or *.usd")
     with pxr().Tf.DiagnosticTrap() as trap:
+        # In memory first: an error leaves the old file as it is.
         writer = _Writer(articulation)
         writer.write()
         with written_whole(path) as written:
@@ -244,11 +249,13 @@ class _Writer:
         place(prim, pose)
         pxr().UsdPhysics.RigidBodyAPI.Apply(prim)
         if link.mass > 0:
+            # Single precision breaks the triangle inequality of thin bodies: moments are raised before rounding.
             moments, axes = solid_moments(link.inertia, SINGLE)
             diagonal = pxr().Gf.Vec3f(*(float(moment) for moment in moments))
             attributes = {"mass": link.mass, "centerOfMass": link.center_of_mass, "diagonalInertia": diagonal}
             assign(prim, "PhysicsMassAPI", {f"physics:{name}": value for name, value in attributes.items()})
             prim.GetAttribute("physics:principalAxes").Set(quatf(axes))
+        # Readers compute a mass from colliders: the mark keeps ours from it.
         elif link.collisions:
             assign_custom(prim, {MASSLESS: True})
         if link.semantic_label:
@@ -301,6 +308,7 @@ class _Writer:
         )
 
     def _material(self, material: PhysicsMaterial) -> Any:
+        # Equal materials are one prim: scenes of many shapes have few.
         if material in self.materials:
             return self.materials[material]
         top = self.stage.GetDefaultPrim()
@@ -335,7 +343,8 @@ def _paint(prim: Any, shape: Shape) -> None:
 
 
 def _interleaved(link: Link) -> list[tuple[Shape, bool, bool]]:
-    """All shapes of a link with whether each collides and is drawn, in an order that keeps both of the link's orders.
+    """Return all shapes of a link, with flags for colliding and drawn, in an order that keeps both of the link's
+    orders.
 
     Where no order keeps both, or a shape stands in one of them twice, what is drawn is written apart from the rest.
     """
@@ -354,8 +363,9 @@ def _interleaved(link: Link) -> list[tuple[Shape, bool, bool]]:
 
 
 def _home_poses(articulation: Articulation) -> dict[str, Pose]:
-    """Each link's pose in the root's frame at home: zero, where the articulation names nothing else."""
+    """Return each link's pose in the root's frame at home; joints without a home position are at zero."""
     home = dict(articulation.home)
+    # Followers first: the chain below needs their positions.
     for joint in articulation.joints:
         if joint.mimic is not None:
             home[joint.name] = float(joint.mimic.position(home.get(joint.mimic.joint, 0.0)))

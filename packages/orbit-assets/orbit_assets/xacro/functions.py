@@ -21,6 +21,7 @@ from orbit_assets.xacro.values import (
 )
 
 # Functions of ``math`` whose results are no larger than their arguments; factorials and products are not.
+# Listed one by one, for a version of Python may add functions with larger results.
 _MATH = (
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign", "cos", "cosh", "degrees",
     "dist", "erf", "erfc", "exp", "exp2", "expm1", "fabs", "floor", "fmod", "frexp", "fsum", "gamma", "gcd", "hypot",
@@ -28,10 +29,10 @@ _MATH = (
     "nextafter", "pow", "radians", "remainder", "sin", "sinh", "sqrt", "tan", "tanh", "trunc", "ulp",
 )  # fmt: skip
 _CONSTANTS = ("e", "inf", "nan", "pi", "tau")
-# Functions of the namespace ``python`` that xacro has without the namespace too, besides those of ``_GLOBAL``.
+# Functions of the namespace ``python`` that xacro has without the namespace too, in addition to ``_GLOBAL``.
 _DEPRECATED = ("sorted", "range")
 _GLOBAL = ("list", "dict", "map", "len", "str", "float", "int", "bool", "True", "False", "min", "max", "round")
-# Most digits to round to.
+# Most digits to round to: a float has no more.
 _DIGITS = 400
 
 
@@ -62,7 +63,7 @@ def tokenize(text: Any, sep: Any = ",; ", skip_empty: Any = True) -> list[str]:
 
 
 def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of numbers, or of lists of numbers, that accepts nothing else."""
+    """Wrap a function of numbers, or of lists of numbers, so that it rejects all other arguments."""
 
     def call(*arguments: Any, **options: Any) -> Any:
         for value in (*arguments, *options.values()):
@@ -86,7 +87,7 @@ def _called(function: Any) -> Callable[..., Any]:
 
 
 def _key(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of functions that compare, of which ``key`` must be a function of expressions."""
+    """Check options of functions that compare: ``key`` must be a function of expressions."""
     if options.get("key") is not None:
         _called(options["key"])
     return options
@@ -96,6 +97,7 @@ def _range(*ends: int) -> list[int]:
     for end in ends:
         if type(end) not in (int, bool):
             raise TypeError("range takes integers")
+    # Slicing a range allocates nothing.
     numbers = range(*ends)
     if numbers[LARGEST:]:
         raise ExpressionError(f"range makes more than {LARGEST} numbers")
@@ -123,6 +125,7 @@ def _dict(pairs: Any = (), **options: Any) -> dict[Any, Any]:
     return dict(pairs if type(pairs) is dict else [tuple(items_of(pair)) for pair in items_of(pairs)], **options)
 
 
+# Types are passed as functions of expressions, never as Python's classes.
 def _isinstance(value: Any, kinds: Any) -> bool:
     accepted = [each.kind for each in (kinds if type(kinds) is tuple else (kinds,)) if isinstance(each, Function)]
     if not accepted or None in accepted:

@@ -30,12 +30,12 @@ from orbit_assets.xacro.functions import global_symbols, launch_symbols, tokeniz
 from orbit_assets.xacro.order import Expansion, Order
 from orbit_assets.xacro.values import LARGEST, ExpressionError, Function, Namespace, check_value
 
-# Lists and dictionaries of a YAML file within each other, and files that include one another.
+# Most levels of lists and dictionaries in a YAML file, and of files that include one another.
 _DEEPEST = 100
 
 
 class Markup:
-    """One file's expansion.
+    """Expansion of one file.
 
     ``folders`` are those of packages that ``$(find NAME)`` has found: files there may be read as well.
     """
@@ -70,6 +70,7 @@ class Markup:
             "load_yaml": self._load_yaml,
             "_global_symbols": global_symbols(self._namespace()),
         }
+        # Private functions of the package are replaced: another version may lack them, and would then evaluate Python.
         if missing := [name for name in own if name not in vars(self.xacro)]:
             raise ExpressionError(
                 f'the package xacro is of a version without {", ".join(missing)}: pip install "xacro==2.1.*"'
@@ -98,7 +99,7 @@ class Markup:
         return self._arguments()[name]
 
     def _substitution(self, text: str) -> str:
-        """Return what ``$(...)`` stands for."""
+        """Return the value of ``$(...)``."""
         command, rest = (*text[2:-1].split(None, 1), "", "")[:2]
         words = rest.split()
         if command == "eval":
@@ -156,11 +157,12 @@ class Markup:
         return read_text(path, self._options())
 
     def _parse(self, source: Any, filename: str) -> Any:
-        """Return the DOM document of a file, which is held to what all XML files are held to."""
+        """Parse a file to a DOM document, under the limits of all XML files."""
         if len(self.xacro.filestack) > _DEEPEST:
             raise ExpressionError(f"{_DEEPEST} files include one another: an include may lead back to its own file")
         text = self._text(filename)
         self._count(len(text))
+        # Parsed twice: the first parser enforces the limits and rejects entities, the second builds the DOM.
         parse_xml(text, filename, self.order.limits)
         return expatbuilder.parseString(plain_document(text), namespaces=False)
 
@@ -232,7 +234,7 @@ class _Plain:
 
 
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-# Operations that no xacro file needs, by how the interpreter's audit events begin.
+# Operations that no xacro file needs, by prefixes of the interpreter's audit events.
 _REFUSED = (
     "subprocess.", "os.", "socket.", "shutil.", "ctypes.", "pty.", "gc.", "code.", "mmap.", "fcntl.", "sys._",
     "resource.", "signal.", "tempfile.", "_thread.", "syslog.", "webbrowser.", "urllib.", "http.", "ftplib.",
@@ -250,6 +252,7 @@ def main() -> int:
     for name in set(os.environ) - {"HOME"}:  # the user's home, above which no packages are looked for
         del os.environ[name]
     markup = Markup(order)
+    # Before the file is read: from here on the process cannot do anything else.
     restrict(order, markup.folders)
     try:
         said = markup.expanded().encoded()
@@ -274,7 +277,7 @@ def _for_memory(error: BaseException | None) -> bool:
 
 
 def restrict(order: Order, folders: list[str]) -> None:
-    """Take away from this process what expanding needs not; there is no way back.
+    """Restrict this process to the operations that expansion needs, irreversibly.
 
     Args:
         order: limits of memory and processor time, and the folders that may be read.
@@ -291,6 +294,7 @@ def restrict(order: Order, folders: list[str]) -> None:
     sys.addaudithook(_guard(given, folders))
 
 
+# Audit hooks see every open, import and exec of the interpreter, and cannot be removed.
 def _guard(given: list[str], later: list[str]) -> Callable[[str, tuple[Any, ...]], None]:
     def check(event: str, arguments: tuple[Any, ...]) -> None:
         if event == "open":

@@ -10,7 +10,7 @@ from typing import Any
 
 LARGEST = 1_000_000
 """Characters and items of one value, those of its parts included."""
-# Most bits of an integer.
+# Most bits of an integer: larger ones take long to multiply and print.
 _BITS = 4096
 NUMBERS = (int, float, bool)
 _CONTAINERS = (list, tuple, set, dict)
@@ -62,12 +62,12 @@ def methods_of(value: Any) -> Mapping[str, Function]:
 
 
 def is_namespace(value: Any) -> bool:
-    """Return True for named functions or properties: a dictionary of a class of its own, as xacro's tables are."""
+    """Return True for named functions or properties: a subclass of dict, as xacro's tables are."""
     return isinstance(value, dict) and type(value) is not dict
 
 
 def known(value: Any, name: str) -> Any:
-    """Return what a name stands for, if it is a value, a function or a namespace.
+    """Return the value of a name, if it is a value, a function or a namespace.
 
     Raises:
         ExpressionError: it is something else, such as an XML element.
@@ -140,7 +140,7 @@ def check_value(value: Any) -> Any:
     return value
 
 
-# Width and precision of one formatted value.
+# Most characters of width and precision of one formatted value.
 _WIDEST = 1000
 _COUNT = re.compile(r"\d+")
 _PERCENT = re.compile(r"%(?:\((?P<name>[^()]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?P<precision>\*|\d*))?")

@@ -225,13 +225,13 @@ def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[
 
 
 def _moved(dataset: Dataset, positions: Sequence[int]) -> dict[str, list[int]]:
-    """The subsets of a dataset, by the places that the chosen positions get."""
+    """Return the subsets of a dataset, by the places that the chosen positions get."""
     places = {position: place for place, position in enumerate(positions)}
     return {name: [places[p] for p in listed if p in places] for name, listed in dataset.masks.items()}
 
 
 def _wanted(settings: FilterSettings, dataset: Dataset) -> list[int]:
-    """Positions of the episodes that are asked for."""
+    """Return positions of the episodes that are asked for."""
     if settings.subset is not None and settings.subset not in dataset.masks:
         raise UnknownNameError("subset", settings.subset, dataset.masks, str(dataset.path))
     tests = {

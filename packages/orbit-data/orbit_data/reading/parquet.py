@@ -114,7 +114,7 @@ def _pages(data: mmap.mmap, column: Any) -> Iterator[_Page]:
 
 
 def _structure(data: mmap.mmap, place: int, depth: int) -> tuple[dict[int, Any], int]:
-    """The fields of a structure, by number, and the place after it."""
+    """Return the fields of a structure, by number, and the place after it."""
     if depth > _DEEPEST:
         raise ValueError("a page's header nests too deeply")
     found: dict[int, Any] = {}

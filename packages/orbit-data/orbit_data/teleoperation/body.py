@@ -185,7 +185,7 @@ class Body:
 
 
 def _driven(robot: Robot, patterns: Sequence[str]) -> list[int]:
-    """Indices of the joints of those names that are moved by actuators of their own."""
+    """Return indices of the joints of those names that are moved by actuators of their own."""
     driven = {*driven_joints(robot.spec)}
     return [joint for joint in robot.find_joints(*patterns) if joint in driven] if patterns else []
 

@@ -194,7 +194,7 @@ class Browser(Device):
                 button.on_hold(lambda _, which=(kind, axis, sign): self._hold(which), callback_hz=30.0)
 
     def _add_sliders(self, gui: Any, hand: Hand) -> dict[str, Any]:
-        """A slider for each joint of the arm, and of a hand with fingers of its own."""
+        """Return a slider for each joint of the arm, and of a hand with fingers of its own."""
         fingers = hand.fingers if hand.effector.finger_tips or not hand.arm else []
         sliders: dict[str, Any] = {}
         for joint in (*hand.arm, *fingers):

@@ -64,7 +64,7 @@ def check_device(name: str) -> None:
 
 
 def open_device(name: str, speeds: Speeds, driver: Driver, leader_port: int) -> Device:
-    """The device of that name, ready to be read.
+    """Return the device of that name, ready to be read.
 
     Raises:
         UnknownNameError: there is no such name.

@@ -132,7 +132,7 @@ class Driver:
 
 
 def _moved_by(generator: MotionGenerator) -> list[EndEffector]:
-    """The end effectors whose frame a generator moves, or whose arm or gripper has one of its joints."""
+    """Return the end effectors whose frame a generator moves, or whose arm or gripper has one of its joints."""
     effectors = generator.robot.spec.end_effectors
     framed = [each for each in effectors if each.frame == getattr(generator, "frame", None)]
     return framed or [each for each in effectors if not _joints_of(generator.robot, each).isdisjoint(generator.joints)]

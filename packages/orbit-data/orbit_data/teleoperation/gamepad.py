@@ -71,7 +71,7 @@ class Gamepad(Device):
 
 
 def open_gamepad(speeds: Speeds) -> Gamepad:
-    """The first gamepad of this computer.
+    """Return the first gamepad of this computer.
 
     Raises:
         ConfigurationError: there is none, or pygame is not installed.

@@ -132,7 +132,7 @@ class Session:
         return result
 
     def information(self) -> dict[str, str]:
-        """Rows for the viewer's panel."""
+        """Return rows for the viewer's panel."""
         rows = {"device": self._name, "driving": self._driver.active, "recording": "no"}
         if self.recording:
             rows["recording"] = "yes, marked a success" if self._success else "yes"

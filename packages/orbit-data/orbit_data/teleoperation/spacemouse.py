@@ -71,7 +71,7 @@ class SpaceMouse(Device):
 
 
 def open_spacemouse(speeds: Speeds) -> SpaceMouse:
-    """The first SpaceMouse of this computer.
+    """Return the first SpaceMouse of this computer.
 
     Raises:
         ConfigurationError: there is none that this user may open, or hidapi is not installed.

@@ -97,8 +97,10 @@ def _amend(policy: Policy, path: Path) -> None:
 
 
 def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
-    """The manifest of a file that is older than what manifests say of their numbers, with that of the environment as it
-    is today, where this has the same joints, home positions and terms; else as it was, with a warning."""
+    """Return the manifest of a file that is older than what manifests say of their numbers, with that of the
+    environment as it is today, where this has the same joints, home positions and terms; else as it was, with a
+    warning.
+    """
     from orbit_core.manifest.compare import Kind, differences
 
     group = policy.description.group
@@ -118,7 +120,7 @@ def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
 
 
 def _present(policy: Policy, path: Path) -> Manifest:
-    """The manifest of the environment that a policy fits today, for files of before there were manifests. What
+    """Return the manifest of the environment that a policy fits today, for files of before there were manifests. What
     the training's record beside the file tells, it tells too.
 
     Raises:

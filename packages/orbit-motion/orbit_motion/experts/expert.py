@@ -235,7 +235,8 @@ class _Arm:
     def compute(
         self, phase: Tensor, elapsed: Tensor, begun: Tensor, sag_share: float, teaches: bool
     ) -> tuple[Tensor, Tensor]:
-        """The command (N, A) in those phases (N,), and whether (N,) they are over after ``elapsed`` seconds (N,).
+        """Return the command (N, A) in those phases (N,), and whether (N,) they are over after ``elapsed`` seconds
+        (N,).
 
         ``begun`` (N,) says which of them begin now; ``sag_share`` of what the hand lacks is added to :attr:`sag`.
         Where it ``teaches`` it asks for what phases ask at least.
@@ -330,7 +331,9 @@ class _Route:
         return way, way[:, self._joints].abs().amax(1) < _THERE
 
     def along(self, way: Tensor) -> tuple[Tensor, Tensor]:
-        """Joint positions (N, J) a step on along the way (N, J), and the hand's pose (N, 7) in the environment then."""
+        """Return joint positions (N, J) a step on along the way (N, J), and the hand's pose (N, 7) in the environment
+        then.
+        """
         longest = way[:, self._joints].abs().amax(1, keepdim=True).clamp_min(1e-9)
         positions = self._robot.joint_positions + way * (_JOINT_LEAD / longest).clamp(max=1.0)
         links = self._tree.forward(self._robot.root_pose, positions)

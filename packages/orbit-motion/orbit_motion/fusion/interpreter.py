@@ -80,7 +80,7 @@ def _followed(builder: Builder, graph: fx.GraphModule, given: Sequence[Numbers])
 
 
 def constants(builder: Builder, tensor: Tensor) -> Numbers:
-    """A known tensor's numbers."""
+    """Return a known tensor's numbers."""
     if tensor.dtype in (torch.int64, torch.int32):
         return tensor.detach().cpu().numpy()  # an index
     result = np.empty(tuple(tensor.shape), dtype=object)

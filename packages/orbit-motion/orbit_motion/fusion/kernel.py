@@ -37,7 +37,7 @@ def launcher(source: str, inputs: int, device: torch.device) -> Launch:
 
 
 def _compiled(source: str) -> Path:
-    """A library of the source, from the cache beside that of torch's compiler if it was made before."""
+    """Return a library of the source, from the cache beside that of torch's compiler if it was made before."""
     from torch._inductor.cpp_builder import get_cpp_compiler
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 

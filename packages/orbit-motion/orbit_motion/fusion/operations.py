@@ -17,7 +17,7 @@ Numbers = npt.NDArray[np.object_]
 
 
 def _array(builder: Builder, value: Any) -> Numbers:
-    """A tensor's numbers, or a number of Python's as one."""
+    """Return a tensor's numbers, or a number of Python's as one."""
     if isinstance(value, np.ndarray):
         return value
     result = np.empty((), dtype=object)
@@ -26,7 +26,7 @@ def _array(builder: Builder, value: Any) -> Numbers:
 
 
 def _elementwise(function: Callable[..., Expression]) -> Callable[..., Numbers]:
-    """An operation number by number, with torch's rules of broadcasting, which are numpy's."""
+    """Return an operation number by number, with torch's rules of broadcasting, which are numpy's."""
 
     def apply(builder: Builder, *operands: Any, **_: Any) -> Numbers:
         arrays = np.broadcast_arrays(*(_array(builder, operand) for operand in operands))
@@ -242,7 +242,7 @@ def _eye(builder: Builder, size: int, **_: Any) -> Numbers:
 
 
 def _argmax(builder: Builder, a: Numbers, dim: int, keepdim: bool = False) -> Numbers:
-    """The first of the largest, as a number."""
+    """Return the first of the largest, as a number."""
 
     def place(row: Sequence[Expression]) -> Expression:
         best, largest = builder.constant(0.0), row[0]

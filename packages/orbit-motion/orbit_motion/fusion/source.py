@@ -118,7 +118,9 @@ class Program:
         return torch.empty(len(self.outputs), *sizes, device=self.device).movedim(0, -1)
 
     def source(self) -> str:
-        """Text with a function ``fused`` of pointers to rows, to what becomes of them, and how many come of them."""
+        """Return text with a function ``fused`` of pointers to rows, to what becomes of them, and how many come of
+        them.
+        """
         on_cpu = self.on_cpu
         parameters = "".join(f"const float* in_{row}, " for row in self.widths)
         reads = [
@@ -163,7 +165,7 @@ def _literal(expression: Expression) -> str:
 
 
 def _in_order(outputs: Sequence[Expression]) -> list[Expression]:
-    """All that outputs are made of, each after what it is made of itself."""
+    """Return all that outputs are made of, each after what it is made of itself."""
     done: set[int] = set()
     order: list[Expression] = []
     waiting = list(reversed(outputs))

@@ -134,7 +134,7 @@ def _pairs(surface: Surface, opening: float, config: GraspConfig) -> Tensor:
 
 
 def _around(ends: Tensor, directions: int) -> tuple[Tensor, Tensor]:
-    """Poses (K D, 7) between points (K, 2, 3), and those points for each."""
+    """Return poses (K D, 7) between points (K, 2, 3), and those points for each."""
     y = normalize(ends[:, 1] - ends[:, 0], dim=1)
     least = torch.nn.functional.one_hot(y.abs().argmin(1), 3).to(y)
     side = normalize(torch.linalg.cross(y, least), dim=1)

@@ -75,7 +75,7 @@ class GraspPlanner:
         )
 
     def plan(self, pose: Tensor, env: int = 0) -> GraspPlan:
-        """The plan for a pose (7,) of the end effector, in the environment, in which the gripper closes.
+        """Return the plan for a pose (7,) of the end effector, in the environment, in which the gripper closes.
 
         Raises:
             PlanningError: the pose cannot be reached, by how much; or something is in the way, what and how far.
@@ -83,7 +83,7 @@ class GraspPlanner:
         return self._plan(self._straight_parts(pose[None], env), 0, None, env)
 
     def plans(self, candidates: GraspCandidates, thing: Tensor, env: int = 0) -> Iterator[GraspPlan]:
-        """A plan for each candidate that has one, the best first.
+        """Yield a plan for each candidate that has one, the best first.
 
         Args:
             candidates: in the thing's frame.
@@ -132,7 +132,7 @@ class GraspPlanner:
         raise _Touching(f"the open hand would be {depth:.3f} m inside '{name}'")
 
     def _straight_parts(self, poses: Tensor, env: int) -> _StraightWays:
-        """Joint positions through approach and lift for poses (K, 7) at the thing."""
+        """Return joint positions through approach and lift for poses (K, 7) at the thing."""
         start = self._robot.joint_positions[env].expand(len(poses), -1)
         ways = torch.linspace(-self._before, 0.0, _STRAIGHT, device=poses.device)
         rises = torch.linspace(0.0, self._lift, _STRAIGHT, device=poses.device)[1:]

@@ -71,7 +71,7 @@ class GraspSearch:
         self._planner = GraspPlanner(world, world.robot, joints, config=config)
 
     def motions(self) -> Iterator[GraspMotion]:
-        """A motion for each candidate that has one, the best first.
+        """Yield a motion for each candidate that has one, the best first.
 
         Raises:
             PlanningError: no candidate has one, and why.
@@ -82,7 +82,7 @@ class GraspSearch:
             yield self._timed(plan, self.poses[plan.candidate], score)
 
     def motion_to(self, pose: Tensor) -> GraspMotion:
-        """The motion for a pose (7,) of the hand that a person gave.
+        """Return the motion for a pose (7,) of the hand that a person gave.
 
         Raises:
             PlanningError: there is none, and why.

@@ -56,7 +56,7 @@ def surface_of(link: Link, count: int = 2000, seed: int = 0) -> Surface:
 
 
 def surface_of_cloud(points: Tensor, eye: Tensor) -> Surface:
-    """Points (M, 3) that a camera at ``eye`` (3,) saw, with normals towards it.
+    """Return points (M, 3) that a camera at ``eye`` (3,) saw, with normals towards it.
 
     A normal is the direction in which a point's 16 nearest vary least: Hoppe et al., Surface Reconstruction from
     Unorganized Points (SIGGRAPH 1992).

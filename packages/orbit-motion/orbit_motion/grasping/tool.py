@@ -176,7 +176,7 @@ class GraspTool:
 
 
 def _fork(opening: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
-    """Two fingers, the bar between them and a stem, in the hand's frame: z along the approach."""
+    """Return two fingers, the bar between them and a stem, in the hand's frame: z along the approach."""
     import trimesh
 
     half, thin, deep = 0.5 * opening, 0.004, 0.04

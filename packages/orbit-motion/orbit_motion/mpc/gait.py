@@ -38,7 +38,7 @@ class Gait:
 
 
 def stance_at(gait: Gait, time: float) -> tuple[tuple[int, ...], float]:
-    """The feet in the air at a time in s, and the share of their swing that is over."""
+    """Return the feet in the air at a time in s, and the share of their swing that is over."""
     time %= sum(length for length, _ in gait.phases)
     for length, lifted in gait.phases:
         if time < length:

@@ -33,7 +33,7 @@ class Plan:
     """The constraint that the plan breaks; empty if it keeps all."""
 
     def at(self, time: float) -> tuple[Array, Array, Array]:
-        """Positions, velocities and efforts (k,) so many seconds on; the end is held."""
+        """Return positions, velocities and efforts (k,) so many seconds on; the end is held."""
         place = min(time / self.dt, len(self.efforts))
         before = min(int(place), len(self.efforts) - 1)
         share = place - before
@@ -54,7 +54,7 @@ class Limits:
     effort: Array
 
     def problem(self, positions: Array, velocities: Array, efforts: Array) -> str:
-        """The limit that a motion (T, k) breaks most; empty if none."""
+        """Return the limit that a motion (T, k) breaks most; empty if none."""
         if not all(np.isfinite(part).all() for part in (positions, velocities, efforts)):
             return "the solver found no motion: its numbers are not finite"
         beyond = np.maximum(self.lowest - positions, positions - self.highest).max(0)

@@ -99,7 +99,7 @@ class Predictive(MotionGenerator):
 
     @abstractmethod
     def solve(self, state: Array, goal: Array, time: float) -> Plan:
-        """A plan from a state ``time`` s after the episode's beginning; called in the generator's thread."""
+        """Return a plan from a state ``time`` s after the episode's beginning; called in the generator's thread."""
 
     def enter(self, world: World, step_dt: float) -> None:
         turns = 1.0 / (self.config.rate * step_dt)

@@ -113,6 +113,6 @@ class TrunkMpc(Predictive):
         return self._origin
 
     def _turned(self, local: Tensor) -> Tensor:
-        """A displacement (1, 6) in the origin's axes, in the world's."""
+        """Return a displacement (1, 6) in the origin's axes, in the world's."""
         inverse = self._began()[:, None, 3:] * torch.tensor([1.0, -1.0, -1.0, -1.0], device=self.device)
         return quat_rotate_inverse(inverse.expand(-1, 2, 4), local.unflatten(1, (2, 3))).flatten(1)

@@ -89,7 +89,7 @@ class TrunkProblem:
         self._warm: tuple[list[Array], list[Array]] | None = None
 
     def solve(self, measured: Array, goal: Array, time: float) -> Plan:
-        """A plan from pose, velocity, positions and velocities (13 + 2 k,) to a pose (7,) of the frame."""
+        """Return a plan from pose, velocity, positions and velocities (13 + 2 k,) to a pose (7,) of the frame."""
         pinocchio, config, count = self._pinocchio, self._config, self._count
         state = self._state_of(measured)
         target = _placement(pinocchio, goal)
@@ -115,7 +115,8 @@ class TrunkProblem:
         return Plan(positions, velocities, efforts, config.node_time, far, problem_found)
 
     def _state_of(self, measured: Array) -> Array:
-        """The model's: base position, quaternion (x, y, z, w), joints; velocities, of the base in its own axes."""
+        """Return the model's: base position, quaternion (x, y, z, w), joints; velocities, of the base in its own axes.
+        """
         count = self._count
         turn = _placement(self._pinocchio, measured[:7]).rotation
         joints = np.empty((2, count))
@@ -126,7 +127,7 @@ class TrunkProblem:
         )
 
     def _begin_with(self, problem: Any, state: Array, nodes: int) -> tuple[list[Array], list[Array]]:
-        """The last solution, as much later as this plan is; or efforts that hold the robot where it is."""
+        """Return the last solution, as much later as this plan is; or efforts that hold the robot where it is."""
         if self._warm is None:
             return [state] * (nodes + 1), list(problem.quasiStatic([state] * nodes))
         shift = min(round(1.0 / (self._config.rate * self._config.node_time)), nodes)
@@ -134,7 +135,7 @@ class TrunkProblem:
         return states[shift:] + states[-1:] * shift, efforts[shift:] + efforts[-1:] * shift
 
     def _step(self, target: Any, time: float, ground: float, last: bool) -> Any:
-        """The model of one node, whose contacts are those of its time."""
+        """Return the model of one node, whose contacts are those of its time."""
         croc, state, config = self._croc, self._state, self._config
         size = self._actuation.nu
         lifted, share = stance_at(config.gait, time)
@@ -194,7 +195,7 @@ class TrunkProblem:
             costs.addCost("efforts", efforts, 1.0)
 
     def _sliding(self, problem: Any) -> str:
-        """The contact that a plan cannot have; empty if none."""
+        """Return the contact that a plan cannot have; empty if none."""
         friction = self._config.friction
         for data in problem.runningDatas:
             for name, contact in data.differential.multibody.contacts.contacts.todict().items():

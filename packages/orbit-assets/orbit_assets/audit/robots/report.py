@@ -41,11 +41,11 @@ from orbit_core.preparation.validation import validate_entity
 from orbit_core.robots import RobotEntry, robot_info
 from orbit_core.scene import EndEffector, Gripper, ImplicitPd, Mesh, MeshCollision, Pose, RobotSpec, Scene
 
-# Metres between the lowest and the highest foot.
+# Metres that are allowed between the lowest and the highest foot.
 _LEVEL = 0.005
-# Metres from the ground at which a robot may be put: it falls, or is pushed up.
+# Metres from the ground at which a robot may start: beyond, it falls or is pushed up.
 _ABOVE, _BELOW = 0.02, 0.002
-# Metres above the lowest point in which shapes are taken to carry.
+# Metres above the lowest point within which shapes count as carrying the robot.
 _SUPPORT = 0.02
 # Metres from the edge of the support at which a centre of mass is near it.
 _INSIDE = 0.01
@@ -53,7 +53,7 @@ _INSIDE = 0.01
 
 @dataclass(frozen=True)
 class StanceReport:
-    """How a robot with a free base is put on the ground, in metres."""
+    """Placement of a robot with a free base on the ground, in metres."""
 
     clearance: float
     """Of the lowest point of all collision shapes above the ground."""
@@ -77,7 +77,7 @@ def measure_stance(spec: RobotSpec, home: Mapping[str, float]) -> StanceReport |
 
 
 def check_stance(spec: RobotSpec, stance: StanceReport) -> Iterator[Finding]:
-    """Findings on the pose, the feet and the balance."""
+    """Yield findings on the pose, the feet and the balance."""
     if not spec.feet and not spec.wheels:
         yield Finding(Severity.WARNING, "model", "its base is free, and it names neither feet nor wheels to stand on")
     if stance.clearance > _ABOVE:
@@ -98,7 +98,7 @@ def check_stance(spec: RobotSpec, stance: StanceReport) -> Iterator[Finding]:
 
 
 def _points(spec: RobotSpec, home: Mapping[str, float]) -> FloatArray:
-    """(P, 3) of all collision shapes, in the world."""
+    """Return the points (P, 3) of all collision shapes, in the world."""
     poses = link_poses(spec.articulation, home)
     clouds = [
         (spec.pose @ poses[link.name]).transform(shape_points(shape))
@@ -116,7 +116,7 @@ def _center_of_mass(spec: RobotSpec, home: Mapping[str, float]) -> FloatArray:
 
 
 def _margin(points: FloatArray, place: FloatArray) -> float:
-    """Metres from a place (2,) to the nearest edge of the hull of points (P, 2); negative outside."""
+    """Return metres from a place (2,) to the nearest edge of the hull of points (P, 2); negative outside."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -126,16 +126,16 @@ def _margin(points: FloatArray, place: FloatArray) -> float:
     return -float((sides[:, :2] @ place + sides[:, 2]).max())
 
 
-# Metres to either side of the frame, between which fingers are looked for.
+# Metres to either side of the frame within which fingers are searched.
 _WIDEST = 0.2
-# Metres that are free where nothing is met on either side.
+# Free metres at and above which nothing was found on either side.
 _NOTHING = 2.0 * _WIDEST - 1e-6
-# Half extents (m) along x and z of what is widened along y until it touches the fingers.
+# Half extents (m) along x and z of the probe that is widened along y until it touches the fingers.
 _PROBE = (0.004, 0.002)
-# Metres: a gripper that opens less has its frame beside its fingers.
+# Metres: a gripper that opens less has its frame next to its fingers.
 _NARROW = 0.005
 _ASKEW = np.cos(np.radians(20.0))
-# Metres from its link's origin within which a frame's direction tells nothing.
+# Metres from its link's origin within which a frame's direction has no meaning.
 _SHORT = 0.01
 # Metres that a finger must move to count.
 _STILL = 1e-4
@@ -143,7 +143,7 @@ _STILL = 1e-4
 
 @dataclass(frozen=True)
 class HandReport:
-    """What was measured of a gripper, in the axes of its end effector's frame."""
+    """Measurements of a gripper, in the axes of its end effector's frame."""
 
     frame: str
     opening: float
@@ -178,7 +178,7 @@ def measure_hand(spec: RobotSpec, effector: EndEffector, gripper: Gripper) -> Ha
 
 
 def check_hand(effector: EndEffector, hand: HandReport) -> Iterator[Finding]:
-    """Findings on the frame and the opening."""
+    """Yield findings on the frame and the opening."""
     if hand.opening < _NARROW:
         text = f"{1e3 * hand.opening:.1f} mm are free about it along y when open: put it between the fingers"
         yield Finding(Severity.WARNING, effector.frame, text)
@@ -189,6 +189,7 @@ def check_hand(effector: EndEffector, hand: HandReport) -> Iterator[Finding]:
             f"closing leaves {1e3 * hand.closing:.1f} mm of {1e3 * hand.opening:.1f} mm: are the positions exchanged?"
         )
         yield Finding(Severity.WARNING, effector.frame, text)
+    # Fingers of a hand with tips curl: their direction at the frame means nothing.
     if hand.along_y < _ASKEW and not effector.finger_tips:
         angle = np.degrees(np.arccos(np.clip(hand.along_y, -1.0, 1.0)))
         text = f"the fingers move {angle:.0f} degrees from its y: turn the frame, so that they open along y"
@@ -196,7 +197,7 @@ def check_hand(effector: EndEffector, hand: HandReport) -> Iterator[Finding]:
 
 
 def _nothing_met(effector: EndEffector, hand: HandReport) -> Finding:
-    """The finding that there are no fingers to the sides of the frame."""
+    """Return the finding that there are no fingers to the sides of the frame."""
     where = f"the fingers end {1e3 * hand.overhang:.0f} mm short of it" if hand.overhang > 0.0 else "no finger is there"
     near = f"nothing is within {1e3 * _WIDEST:.0f} mm of it along y when"
     if hand.meets_nothing_closed:
@@ -206,7 +207,7 @@ def _nothing_met(effector: EndEffector, hand: HandReport) -> Finding:
 
 
 def check_approach(spec: RobotSpec, effector: EndEffector, home: Mapping[str, float]) -> Iterator[Finding]:
-    """Whether z leads out of the arm: away from the origin of the frame's link, or from a bare hand's root."""
+    """Find a z axis that leads into the arm: towards the origin of the frame's link, or a bare hand's root."""
     frame = frame_pose(spec, effector.frame, home)
     carrier = spec.articulation.frame(effector.frame).link if effector.arm_joints else spec.articulation.root.name
     out = np.asarray(frame.position) - np.asarray(frame_pose(spec, carrier, home).position)
@@ -216,12 +217,12 @@ def check_approach(spec: RobotSpec, effector: EndEffector, home: Mapping[str, fl
 
 
 def _gap(shapes: list[Convex], frame: Pose) -> float:
-    """Metres along y, about the frame, that are free of shapes."""
+    """Return metres along y, about the frame, that are free of shapes."""
     return sum(_free(shapes, frame, side) for side in (1.0, -1.0))
 
 
 def _free(shapes: list[Convex], frame: Pose, side: float) -> float:
-    """Metres from the frame along y to one side until something is met, by bisection."""
+    """Return metres from the frame along y to one side until something is met, by bisection."""
     low, high = 0.0, _WIDEST
     if not _meets(shapes, frame, side * high):
         return high
@@ -239,7 +240,7 @@ def _meets(shapes: list[Convex], frame: Pose, reach: float) -> bool:
 
 
 def _along_y(spec: RobotSpec, effector: EndEffector, opened: Mapping[str, float], closed: Mapping[str, float]) -> float:
-    """How much of the fingers' motion, where they are nearest to the frame, is along its y: 1 where all is."""
+    """Return the cosine between the fingers' motion, where they are nearest to the frame, and the frame's y."""
     frame = frame_pose(spec, effector.frame, opened).inverse()
     before, after = link_poses(spec.articulation, opened), link_poses(spec.articulation, closed)
     moves: list[FloatArray] = []
@@ -286,7 +287,7 @@ class JointRow:
 
 
 def joint_rows(spec: RobotSpec) -> tuple[JointRow, ...]:
-    """All joints that follow no other."""
+    """Return all joints that follow no other."""
     parameters = _parameters(spec)
     groups = actuator_of_joint(spec)
     responses = {response.joint: response for response in drive_responses(spec)}
@@ -308,7 +309,7 @@ def joint_rows(spec: RobotSpec) -> tuple[JointRow, ...]:
 
 
 def check_drives(spec: RobotSpec, rows: tuple[JointRow, ...]) -> Iterator[Finding]:
-    """Findings on limits, armatures and gains, alike joints together."""
+    """Yield findings on limits, armatures and gains, alike joints together."""
     driven = {spec.articulation.joint_names[index] for index in actuator_of_joint(spec)}
     idle = [row.name for row in rows if row.name not in driven]
     if idle:
@@ -332,6 +333,7 @@ def check_drives(spec: RobotSpec, rows: tuple[JointRow, ...]) -> Iterator[Findin
         yield from _check_load(row)
 
 
+# Followers have no actuator, so that no drive's response would show a light one.
 def _check_followers(spec: RobotSpec) -> Iterator[Finding]:
     """Find joints that follow others and move next to nothing: no drive of their own would show it."""
     armature = _parameters(spec).armature
@@ -342,6 +344,7 @@ def _check_followers(spec: RobotSpec) -> Iterator[Finding]:
     ]
     if not bare:
         return
+    # Without their mimics, the mass matrix has a row for each follower as well.
     freed = tuple(replace(joint, mimic=None) for joint in spec.articulation.joints)
     matrices = workspace_mass_matrices(replace(spec.articulation, joints=freed), armature=armature.tolist())
     smallest = np.diagonal(matrices, axis1=1, axis2=2).min(axis=0)
@@ -356,10 +359,11 @@ def _check_followers(spec: RobotSpec) -> Iterator[Finding]:
 
 
 def check_stability(spec: RobotSpec, time_step: float) -> Iterator[Finding]:
-    """Whether steps of ``time_step`` (s) diverge, and which drives are stiffer than such steps resolve."""
+    """Find drives that diverge in steps of ``time_step`` (s), and drives that are stiffer than such steps resolve."""
     parameters, groups = _parameters(spec), actuator_of_joint(spec)
     stiffness, damping = np.zeros(len(parameters.damping)), np.zeros(len(parameters.damping))
     implicit = parameters.damping.copy()
+    # Implicit drives are stable at any gain; only their damping takes part.
     for index, group in groups.items():
         if not isinstance(group, ImplicitPd):
             stiffness[index], damping[index] = group.stiffness, group.damping
@@ -374,6 +378,7 @@ def check_stability(spec: RobotSpec, time_step: float) -> Iterator[Finding]:
         )
         yield Finding(Severity.FAULT, found.joint, text)
     for response in drive_responses(spec):
+        # Beyond one radian per step the integrators of all engines add numerical damping.
         if 2.0 * math.pi * response.fastest * time_step > 1.0:
             text = (
                 f"its drive swings at up to {response.fastest:.2g} Hz, more than a radian in a step of "
@@ -415,7 +420,7 @@ def _floats(spec: RobotSpec) -> bool:
 
 
 def _gravity_loads(spec: RobotSpec, parameters: JointParameters) -> FloatArray:
-    """(J,) efforts that hold home, followers' folded into their leaders'."""
+    """Return the efforts (J,) that hold home, with those of followers added to their leaders'."""
     model = RigidBodyModel(spec.articulation, True, dtype=torch.float64)
     root = torch.tensor([[*spec.pose.position, *spec.pose.orientation]], dtype=torch.float64)
     poses = model.kinematics.forward(root, torch.as_tensor(parameters.home)[None])
@@ -424,9 +429,9 @@ def _gravity_loads(spec: RobotSpec, parameters: JointParameters) -> FloatArray:
 
 TIME_STEP = 0.005
 """Seconds, that of the tasks."""
-# Vertices of a hull that collides, beyond which it costs more than it tells.
+# Vertices of a colliding hull beyond which contact gets slower and no more accurate.
 _MANY_POINTS = 100
-# What the check of the motors tells itself, with the actuators' overrides.
+# Findings that the check of the motors reports itself, with the actuators' overrides applied.
 _OWN = ("effort limit", "velocity limit", "no joint has armature")
 # Share of a joint's range from its limit that counts as near.
 _NEAR = 0.02
@@ -434,7 +439,7 @@ _NEAR = 0.02
 
 @dataclass(frozen=True, eq=False)
 class RobotReport:
-    """What an audit of a robot found."""
+    """Result of an audit of a robot."""
 
     entry: RobotEntry
     spec: RobotSpec
@@ -445,7 +450,7 @@ class RobotReport:
 
     @property
     def faults(self) -> tuple[Finding, ...]:
-        """Those findings that would make a simulation wrong, or the robot unusable."""
+        """Findings that would make a simulation wrong, or the robot unusable."""
         return tuple(finding for finding in self.findings if finding.severity is Severity.FAULT)
 
 
@@ -453,18 +458,22 @@ def audit_robot(name: str, time_step: float = TIME_STEP) -> RobotReport:
     """Check a robot of the catalogue, or a composition of its parts, without an engine.
 
     Raises:
-        UnknownNameError: there is none of that name.
+        UnknownNameError: there is no robot of that name.
         ConfigurationError: the parts cannot be mounted on each other, or the module that builds it cannot be imported.
-        AssetError: its model cannot be had.
     """
     entry = robot_info(name)
     return audit_spec(entry, entry.load(), time_step)
 
 
 def audit_spec(entry: RobotEntry, spec: RobotSpec, time_step: float = TIME_STEP) -> RobotReport:
-    """Check a robot against what its entry says. Links that cannot move against each other count as one.
+    """Check a robot against the metadata of its entry. Links that cannot move against each other count as one.
 
-    A robot that no world would take has one fault, in the words of the error, and nothing else is measured.
+    A robot that every world would reject has one fault, the text of that error, and no measurements.
+
+    Args:
+        entry: the catalogue's entry.
+        spec: the robot.
+        time_step: physics step (s) at which the gains must be stable.
     """
     try:
         validate_entity(spec)
@@ -531,6 +540,7 @@ def _check_home(spec: RobotSpec, home: Mapping[str, float]) -> Iterator[Finding]
             else ", which do not collide: self_collisions is off"
         )
         yield Finding(Severity.FAULT if acts else Severity.NOTE, names_in_short(touching), text)
+    # A gripper opens to its limits: at its limit at home is where its fingers belong.
     fingers = {index for _, hand in gripping(spec) for index in gripper_positions(spec, hand, hand.open_position)}
     near = [
         joint.name
@@ -539,6 +549,7 @@ def _check_home(spec: RobotSpec, home: Mapping[str, float]) -> Iterator[Finding]
         and index not in fingers
         and joint.upper_limit > joint.lower_limit
         and min(home[joint.name] - joint.lower_limit, joint.upper_limit - home[joint.name])
+        # A range of more than a turn counts as one turn.
         < _NEAR * min(joint.upper_limit - joint.lower_limit, 6.3)
     ]
     if near:
