@@ -31,9 +31,8 @@ from orbit_data.episodes import (
     check_infos,
     chosen,
 )
-from orbit_data.lerobot import ACTION, EPISODES, INFO, MANIFEST, PICTURE, SIMULATED, VERSION
+from orbit_data.lerobot import ACTION, EPISODES, INFO, MANIFEST, PICTURE, SIMULATED, VERSION, read_video
 from orbit_data.reading.parquet import arrow_modules, read_columns
-from orbit_data.video import read_video
 
 _OWN = {ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
 # What a pattern of file names may hold; others could ask for names of any length.

@@ -1,7 +1,8 @@
-"""The network ``convolutional``: pictures through convolutions, beside vectors, into linear layers.
+"""The network ``convolutional``: pictures through convolutions, joined with vectors, into linear layers.
 
-Convolutions with strides in place of pooling keep where things are in the picture, as in Mnih et al., Human-level
-control through deep reinforcement learning (2015), which policies that reach for things need.
+Convolutions with strides in place of pooling keep positions in the picture, as in Mnih et al., Human-level control
+through deep reinforcement learning (2015), which policies that reach for objects need. Learning libraries may put their
+own layers behind the encoders.
 """
 
 from __future__ import annotations
@@ -17,6 +18,47 @@ from torch import Tensor, nn
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.description import Part
 from orbit_learn.networks import ActorNetwork, activation_type, layer_weights, perceptron
+
+
+class PictureFeatures(nn.Module):
+    """A dictionary of terms, (N, ...) each -> (N, K) as the network's linear layers see them.
+
+    Args:
+        network: of the terms.
+        normalize: of the vectors side by side (N, V); nothing if None, where the library has done that before.
+    """
+
+    def __init__(self, network: Convolutional, normalize: nn.Module | None = None) -> None:
+        super().__init__()
+        self.network = network
+        self.normalize = nn.Identity() if normalize is None else normalize
+        self.encoders = network.build_encoders()
+
+    @property
+    def size(self) -> int:
+        """K."""
+        return self.network.vector_size + self.network.features
+
+    def forward(self, terms: Mapping[str, Tensor]) -> Tensor:
+        vectors = self.normalize(joined_vectors(self.network, terms)).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
+        return torch.cat((vectors, encoded_pictures(self.network, self.encoders, terms)), dim=1)
+
+
+class TermByTerm(nn.Module):
+    """A module of a dictionary as one of its values, in order.
+
+    Args:
+        module: takes a dictionary of tensors.
+        names: of its values.
+    """
+
+    def __init__(self, module: nn.Module, names: Sequence[str]) -> None:
+        super().__init__()
+        self._module, self._names = module, tuple(names)
+
+    def forward(self, *terms: Tensor) -> Tensor:
+        return self._module(dict(zip(self._names, terms, strict=True)))
+
 
 _MOST_PIXELS, _MOST_FILTERS, _MOST_UNITS = 2**22, 4096, 2**16
 MOST_DEVIATIONS = 10.0

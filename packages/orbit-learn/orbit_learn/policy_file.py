@@ -1,9 +1,15 @@
-"""Policies as safetensors files: the weights, what they were learned for, and the network that they belong to.
+"""Policies as safetensors files: weights, description of the environment, and the network that they belong to.
 
 The document of such a file (see :mod:`orbit_core.tensor_file`) is
 ``{"format": 1, "policy": {...}, "manifest": {...}, "network": {"name": ..., "settings": {...}}}`` with the fields of
 :class:`~orbit_learn.description.PolicyDescription`, of :class:`~orbit_core.manifest.manifest.Manifest`, which may
 be missing, and of a registered network.
+
+A network is a frozen dataclass of plain settings that builds a module; the module's weights are next to the settings in
+the file. Packages add networks through the entry-point group ``orbit.networks``, whose value is the dataclass::
+
+    [project.entry-points."orbit.networks"]
+    my_network = "my_package.networks:MyNetwork"
 """
 
 from __future__ import annotations
@@ -11,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,12 +27,41 @@ from torch import Tensor, nn
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.manifest.manifest import Manifest
+from orbit_core.registry import ClassRegistry
 from orbit_core.tensor_file import read_tensors, write_tensors
+from orbit_learn.convolutional import Convolutional
 from orbit_learn.description import PolicyDescription
-from orbit_learn.network_registry import network_type
-from orbit_learn.networks import ActorNetwork, Network
+from orbit_learn.networks import ActorNetwork, Network, Perceptron
 from orbit_learn.plain import from_plain
 from orbit_learn.policy_cost import limited
+
+GROUP = "orbit.networks"
+"""Entry points of packages that bring networks."""
+
+
+@cache
+def _networks() -> ClassRegistry[Network]:
+    return ClassRegistry[Network]("network", GROUP, (Perceptron, Convolutional))
+
+
+def register_network(kind: type[Network]) -> None:
+    """Let files of this process name a network; installed packages use an entry point instead.
+
+    Raises:
+        ConfigurationError: it is no dataclass with a class variable ``name``, or the name is taken.
+    """
+    _networks().add_class(kind)
+
+
+def network_type(name: str) -> type[Network]:
+    """Return the network of that name.
+
+    Raises:
+        UnknownNameError: there is none; names the nearest, and the packages that were left out.
+        ConfigurationError: two packages bring it.
+    """
+    return _networks().get(name)
+
 
 SUFFIX = ".safetensors"
 

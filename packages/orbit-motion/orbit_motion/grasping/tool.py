@@ -13,8 +13,7 @@ from torch import Tensor
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
 from orbit_motion.grasping import GraspMotion, GraspWorkflow, Stage
-from orbit_viewer.ghost import Ghost
-from orbit_viewer.scene_view import SceneView
+from orbit_viewer.scene_view import Ghost, SceneView
 
 if TYPE_CHECKING:
     from viser import ViserServer
