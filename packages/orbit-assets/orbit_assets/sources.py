@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Articulation
+
+if TYPE_CHECKING:
+    from orbit_core.scene import Articulation
 
 # Folder of the models below site-packages, by distribution.
 _FOLDERS = {
