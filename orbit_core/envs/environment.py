@@ -14,6 +14,7 @@ from typing_extensions import TypeVar
 
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.backends import default_backend
+from orbit_core.configuration import settings_table
 from orbit_core.dynamics.arguments import (
     FINITE,
     MOST_ENVIRONMENTS,
@@ -46,7 +47,6 @@ from orbit_core.envs.task import Task
 from orbit_core.envs.term_values import per_environment
 from orbit_core.envs.terms import TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
-from orbit_core.interfaces.fields import settings_table
 from orbit_core.world import WorldFactory, simulate
 from orbit_core.world.closing import close_for_good
 from orbit_core.world.threads import SingleThreaded
