@@ -144,7 +144,7 @@ class Locomotion(MotionGenerator):
         if self._since and self._since % self._each == 0:
             self._legs_command.copy_(self._asked())
             targets = self._lower.compute({"command": self._legs_command})
-            self.robot.set_position_targets(targets[JointTarget.POSITION.value], self.joints)
+            self.robot.set_position_targets(targets[JointTarget.POSITION], self.joints)
         self._since += 1
 
     def _asked(self) -> Tensor:

@@ -17,15 +17,11 @@ class Actuate(Node):
         self.name = f"actuate_{generator.name}"
         self.inputs = generator.outputs
         self.robot = robot
-        self._joints = generator.joints
-        setters = {
-            JointTarget.POSITION.value: robot.set_position_targets,
-            JointTarget.VELOCITY.value: robot.set_velocity_targets,
-            JointTarget.EFFORT.value: robot.set_effort_targets,
-        }
-        self._setters = [(port.name, setters[port.name]) for port in self.inputs]
+        self._writers = [
+            (port.name, robot.target_writer(JointTarget(port.name), generator.joints)) for port in self.inputs
+        ]
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        for name, write in self._setters:
-            write(inputs[name], self._joints)
+        for name, write in self._writers:
+            write(inputs[name])
         return {}

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from enum import Enum
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import columns_of
-from orbit_core.interfaces import Node, Port, Robot, World
+from orbit_core.interfaces import JointTarget, Node, Port, Robot, World
 from orbit_core.interfaces.layout import joint_limits
-
-
-class JointTarget(Enum):
-    """What a joint is told; the value names the port that carries it, (N, k) for k joints."""
-
-    POSITION = "position_targets"
-    VELOCITY = "velocity_targets"
-    EFFORT = "effort_targets"
 
 
 class MotionGenerator(Node):
@@ -32,6 +24,10 @@ class MotionGenerator(Node):
         command_size: number of components.
         targets: what the joints are told.
     """
+
+    bounded: ClassVar[bool] = False
+    """True if the targets of every finite command are finite and within the joints' limits. An environment, which has
+    checked its action, then writes them without another check."""
 
     def __init__(
         self, name: str, robot: Robot, joints: Sequence[int], command_size: int, targets: Sequence[JointTarget]

@@ -96,7 +96,7 @@ class BaseVelocity(MotionGenerator):
         velocities = torch.cat((_turned(planar, positions[:, 2]), turn), dim=1) * self._limits
         # A base that a joint's limit holds back keeps its curve.
         velocities = velocities / (velocities.abs() / self._fastest).amax(1, keepdim=True).clamp_min(1.0)
-        return {JointTarget.POSITION.value: positions, JointTarget.VELOCITY.value: velocities}
+        return {JointTarget.POSITION: positions, JointTarget.VELOCITY: velocities}
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         self.clamped[slice(None) if env_ids is None else env_ids] = 0

@@ -57,6 +57,8 @@ class BinaryGripperConfig(ActionTerm):
 class BinaryGripper(MotionGenerator):
     """One command for all joints of a gripper, :class:`BinaryGripperConfig`."""
 
+    bounded = True
+
     def __init__(self, name: str, robot: Robot, config: BinaryGripperConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, 1, (JointTarget.POSITION,))
@@ -73,7 +75,7 @@ class BinaryGripper(MotionGenerator):
         command = inputs["command"]
         targets = torch.where(command < 0.0, self._closed, self._open)
         # Where a command is not a number the targets are none either, and refused by the robot.
-        return {JointTarget.POSITION.value: torch.where(command.isnan(), command, targets)}
+        return {JointTarget.POSITION: torch.where(command.isnan(), command, targets)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return (2.0 * gripper_open.to(torch.float32) - 1.0).unsqueeze(-1)

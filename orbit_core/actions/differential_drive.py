@@ -120,7 +120,7 @@ class DifferentialDrive(MotionGenerator):
         command = inputs["command"]
         self.clamped += command.abs().amax(1) > 1.0 + ROUNDING
         speeds = self._wheels.speeds(command.clamp(-1.0, 1.0) * self._limits)
-        return {JointTarget.POSITION.value: self.positions, JointTarget.VELOCITY.value: speeds}
+        return {JointTarget.POSITION: self.positions, JointTarget.VELOCITY: speeds}
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         write_rows(self.clamped, 0, env_ids)

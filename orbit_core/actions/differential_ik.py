@@ -133,7 +133,7 @@ class DifferentialIk(PoseFollower):
             delta = damped_least_squares(jacobian, displacement, self.config.damping, steadying(displacement))
         else:
             delta = joint_delta(self.config.method, jacobian, displacement, self.config.damping)
-        return {JointTarget.POSITION.value: bounded_targets(self, delta, self.config.max_joint_step)}
+        return {JointTarget.POSITION: bounded_targets(self, delta, self.config.max_joint_step)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self._pose.encode(pose)

@@ -68,7 +68,7 @@ class FullIkTerm(PoseFollower):
             # Slowed down together, so that all joints arrive at once.
             share = (self._lead / (targets - positions).abs().clamp_min(1e-9)).amin(1, keepdim=True).clamp_max(1.0)
             targets = positions + share * (targets - positions)
-        return {JointTarget.POSITION.value: torch.clamp(targets, self.lower_limits, self.upper_limits)}
+        return {JointTarget.POSITION: torch.clamp(targets, self.lower_limits, self.upper_limits)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self._pose.encode(pose)

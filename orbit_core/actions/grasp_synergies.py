@@ -114,7 +114,7 @@ class GraspSynergies(MotionGenerator):
         share = 0.5 * (inputs["command"] + 1.0)
         scores = self._low + share * (self._high - self._low)
         targets = torch.addmm(self._mean, scores, self._directions)
-        return {JointTarget.POSITION.value: torch.clamp(targets, self.lower_limits, self.upper_limits)}
+        return {JointTarget.POSITION: torch.clamp(targets, self.lower_limits, self.upper_limits)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         posture = torch.where(gripper_open.unsqueeze(1), self._ends[0], self._ends[1])

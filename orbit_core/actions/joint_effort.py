@@ -49,6 +49,8 @@ class JointEffortConfig(ActionTerm):
 class JointEffort(MotionGenerator):
     """One command a joint, :class:`JointEffortConfig`."""
 
+    bounded = True
+
     def __init__(self, name: str, robot: Robot, config: JointEffortConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), tuple(JointTarget))
@@ -66,9 +68,9 @@ class JointEffort(MotionGenerator):
         if self.config.mode is CommandMode.INTEGRATED:
             self._last.keep(efforts)
         return {
-            JointTarget.POSITION.value: self.positions,
-            JointTarget.VELOCITY.value: self.velocities,
-            JointTarget.EFFORT.value: efforts,
+            JointTarget.POSITION: self.positions,
+            JointTarget.VELOCITY: self.velocities,
+            JointTarget.EFFORT: efforts,
         }
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:

@@ -43,6 +43,8 @@ class JointPositionConfig(ActionTerm):
 class JointPosition(MotionGenerator):
     """One command a joint, :class:`JointPositionConfig`."""
 
+    bounded = True
+
     def __init__(self, name: str, robot: Robot, config: JointPositionConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), (JointTarget.POSITION,))
@@ -57,14 +59,15 @@ class JointPosition(MotionGenerator):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
         span = torch.where(command < 0.0, self._below, self._above) if self.config.scale is None else self._above
-        targets = torch.addcmul(self._origin(), command, span)
+        origin = self._home if self.config.mode is CommandMode.ABSOLUTE else self._origin()
+        targets = torch.addcmul(origin, command, span)
         if self._lead is not None:
             positions = self.positions
             targets = torch.clamp(targets, positions - self._lead, positions + self._lead)
         targets = torch.clamp(targets, self.lower_limits, self.upper_limits)
         if self.config.mode is CommandMode.INTEGRATED:
             self._last.keep(targets)
-        return {JointTarget.POSITION.value: targets}
+        return {JointTarget.POSITION: targets}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self.encode_positions(self.positions + towards_pose(self.robot, self.joints, pose))

@@ -45,6 +45,8 @@ class JointVelocityConfig(ActionTerm):
 class JointVelocity(MotionGenerator):
     """One command a joint, :class:`JointVelocityConfig`."""
 
+    bounded = True
+
     def __init__(self, name: str, robot: Robot, config: JointVelocityConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), (JointTarget.POSITION, JointTarget.VELOCITY))
@@ -58,7 +60,7 @@ class JointVelocity(MotionGenerator):
         targets = torch.clamp(targets, -self._fastest, self._fastest)
         if self.config.mode is CommandMode.INTEGRATED:
             self._last.keep(targets)
-        return {JointTarget.POSITION.value: self.positions, JointTarget.VELOCITY.value: targets}
+        return {JointTarget.POSITION: self.positions, JointTarget.VELOCITY: targets}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self._pursuing(towards_pose(self.robot, self.joints, pose))

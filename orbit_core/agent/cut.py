@@ -33,7 +33,6 @@ class Cut:
         self._upstream = [runner for runner in graph.runners if runner.node.name in before]
         self._downstream = [runner for runner in graph.runners if runner.node.name not in (*before, name)]
         (self._replaced,) = (runner for runner in graph.runners if runner.node is self.node)
-        self._acting = (self._replaced, *self._downstream)
         for runner in self._upstream:  # what was observed in one step is acted on in the next
             runner.carries |= any(
                 source[0] == runner.node.name and target[0] not in before
@@ -88,22 +87,3 @@ class Cut:
         self.graph.run(self._downstream)
         self.graph.step_count += 1
         return self.graph.read_outputs()
-
-    # In a step that is captured
-
-    def phase(self) -> tuple[tuple[int, bool], ...]:
-        """What Python decides by whose turn it is when acting."""
-        return tuple(runner.phase(self.graph.step_count) for runner in self._acting)
-
-    def enter(self, phase: tuple[tuple[int, bool], ...], steps: int) -> None:
-        """``steps`` times :meth:`act` was repeated without Python, which left the agent in that phase."""
-        self.graph.step_count += steps
-        for runner, (_, pending) in zip(self._acting, phase, strict=True):
-            runner.enter(self.graph.step_count, pending)
-        for runner in self._upstream:
-            runner.pending = True  # they have not observed what the repeated steps came to
-
-    def memory(self) -> dict[str, Tensor]:
-        """The tensors that the agent's next steps depend on besides its nodes' own memory, by name."""
-        held = {r.node.name: r.held() for r in self.graph.runners if r.carries}
-        return {f"{name}.{port}": value for name, values in held.items() for port, value in values.items()}

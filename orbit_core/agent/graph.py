@@ -127,6 +127,23 @@ class AgentGraph:
         for runner, saved in zip(self.runners, state.runners, strict=True):
             runner.load_state(saved)
 
+    # In a step that is captured
+
+    def phase(self) -> tuple[tuple[int, bool], ...]:
+        """Return the schedule's key of the next step: for each node its place in its period, and if it must renew."""
+        return tuple(runner.phase(self.step_count) for runner in self.runners)
+
+    def enter(self, phase: tuple[tuple[int, bool], ...], steps: int) -> None:
+        """Move the schedule on by ``steps`` that were repeated without Python, into that phase."""
+        self.step_count += steps
+        for runner, (_, pending) in zip(self.runners, phase, strict=True):
+            runner.enter(self.step_count, pending)
+
+    def memory(self) -> dict[str, Tensor]:
+        """Return the held outputs that the next steps depend on besides the nodes' own memory, by name."""
+        held = {runner.node.name: runner.held() for runner in self.runners if runner.carries}
+        return {f"{name}.{port}": value for name, values in held.items() for port, value in values.items()}
+
     # What a step consists of; a cut puts it together otherwise
 
     def take_inputs(self, external: Mapping[str, Tensor]) -> None:

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import keystr, tree_leaves_with_path
 
-from orbit_core.agent import Cut
 from orbit_core.capture.compile import check_compiler
 from orbit_core.capture.phases import Moment, PhasedFunction
 from orbit_core.capture.python_state import REMEDY, Holder, PythonState
 from orbit_core.capture.replay import CapturedFunction
+from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
 from orbit_core.envs.step_parts import StepParts
@@ -68,20 +68,18 @@ class CapturedStep:
         self.parts = [self._phased(part, compile) for part in parts]
 
     def _phased(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> PhasedFunction:
-        world, task, cut = self._environment.world, self._environment.task, self._environment.cut
+        world, task, actions = self._environment.world, self._environment.task, self._environment.actions
 
         def memory() -> dict[str, Tensor]:
-            return {**remembered(task, cut), **cut.memory(), **world.memory()}
+            return {**remembered(task, actions), **actions.memory(), **world.memory()}
 
         def capture() -> CapturedFunction:
             return CapturedFunction(world, part, memory, compile, self._look)
 
-        return PhasedFunction(StepSchedule(world, cut), capture)
+        return PhasedFunction(StepSchedule(world, actions), capture)
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
-        if not self.parts[0].ready:
-            self._environment.cut.observe()  # in Python, acting demands it
         outputs = self.parts[0]()
         if self._python is None:
             self._python = self._look()
@@ -129,8 +127,8 @@ class CapturedStep:
             )
 
     def _look(self) -> PythonState:
-        task, cut = self._environment.task, self._environment.cut
-        nodes = {f"node '{runner.node.name}'": runner.node for runner in cut.graph.runners}
+        task = self._environment.task
+        nodes = {f"node '{generator.name}'": generator for generator in self._environment.actions.generators}
         roots = {type(task).__name__: task, **nodes, **self._environment.world.python_laws}
         return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
 
@@ -175,7 +173,7 @@ class CapturedStep:
         environment.begin(done)
         with environment.world.masking.only(done):
             seen = leaves_of(environment.observer())
-        return tuple(_where(done, new, last) for new, last in zip(seen, self._observed, strict=True))
+        return tuple(where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True))
 
     def _renew_in_python(self) -> list[Tensor]:
         """As :meth:`_renew`, environments by index, outside of any trace."""
@@ -184,7 +182,7 @@ class CapturedStep:
         environment.begin(done.nonzero().squeeze(-1))
         with environment.world.masking.only(done):
             seen = leaves_of(environment.observer())
-        return [_where(done, new, last) for new, last in zip(seen, self._observed, strict=True)]
+        return [where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True)]
 
     def _play_and_renew(self) -> tuple[Tensor, ...]:
         """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
@@ -196,16 +194,15 @@ def _is_weight(holder: Holder, key: object) -> bool:
     return isinstance(holder.owner, RewardTerm) and key == "weight"  # a tensor of the reward manager's holds it
 
 
-def _where(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
+def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
     """Rows (N, ...) of ``values`` where the mask (N,) is set."""
     return torch.where(mask.view(-1, *(1 for _ in values.shape[1:])), values, otherwise)
 
 
-def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
-    """What a task and its agent's nodes remember from step to step, by name."""
+def remembered(task: Task, actions: ActionManager) -> dict[str, Tensor]:
+    """Return the tensors that a task and its motion generators keep from step to step, by name."""
     own = {name: value for name, value in vars(task).items() if name != "cache"}
-    memory = {f"node '{r.node.name}'": dict(r.node.memory()) for r in cut.graph.runners}
-    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": memory})
+    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": actions.node_memory})
     return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
 
 
@@ -215,26 +212,25 @@ class StepSchedule:
     One clock rules all environments, so that it is a function of the step's place in the schedule's period.
     """
 
-    def __init__(self, world: World, cut: Cut) -> None:
-        self._world, self._cut = world, cut
+    def __init__(self, world: World, actions: ActionManager) -> None:
+        self._world, self._actions = world, actions
 
     def moment(self) -> Moment:
         """The place at which the schedule stands now."""
-        phase = self._world.phase, self._cut.phase()
-        return Moment(phase, self._world.clock.steps, self._cut.graph.step_count)
+        phase = self._world.phase, self._actions.phase()
+        return Moment(phase, self._world.clock.steps, self._actions.steps)
 
     def move(self, phase: Any, physics_steps: int, agent_steps: int) -> None:
         """Go on by so many steps, into that phase."""
         self._world.enter(phase[0], physics_steps)
-        self._cut.enter(phase[1], agent_steps)
+        self._actions.enter(phase[1], agent_steps)
 
 
-def needs_python(world: World, cut: Cut, decimation: int) -> str:
+def needs_python(world: World, actions: ActionManager, decimation: int) -> str:
     """Why a step cannot be captured; empty if it can."""
     if world.needs_python:
         return world.needs_python
-    agent = math.lcm(*(runner.period for runner in cut.graph.runners))
-    phases = math.lcm(world.schedule_period, decimation * agent) // decimation
+    phases = math.lcm(world.schedule_period, decimation * actions.period) // decimation
     if phases <= MOST_PHASES:
         return ""
     return (

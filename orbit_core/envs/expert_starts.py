@@ -15,7 +15,6 @@ from torch import Tensor
 from orbit_core.dynamics.indexing import is_mask, write_rows
 from orbit_core.envs.episode import EXPERT_START
 from orbit_core.envs.observation_groups import POLICY
-from orbit_core.envs.observation_layout import observation_of
 from orbit_core.envs.step_parts import StepParts
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ConfigurationError, Object, World
@@ -82,7 +81,7 @@ class ExpertStarts:
         with torch.no_grad(), SingleThreaded():
             expert = self._task.expert(self._world)
             for step in range(steps - 1):
-                observed = observation_of(environment.observation, list(environment.cut.observe().values()))[POLICY]
+                observed = environment.observe()[POLICY]
                 wanted = expert.compute({})["action"]
                 if step % _STRIDE == 0:
                     shown = {_SEEN: observed, _DONE: wanted} if isinstance(observed, Tensor) else {}

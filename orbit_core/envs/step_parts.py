@@ -7,8 +7,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from orbit_core.agent import Cut
-from orbit_core.envs.observation_layout import GroupLayout
+from orbit_core.envs.action_manager import ActionManager
+from orbit_core.envs.observation_layout import GroupLayout, Observation
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import RewardTerm
@@ -20,7 +20,7 @@ class StepParts(Protocol):
 
     world: World
     task: Task
-    cut: Cut
+    actions: ActionManager
     device: torch.device
     observer: ObservationManager
     observation: dict[str, GroupLayout]
@@ -35,6 +35,10 @@ class StepParts(Protocol):
     """(N,) indices of all environments."""
     done: Tensor
     """(N,) whose episode ended in the last step."""
+
+    def observe(self) -> Observation:
+        """Return what a policy sees of the present state."""
+        ...
 
     def advance(self) -> tuple[Tensor, Tensor, Tensor]:
         """Apply the action; gives reward (N,), terminated (N,) and truncated (N,); sets :attr:`done`."""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         matter_divergence_error,
     )
     from orbit_core.interfaces.engine import Engine
-    from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
+    from orbit_core.interfaces.entities import Deformable, JointTarget, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
         ArgumentError,
         AssetError,
@@ -78,7 +78,7 @@ _MODULES = {
         "MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few", "matter_divergence_error",
     ),
     "engine": ("Engine",),
-    "entities": ("Deformable", "Marker", "Object", "Robot"),
+    "entities": ("Deformable", "JointTarget", "Marker", "Object", "Robot"),
     "errors": (
         "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",
         "NonFiniteError", "OrbitError", "PlanningError", "PremiseError", "ShapeError",
@@ -102,7 +102,7 @@ __all__ = [
     "BACKGROUND", "EXACT", "IMAGES", "MATTER", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation",
     "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel",
     "Capabilities", "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
-    "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Matter",
+    "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "JointTarget", "Level", "Marker", "Matter",
     "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError", "PlanningError", "Port",
     "PremiseError", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError",
     "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking",

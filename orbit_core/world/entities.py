@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -22,17 +23,27 @@ from orbit_core.world.clock import Clock
 from orbit_core.world.object_parameters import ObjectParameters
 
 
-class _Columns:
-    """A view of some columns of an engine's tensor, made anew only when the engine hands out another tensor."""
+class _View:
+    """Some columns of a state tensor of the engine, read once per version of the world's clock.
+
+    A property that hits the cache costs one Python call; a read through the engine costs five.
+    """
+
+    __slots__ = ("_columns", "_whole", "tensor", "version")
+
+    tensor: Tensor
+    """(N, columns, ...) at ``version``."""
 
     def __init__(self, columns: int | slice) -> None:
         self._columns = columns
         self._whole: Tensor | None = None
+        self.version = -1
 
-    def of(self, whole: Tensor) -> Tensor:
+    def take(self, whole: Tensor, version: int) -> None:
+        """Take the columns of a tensor (N, ...); slices it only if the engine returned another tensor than before."""
         if whole is not self._whole:
-            self._whole, self._view = whole, whole[:, self._columns]
-        return self._view
+            self._whole, self.tensor = whole, whole[:, self._columns]
+        self.version = version
 
 
 @dataclass(frozen=True)
@@ -40,7 +51,7 @@ class _FrameHandle:
     """A frame resolved to its link's index within the entity, and its constant pose there; None at the link itself."""
 
     link: int
-    link_pose: _Columns
+    link_pose: _View
     offset: Tensor | None
     """(3,) position in the link."""
     pose_of: FixedFrame | None
@@ -55,17 +66,12 @@ class SimulatedObject(ObjectParameters):
         super().__init__(layout, engine, actuators, clock, masking)
         self._frames: dict[str, _FrameHandle] = {}
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
+        """Pose of each frame that was read, with its version of the clock."""
         self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
         links, joints = layout.links, layout.joints
-        self._root_pose, self._root_velocity = _Columns(layout.root_link), _Columns(layout.root_link)
-        self._link_poses, self._link_velocities = _Columns(links), _Columns(links)
-        self._positions, self._velocities, self._efforts = _Columns(joints), _Columns(joints), _Columns(joints)
-        parameters = engine.layout.joint_parameters
-        limits = torch.stack(
-            [torch.as_tensor(a[layout.joints]) for a in (parameters.lower_limit, parameters.upper_limit)], dim=-1
-        )
-        self._limits = limits.to(engine.device, torch.float32)
-        self._home = torch.as_tensor(parameters.home[layout.joints]).to(engine.device, torch.float32)
+        self._root_pose, self._root_velocity = _View(layout.root_link), _View(layout.root_link)
+        self._link_poses, self._link_velocities = _View(links), _View(links)
+        self._positions, self._velocities, self._efforts = _View(joints), _View(joints), _View(joints)
 
     @property
     def active_specs(self) -> tuple[ActiveModel, ...]:
@@ -76,31 +82,52 @@ class SimulatedObject(ObjectParameters):
 
     @property
     def root_pose(self) -> Tensor:
-        return self._root_pose.of(self._engine.link_poses)
+        view = self._root_pose
+        if view.version != self._clock.version:
+            view.take(self._engine.link_poses, self._clock.version)
+        return view.tensor
 
     @property
     def root_velocity(self) -> Tensor:
-        return self._root_velocity.of(self._engine.link_velocities)
+        view = self._root_velocity
+        if view.version != self._clock.version:
+            view.take(self._engine.link_velocities, self._clock.version)
+        return view.tensor
 
     @property
     def link_poses(self) -> Tensor:
-        return self._link_poses.of(self._engine.link_poses)
+        view = self._link_poses
+        if view.version != self._clock.version:
+            view.take(self._engine.link_poses, self._clock.version)
+        return view.tensor
 
     @property
     def link_velocities(self) -> Tensor:
-        return self._link_velocities.of(self._engine.link_velocities)
+        view = self._link_velocities
+        if view.version != self._clock.version:
+            view.take(self._engine.link_velocities, self._clock.version)
+        return view.tensor
 
     @property
     def joint_positions(self) -> Tensor:
-        return self._positions.of(self._engine.joint_positions)
+        view = self._positions
+        if view.version != self._clock.version:
+            view.take(self._engine.joint_positions, self._clock.version)
+        return view.tensor
 
     @property
     def joint_velocities(self) -> Tensor:
-        return self._velocities.of(self._engine.joint_velocities)
+        view = self._velocities
+        if view.version != self._clock.version:
+            view.take(self._engine.joint_velocities, self._clock.version)
+        return view.tensor
 
     @property
     def joint_efforts(self) -> Tensor:
-        return self._efforts.of(self._engine.joint_efforts)
+        view = self._efforts
+        if view.version != self._clock.version:
+            view.take(self._engine.joint_efforts, self._clock.version)
+        return view.tensor
 
     def frame_pose(self, name: str) -> Tensor:
         if not isinstance(name, str):
@@ -108,7 +135,8 @@ class SimulatedObject(ObjectParameters):
         version, pose = self._frame_poses.get(name, (-1, None))
         if pose is None or version != self._clock.version:
             frame = self._frame(name)
-            pose = frame.link_pose.of(self._engine.link_poses)
+            frame.link_pose.take(self._engine.link_poses, self._clock.version)
+            pose = frame.link_pose.tensor
             if frame.pose_of is not None:
                 pose = frame.pose_of(pose)
             self._frame_poses[name] = (self._clock.version, pose)
@@ -133,13 +161,16 @@ class SimulatedObject(ObjectParameters):
 
     # Looking up
 
-    @property
+    @cached_property
     def home_positions(self) -> Tensor:
-        return self._home
+        home = self._engine.layout.joint_parameters.home[self.layout.joints]
+        return torch.as_tensor(home).to(self._engine.device, torch.float32)
 
-    @property
+    @cached_property
     def position_limits(self) -> Tensor:
-        return self._limits
+        parameters = self._engine.layout.joint_parameters
+        limits = [torch.as_tensor(a[self.layout.joints]) for a in (parameters.lower_limit, parameters.upper_limit)]
+        return torch.stack(limits, dim=-1).to(self._engine.device, torch.float32)
 
     # Writing state
 
@@ -219,7 +250,7 @@ class SimulatedObject(ObjectParameters):
 
     def _resolved(self, frame: Frame) -> _FrameHandle:
         link, device = self.link_names.index(frame.link), self._engine.device
-        link_pose = _Columns(self.layout.root_link + link)
+        link_pose = _View(self.layout.root_link + link)
         if frame.pose == Pose():
             return _FrameHandle(link, link_pose, None, None)
         offset = torch.tensor(frame.pose.position, dtype=torch.float32, device=device)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 
 from torch import Tensor
 
@@ -18,7 +19,7 @@ from orbit_core.dynamics.arguments import (
     columns_chosen,
 )
 from orbit_core.dynamics.indexing import Masking, columns_of
-from orbit_core.interfaces import ConfigurationError, Engine, EntityLayout, Robot
+from orbit_core.interfaces import ConfigurationError, Engine, EntityLayout, JointTarget, Robot
 from orbit_core.scene import RobotSpec
 from orbit_core.world.clock import Clock
 from orbit_core.world.entities import SimulatedObject
@@ -27,7 +28,7 @@ from orbit_core.world.entities import SimulatedObject
 class SimulatedRobot(SimulatedObject, Robot):
     """An articulation whose actuators take commands."""
 
-    @property
+    @cached_property
     def spec(self) -> RobotSpec:
         spec = self.layout.spec
         assert isinstance(spec, RobotSpec)  # the world makes robots of robots' layouts alone
@@ -38,9 +39,11 @@ class SimulatedRobot(SimulatedObject, Robot):
     ) -> None:
         super().__init__(layout, engine, actuators, clock, masking)
         parts = layout.joints, masking, f"of '{self.name}'"
-        self._position_targets = _Targets(actuators.position_targets, POSITIONS, "position targets", *parts)
-        self._velocity_targets = _Targets(actuators.velocity_targets, VELOCITIES, "velocity targets", *parts)
-        self._effort_targets = _Targets(actuators.effort_targets, EFFORTS, "effort targets", *parts)
+        self._targets = {
+            JointTarget.POSITION: _Targets(actuators.position_targets, POSITIONS, "position targets", *parts),
+            JointTarget.VELOCITY: _Targets(actuators.velocity_targets, VELOCITIES, "velocity targets", *parts),
+            JointTarget.EFFORT: _Targets(actuators.effort_targets, EFFORTS, "effort targets", *parts),
+        }
 
     @property
     def motor_temperatures(self) -> Tensor:
@@ -49,14 +52,19 @@ class SimulatedRobot(SimulatedObject, Robot):
             raise ConfigurationError(f"no motor of '{self.name}' has windings: give a DcMotor of its actuators some")
         return temperatures[:, self.layout.joints]
 
+    def target_writer(
+        self, target: JointTarget, joints: Sequence[int], checked: bool = True
+    ) -> Callable[[Tensor], object]:
+        return self._targets[target].writer(joints, checked)
+
     def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._position_targets.write(targets, joints)
+        self._targets[JointTarget.POSITION].write(targets, joints)
 
     def set_velocity_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._velocity_targets.write(targets, joints)
+        self._targets[JointTarget.VELOCITY].write(targets, joints)
 
     def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._effort_targets.write(efforts, joints)
+        self._targets[JointTarget.EFFORT].write(efforts, joints)
 
 
 class _Targets:
@@ -68,22 +76,28 @@ class _Targets:
         self._what = f"{what} {whose}"
         self._joints = f"joints {whose}"
         self._masking = masking
-        self._views: dict[tuple[int, ...], Tensor] = {}
+        self._writers: dict[tuple[int, ...], Callable[[Tensor], object]] = {}
 
     def write(self, values: Tensor, joints: Sequence[int] | None) -> None:
         if joints is None:
             self._buffer.copy_(self._checked(values, self._buffer.shape[1]))
             return
         chosen = columns_chosen(joints, self._buffer.shape[1], self._joints)
-        values = self._checked(values, len(chosen))
-        view = self._views.get(chosen)
-        if view is not None:
-            view.copy_(values)
-            return
+        writer = self._writers.get(chosen)
+        if writer is None:
+            writer = self._writers[chosen] = self._unchecked(chosen)
+        writer(self._checked(values, len(chosen)))
+
+    def writer(self, joints: Sequence[int], checked: bool) -> Callable[[Tensor], object]:
+        """Return a function that writes targets (N, k) of some joints, with or without a look at the numbers."""
+        chosen = columns_chosen(joints, self._buffer.shape[1], self._joints)
+        return partial(self.write, joints=chosen) if checked else self._unchecked(chosen)
+
+    def _unchecked(self, chosen: tuple[int, ...]) -> Callable[[Tensor], object]:
         columns = columns_of(chosen, self._buffer.device)
-        self._buffer[:, columns] = values
         if isinstance(columns, slice):
-            self._views[chosen] = self._buffer[:, columns]
+            return self._buffer[:, columns].copy_
+        return partial(self._buffer.index_copy_, 1, columns)
 
     def _checked(self, values: Tensor, count: int) -> Tensor:
         values = as_floats(values, self._buffer.device, self._what)

@@ -164,23 +164,21 @@ class SimulatedWorld(World):
         self.sensors = NamedThings(self._timed, "sensor", "world.sensors", self._names)
         self._servos: list[Callable[[], None]] = []
         self._guard: DivergenceGuard | None = None
-        self._stretch = self._longest_stretch()
+        self._plan_steps()
 
-    def _longest_stretch(self) -> int | None:
-        """Physics steps of which the engine's stretches are divisors, for they end where a sensor is due."""
+    def _plan_steps(self) -> None:
+        """Decide how far the engine runs at a time."""
+        self._singly = self.actuators.explicit or bool(self._servos)
+        """True if something computes before each physics step."""
         periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
-        if self._steps_singly and self.layout.contact_queries:
+        if self._singly and self.layout.contact_queries:
             periods.append(1)  # the engine averages contact forces over each call
-        return math.gcd(*periods) if periods else None
-
-    @property
-    def _steps_singly(self) -> bool:
-        """Whether something is to be done before each physics step."""
-        return self.actuators.explicit or bool(self._servos)
+        self._stretch = math.gcd(*periods) if periods else None
+        """Physics steps whose divisors the engine's stretches are, for they end where a sensor is due."""
 
     def add_servo(self, servo: Callable[[], None]) -> None:
         self._servos.append(servo)
-        self._stretch = self._longest_stretch()
+        self._plan_steps()
 
     @property
     def link_poses(self) -> Tensor:
@@ -227,13 +225,19 @@ class SimulatedWorld(World):
         return self._engine.native
 
     def step(self, steps: int = 1) -> None:
-        steps = whole_number(steps, "steps", 1, MOST_STEPS)
+        if type(steps) is not int or not 1 <= steps <= MOST_STEPS:
+            steps = whole_number(steps, "steps", 1, MOST_STEPS)
         for sensor in self._timed.values():
             sensor.begin_step()
         while steps > 0:
             whole = self._stretch
             stretch = steps if whole is None else min(steps, whole - self.clock.steps % whole)
-            self._step_engine(stretch)
+            if self._singly:
+                self._step_singly(stretch)
+            else:
+                self._engine.step(stretch)
+                if self._guard is not None:
+                    self._guard.look()
             self.clock.advance(stretch)
             for sensor in self._timed.values():
                 sensor.advance(stretch)
@@ -241,13 +245,12 @@ class SimulatedWorld(World):
 
     def settle(self, steps: int, env_ids: Tensor | None = None) -> None:
         rows, steps = self.masking.choose(env_ids).rows, whole_number(steps, "steps", 1, MOST_STEPS)
-        settle(self._engine, (self.actuators, self.active), self._step_engine, steps, rows)
+        step = self._step_singly if self._singly else self._engine.step
+        settle(self._engine, (self.actuators, self.active), step, steps, rows)
         self.clock.touch()
 
-    def _step_engine(self, steps: int) -> None:
-        if not self._steps_singly:
-            self._step_watched(steps)
-            return
+    def _step_singly(self, steps: int) -> None:
+        """Step the engine one physics step at a time: servos, actuator models and active models compute before each."""
         for left in range(steps, 0, -1):
             for servo in self._servos:
                 servo()
@@ -256,13 +259,10 @@ class SimulatedWorld(World):
             if self.active:
                 self.active.apply()
             # A traced step refuses nothing that servos make of diverged states: one look at its end will do.
-            self._step_watched(1, looks=left == 1 or not self.masking.traced)
-            self.clock.touch()  # the next servo derives poses anew
-
-    def _step_watched(self, steps: int, looks: bool = True) -> None:
-        self._engine.step(steps)
-        if self._guard is not None and looks:
-            self._guard.look()
+            self._engine.step(1)
+            if self._guard is not None and (left == 1 or not self.masking.traced):
+                self._guard.look()
+            self.clock.touch()  # the next servo reads the new state
 
     def guard_divergence(self) -> Tensor:
         """Reset environments that diverge in a step from now on; returns the guard's ``lost`` (N,) bool."""

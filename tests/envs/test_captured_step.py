@@ -257,6 +257,6 @@ def test_a_step_is_captured_once_for_each_phase_of_its_schedule() -> None:
 
 def test_a_schedule_of_too_many_phases_is_named() -> None:
     environment = Environment(sensing(rate=200.0 / 131), 1, BACKEND)
-    reason = needs_python(environment.world, environment.cut, environment.task.decimation)
+    reason = needs_python(environment.world, environment.actions, environment.task.decimation)
     assert reason.startswith("what is due repeats after 131 steps only")
     environment.close()

@@ -121,8 +121,8 @@ class Admittance(PoseFollower):
         self._sag.copy_(torch.clamp(self._sag + _SAG_RATE * self._dt * delta, -most, most))
         targets = bounded_targets(self, delta + self._sag, most)
         return {
-            JointTarget.POSITION.value: targets,
-            JointTarget.VELOCITY.value: torch.clamp(velocities, -self._fastest, self._fastest),
+            JointTarget.POSITION: targets,
+            JointTarget.VELOCITY: torch.clamp(velocities, -self._fastest, self._fastest),
         }
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:

@@ -98,7 +98,7 @@ class PrioritizedIk(PoseFollower):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         delta = self.solve(self._pose.displacement(inputs["command"]))
-        return {JointTarget.POSITION.value: bounded_targets(self, delta, self.config.max_joint_step)}
+        return {JointTarget.POSITION: bounded_targets(self, delta, self.config.max_joint_step)}
 
     def solve(self, error: Tensor) -> Tensor:
         """(N, k) displacements of the joints for one (N, 6) of the frame, m and rad, world axes."""

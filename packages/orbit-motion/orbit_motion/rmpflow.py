@@ -159,7 +159,7 @@ class RmpFlow(PoseFollower):
         measured = self.positions
         led = torch.clamp(positions, measured - self.config.max_lead, measured + self.config.max_lead)
         self._last.keep(torch.stack((led, velocities), 1))
-        return {JointTarget.POSITION.value: led, JointTarget.VELOCITY.value: velocities}
+        return {JointTarget.POSITION: led, JointTarget.VELOCITY: velocities}
 
     def _around(self, links: Tensor, twists: Tensor, velocities: Tensor, obstacles: Tensor) -> Tensor:
         """Metric and force of all balls together, as :meth:`_packed`."""

@@ -81,7 +81,7 @@ class WholeBodyIk(PrioritizedIk):
             self, torch.cat((delta[:, :arm], torch.zeros_like(speeds)), 1), self.config.max_joint_step
         )
         velocities = torch.cat((torch.zeros_like(delta[:, :arm]), speeds), 1)
-        return {JointTarget.POSITION.value: targets, JointTarget.VELOCITY.value: velocities}
+        return {JointTarget.POSITION: targets, JointTarget.VELOCITY: velocities}
 
     def jacobian(self) -> Tensor:
         if self._wheels is None:

@@ -31,7 +31,7 @@ class TrajectoryFollower(Node):
         self.name, self.rate = name, rate
         self._robot, self._joints = robot, list(joints)
         count = len(self._joints)
-        self.outputs = (Port(JointTarget.POSITION.value, (count,)), Port(JointTarget.VELOCITY.value, (count,)))
+        self.outputs = (Port(JointTarget.POSITION, (count,)), Port(JointTarget.VELOCITY, (count,)))
         self._envs = torch.arange(robot.joint_positions.shape[0], device=robot.joint_positions.device)
         self._positions = robot.joint_positions[:, None, self._joints].clone()
         self._velocities = torch.zeros_like(self._positions)
@@ -75,7 +75,7 @@ class TrajectoryFollower(Node):
         )
         velocities = velocities.masked_fill(self.finished.unsqueeze(1), 0.0)
         self._elapsed.add_(1.0 / self.rate)
-        return {JointTarget.POSITION.value: positions, JointTarget.VELOCITY.value: velocities}
+        return {JointTarget.POSITION: positions, JointTarget.VELOCITY: velocities}
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         rows = slice(None) if env_ids is None else env_ids

@@ -113,7 +113,7 @@ def compiled_whole(arguments: argparse.Namespace, mode: str | None) -> Callable[
     whole = CapturedStep(environment, compile=False, whole=True)._play_and_renew
 
     def play() -> object:
-        environment.cut.observe()
+        environment.observe()
         environment.world.masking.traced = True
         try:
             return whole()
