@@ -79,7 +79,9 @@ def busiest(env: Environment, actions: torch.Tensor, count: int, steps: int = 20
 
 def kernels(env: Environment) -> str:
     """What became of the generators' own kernels."""
-    parts = {id(part): part for node in env.actions.generators for part in vars(node).values() if isinstance(part, Fused)}
+    parts = {
+        id(part): part for node in env.actions.generators for part in vars(node).values() if isinstance(part, Fused)
+    }
     return ", ".join(part.refusal or f"{part.operations} operations" for part in parts.values())
 
 

@@ -1,7 +1,7 @@
 """Count the Python calls that one environment step makes.
 
-    python benchmarks/step_calls.py --task Lift --backend mujoco
-    python benchmarks/step_calls.py --task Lift --action ik_relative --backend bullet --list
+python benchmarks/step_calls.py --task Lift --backend mujoco
+python benchmarks/step_calls.py --task Lift --action ik_relative --backend bullet --list
 """
 
 from __future__ import annotations

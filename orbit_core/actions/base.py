@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -25,7 +24,7 @@ class MotionGenerator(Node):
         targets: what the joints are told.
     """
 
-    bounded: ClassVar[bool] = False
+    bounded: bool = False
     """True if the targets of every finite command are finite and within the joints' limits. An environment, which has
     checked its action, then writes them without another check."""
 

@@ -124,6 +124,7 @@ class DifferentialIk(PoseFollower):
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
         damped = config.method is IkMethod.DAMPED_LEAST_SQUARES
+        self.bounded = damped and config.damping > 0.0  # other inverses are not finite where the Jacobian is singular
         self._settles = damped and config.mode is not CommandMode.RELATIVE
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -151,6 +152,6 @@ def bounded_targets(generator: MotionGenerator, delta: Tensor, max_joint_step: f
     They are clipped to the joints' limits.
     """
     largest = torch.linalg.vector_norm(delta, math.inf, dim=-1, keepdim=True)
-    shrink = (max_joint_step / largest).clamp(max=1.0)
+    shrink = (largest.reciprocal() * max_joint_step).clamp(max=1.0)
     targets = torch.addcmul(generator.positions, delta, shrink)
     return torch.clamp(targets, generator.lower_limits, generator.upper_limits)

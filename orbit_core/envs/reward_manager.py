@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
+from orbit_core.envs.observation_check import surely_finite
 from orbit_core.envs.task import Task
 from orbit_core.envs.term_values import check_same_names, per_environment, weight_of
 from orbit_core.envs.terms import RewardTerm, terms_of
@@ -77,7 +76,7 @@ class RewardManager:
         Raises:
             NonFiniteError: names the terms and the environments.
         """
-        if math.isfinite(float(reward.sum())) or bool(reward.isfinite().all()):
+        if surely_finite(reward) or bool(reward.isfinite().all()):
             return
         wrong = (~reward.isfinite()).nonzero().squeeze(-1).tolist()
         names = [name for name, total in zip(self.terms, self.sums, strict=True) if not total[wrong].isfinite().all()]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -72,6 +71,10 @@ class SimulatedObject(ObjectParameters):
         self._root_pose, self._root_velocity = _View(layout.root_link), _View(layout.root_link)
         self._link_poses, self._link_velocities = _View(links), _View(links)
         self._positions, self._velocities, self._efforts = _View(joints), _View(joints), _View(joints)
+        parameters = engine.layout.joint_parameters
+        limits = [torch.as_tensor(array[joints]) for array in (parameters.lower_limit, parameters.upper_limit)]
+        self._limits = torch.stack(limits, dim=-1).to(engine.device, torch.float32)
+        self._home = torch.as_tensor(parameters.home[joints]).to(engine.device, torch.float32)
 
     @property
     def active_specs(self) -> tuple[ActiveModel, ...]:
@@ -161,16 +164,13 @@ class SimulatedObject(ObjectParameters):
 
     # Looking up
 
-    @cached_property
+    @property
     def home_positions(self) -> Tensor:
-        home = self._engine.layout.joint_parameters.home[self.layout.joints]
-        return torch.as_tensor(home).to(self._engine.device, torch.float32)
+        return self._home
 
-    @cached_property
+    @property
     def position_limits(self) -> Tensor:
-        parameters = self._engine.layout.joint_parameters
-        limits = [torch.as_tensor(a[self.layout.joints]) for a in (parameters.lower_limit, parameters.upper_limit)]
-        return torch.stack(limits, dim=-1).to(self._engine.device, torch.float32)
+        return self._limits
 
     # Writing state
 

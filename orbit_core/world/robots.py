@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import partial
 
 from torch import Tensor
 
@@ -28,15 +28,15 @@ from orbit_core.world.entities import SimulatedObject
 class SimulatedRobot(SimulatedObject, Robot):
     """An articulation whose actuators take commands."""
 
-    @cached_property
+    @property
     def spec(self) -> RobotSpec:
-        spec = self.layout.spec
-        assert isinstance(spec, RobotSpec)  # the world makes robots of robots' layouts alone
-        return spec
+        return self._spec
 
     def __init__(
         self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
     ) -> None:
+        assert isinstance(layout.spec, RobotSpec)  # the world makes robots of robots' layouts alone
+        self._spec = layout.spec
         super().__init__(layout, engine, actuators, clock, masking)
         parts = layout.joints, masking, f"of '{self.name}'"
         self._targets = {

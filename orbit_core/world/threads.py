@@ -16,9 +16,11 @@ class SingleThreaded:
 
     def __enter__(self) -> None:
         self._threads = torch.get_num_threads()
-        torch.set_num_threads(1)
+        if self._threads != 1:
+            torch.set_num_threads(1)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        torch.set_num_threads(self._threads)
+        if self._threads != 1:
+            torch.set_num_threads(self._threads)

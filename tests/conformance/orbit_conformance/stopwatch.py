@@ -80,6 +80,11 @@ def timed_parts(environment: Environment) -> Iterator[Stopwatch]:
         engine.__class__ = engine_type
         for (function, _), replay in zip(functions, replays, strict=True):
             function.replay = replay
-        for owner, names in ((environment, parts), (environment.actions, acting), (environment.world, ("step",)), (engine, ("step",))):
+        for owner, names in (
+            (environment, parts),
+            (environment.actions, acting),
+            (environment.world, ("step",)),
+            (engine, ("step",)),
+        ):
             for name in names:
                 delattr(owner, name)
