@@ -8,7 +8,7 @@ import torch
 
 from orbit_core.active.law import ActiveLaw
 from orbit_core.active.magnetic_seal import MagneticSealLaw
-from orbit_core.dynamics.indexing import Masking
+from orbit_core.dynamics.indexing import RowSelector
 from orbit_core.interfaces import ConfigurationError, Object
 from orbit_core.registry import Registry
 from orbit_core.scene import ActiveModel, MagneticSeal
@@ -27,7 +27,9 @@ def active_laws() -> Registry[type[ActiveLaw]]:
     return registry
 
 
-def create_law(model: ActiveModel, thing: Object, num_envs: int, device: torch.device, masking: Masking) -> ActiveLaw:
+def create_law(
+    model: ActiveModel, thing: Object, num_envs: int, device: torch.device, selector: RowSelector
+) -> ActiveLaw:
     """The law of a model. A model derived from another has that one's, unless it has its own.
 
     Raises:
@@ -44,4 +46,4 @@ def create_law(model: ActiveModel, thing: Object, num_envs: int, device: torch.d
             f"{registry.origin(name)} of group {GROUP} names {law!r}, which is no subclass of "
             "orbit_core.active.ActiveLaw: mend or uninstall it"
         )
-    return law(model, thing, num_envs, device, masking)
+    return law(model, thing, num_envs, device, selector)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import Bounds
-from orbit_core.dynamics.indexing import Masking, write_rows
+from orbit_core.dynamics.indexing import RowSelector, write_rows
 from orbit_core.interfaces import Object, UnknownNameError
 from orbit_core.scene import ActiveModel
 
@@ -27,7 +27,7 @@ class ActiveLaw:
         thing: the object, whose state it reads.
         num_envs: N.
         device: of all tensors.
-        masking: which environments a call is for.
+        selector: which environments a call is for.
     """
 
     joints: Sequence[int] = ()
@@ -36,13 +36,13 @@ class ActiveLaw:
     """Indices among the object's links that :meth:`wrenches` are of."""
 
     def __init__(
-        self, model: ActiveModel, thing: Object, num_envs: int, device: torch.device, masking: Masking
+        self, model: ActiveModel, thing: Object, num_envs: int, device: torch.device, selector: RowSelector
     ) -> None:
         self.model = model
         self.thing = thing
         self.num_envs = num_envs
         self.device = device
-        self._masking = masking
+        self._selector = selector
         self._parameters: dict[str, Tensor] = {}
         self._nominal: dict[str, float] = {}
         self.memory: dict[str, Tensor] = {}
@@ -73,7 +73,7 @@ class ActiveLaw:
         """
         if name not in self._parameters:
             raise UnknownNameError("parameter", name, self._parameters, f"active model '{self.model.name}'")
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         what = f"{name} of active model '{self.model.name}' of '{self.thing.name}'"
         write_rows(self._parameters[name], chosen.values(values, (), what, NOT_NEGATIVE), chosen.rows)
 

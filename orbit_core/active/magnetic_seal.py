@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.active.law import ActiveLaw
-from orbit_core.dynamics.indexing import Masking
+from orbit_core.dynamics.indexing import RowSelector
 from orbit_core.interfaces import ConfigurationError, Object
 from orbit_core.interfaces.names import find_name
 from orbit_core.scene import MagneticSeal
@@ -23,9 +23,9 @@ class MagneticSealLaw(ActiveLaw):
     """
 
     def __init__(
-        self, model: MagneticSeal, thing: Object, num_envs: int, device: torch.device, masking: Masking
+        self, model: MagneticSeal, thing: Object, num_envs: int, device: torch.device, selector: RowSelector
     ) -> None:
-        super().__init__(model, thing, num_envs, device, masking)
+        super().__init__(model, thing, num_envs, device, selector)
         joint = find_name(model.joint, thing.joint_names, "joint", f"'{thing.name}'")
         self.joints = (joint,)
         for name in ("force", "decay", "arm"):

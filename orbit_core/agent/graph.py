@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor
 
 from orbit_core.agent.runner import NodeRunner, RunnerState, checked
 from orbit_core.agent.wiring import Edge, Endpoint, Wiring, label, wire
 from orbit_core.interfaces import ConfigurationError, Node, Port, find_name
+from orbit_core.interfaces.capture import Schedule
 
 
 @dataclass(frozen=True)
@@ -127,22 +130,10 @@ class AgentGraph:
         for runner, saved in zip(self.runners, state.runners, strict=True):
             runner.load_state(saved)
 
-    # In a step that is captured
-
-    def phase(self) -> tuple[tuple[int, bool], ...]:
-        """Return the schedule's key of the next step: for each node its place in its period, and if it must renew."""
-        return tuple(runner.phase(self.step_count) for runner in self.runners)
-
-    def enter(self, phase: tuple[tuple[int, bool], ...], steps: int) -> None:
-        """Move the schedule on by ``steps`` that were repeated without Python, into that phase."""
-        self.step_count += steps
-        for runner, (_, pending) in zip(self.runners, phase, strict=True):
-            runner.enter(self.step_count, pending)
-
-    def memory(self) -> dict[str, Tensor]:
-        """Return the held outputs that the next steps depend on besides the nodes' own memory, by name."""
-        held = {runner.node.name: runner.held() for runner in self.runners if runner.carries}
-        return {f"{name}.{port}": value for name, values in held.items() for port, value in values.items()}
+    @property
+    def schedule(self) -> Schedule:
+        """Counters of the graph's steps, which a captured step moves on."""
+        return _GraphSchedule(self)
 
     # What a step consists of; a cut puts it together otherwise
 
@@ -169,3 +160,29 @@ class AgentGraph:
         value = self.values[slot]
         assert value is not None  # every slot that anything reads has been written by a source before it
         return value.clone() if slot in self._runner_of and self._runner_of[slot].carries else value
+
+
+class _GraphSchedule(Schedule):
+    """Step count of a graph, and which nodes must renew their outputs."""
+
+    def __init__(self, graph: AgentGraph) -> None:
+        self._graph = graph
+
+    @property
+    def period(self) -> int:
+        return math.lcm(*(runner.period for runner in self._graph.runners))
+
+    @property
+    def key(self) -> Hashable:
+        step = self._graph.step_count
+        return tuple([(step % r.period, r.pending and r.period > 1) for r in self._graph.runners])
+
+    @property
+    def count(self) -> int:
+        return self._graph.step_count
+
+    def move(self, key: Any, steps: int) -> None:
+        self._graph.step_count += steps
+        for runner, (_, pending) in zip(self._graph.runners, key, strict=True):
+            runner.last_turn = (self._graph.step_count - 1) // runner.period * runner.period
+            runner.pending = pending

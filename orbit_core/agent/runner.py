@@ -132,11 +132,6 @@ class NodeRunner:
         """Whether it is the node's turn."""
         return step % self.period == 0 and self.last_turn != step
 
-    def held(self) -> dict[str, Tensor]:
-        """The last outputs, by port; none before the first turn."""
-        values = {name: self._values[slot] for name, slot in self._targets}
-        return {name: value for name, value in values.items() if value is not None}
-
     def save_state(self) -> RunnerState:
         """What the node's next turns depend on."""
         memory = {name: tensor.clone() for name, tensor in self.node.memory().items()}
@@ -153,17 +148,6 @@ class NodeRunner:
             self._waiting = state.waiting.clone() if self._waiting is None else self._waiting.copy_(state.waiting)
         elif self._waiting is not None:
             self._waiting.zero_()
-
-    # In a step that is captured
-
-    def phase(self, step: int) -> tuple[int, bool]:
-        """What Python decides the node's turn by: the step's place in the node's period, and whether some wait."""
-        return step % self.period, self.pending and self.period > 1
-
-    def enter(self, step: int, pending: bool) -> None:
-        """Steps before ``step`` were repeated without Python, and left environments waiting or not."""
-        self.last_turn = (step - 1) // self.period * self.period
-        self.pending = pending
 
     def _compute(self) -> Mapping[str, Tensor]:
         values = self._values

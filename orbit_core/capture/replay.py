@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, fx
@@ -10,7 +10,7 @@ from torch import Tensor, fx
 from orbit_core.capture.compile import compiled
 from orbit_core.capture.kernels import fusing
 from orbit_core.capture.python_state import PythonState, frozen_by_trace
-from orbit_core.capture.stages import Trace
+from orbit_core.capture.stages import CapturedTrace
 from orbit_core.capture.trace import NotTraceable, Tracer
 from orbit_core.interfaces import World
 
@@ -24,7 +24,6 @@ class CapturedFunction:
     Args:
         world: that they work on.
         operations: on tensors and on the world; what they give are tensors.
-        memory: the tensors that stand for the past, by name; they must be written in place.
         compile: whether to compile what lies between uses of the engine.
         python: the values of plain Python that the operations read; they must not change them.
     """
@@ -33,13 +32,11 @@ class CapturedFunction:
         self,
         world: World,
         operations: Callable[[], tuple[Tensor, ...]],
-        memory: Callable[[], Mapping[str, Tensor]],
         compile: bool,
         python: Callable[[], PythonState] = lambda: PythonState({}),
     ) -> None:
         self._world = world
         self._operations = operations
-        self._memory = memory
         self._python = python
         self._build = compiled if compile else _as_it_is
         self._compiles = compile
@@ -51,21 +48,17 @@ class CapturedFunction:
         return self._traced() if self.replay is None else self.replay()
 
     def _traced(self) -> tuple[Tensor, ...]:
-        world, before, python = self._world, self._memory(), self._python()
+        world, python = self._world, self._python()
         tracer = Tracer(world.engine)
-        world.touch()  # what was derived before must not be taken for part of the step
-        world.masking.traced = True
-        try:
-            with torch.no_grad(), fusing(self._compiles), tracer.tracing():
-                outputs = self._operations()
-        finally:
-            world.masking.traced = False
-        after = self._memory()
+        if world.schedule is not None:
+            world.schedule.move(world.schedule.key, 0)  # what was derived before must not be taken for part of the step
+        with torch.no_grad(), fusing(self._compiles), tracer.tracing():
+            outputs = self._operations()
         frozen, set_up = frozen_by_trace(python)
-        self.refusal = tracer.refusal or _rebound(before, after) or frozen
-        if not self.refusal and not set_up and before.keys() == after.keys():  # else a next trace finds what is new
+        self.refusal = tracer.refusal or frozen
+        if not (self.refusal or set_up or tracer.incomplete):  # else a next trace finds what is new
             try:
-                trace = Trace(world.engine, tracer.stages, outputs, self._build)
+                trace = CapturedTrace(world.engine, tracer.stages, outputs, self._build)
                 self.replay = _recorded(trace, world.engine.capture.record)
             except NotTraceable as reason:
                 self.refusal = str(reason)
@@ -95,8 +88,3 @@ def _recorded(
         return outputs
 
     return replay
-
-
-def _rebound(before: Mapping[str, Tensor], after: Mapping[str, Tensor]) -> str:
-    names = [name for name, tensor in before.items() if tensor is not after.get(name)]
-    return f"{names[0]} is another tensor after each step: write it in place" if names else ""

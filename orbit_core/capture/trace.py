@@ -1,14 +1,14 @@
 """What a step does, as data: tensor operations in stages, between calls to the engine.
 
-A :class:`Tracer` watches a step while it runs. Each operation of torch and each use of an engine or renderer is noted,
-with the tensors that they took; what comes of it, a :class:`orbit_core.capture.stages.Trace`, does the same to the same
-memory without the Python around.
+A :class:`Tracer` notes each operation of torch and each call of an engine or renderer while a step runs, with the
+tensors that they took. A :class:`orbit_core.capture.stages.CapturedTrace` repeats them on the same memory, without the
+Python around them.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,11 +17,11 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode, _get_current_dispatch_mode_stack
-from torch.utils._pytree import tree_leaves, tree_map_only
+from torch.utils._pytree import tree_leaves
 
 from orbit_core.dynamics.indexing import is_mask
 from orbit_core.interfaces import Engine
-from orbit_core.interfaces.capture import Use, Watched, watched_by
+from orbit_core.interfaces.capture import EngineCall, Traceable, traced_by
 
 _HOST_READS = frozenset({Tensor.numpy, Tensor.tolist, Tensor.__array__, Tensor.__dlpack__})
 _DECIDING = (torch.Tag.data_dependent_output, torch.Tag.dynamic_output_shape)
@@ -45,30 +45,30 @@ class Operation:
 class NotedCall:
     """One call to an engine or renderer, and what it measured."""
 
-    use: Use
+    call: EngineCall
     results: list[Tensor]
     """Memory of the trace's own, that later operations read."""
 
     @property
     def taken(self) -> list[Tensor]:
         """Tensors among its arguments."""
-        return tensors_of(dict(self.use.arguments))
+        return tensors_of(dict(self.call.arguments))
 
-    def repeat(self, values: dict[int, Tensor]) -> None:
-        """Call again, with values in the place of those tensors that earlier stages made."""
-        given = {name: _replaced(argument, values) for name, argument in self.use.arguments.items()}
+    def repeat(self, arguments: Mapping[str, Any]) -> None:
+        """Call again, with these arguments."""
+        given = dict(arguments)
         env_ids = given.get("env_ids")
-        if by_index(self.use) and is_mask(env_ids):
+        if by_index(self.call) and is_mask(env_ids):
             rows = env_ids.nonzero().squeeze(-1)
             if not len(rows):
                 return
-            for name in self.use.kind.rows:
+            for name in self.call.kind.rows:
                 given[name] = None if given[name] is None else given[name][rows]
             given["env_ids"] = rows
-            for kept, measured in zip(self.results, _fields(self.use.function(**given)), strict=True):
+            for kept, measured in zip(self.results, _fields(self.call.function(**given)), strict=True):
                 kept[rows] = measured
         else:
-            for kept, measured in zip(self.results, _fields(self.use.function(**given)), strict=True):
+            for kept, measured in zip(self.results, _fields(self.call.function(**given)), strict=True):
                 kept.copy_(measured)
 
 
@@ -96,13 +96,14 @@ class Tracer(TorchDispatchMode):
         self.stages = [Stage()]
         self.refusal = ""
         """What no trace can repeat; empty if nothing."""
+        self.incomplete = False
         self._engine = engine
         self.paused = False
 
     @contextmanager
     def tracing(self) -> Iterator[None]:
         """Note torch's operations, and the uses of the engine in the place of the operations within them."""
-        with watched_by(self), self, _HostReads(self):
+        with traced_by(self), self, _HostReads(self):
             yield
 
     def __torch_dispatch__(
@@ -119,7 +120,7 @@ class Tracer(TorchDispatchMode):
         self.stages[-1].operations.append(Operation(func, _without_copy(func, args), keywords, result))
         return result
 
-    def read(self, owner: Watched, name: str, function: Callable[[], Tensor]) -> Tensor:
+    def read(self, owner: Traceable, name: str, function: Callable[[], Tensor]) -> Tensor:
         """Note what is read of the engine, once between two calls: it shows the state since the last."""
         if self.paused:
             return function()
@@ -136,21 +137,21 @@ class Tracer(TorchDispatchMode):
         with self._silence():
             return reads.setdefault(name, function())
 
-    def call(self, use: Use) -> Any:
+    def call(self, call: EngineCall) -> Any:
         """Make a call, and end the stage with it."""
         if self.paused:
-            return use.function(**use.arguments)
+            return call.function(**call.arguments)
         with self._silence():
-            on_host = by_index(use)
+            on_host = by_index(call)
             if on_host and self._engine.device.type != "cpu":
-                self.refusal = f"{type(use.owner).__name__}'s {use.name} takes no mask"
-            if use.kind.measures:
-                result = use.function(**{**use.arguments, **({"env_ids": None} if on_host else {})})
+                self.refusal = f"{type(call.owner).__name__}'s {call.name} takes no mask"
+            if call.kind.measures:
+                result = call.function(**{**call.arguments, **({"env_ids": None} if on_host else {})})
                 result = _kept(result)
-                noted = NotedCall(use, _fields(result))
+                noted = NotedCall(call, _fields(result))
             else:
-                result, noted = None, NotedCall(use, [])
-                noted.repeat({})
+                result, noted = None, NotedCall(call, [])
+                noted.repeat(call.arguments)
         self.stages[-1].call = noted
         self.stages.append(Stage())
         return result
@@ -184,19 +185,9 @@ def tensors_of(tree: Any) -> list[Tensor]:
     return [leaf for leaf in tree_leaves(tree) if isinstance(leaf, Tensor)]
 
 
-def by_index(use: Use) -> bool:
+def by_index(call: EngineCall) -> bool:
     """Whether environments are given by a mask that the method does not take: to find them is to look at the mask."""
-    return is_mask(use.arguments.get("env_ids")) and use.name not in use.owner.capture.takes_masks
-
-
-def _replaced(argument: Any, values: dict[int, Tensor]) -> Any:
-    if isinstance(argument, Tensor):
-        return values.get(id(argument), argument)
-    if argument is None or isinstance(argument, bool | int | float | str):
-        return argument
-    if type(argument) is list:  # torch's own way through a structure takes longer than many a call
-        return [_replaced(part, values) for part in argument]
-    return tree_map_only(Tensor, lambda tensor: values.get(id(tensor), tensor), argument)
+    return is_mask(call.arguments.get("env_ids")) and call.name not in call.owner.capture.takes_masks
 
 
 def _fields(measured: Any) -> list[Tensor]:

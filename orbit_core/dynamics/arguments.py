@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, ArgumentError, ConfigurationError, NonFiniteError, ShapeError
+from orbit_core.interfaces.capture import is_tracing
 
 MOST_ENVIRONMENTS = 2**31 - 1  # engines count in 32 bits
 MOST_STEPS = 1_000_000
@@ -202,7 +203,7 @@ def check_numbers(value: Tensor, bounds: Bounds, what: str, env_ids: Tensor | No
         NonFiniteError: a number is NaN or infinite; names the environment and the component.
         ArgumentError: a number is out of bounds; names them too.
     """
-    if value.device.type != "cpu" or not value.numel():
+    if value.device.type != "cpu" or not value.numel() or is_tracing():
         return
     # NumPy's reductions of the tensor's own memory: on few numbers they cost a third of torch's. NaN passes through.
     array = value.numpy()
@@ -218,7 +219,7 @@ def check_quaternions(poses: Tensor, what: str, env_ids: Tensor | None = None) -
     Raises:
         ArgumentError: a quaternion of another length; names the environment.
     """
-    if poses.device.type != "cpu" or not len(poses):
+    if poses.device.type != "cpu" or not len(poses) or is_tracing():
         return
     lengths = torch.linalg.vector_norm(poses[:, 3:], dim=-1)
     least, most = torch.aminmax(lengths)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Hashable, Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
 
 import torch
 from torch import Tensor
@@ -14,6 +12,7 @@ from orbit_core.agent import AgentGraph, Edge, FunctionNode
 from orbit_core.agent.runner import checked
 from orbit_core.envs.task import COMPOSED, Task
 from orbit_core.interfaces import ConfigurationError, JointTarget, Node, Port, World
+from orbit_core.interfaces.capture import Schedule
 
 _SPLIT = "split"
 
@@ -83,35 +82,15 @@ class ActionManager:
             for generator in self.generators:
                 generator.reset(env_ids)
 
-    # In a step that is captured
-
     @property
-    def period(self) -> int:
-        """Steps after which the same generators are due again."""
-        return 1 if self._graph is None else math.lcm(*(runner.period for runner in self._graph.runners))
-
-    def phase(self) -> Hashable:
-        """Return the schedule's key of the next step: which generators are due."""
-        return None if self._graph is None else self._graph.phase()
-
-    def enter(self, phase: Any, steps: int) -> None:
-        """Move the schedule on by steps that were repeated without Python."""
-        if self._graph is not None:
-            self._graph.enter(phase, steps)
-
-    @property
-    def steps(self) -> int:
-        """Number of actions that the schedule has counted; 0 where there is none."""
-        return 0 if self._graph is None else self._graph.step_count
+    def schedule(self) -> Schedule | None:
+        """Counters of the generators' turns; None where all take their turn in every step."""
+        return None if self._graph is None else self._graph.schedule
 
     @property
     def node_memory(self) -> dict[str, dict[str, Tensor]]:
         """Tensors that generators keep from step to step, by name, for each generator."""
         return {f"node '{generator.name}'": dict(generator.memory()) for generator in self.generators}
-
-    def memory(self) -> dict[str, Tensor]:
-        """Return the outputs that are held between the turns of generators with rates of their own, by name."""
-        return {} if self._graph is None else self._graph.memory()
 
     # For a graph of the whole agent
 

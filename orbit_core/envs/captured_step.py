@@ -6,16 +6,15 @@ import math
 import warnings
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch.utils._pytree import keystr, tree_leaves_with_path
 
 from orbit_core.capture.compile import check_compiler
-from orbit_core.capture.phases import Moment, PhasedFunction
 from orbit_core.capture.python_state import REMEDY, Holder, PythonState
 from orbit_core.capture.replay import CapturedFunction
+from orbit_core.capture.schedule import ScheduledFunction
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
@@ -65,18 +64,16 @@ class CapturedStep:
         self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
         alone = settles or not renews
         parts = (self._play,) if alone else (self._play_and_renew,) if whole else (self._play, self._renew)
-        self.parts = [self._phased(part, compile) for part in parts]
+        self.parts = [self._scheduled(part, compile) for part in parts]
 
-    def _phased(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> PhasedFunction:
-        world, task, actions = self._environment.world, self._environment.task, self._environment.actions
-
-        def memory() -> dict[str, Tensor]:
-            return {**remembered(task, actions), **actions.memory(), **world.memory()}
+    def _scheduled(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> ScheduledFunction:
+        world, actions = self._environment.world, self._environment.actions
 
         def capture() -> CapturedFunction:
-            return CapturedFunction(world, part, memory, compile, self._look)
+            return CapturedFunction(world, part, compile, self._look)
 
-        return PhasedFunction(StepSchedule(world, actions), capture)
+        schedules = [schedule for schedule in (world.schedule, actions.schedule) if schedule is not None]
+        return ScheduledFunction(schedules, capture)
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
@@ -171,7 +168,7 @@ class CapturedStep:
         environment, done = self._environment, self._environment.done
         environment.progress()
         environment.begin(done)
-        with environment.world.masking.only(done):
+        with environment.world.selector.only(done):
             seen = leaves_of(environment.observer())
         return tuple(where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True))
 
@@ -180,7 +177,7 @@ class CapturedStep:
         environment, done = self._environment, self._environment.done
         environment.progress()
         environment.begin(done.nonzero().squeeze(-1))
-        with environment.world.masking.only(done):
+        with environment.world.selector.only(done):
             seen = leaves_of(environment.observer())
         return [where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True)]
 
@@ -206,34 +203,16 @@ def remembered(task: Task, actions: ActionManager) -> dict[str, Tensor]:
     return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
 
 
-class StepSchedule:
-    """What is due in a step of the environment: sensors, and nodes of the agent.
-
-    One clock rules all environments, so that it is a function of the step's place in the schedule's period.
-    """
-
-    def __init__(self, world: World, actions: ActionManager) -> None:
-        self._world, self._actions = world, actions
-
-    def moment(self) -> Moment:
-        """The place at which the schedule stands now."""
-        phase = self._world.phase, self._actions.phase()
-        return Moment(phase, self._world.clock.steps, self._actions.steps)
-
-    def move(self, phase: Any, physics_steps: int, agent_steps: int) -> None:
-        """Go on by so many steps, into that phase."""
-        self._world.enter(phase[0], physics_steps)
-        self._actions.enter(phase[1], agent_steps)
-
-
 def needs_python(world: World, actions: ActionManager, decimation: int) -> str:
-    """Why a step cannot be captured; empty if it can."""
-    if world.needs_python:
-        return world.needs_python
-    phases = math.lcm(world.schedule_period, decimation * actions.period) // decimation
-    if phases <= MOST_PHASES:
+    """Return the reason why a step cannot be captured; empty if it can."""
+    schedules = world.schedule, actions.schedule
+    if schedules[0] is None:
+        return f"{type(world).__name__} has no engine"
+    agent = 1 if schedules[1] is None else schedules[1].period
+    keys = math.lcm(schedules[0].period, decimation * agent) // decimation
+    if keys <= MOST_PHASES:
         return ""
     return (
-        f"what is due repeats after {phases} steps only, and each of them would be captured, of {MOST_PHASES} at most: "
+        f"what is due repeats after {keys} steps only, and each of them would be captured, of {MOST_PHASES} at most: "
         "choose rates of sensors and nodes that divide the rate of the environment's steps"
     )

@@ -190,7 +190,7 @@ class Environment:
         Raises:
             ArgumentError, ShapeError: the seed or ``env_ids`` cannot be; nothing has changed then.
         """
-        env_ids = self.world.masking.rows(env_ids)
+        env_ids = self.world.selector.resolve(env_ids)
         if seed is not None:
             self.world.random.seed(seed, env_ids)
         self._over = False
@@ -384,7 +384,7 @@ class Environment:
             began: (N,) bool.
         """
         before = self._observe()
-        with self.world.masking.only(began):
+        with self.world.selector.only(began):
             fresh = self.observer()
         leaves = [where_rows(began, new, old) for new, old in zip(leaves_of(fresh), leaves_of(before), strict=True)]
         self._seen = self._checked_observation(observation_of(self.observation, leaves))

@@ -125,10 +125,10 @@ class ExpertStarts:
             return
         world = self._world
         if is_mask(env_ids):
-            with world.masking.only(env_ids):
+            with world.selector.only(env_ids):
                 draw = world.random.uniform((2,))
             chosen = env_ids & (draw[:, 0] < self._share)
-            with world.masking.only(chosen):
+            with world.selector.only(chosen):
                 self._place(draw[:, 1], None, chosen)
         else:
             rows = torch.arange(world.num_envs, device=world.device) if env_ids is None else env_ids

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces.built import Approximation, BuiltModel
-from orbit_core.interfaces.capture import Watched, changes, measures, reads_state
+from orbit_core.interfaces.capture import Traceable, changes, measures, reads_state
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import SceneLayout
 from orbit_core.interfaces.rays import RayHits, cast_past
@@ -17,7 +17,7 @@ from orbit_core.interfaces.rays import RayHits, cast_past
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
 
-class Engine(Watched, ABC):
+class Engine(Traceable, ABC):
     """N environments of one scene in one physics engine.
 
     N = ``num_envs``, J movable joints and L links as numbered by ``layout``; n = ``len(env_ids)``, all environments

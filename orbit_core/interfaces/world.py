@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces.built import Approximation
+from orbit_core.interfaces.capture import Schedule
 from orbit_core.interfaces.engine import Engine
 from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
@@ -35,18 +36,23 @@ class WorldClock(Protocol):
         ...
 
 
-class WorldMasking(Protocol):
-    """Which environments a call is for; while a mask is set, those of the mask alone."""
-
-    traced: bool
-    """Whether a step is being traced: nothing may look at what tensors hold."""
+class WorldSelector(Protocol):
+    """Selection of the environments that a call is for; while a mask is set, of those in it only."""
 
     def only(self, mask: Tensor) -> AbstractContextManager[None]:
         """Set a mask (N,) bool for a while."""
         ...
 
-    def rows(self, env_ids: Tensor | None) -> Tensor | None:
-        """The environments that ``env_ids`` means: checked indices (n,), a mask (N,) bool, or None for all."""
+    def given(self, env_ids: Tensor | None) -> AbstractContextManager[Tensor]:
+        """Give indices (n,) for indices; for a mask (N,), the indices of all environments, under the mask."""
+        ...
+
+    def where(self, mask: Tensor) -> Tensor | None:
+        """Return the environments of a mask (N,) as indices, None without any; in a traced step the mask itself."""
+        ...
+
+    def resolve(self, env_ids: Tensor | None) -> Tensor | None:
+        """Return the environments that ``env_ids`` means: checked indices (n,), a mask (N,) bool, or None for all."""
         ...
 
 
@@ -119,7 +125,7 @@ class World(ABC):
     markers: Mapping[str, Marker]
     clock: WorldClock
     random: WorldRandom
-    masking: WorldMasking
+    selector: WorldSelector
 
     # Time
 
@@ -246,31 +252,9 @@ class World(ABC):
         raise self._unsupported("native objects")
 
     @property
-    def needs_python(self) -> str:
-        """Why a step of this world cannot be captured (:mod:`orbit_core.capture`); empty if it can."""
-        return f"{type(self).__name__} has no engine"
-
-    @property
-    def schedule_period(self) -> int:
-        """Physics steps after which the same sensors are due again."""
-        return 1
-
-    @property
-    def phase(self) -> Hashable:
-        """What Python decides by, in the next step, which sensors are due and how far the engine runs at a time."""
-        raise self._unsupported("captured steps")
-
-    def enter(self, phase: Any, steps: int) -> None:
-        """``steps`` physics steps were repeated without Python, which left the world in that phase."""
-        raise self._unsupported("captured steps")
-
-    def touch(self) -> None:
-        """What was derived from the present state must be derived anew."""
-        raise self._unsupported("captured steps")
-
-    def memory(self) -> dict[str, Tensor]:
-        """The tensors that a captured step writes in place besides the engine's, by name."""
-        raise self._unsupported("captured steps")
+    def schedule(self) -> Schedule | None:
+        """Counters of a step, which a captured step moves on; None where nothing is simulated, nor captured."""
+        return None
 
     def _unsupported(self, what: str) -> UnsupportedCapabilityError:
         return UnsupportedCapabilityError(f"this world has no {what}: {type(self).__name__} provides none")

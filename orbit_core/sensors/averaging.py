@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Hashable
 from typing import Any
 
 import torch
@@ -21,6 +20,8 @@ class AveragingSensor(TimedSensor):
     A reset empties an environment's window, whose mean is then zero. A world that announces its steps with
     :meth:`begin_step` gets averages over them; otherwise each :meth:`advance` is its own window.
     """
+
+    scheduled = (*TimedSensor.scheduled, "_window_over", "_announced")
 
     def __init__(self, spec: SensorSpec, context: SensorContext, shape: tuple[int, ...]) -> None:
         super().__init__(spec, context)
@@ -52,20 +53,11 @@ class AveragingSensor(TimedSensor):
         write_rows(self._sum, 0.0, env_ids)
         write_rows(self._count, 0.0, env_ids)
 
-    @property
-    def phase(self) -> tuple[Hashable, ...]:
-        return *super().phase, self._window_over, self._announced
-
-    def enter(self, phase: tuple[Any, ...]) -> None:
-        super().enter(phase)
-        self._window_over, self._announced = phase[4:6]
-
     def save_state(self) -> dict[str, Any]:
         return super().save_state() | {"window": (self._sum.clone(), self._count.clone())}
 
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
-        self._window_over, self._announced = state["phase"][4:6]
         for own, saved in zip((self._sum, self._count), state["window"], strict=True):
             own.copy_(saved)
 

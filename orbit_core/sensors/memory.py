@@ -7,7 +7,8 @@ from collections.abc import Iterator, MutableMapping
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import Masking, is_mask
+from orbit_core.dynamics.indexing import is_mask
+from orbit_core.interfaces.capture import is_tracing, report_new_memory
 
 
 class Memory(MutableMapping[str, Tensor]):
@@ -17,8 +18,7 @@ class Memory(MutableMapping[str, Tensor]):
     same memory: clone then what you keep.
     """
 
-    def __init__(self, masking: Masking) -> None:
-        self._masking = masking
+    def __init__(self) -> None:
         self._tensors: dict[str, Tensor] = {}
         self._pinned = False
 
@@ -26,12 +26,13 @@ class Memory(MutableMapping[str, Tensor]):
         return self._tensors[name]
 
     def __setitem__(self, name: str, value: Tensor) -> None:
-        self._pinned |= self._masking.traced
+        self._pinned |= is_tracing()
         own = self._tensors.get(name)
         if own is not None and self._pinned:
             own.copy_(value)
         else:  # what is expanded has several elements at one place, and cannot be written
             self._tensors[name] = value.clone() if 0 in value.stride() else value
+            report_new_memory()
 
     def __delitem__(self, name: str) -> None:
         del self._tensors[name]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from typing import Any, ClassVar
 
 import torch
@@ -35,6 +35,8 @@ class TimedSensor(Sensor):
     """
 
     noisy: ClassVar[tuple[str, ...]] = ()
+    scheduled: ClassVar[tuple[str, ...]] = ("_elapsed", "_outdated", "_empty", "_some_wait")
+    """Attributes of plain Python that decide what the sensor does in the next step; subclasses add theirs."""
     costly: ClassVar[bool] = False
     """Whether environments that were reset should be measured alone, for a measurement costs more than to find them."""
 
@@ -52,11 +54,13 @@ class TimedSensor(Sensor):
         self.period = period_in_steps(spec, context.physics_dt)
         """Physics steps between measurements; None measures whenever the world steps."""
         self._random = context.random
-        self._masking = context.random.masking
+        self._selector = context.random.selector
         self._delay = _delay_in_periods(spec)
         self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
         self._fleeting = self._lazy and not self._noisy and not self.costly
         """Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt."""
+        self._measured = False
+        """True while the value of a fleeting sensor is that of the present state."""
         self._elapsed = 0
         self._outdated = True
         self._empty = True
@@ -66,9 +70,9 @@ class TimedSensor(Sensor):
         """(N,) environments that were reset and not measured since."""
         self._present: Values = {}
         """Values of a fleeting sensor at the present state."""
-        self._held = Memory(self._masking)
+        self._held = Memory()
         """Last measurements (1 + delay, N, ...) of all other sensors, the newest first."""
-        self._bias = Memory(self._masking)
+        self._bias = Memory()
 
     # The world's side ------------------------------------------------------------------------------------------------
 
@@ -82,18 +86,20 @@ class TimedSensor(Sensor):
             if self._elapsed < self.period:
                 return
             self._elapsed %= self.period
-        if self._lazy:
+        if self._fleeting:
+            self._measured = False
+        elif self._lazy:
             self._outdated = True
         else:
             self._update()
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        self._forget(self._masking.rows(env_ids))
+        self._forget(self._selector.resolve(env_ids))
 
     def _forget(self, env_ids: Tensor | None) -> None:
         """Drop what is remembered of some environments: indices, or a mask in a traced step."""
         if self._fleeting:
-            self._outdated = True
+            self._measured = False
         elif env_ids is None:
             self._empty, self._some_wait = True, False
             self._waiting.zero_()
@@ -106,7 +112,7 @@ class TimedSensor(Sensor):
     def save_state(self) -> dict[str, Any]:
         """Everything that later readings depend on besides the engine's state."""
         return {
-            "phase": self.phase,
+            "counters": self.counters,
             "waiting": self._waiting.clone(),
             "held": self._held.saved(),
             "bias": self._bias.saved(),
@@ -114,29 +120,21 @@ class TimedSensor(Sensor):
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Return to a saved state."""
-        TimedSensor.enter(self, state["phase"])
+        self.counters = state["counters"]
         self._waiting.copy_(state["waiting"])
         self._held.load(state["held"])
         self._bias.load(state["bias"])
 
-    # In a step that is captured --------------------------------------------------------------------------------------
-
     @property
-    def phase(self) -> tuple[Hashable, ...]:
-        """What Python decides the sensor's next step by, besides what tensors hold."""
-        return self._elapsed, self._outdated or self._fleeting, self._empty, self._some_wait
+    def counters(self) -> tuple[Hashable, ...]:
+        """Values of :attr:`scheduled`. Setting them drops what was measured of the present state."""
+        return tuple(getattr(self, name) for name in self.scheduled)
 
-    def enter(self, phase: tuple[Any, ...]) -> None:
-        """A step was repeated without Python, which left the sensor in that phase."""
-        self._elapsed, self._outdated, self._empty, self._some_wait = phase[:4]
-
-    def touch(self) -> None:
-        """What was computed from the present state alone does not hold."""
-        self._outdated |= self._fleeting
-
-    def memory(self) -> Mapping[str, Tensor]:
-        """The tensors that later readings depend on, by name."""
-        return {**{f"held {n}": t for n, t in self._held.items()}, **{f"bias {n}": t for n, t in self._bias.items()}}
+    @counters.setter
+    def counters(self, values: tuple[Any, ...]) -> None:
+        for name, value in zip(self.scheduled, values, strict=True):
+            setattr(self, name, value)
+        self._measured = False
 
     # The subclass's side ---------------------------------------------------------------------------------------------
 
@@ -182,9 +180,9 @@ class TimedSensor(Sensor):
 
     def _settle(self) -> None:
         if self._fleeting:
-            if self._outdated:
+            if not self._measured:
                 self._present = self._measure(None)
-                self._outdated = False
+                self._measured = True
         elif self._outdated or self._empty:
             self._update()
         elif self._some_wait:
@@ -206,11 +204,12 @@ class TimedSensor(Sensor):
 
     def _renew(self) -> None:
         """Measure the environments that wait."""
-        rows = self._waiting if self._masking.traced else self._waiting.nonzero().squeeze(-1)
-        with self._masking.only(rows if is_mask(rows) else None):
-            values = self._sample(rows)
-        for name, value in values.items():
-            self._held[name] = with_rows(self._held[name], value[None], rows, 1)
+        rows = self._selector.where(self._waiting)
+        if rows is not None:
+            with self._selector.only(rows if is_mask(rows) else None):
+                values = self._sample(rows)
+            for name, value in values.items():
+                self._held[name] = with_rows(self._held[name], value[None], rows, 1)
         self._all_are_measured()
 
     def _all_are_measured(self) -> None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import FRICTIONS, POSITIONS, VELOCITIES, Bounds, columns_chosen
-from orbit_core.dynamics.indexing import Masking
+from orbit_core.dynamics.indexing import RowSelector
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Engine, Object, find_name
 from orbit_core.interfaces.matter import PARAMETERS
@@ -29,7 +29,7 @@ class SimulatedDeformable(Deformable):
         index: int,
         spec: DeformableSpec,
         engine: Engine,
-        masking: Masking,
+        selector: RowSelector,
         clock: Clock,
         entities: Mapping[str, Object],
     ) -> None:
@@ -37,7 +37,7 @@ class SimulatedDeformable(Deformable):
         self._entities = entities
         self._index = index
         self._engine = engine
-        self._masking = masking
+        self._selector = selector
         self._clock = clock
         self._shape = (len(spec.rest_positions), 3)
         self._boxes: dict[Region, tuple[Object | None, Tensor, Tensor, Tensor]] = {}
@@ -59,7 +59,7 @@ class SimulatedDeformable(Deformable):
         return self._engine.particle_velocities(self._index)
 
     def set_state(self, positions: Tensor, velocities: Tensor | None = None, env_ids: Tensor | None = None) -> None:
-        chosen, name = self._masking.choose(env_ids), self.spec.name
+        chosen, name = self._selector.select(env_ids), self.spec.name
         positions = chosen.values(positions, self._shape, f"particle positions of '{name}'", POSITIONS)
         if velocities is None:
             velocities = torch.zeros_like(positions)
@@ -72,11 +72,11 @@ class SimulatedDeformable(Deformable):
         if to is not None and (isinstance(to, str) or len(to) != 2):
             raise ArgumentError(f"points of '{self.name}' are held to (entity, link), not to {to!r}")
         link = None if to is None else self._link(*to)
-        self._engine.anchor_particles(self._index, self._particles(points), link, self._masking.rows(env_ids))
+        self._engine.anchor_particles(self._index, self._particles(points), link, self._selector.resolve(env_ids))
 
     def release(self, points: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         chosen = range(self._shape[0]) if points is None else points
-        self._engine.release_particles(self._index, self._particles(chosen), self._masking.rows(env_ids))
+        self._engine.release_particles(self._index, self._particles(chosen), self._selector.resolve(env_ids))
 
     @property
     def key_points(self) -> Tensor:
@@ -131,7 +131,7 @@ class SimulatedDeformable(Deformable):
 
     def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
         find_name(name, PARAMETERS, "parameter", f"'{self.name}'")
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         bounds = FRICTIONS if name == "friction" else _SCALES
         values = chosen.values(values, (), f"{name} of '{self.name}'", bounds)
         self._engine.set_particle_parameter(self._index, name, values, chosen.rows)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from orbit_core.actuators import Actuators
 from orbit_core.interfaces import Engine, diverged
-from orbit_core.interfaces.world import WorldClock, WorldMasking
+from orbit_core.interfaces.world import WorldClock, WorldSelector
 
 
 class DivergenceGuard:
@@ -20,12 +19,12 @@ class DivergenceGuard:
         engine: whose environments are watched.
         actuators: that forget what was commanded.
         clock: of the world's state.
-        masking: says whether a step is traced, where nothing may wait for the device.
+        selector: of environments.
     """
 
-    def __init__(self, engine: Engine, actuators: Actuators, clock: WorldClock, masking: WorldMasking) -> None:
+    def __init__(self, engine: Engine, actuators: Actuators, clock: WorldClock, selector: WorldSelector) -> None:
         engine.raises_divergence = False
-        self._engine, self._actuators, self._clock, self._masking = engine, actuators, clock, masking
+        self._engine, self._actuators, self._clock, self._selector = engine, actuators, clock, selector
         self.lost = torch.zeros(engine.num_envs, dtype=torch.bool, device=engine.device)
         """(N,) which environments have diverged since their owner last set it to False."""
 
@@ -35,12 +34,8 @@ class DivergenceGuard:
         wrong = diverged(engine.link_poses, engine.link_velocities)
         wrong = wrong | diverged(engine.joint_positions, engine.joint_velocities)
         self.lost.logical_or_(wrong)
-        if self._masking.traced:
-            self._reset(wrong)
-        elif bool(wrong.any()):
-            self._reset(wrong.nonzero().squeeze(-1))
-
-    def _reset(self, rows: Tensor) -> None:
-        self._engine.reset(rows)
-        self._actuators.reset(rows)
-        self._clock.touch()
+        rows = self._selector.where(wrong)
+        if rows is not None:
+            self._engine.reset(rows)
+            self._actuators.reset(rows)
+            self._clock.touch()

@@ -13,7 +13,7 @@ from orbit_core.dynamics.arguments import (
     POSITIONS,
     VELOCITIES,
 )
-from orbit_core.dynamics.indexing import Masking, write_block
+from orbit_core.dynamics.indexing import RowSelector, write_block
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import Engine, EntityLayout, UnknownNameError
@@ -60,9 +60,9 @@ class SimulatedObject(ObjectParameters):
     """An articulation in N environments of one engine."""
 
     def __init__(
-        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
+        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, selector: RowSelector
     ) -> None:
-        super().__init__(layout, engine, actuators, clock, masking)
+        super().__init__(layout, engine, actuators, clock, selector)
         self._frames: dict[str, _FrameHandle] = {}
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
         """Pose of each frame that was read, with its version of the clock."""
@@ -175,13 +175,13 @@ class SimulatedObject(ObjectParameters):
     # Writing state
 
     def set_root_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         pose = chosen.poses(pose, f"root pose of '{self.name}'")
         self._engine.write_root_state(self.layout.index, pose, None, chosen.rows)
         self._clock.touch()
 
     def set_root_velocity(self, velocity: Tensor, env_ids: Tensor | None = None) -> None:
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         velocity = chosen.values(velocity, (6,), f"root velocity of '{self.name}'", VELOCITIES)
         self._engine.write_root_state(self.layout.index, None, velocity, chosen.rows)
         self._clock.touch()
@@ -194,7 +194,7 @@ class SimulatedObject(ObjectParameters):
         env_ids: Tensor | None = None,
     ) -> None:
         written = self._all_columns if joints is None else self._joint_columns(joints)
-        chosen, shape = self._masking.choose(env_ids), (len(written),)
+        chosen, shape = self._selector.select(env_ids), (len(written),)
         if positions is not None:
             positions = chosen.values(positions, shape, f"joint positions of '{self.name}'", POSITIONS)
         if velocities is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import Masking, write_rows
+from orbit_core.dynamics.indexing import RowSelector, write_rows
 from orbit_core.interfaces import Marker
 from orbit_core.scene import MarkerSpec
 
@@ -13,17 +13,17 @@ from orbit_core.scene import MarkerSpec
 class SimulatedMarker(Marker):
     """A pose (N, 7) that viewers and videos draw."""
 
-    def __init__(self, spec: MarkerSpec, poses: Tensor, masking: Masking) -> None:
+    def __init__(self, spec: MarkerSpec, poses: Tensor, selector: RowSelector) -> None:
         self.spec = spec
         self._poses = poses
-        self._masking = masking
+        self._selector = selector
 
     @property
     def pose(self) -> Tensor:
         return self._poses
 
     def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         write_rows(self._poses, chosen.poses(pose, f"pose of marker '{self.spec.name}'"), chosen.rows)
 
 

@@ -18,7 +18,7 @@ from orbit_core.dynamics.arguments import (
     check_shape,
     columns_chosen,
 )
-from orbit_core.dynamics.indexing import Masking, columns_of
+from orbit_core.dynamics.indexing import RowSelector, columns_of
 from orbit_core.interfaces import ConfigurationError, Engine, EntityLayout, JointTarget, Robot
 from orbit_core.scene import RobotSpec
 from orbit_core.world.clock import Clock
@@ -33,12 +33,12 @@ class SimulatedRobot(SimulatedObject, Robot):
         return self._spec
 
     def __init__(
-        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
+        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, selector: RowSelector
     ) -> None:
         assert isinstance(layout.spec, RobotSpec)  # the world makes robots of robots' layouts alone
         self._spec = layout.spec
-        super().__init__(layout, engine, actuators, clock, masking)
-        parts = layout.joints, masking, f"of '{self.name}'"
+        super().__init__(layout, engine, actuators, clock, selector)
+        parts = layout.joints, f"of '{self.name}'"
         self._targets = {
             JointTarget.POSITION: _Targets(actuators.position_targets, POSITIONS, "position targets", *parts),
             JointTarget.VELOCITY: _Targets(actuators.velocity_targets, VELOCITIES, "velocity targets", *parts),
@@ -70,12 +70,11 @@ class SimulatedRobot(SimulatedObject, Robot):
 class _Targets:
     """A robot's columns of one of the actuators' buffers; columns that stand in a row are written through a view."""
 
-    def __init__(self, buffer: Tensor, bounds: Bounds, what: str, joints: slice, masking: Masking, whose: str) -> None:
+    def __init__(self, buffer: Tensor, bounds: Bounds, what: str, joints: slice, whose: str) -> None:
         self._buffer = buffer[:, joints]
         self._bounds = bounds
         self._what = f"{what} {whose}"
         self._joints = f"joints {whose}"
-        self._masking = masking
         self._writers: dict[tuple[int, ...], Callable[[Tensor], object]] = {}
 
     def write(self, values: Tensor, joints: Sequence[int] | None) -> None:
@@ -102,6 +101,5 @@ class _Targets:
     def _checked(self, values: Tensor, count: int) -> Tensor:
         values = as_floats(values, self._buffer.device, self._what)
         check_shape(values, (len(self._buffer), count), self._what)
-        if not self._masking.traced:
-            check_numbers(values, self._bounds, self._what)
+        check_numbers(values, self._bounds, self._what)
         return values

@@ -23,7 +23,7 @@ from orbit_core.dynamics.arguments import (
     usable_device,
     whole_number,
 )
-from orbit_core.dynamics.indexing import Masking, write_rows
+from orbit_core.dynamics.indexing import RowSelector, write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import (
     TERRAIN,
@@ -38,6 +38,7 @@ from orbit_core.interfaces import (
     SceneLayout,
     World,
 )
+from orbit_core.interfaces.capture import Schedule, is_tracing
 from orbit_core.interfaces.fields import settings_table
 from orbit_core.interfaces.requirements import IMAGES
 from orbit_core.preparation.deformable_checks import check_attachments
@@ -73,7 +74,7 @@ class SimulatedWorld(World):
 
     # Never replaced, so that what a reader of World expects holds.
     clock: Clock
-    masking: Masking
+    selector: RowSelector
     random: RandomStreams
 
     def __init__(
@@ -121,9 +122,9 @@ class SimulatedWorld(World):
             engine.close()
             raise
         self.painting = Painting(num_envs, len(self.layout.links), self.device)
-        self.masking = Masking(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.selector = RowSelector(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which environments a call is for."""
-        self.random = RandomStreams(num_envs, seed, self.device, self.masking)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.random = RandomStreams(num_envs, seed, self.device, self.selector)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.random.reset()
         self.actuators = Actuators(self._engine, self.layout, self.random, any(each.active for each in scene.objects))
         self.clock = Clock()  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -134,20 +135,20 @@ class SimulatedWorld(World):
         give_up_in_forks(self)
 
     def _add_entities(self) -> None:
-        parts = (self._engine, self.actuators, self.clock, self.masking)
+        parts = (self._engine, self.actuators, self.clock, self.selector)
         count = len(self.scene.robots)
         robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
         objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
         for thing in (*robots.values(), *objects.values()):
             thing.require, thing.painting = self._require, self.painting
-        self.active = ActiveModels(objects, self._engine, self.masking)
+        self.active = ActiveModels(objects, self._engine, self.selector)
         deformables = {
-            spec.name: SimulatedDeformable(i, spec, self._engine, self.masking, self.clock, {**robots, **objects})
+            spec.name: SimulatedDeformable(i, spec, self._engine, self.selector, self.clock, {**robots, **objects})
             for i, spec in enumerate(self.scene.deformables)
         }
         self._marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)
         markers = {
-            spec.name: SimulatedMarker(spec, self._marker_poses[:, i], self.masking)
+            spec.name: SimulatedMarker(spec, self._marker_poses[:, i], self.selector)
             for i, spec in enumerate(self.scene.markers)
         }
         self.robots = NamedThings(robots, "robot", "world.robots", self._names)
@@ -165,6 +166,7 @@ class SimulatedWorld(World):
         self._servos: list[Callable[[], None]] = []
         self._guard: DivergenceGuard | None = None
         self._plan_steps()
+        self._schedule = _WorldSchedule(self)
 
     def _plan_steps(self) -> None:
         """Decide how far the engine runs at a time."""
@@ -244,7 +246,7 @@ class SimulatedWorld(World):
             steps -= stretch
 
     def settle(self, steps: int, env_ids: Tensor | None = None) -> None:
-        rows, steps = self.masking.choose(env_ids).rows, whole_number(steps, "steps", 1, MOST_STEPS)
+        rows, steps = self.selector.select(env_ids).rows, whole_number(steps, "steps", 1, MOST_STEPS)
         step = self._step_singly if self._singly else self._engine.step
         settle(self._engine, (self.actuators, self.active), step, steps, rows)
         self.clock.touch()
@@ -260,44 +262,18 @@ class SimulatedWorld(World):
                 self.active.apply()
             # A traced step refuses nothing that servos make of diverged states: one look at its end will do.
             self._engine.step(1)
-            if self._guard is not None and (left == 1 or not self.masking.traced):
+            if self._guard is not None and (left == 1 or not is_tracing()):
                 self._guard.look()
             self.clock.touch()  # the next servo reads the new state
 
     def guard_divergence(self) -> Tensor:
         """Reset environments that diverge in a step from now on; returns the guard's ``lost`` (N,) bool."""
-        self._guard = self._guard or DivergenceGuard(self._engine, self.actuators, self.clock, self.masking)
+        self._guard = self._guard or DivergenceGuard(self._engine, self.actuators, self.clock, self.selector)
         return self._guard.lost
 
-    # In a step that is captured
-
     @property
-    def needs_python(self) -> str:
-        return ""
-
-    @property
-    def schedule_period(self) -> int:
-        return math.lcm(*(sensor.period or 1 for sensor in self._timed.values()))
-
-    @property
-    def phase(self) -> Hashable:
-        sensors = tuple(sensor.phase for sensor in self._timed.values())
-        return self.clock.steps % (self._stretch or 1), sensors
-
-    def enter(self, phase: Any, steps: int) -> None:
-        self.clock.advance(steps)
-        for sensor, own in zip(self._timed.values(), phase[1], strict=True):
-            sensor.enter(own)
-
-    def touch(self) -> None:
-        self.clock.touch()
-        for sensor in self._timed.values():
-            sensor.touch()
-
-    def memory(self) -> dict[str, Tensor]:
-        own = self.actuators.memory() | ({} if self._guard is None else {"lost": self._guard.lost})
-        sensors = {f"sensor '{n}', {m}": t for n, s in self._timed.items() for m, t in s.memory().items()}
-        return own | sensors | self.active.memory()
+    def schedule(self) -> Schedule:
+        return self._schedule
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2 of some environments, for good.
@@ -305,13 +281,13 @@ class SimulatedWorld(World):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        chosen = self.masking.choose(env_ids)
+        chosen = self.selector.select(env_ids)
         gravity = chosen.values(gravity, (3,), "gravity", ACCELERATIONS)
         self._engine.set_gravity(gravity, chosen.rows)
         write_rows(self._sensing.gravity, gravity, chosen.rows)
 
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        chosen = self.masking.choose(env_ids)
+        chosen = self.selector.select(env_ids)
         coefficients = chosen.values(coefficients, (), "friction of the terrain", FRICTIONS)
         self._engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
 
@@ -321,7 +297,7 @@ class SimulatedWorld(World):
         Raises:
             ArgumentError, ShapeError: ``env_ids`` are no environments; nothing was reset.
         """
-        env_ids = self.masking.rows(env_ids)
+        env_ids = self.selector.resolve(env_ids)
         self.random.reset(env_ids)
         self._engine.reset(env_ids)
         self.actuators.reset(env_ids)
@@ -367,7 +343,7 @@ class SimulatedWorld(World):
     def copy_state(self, source: int, targets: Tensor | None = None, origin: World | None = None) -> None:
         origin = self if origin is None else origin
         check_copy(self, origin, source)
-        rows = self.masking.choose(targets).rows
+        rows = self.selector.select(targets).rows
         self._engine.copy_state(origin.engine, source, rows)
         if isinstance(origin, SimulatedWorld):
             self.actuators.copy(origin.actuators, source, rows)
@@ -402,3 +378,29 @@ class SimulatedWorld(World):
     def _identity(self) -> tuple[str, int, tuple[str, ...]]:
         specs = (*self.scene.entities, *self.scene.deformables, *self.scene.sensors, *self.scene.markers)
         return self.backend, self.num_envs, tuple(spec.name for spec in specs)
+
+
+class _WorldSchedule(Schedule):
+    """Physics steps of a simulated world, and the counters of its sensors."""
+
+    def __init__(self, world: SimulatedWorld) -> None:
+        self._world = world
+        self._sensors = tuple(world._timed.values())
+
+    @property
+    def period(self) -> int:
+        return math.lcm(*(sensor.period or 1 for sensor in self._sensors))
+
+    @property
+    def key(self) -> Hashable:
+        place = self._world.clock.steps % (self._world._stretch or 1)
+        return (place, *[sensor.counters for sensor in self._sensors])
+
+    @property
+    def count(self) -> int:
+        return self._world.clock.steps
+
+    def move(self, key: Any, steps: int) -> None:
+        self._world.clock.advance(steps)
+        for sensor, counters in zip(self._sensors, key[1:], strict=True):
+            sensor.counters = counters

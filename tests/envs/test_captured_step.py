@@ -251,7 +251,7 @@ def test_a_step_is_captured_once_for_each_phase_of_its_schedule() -> None:
     environment = closed(Environment(sensing(rate=12.5), 3, BACKEND), whole=True)
     for _ in range(20):
         environment.step(torch.zeros(3, environment.action_size))
-    assert [part.phases for part in environment._closed.parts] == [4]
+    assert [part.captured for part in environment._closed.parts] == [4]
     environment.close()
 
 

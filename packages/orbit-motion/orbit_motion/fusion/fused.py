@@ -9,13 +9,13 @@ from torch import Tensor
 from torch.utils._python_dispatch import _disable_current_modes
 
 from orbit_core.capture.kernels import kernels_wanted
-from orbit_core.interfaces.capture import Watched, changes
+from orbit_core.interfaces.capture import Traceable, changes
 from orbit_motion.fusion.interpreter import Unfusable, expressions
 from orbit_motion.fusion.kernel import Launch, launcher
 from orbit_motion.fusion.source import Program
 
 
-class Fused(Watched):
+class Fused(Traceable):
     """``function(**inputs)`` as it is, or, within :func:`orbit_core.capture.kernels.fusing`, as one kernel.
 
     A compiler for whole steps makes loops of what it finds, and calls libraries for products and factors of matrices;

@@ -114,11 +114,11 @@ def compiled_whole(arguments: argparse.Namespace, mode: str | None) -> Callable[
 
     def play() -> object:
         environment.observe()
-        environment.world.masking.traced = True
+        environment.world.selector.traced = True
         try:
             return whole()
         finally:
-            environment.world.masking.traced = False
+            environment.world.selector.traced = False
 
     return torch.compile(play, mode=mode)
 
