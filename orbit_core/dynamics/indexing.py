@@ -34,7 +34,7 @@ Columns = slice | Tensor
 
 
 def columns_of(indices: Sequence[int], device: torch.device) -> Columns:
-    """Indices as a slice where they stand in a row, since a view costs less than a gather; else a tensor (k,)."""
+    """Return indices as a slice if they are consecutive, since a view costs less than a gather; else a tensor (k,)."""
     first = indices[0] if indices else 0
     if list(indices) == list(range(first, first + len(indices))):
         return slice(first, first + len(indices))
@@ -42,12 +42,13 @@ def columns_of(indices: Sequence[int], device: torch.device) -> Columns:
 
 
 def write_block(target: Tensor, columns: Columns, values: Tensor, env_ids: Tensor | None) -> None:
-    """As :func:`write_rows`, to some columns alone."""
+    """Write rows as :func:`write_rows` does, in some columns only."""
     if is_mask(env_ids):
         values, env_ids = torch.where(env_ids[:, None], values, target[:, columns]), None
     if env_ids is None:
         target[:, columns] = values
     else:
+        # Indices of rows and of columns broadcast against each other only with one more dimension.
         target[env_ids if isinstance(columns, slice) else env_ids[:, None], columns] = values
 
 
@@ -132,6 +133,7 @@ class RowSelector:
         self._all = torch.arange(num_envs, device=device)
         self._num_envs = num_envs
         self._device = device
+        # Indices that were found good, and their version, for one choice goes through many calls
         self._known: tuple[Tensor, int] | None = None
         """Indices that were checked, and their version, since one selection goes through many calls."""
 
@@ -176,7 +178,7 @@ class RowSelector:
         Raises:
             ArgumentError: no environments: of another type, dtype or device, out of range, or one twice.
             ShapeError: no vector, or a mask of another length.
-            ConfigurationError: the call is for a choice of its own, under a mask.
+            ConfigurationError: the call selects other environments while a mask is set.
         """
         mask = self.mask
         if mask is None:
