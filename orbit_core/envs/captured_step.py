@@ -18,7 +18,7 @@ from orbit_core.capture.schedule import ScheduledFunction
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
-from orbit_core.envs.step_parts import StepParts
+from orbit_core.envs.step_parts import CapturableEnvironment
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
@@ -46,7 +46,7 @@ class CapturedStep:
     """
 
     def __init__(
-        self, environment: StepParts, compile: bool, whole: bool, settles: bool = False, renews: bool = True
+        self, environment: CapturableEnvironment, compile: bool, whole: bool, settles: bool = False, renews: bool = True
     ) -> None:
         if compile:
             check_compiler(environment.device)

@@ -23,6 +23,7 @@ from orbit_core.dynamics.arguments import (
     whole_number,
 )
 from orbit_core.dynamics.indexing import write_rows
+from orbit_core.dynamics.linear import SingleThreaded
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.action_terms import action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered, where_rows
@@ -44,8 +45,7 @@ from orbit_core.envs.term_values import per_environment
 from orbit_core.envs.terms import TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.world import WorldFactory, simulate
-from orbit_core.world.closing import close_for_good
-from orbit_core.world.threads import SingleThreaded
+from orbit_core.world.lifetime import mark_closed
 
 
 class Environment:
@@ -292,7 +292,7 @@ class Environment:
     def close(self) -> None:
         """Free what the world holds; idempotent. Every later use raises a ClosedError."""
         self.world.close()
-        close_for_good(self, "the environment")
+        mark_closed(self, "the environment")
 
     def _refresh(self) -> None:
         """Take in the terms that the task has now."""

@@ -13,12 +13,12 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import is_mask, write_rows
+from orbit_core.dynamics.linear import SingleThreaded
 from orbit_core.envs.episode import EXPERT_START
 from orbit_core.envs.observation_groups import POLICY
-from orbit_core.envs.step_parts import StepParts
+from orbit_core.envs.step_parts import CapturableEnvironment
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ConfigurationError, Object, World
-from orbit_core.world.threads import SingleThreaded
 
 MOST_STATES = 2**16
 """States that are kept at most, drawn from all that were recorded."""
@@ -61,7 +61,7 @@ class ExpertStarts:
         self.began_there = torch.zeros(world.num_envs, dtype=torch.bool, device=world.device)
         """(N,) whether the present episode began on the expert's way."""
 
-    def record(self, environment: StepParts, action: Tensor) -> None:
+    def record(self, environment: CapturableEnvironment, action: Tensor) -> None:
         """Let the expert play an episode, and keep the states that it comes by; random streams go on as if nothing had
         been drawn.
 

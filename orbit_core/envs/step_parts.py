@@ -15,7 +15,7 @@ from orbit_core.envs.terms import RewardTerm
 from orbit_core.interfaces import World
 
 
-class StepParts(Protocol):
+class CapturableEnvironment(Protocol):
     """The parts of a step, which an environment runs one by one or has captured. None of them waits for the device."""
 
     world: World

@@ -25,8 +25,8 @@ from orbit_core.dynamics.arguments import (
 from orbit_core.dynamics.indexing import RowSelector
 from orbit_core.interfaces import Capability, ConfigurationError, Engine, EntityLayout, Object
 from orbit_core.scene import ActuatorNetwork, Entity, JointType, Texture
-from orbit_core.world.clock import Clock
-from orbit_core.world.painting import Painting
+from orbit_core.world.drawing import Painting
+from orbit_core.world.state import Clock
 
 
 def _nothing_required(capability: Capability, culprit: str) -> None:

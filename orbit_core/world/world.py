@@ -1,10 +1,11 @@
-"""A world over one engine: the scene's robots, objects and sensors, stepped together."""
+"""Worlds over one engine: the scene's robots, objects and sensors, stepped together."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Hashable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -25,6 +26,7 @@ from orbit_core.dynamics.arguments import (
     whole_number,
 )
 from orbit_core.dynamics.indexing import RowSelector, write_rows
+from orbit_core.dynamics.linear import products_ignore_other_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import (
     TERRAIN,
@@ -46,23 +48,13 @@ from orbit_core.preparation.scenes import prepared
 from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
-from orbit_core.world.build_check import check_build
-from orbit_core.world.capacity import check_capacity
-from orbit_core.world.clock import Clock
-from orbit_core.world.closing import close_for_good, leave_to_parent
-from orbit_core.world.copies import check_copy
+from orbit_core.world.checks import check_build, check_capacity
 from orbit_core.world.coupling import coupled, rigid_part
 from orbit_core.world.deformables import SimulatedDeformable
-from orbit_core.world.divergence import DivergenceGuard
-from orbit_core.world.entities import SimulatedObject
-from orbit_core.world.forking import give_up_in_forks
-from orbit_core.world.frames import with_frames
-from orbit_core.world.markers import SimulatedMarker, identity_poses
-from orbit_core.world.matter_pictures import with_matter
-from orbit_core.world.painting import Painting
-from orbit_core.world.robots import SimulatedRobot
-from orbit_core.world.settling import settle
-from orbit_core.world.world_state import WorldState
+from orbit_core.world.drawing import Painting, with_frames, with_matter
+from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
+from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
+from orbit_core.world.state import Clock, DivergenceGuard, WorldState, check_copy, settle
 
 
 class SimulatedWorld(World):
@@ -131,7 +123,7 @@ class SimulatedWorld(World):
         self._names: list[NamedThings] = []
         self._add_entities()
         self._add_sensors()
-        give_up_in_forks(self)
+        register_after_fork(self)
 
     def _add_entities(self) -> None:
         parts = (self._engine, self.actuators, self.clock, self.selector)
@@ -362,12 +354,12 @@ class SimulatedWorld(World):
             self._renderer = None
         self._engine.close()
         for thing in self._parts:
-            close_for_good(thing, "the world")
+            mark_closed(thing, "the world")
 
-    def leave_to_parent(self, parent: int) -> None:
+    def mark_forked(self, parent: int) -> None:
         """Refuse every later use in this process, which was forked from the one that made the world."""
         for thing in (*self._parts, *([self._renderer] if self._renderer else ())):
-            leave_to_parent(thing, "the world", parent)
+            mark_forked(thing, "the world", parent)
 
     @property
     def _parts(self) -> tuple[object, ...]:
@@ -403,3 +395,55 @@ class _WorldSchedule(Schedule):
         self._world.clock.advance(steps)
         for sensor, counters in zip(self._sensors, key[1:], strict=True):
             sensor.counters = counters
+
+
+class WorldFactory(Protocol):
+    """Makes a world of a scene, however it comes by its state: recorded, or measured on real robots."""
+
+    def __call__(self, scene: Scene, num_envs: int, device: torch.device, seed: int) -> World:
+        """The world, whose tensors are on ``device`` and whose random streams start from ``seed``."""
+        ...
+
+
+def simulate(
+    scene: Scene,
+    num_envs: int,
+    backend: str,
+    settings: Mapping[str, Any] | None = None,
+    device: str | torch.device = "cpu",
+    seed: int = 0,
+    renderer: str | None = None,
+    renderer_settings: Mapping[str, Any] | None = None,
+    matter: str | None = None,
+    matter_settings: Mapping[str, Any] | None = None,
+) -> World:
+    """N environments of a scene in one physics engine.
+
+    Args:
+        scene: what to simulate.
+        num_envs: how many copies.
+        backend: name of an installed backend.
+        settings: the backend's own settings, by field name.
+        device: where state tensors live.
+        seed: of the environments' random streams.
+        renderer: name of the renderer, or backend, that draws; the one that simulates if None.
+        renderer_settings: the renderer's own, by field name; over ``settings`` where one backend simulates and draws.
+        matter: name of the matter solver that simulates deformables, or ``"native"`` for the engine's own; the first
+            installed solver that does what the scene needs, and else the engine, if None.
+        matter_settings: the matter solver's own, by field name.
+
+    Raises:
+        UnknownNameError, BackendNotInstalledError: no such backend.
+        UnsupportedCapabilityError: the backend lacks what the scene needs, or the renderer what its cameras need.
+        AssetError: an articulation cannot be simulated.
+        BuildError: what the engine built is not what the scene describes.
+    """
+    drawing, matters = (renderer, renderer_settings), (matter, matter_settings)
+    world = SimulatedWorld(scene, num_envs, backend, settings, device, seed, *drawing, *matters)
+    if world.device.type == "cpu" and not products_ignore_other_rows():
+        warnings.warn(
+            "matrix products of this process depend on the number of environments, in their last bits, and so do "
+            "observations and rewards: import orbit_core before torch multiplies anything, or set MKL_CBWR=AUTO,STRICT",
+            stacklevel=2,
+        )
+    return world

@@ -18,7 +18,7 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import EntityLayout, Marker, NamedThings, Object, Robot, SceneLayout, World, match_names
 from orbit_core.scene import ContactSensorSpec, Entity, Frame, MarkerSpec, RobotSpec, Scene
 from orbit_core.sensors import ContactSensor
-from orbit_core.world.clock import Clock
+from orbit_core.world.state import Clock
 
 STATE = ("link_poses", "link_velocities", "joint_positions", "joint_velocities", "joint_efforts")
 
