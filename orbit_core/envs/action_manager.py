@@ -9,7 +9,7 @@ from torch import Tensor
 
 from orbit_core.actions import ActionTerm, Actuate, MotionGenerator
 from orbit_core.agent import AgentGraph, Edge, FunctionNode
-from orbit_core.agent.runner import checked
+from orbit_core.agent.graph import checked
 from orbit_core.envs.task import COMPOSED, Task
 from orbit_core.interfaces import ConfigurationError, JointTarget, Node, Port, World
 from orbit_core.interfaces.capture import Schedule

@@ -1,4 +1,4 @@
-"""An environment's step without its Python, resets by mask: for compiled steps, and for devices that must not wait."""
+"""Environment steps without their Python, resets by mask: for compiled steps, and for devices that must not wait."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import warnings
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -13,15 +14,61 @@ from torch.utils._pytree import keystr, tree_leaves_with_path
 
 from orbit_core.capture.compile import check_compiler
 from orbit_core.capture.python_state import REMEDY, Holder, PythonState
-from orbit_core.capture.replay import CapturedFunction
-from orbit_core.capture.schedule import ScheduledFunction
+from orbit_core.capture.replay import CapturedFunction, ScheduledFunction
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
-from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
-from orbit_core.envs.step_parts import CapturableEnvironment
+from orbit_core.envs.observation_layout import GroupLayout, Observation, leaves_of, observation_of
+from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
+
+
+class CapturableEnvironment(Protocol):
+    """The parts of a step, which an environment runs one by one or has captured. None of them waits for the device."""
+
+    world: World
+    task: Task
+    actions: ActionManager
+    device: torch.device
+    observer: ObservationManager
+    observation: dict[str, GroupLayout]
+    """What each group of the observation is like, by name."""
+    reward_terms: dict[str, RewardTerm]
+    """The rewards, by name."""
+    reward_sums: Tensor
+    """(rewards, N) of each term over the episode."""
+    max_episode_steps: int
+    """Steps of an episode."""
+    all_ids: Tensor
+    """(N,) indices of all environments."""
+    done: Tensor
+    """(N,) whose episode ended in the last step."""
+
+    def observe(self) -> Observation:
+        """Return what a policy sees of the present state."""
+        ...
+
+    def advance(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Apply the action; gives reward (N,), terminated (N,) and truncated (N,); sets :attr:`done`."""
+        ...
+
+    def success(self) -> Tensor:
+        """(N,) bool: whether episodes that end now reach the goal."""
+        ...
+
+    def metrics(self) -> dict[str, Tensor]:
+        """The task's measures (N,) of the episode so far, by name."""
+        ...
+
+    def progress(self) -> None:
+        """Let episodes that have just ended decide how difficult the next will be."""
+        ...
+
+    def begin(self, env_ids: Tensor | None) -> None:
+        """New episodes in some environments: by index (n,) int64, by mask (N,) bool, or in all of them if None."""
+        ...
+
 
 _OFTEN = 8
 MOST_PHASES = 64

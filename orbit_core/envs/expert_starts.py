@@ -14,9 +14,9 @@ from torch import Tensor
 
 from orbit_core.dynamics.indexing import is_mask, write_rows
 from orbit_core.dynamics.linear import SingleThreaded
+from orbit_core.envs.captured_step import CapturableEnvironment
 from orbit_core.envs.episode import EXPERT_START
 from orbit_core.envs.observation_groups import POLICY
-from orbit_core.envs.step_parts import CapturableEnvironment
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ConfigurationError, Object, World
 

@@ -6,8 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.capture.kernels import fusing
-from orbit_core.capture.replay import CapturedFunction
+from orbit_core.capture.replay import CapturedFunction, fusing
 from orbit_core.scene import Plane, Shape
 from orbit_motion import HybridForceMotionConfig, JointImpedanceConfig, OperationalSpaceConfig, RmpFlowConfig
 from orbit_motion.gains import GainCommand

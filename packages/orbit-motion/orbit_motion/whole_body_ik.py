@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.base import JointTarget
-from orbit_core.actions.differential_drive import DifferentialWheels
 from orbit_core.actions.differential_ik import bounded_targets
 from orbit_core.actions.embodiment import base_joints
+from orbit_core.actions.mobile_base import DifferentialWheels
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import RobotSpec

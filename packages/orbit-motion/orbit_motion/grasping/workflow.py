@@ -16,10 +16,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from orbit_core.actions.actuate import Actuate
-from orbit_core.actions.base import JointTarget
-from orbit_core.actions.binary_gripper import BinaryGripperConfig
+from orbit_core.actions.base import Actuate, JointTarget
 from orbit_core.actions.differential_ik import DifferentialIkConfig
+from orbit_core.actions.grippers import BinaryGripperConfig
 from orbit_core.interfaces import (
     ArgumentError,
     ConfigurationError,

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.base import JointTarget
-from orbit_core.actions.base_velocity import PURSUIT_RATE, BaseVelocityConfig, command_towards
+from orbit_core.actions.mobile_base import PURSUIT_RATE, BaseVelocityConfig, command_towards
 from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
 from orbit_motion.planning.trajectory import JointTrajectory
