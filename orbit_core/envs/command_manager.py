@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import is_mask, write_rows
+from orbit_core.dynamics.indexing import write_rows
 from orbit_core.envs.term_values import check_same_names
 from orbit_core.envs.terms import CommandTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, ShapeError, UnknownNameError
@@ -111,13 +111,8 @@ class _Command:
 
     def sample(self, env_ids: Tensor | None) -> None:
         """Draw the command anew in some environments."""
-        env = self._env
-        if is_mask(env_ids):
-            with env.world.masking.only(env_ids):
-                self._write(env.all_ids, env_ids)
-        else:
-            rows = env.all_ids if env_ids is None else env_ids
-            self._write(rows, rows)
+        with self._env.world.selector.given(env_ids) as rows:
+            self._write(rows, env_ids)
 
     def update(self) -> bool:
         """Return True if the command may have changed."""
@@ -126,16 +121,13 @@ class _Command:
             self.left -= 1
             due = self.left <= 0 if due is None else due | (self.left <= 0)
         if due is not None:
-            if env.world.masking.traced:
+            due = env.world.selector.where(due)
+            if due is not None:
                 self.sample(due)
-            elif bool(due.any()):
-                self.sample(due.nonzero().squeeze(-1))
-            else:
-                due = None
         return self.term.follow(env, self.value) or due is not None
 
-    def _write(self, env_ids: Tensor, rows: Tensor) -> None:
-        """Draw for environments ``env_ids`` (n,), and write those that ``rows`` picks, the same or a mask (N,)."""
+    def _write(self, env_ids: Tensor, rows: Tensor | None) -> None:
+        """Draw for environments ``env_ids`` (n,), and write those that ``rows`` picks: them, a mask (N,) or all."""
         env = self._env
         drawn = env.world.random.uniform((len(self._low),), self._low, self._high, env_ids)
         value = self.term.command(env, drawn, env_ids)

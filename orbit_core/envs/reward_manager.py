@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
+from orbit_core.envs.observation_check import surely_finite
 from orbit_core.envs.term_values import check_same_names, per_environment, weight_of
 from orbit_core.envs.terms import RewardTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, first_few
@@ -29,6 +29,7 @@ class RewardManager:
         self.terms = terms_of(env.task.rewards, RewardTerm)
         self._weights = torch.tensor(self._scaled(), device=env.device)
         self._column = self._weights[:, None]
+        self._shape = torch.Size((env.num_envs,))
         self.sums = torch.zeros(len(self.terms), env.num_envs, device=env.device)
         """(terms, N) each term's contribution to the episode so far."""
 
@@ -55,12 +56,17 @@ class RewardManager:
         """
         if not self.terms:
             return self.sums
-        values = torch.stack([self._value(name, term) for name, term in self.terms.items()])
-        self.sums.addcmul_(values, self._column)
-        return values
+        values: list[Tensor] = []
+        for name, term in self.terms.items():  # a plain loop: a step's time is that of its Python calls
+            value = term.function(self._env)
+            if type(value) is not Tensor or value.dtype is not torch.float32 or value.shape != self._shape:
+                value = self._checked(name, value)
+            values.append(value)
+        stacked = torch.stack(values)
+        self.sums.addcmul_(stacked, self._column)
+        return stacked
 
-    def _value(self, name: str, term: RewardTerm) -> Tensor:
-        value = term.function(self._env)
+    def _checked(self, name: str, value: object) -> Tensor:
         value = per_environment(value, f"reward term '{name}'", self._env.num_envs)
         if value.is_complex():
             raise ConfigurationError(f"reward term '{name}' gives {value.dtype}: its function must give real numbers")
@@ -72,7 +78,7 @@ class RewardManager:
         Raises:
             NonFiniteError: names the terms and the environments.
         """
-        if math.isfinite(float(reward.sum())) or bool(reward.isfinite().all()):
+        if surely_finite(reward) or bool(reward.isfinite().all()):
             return
         wrong = (~reward.isfinite()).nonzero().squeeze(-1).tolist()
         names = [name for name, total in zip(self.terms, self.sums, strict=True) if not total[wrong].isfinite().all()]
