@@ -264,10 +264,11 @@ def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
 
 
 def remembered(environment: CapturableEnvironment) -> dict[str, Tensor]:
-    """Return the tensors that an environment's state, commands and motion generators keep from step to step, by name."""
-    leaves = tree_leaves_with_path(environment.actions.node_memory)
-    nodes = {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
-    return {**environment.state.memory(), **environment.commands.memory(), **nodes}
+    """Return the tensors that the state, the commands and motion generators keep from step to step, by name."""
+    own = {**environment.state.memory(), **environment.commands.memory()}
+    # The names are those that recordings have kept their states by since before states had a class of their own.
+    memory = {type(environment.task).__name__: own, "memory": environment.actions.node_memory}
+    return {keystr(path): leaf for path, leaf in tree_leaves_with_path(memory) if isinstance(leaf, Tensor)}
 
 
 def needs_python(world: World, actions: ActionManager, decimation: int) -> str:

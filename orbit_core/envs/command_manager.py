@@ -53,8 +53,8 @@ class CommandManager(Mapping[str, Tensor]):
 
     def memory(self) -> dict[str, Tensor]:
         """Tensors that commands remember from step to step, by name."""
-        own = {f"command '{name}'": command.value for name, command in self._commands.items()}
-        return own | {f"timer of command '{name}'": command.left for name, command in self._commands.items()}
+        own = {name: command.value for name, command in self._commands.items()}
+        return own | {f"{name} timer": command.left for name, command in self._commands.items()}
 
     def refresh(self) -> None:
         """Take the terms that the task has now: ranges and times hold from the next sample on.
