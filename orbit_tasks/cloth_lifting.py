@@ -1,4 +1,4 @@
-"""Cloth-Lifting: pinch a cloth that lies flat on a tray and hold its middle at a sampled position."""
+"""Cloth-Lifting: pinch a cloth that is flat on a tray and hold its middle at a sampled position."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class ClothGoal(UniformPositionCommand):
 
 
 def at_goal(env: Environment[ClothLifting]) -> Tensor:
-    """(N, 7) the hand where the cloth's middle comes to the goal, as it hangs in the hand now."""
+    """(N, 7) the hand where the cloth's middle is at the goal, as it hangs in the hand now."""
     return common.pointing_down(env.commands["goal"] + common.hand_pose(env)[:, :3] - middle(env))
 
 
@@ -98,7 +98,7 @@ class ClothLiftingEvents:
 
 @dataclass(kw_only=True)
 class ClothLifting(cloth.ClothTask):
-    """The cloth lies flat on a smooth tray, anywhere within 5 cm and turned by any angle.
+    """The cloth is flat on a smooth tray, anywhere within 5 cm and turned by any angle.
 
     Succeeds when the cloth's middle is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
     """

@@ -1,4 +1,4 @@
-"""Flag-Hoisting: take a flag by its staff and raise it beside a mast, until it hangs spread at its place."""
+"""Flag-Hoisting: take a flag by its staff and raise it next to a mast, until it hangs spread at its place."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from orbit_tasks.cloth import CLOTH, TRAY
 from orbit_tasks.mdp import matter
 
 STAFF, MAST = "staff", "mast"
+# Metres of the staff's section, across and upright.
 THICK, TALL = 0.014, 0.03
-"""Metres of the staff's section, across and upright."""
+# Metres that the finger tips keep from the tray as they take the staff.
 CLEAR = 0.0105
-"""Metres that the finger tips keep from the tray as they take the staff."""
+# The key point that belongs next to the mast: one end of the edge that is on the staff.
 CORNER = "corner++"
-"""The key point that belongs beside the mast: one end of the edge that is on the staff."""
 
 corner = cloth.key_point(CORNER)
 """(N, 3) the flag's corner, in the environment's frame."""
 
 
 class FlagMemory(TaskState):
-    """What the terms of a flag look up once."""
+    """State of a flag, looked up once in a new world."""
 
     triangles: Tensor
     """(T, 3) particles of the flag's triangles."""
@@ -81,7 +81,7 @@ def at_staff(height: float):
 
 
 def at_goal(env: Environment[FlagHoisting]) -> Tensor:
-    """(N, 7) the hand where the flag's corner comes to its place, as the flag hangs now."""
+    """(N, 7) the hand where the flag's corner is at its place, as the flag hangs now."""
     return common.pointing_down(env.commands["goal"] + common.hand_pose(env)[:, :3] - corner(env))
 
 
@@ -154,7 +154,7 @@ class FlagHoistingEvents:
 
 @dataclass(kw_only=True)
 class FlagHoisting(cloth.ClothTask):
-    """The flag lies flat on a tray, one edge fixed along a staff; it is to hang from it beside a mast.
+    """The flag is flat on a tray, one edge fixed along a staff; it is to hang from it next to a mast.
 
     Succeeds when the flag's corner is within ``tolerance`` of its place and ``least_spread`` of the flag is seen from
     the side at the episode's end. Metric: that distance.

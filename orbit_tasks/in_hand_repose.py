@@ -1,4 +1,4 @@
-"""In-Hand-Repose: a hand, its palm up, turns an object to one sampled orientation after another.
+"""Task In-Hand-Repose: a hand, its palm up, turns an object to one sampled orientation after another.
 
 The task and its reward follow Makoviychuk et al., Isaac Gym: High Performance GPU-Based Physics Simulation For Robot
 Learning (2021), section 5.3, after OpenAI et al., Learning Dexterous In-Hand Manipulation (2018).
@@ -43,12 +43,12 @@ from orbit_core.scene.pose import Vector3
 
 OBJECT = "object"
 ABOVE_PALM: Vector3 = (-0.015, -0.01, -0.03)
+# Where objects start in hands that would drop more of them at :data:`ABOVE_PALM`.
 OFFSETS: Mapping[str, Vector3] = {
     "allegro_left": (0.005, 0.0, -0.03),
     "shadow_hand": (0.0, 0.0, -0.03),
     "dex3_left": (0.0, 0.0, -0.03),
 }
-"""Where objects start in hands that would drop more of them at :data:`ABOVE_PALM`."""
 
 
 def hand(name: str) -> RobotSpec:

@@ -1,4 +1,4 @@
-"""Rope-Reshaping: bend a rope that lies straight on a table into a corner of a sampled angle."""
+"""Rope-Reshaping: bend a straight rope on a table into a corner of a sampled angle."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import matter
 
 ROPE = "rope"
+# Evenly along the rope; the goal has a place for each.
 KEY_POINTS = 5
-"""Evenly along the rope; the goal has a place for each."""
+# Parts of the angle by which the expert leads the rope's end.
 WAYPOINTS = (0.35, 0.7, 1.0)
-"""Parts of the angle by which the expert leads the rope's end."""
 
 
 class RopeMemory(TaskState):
-    """Where the rope lay when the episode began."""
+    """State of a rope: its place when the episode began."""
 
     points: Tensor = buffer(KEY_POINTS, 3)
     """(N, 5, 3) its key points, in the environment's frame."""
@@ -179,7 +179,7 @@ class RopeReshapingTerminations:
 
 @dataclass
 class RopeReshapingCommands:
-    """How far half of the rope is to be turned."""
+    """Commanded turn of half of the rope."""
 
     bend: CommandTerm | None = BendCommand()
 
@@ -195,7 +195,7 @@ class RopeReshapingEvents:
 
 @dataclass(kw_only=True)
 class RopeReshaping(Task):
-    """The rope lies straight across the robot's front, a little off and turned; half of it is to be turned.
+    """The rope is straight across the robot's front, a little off and turned; half of it is to be turned.
 
     Succeeds when the key points are within ``tolerance`` of their places, on average, at the episode's end. Metric:
     that mean distance.

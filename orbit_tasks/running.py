@@ -35,7 +35,7 @@ from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravi
 
 
 class RunningMemory(TaskState):
-    """How far the robot has run in the episode."""
+    """State of a run: the distance in the episode."""
 
     way: Tensor = buffer()
     """(N,) m along x since the episode began."""
@@ -148,7 +148,7 @@ class RunningTerminations:
 
 @dataclass
 class RunningEvents:
-    """The robot is placed anew for each episode; masses and friction with domain randomisation."""
+    """The robot is placed for each episode; masses and friction with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(place_robot)
     masses: EventTerm | None = None
@@ -157,7 +157,7 @@ class RunningEvents:
 
 @dataclass(kw_only=True)
 class Running(Task):
-    """What both tasks share. Success: the robot has not fallen, and came along x at the task's ``least_speed`` or more
+    """Base of both tasks. Success: the robot has not fallen, and came along x at the task's ``least_speed`` or more
     on average. Metrics: that speed, and falls.
     """  # fmt: skip
 

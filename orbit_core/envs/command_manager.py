@@ -1,4 +1,4 @@
-"""Commands: what each environment is told to do, sampled within ranges when an episode begins and again in time."""
+"""Command manager: samples commands within ranges when an episode begins, and again in time."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class _Command:
         self._steps = _steps(self._name, term, self._env.step_dt)
 
     def sample(self, env_ids: Tensor | None) -> None:
-        """Draw the command anew in some environments."""
+        """Draw another command in some environments."""
         with self._env.world.selector.given(env_ids) as rows:
             self._write(rows, env_ids)
 

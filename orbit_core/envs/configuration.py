@@ -14,8 +14,8 @@ from orbit_core.envs.task import COMPOSED, MOVED_FIELDS, Task
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.objects import ObjectConfig, object_config, object_kinds
 
+# Word for the default observations of a task.
 DEFAULT_PRESET = "state"
-"""Stands for what a task observes by default."""
 ACTIONS = "actions"
 
 _TaskType = TypeVar("_TaskType", bound=Task)
@@ -26,7 +26,7 @@ def configure(task_type: type[_TaskType], values: Mapping[str, Any]) -> _TaskTyp
 
     A word for ``observations`` takes the task's preset of that name; a word for a field annotated
     :class:`~orbit_core.objects.ObjectConfig` takes the kind of object of that name. A path
-    below ``actions`` changes the task's own action terms, or those that its action space stands for.
+    below ``actions`` changes the task's own action terms, or those of its action space.
 
     Raises:
         UnknownNameError: the task has no such field or preset; names the nearest.
@@ -42,7 +42,7 @@ def configure(task_type: type[_TaskType], values: Mapping[str, Any]) -> _TaskTyp
     others = {path: value for path, value in values.items() if path not in below}
     task = configured(defaults, others, owner, presets=_presets(defaults))
     if below and task.actions is None and not is_dataclass(below.get(ACTIONS)):
-        # The word for an action space is spelt out for this robot, so that there are terms to change.
+        # The preset is expanded for this robot, so that there are terms to change.
         task.actions, task.action = ActionTerms(**action_terms(task, task.scene())), COMPOSED
     return configured(task, below, owner)
 

@@ -1,4 +1,4 @@
-"""How episodes end, and what a step says of it."""
+"""Results of episodes, and what a step reports of them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from torch import Tensor
 
 from orbit_core.envs.observation_layout import Observation, map_leaves
 
+# Name of the metric that is 1 where an episode began on the expert's way, else 0.
 EXPERT_START = "expert_start"
-"""Name of the metric that is 1 where an episode began on the expert's way, else 0."""
 
 
 @dataclass(frozen=True)
 class EpisodeEnd:
-    """What n episodes came to."""
+    """Results of n episodes."""
 
     env_ids: Tensor
     """(n,)"""
@@ -33,7 +33,7 @@ class EpisodeEnd:
 
     @property
     def usual(self) -> Tensor:
-        """(n,) bool: which began as the task says, not on the expert's way; these tell how far learning has come."""
+        """(n,) bool: which began as the task says, not on the expert's way; learning curves count these."""
         there = self.metrics.get(EXPERT_START)
         return torch.ones_like(self.success) if there is None else there == 0.0
 

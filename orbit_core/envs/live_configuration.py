@@ -14,11 +14,11 @@ from orbit_core.envs.terms import ModifyTerm, Term
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 
 _COLLECTIONS = ("commands", "rewards", "terminations", "events", "curriculum", "premises", "observations")
+# Fields that are read when an environment is made, and never again.
 _FIXED = (
     "robot", "action", "physics_dt", "decimation", "episode_length", "settle_time", "premise_time",
     "domain_randomization", "curriculum_enabled", "expert_starts",
 )  # fmt: skip
-"""Fields that are read when an environment is made, and never again."""
 
 
 _WATCHED = _COLLECTIONS + _FIXED

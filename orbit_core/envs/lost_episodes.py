@@ -9,7 +9,7 @@ from orbit_core.interfaces import ConfigurationError, World
 
 
 class LostEpisodes:
-    """Environments whose simulation diverged within a step begin anew, while the others go on.
+    """Restart of environments whose simulation diverged within a step, while the others go on.
 
     The world is back at its start by the time that terms look at it. The episode counts as truncated, for what the
     robot did is not known to be wrong: its last step earns nothing, it is no success, and no curriculum learns from it.
@@ -31,7 +31,7 @@ class LostEpisodes:
 
     @property
     def count(self) -> int:
-        """How many there were so far; waits for the device."""
+        """Number of lost episodes so far; waits for the device."""
         return int(self._count)
 
     def forget(self) -> None:

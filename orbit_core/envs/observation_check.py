@@ -30,7 +30,7 @@ def check_finite(observation: Observation, layouts: Mapping[str, GroupLayout]) -
 
 
 def _finite(value: Tensor) -> bool:
-    """Whether all numbers are finite, for sure: a sum that overflows says no, and is looked into."""
+    """Return True if all numbers are certainly finite; a sum that overflows gives False and is examined."""
     return not value.is_floating_point() or surely_finite(value)
 
 

@@ -1,4 +1,4 @@
-"""What happens to a measurement before a policy sees it: scale, bias, white noise, saturation, delay."""
+"""Corruption of measurements before a policy sees them: scale, bias, white noise, saturation, delay."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Corruption:
         """False where values are seen as they are."""
 
     def __call__(self, value: Tensor) -> Tensor:
-        """What is seen of this step's value."""
+        """Return the corrupted value of this step."""
         term = self._term
         if term.scale != 1.0:
             value = value * term.scale

@@ -10,8 +10,8 @@ from orbit_core.envs.terms import ObservationGroup, ObservationTerm, check_argum
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import Scene
 
+# The group that every task has.
 POLICY = "policy"
-"""The group that every task has."""
 _OWN_FIELDS = frozenset(field.name for field in fields(ObservationGroup))
 
 

@@ -10,7 +10,7 @@ from orbit_core.interfaces import World
 
 
 class Past:
-    """The last values of each environment's episode; its first value stands for all before it.
+    """The last values of each environment's episode; its first value counts as all before it.
 
     Args:
         world: whose resets begin episodes.
@@ -20,10 +20,10 @@ class Past:
 
     def __init__(self, world: World, value: Tensor, length: int) -> None:
         self._selector = world.selector
+        # (N, length, ...), the newest first.
         self._values = value.new_zeros(len(value), length, *value.shape[1:])
-        """(N, length, ...), the newest first."""
+        # (N,) whose episode has no value yet.
         self._fresh = torch.ones(len(value), dtype=torch.bool, device=value.device)
-        """(N,) whose episode has no value yet."""
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Forget some environments' values, by index or mask."""

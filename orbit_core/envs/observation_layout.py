@@ -1,4 +1,4 @@
-"""What an observation looks like before there is one: its groups, their terms, shapes, dtypes and bounds."""
+"""Layout of observations: groups, their terms, shapes, dtypes and bounds."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class GroupLayout:
 
     @property
     def columns(self) -> dict[str, slice]:
-        """Which components of a concatenated group are each term's."""
+        """Slice of each term in a concatenated group, by name."""
         columns: dict[str, slice] = {}
         end = 0
         for name, term in self.terms.items():

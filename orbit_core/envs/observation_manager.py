@@ -1,4 +1,4 @@
-"""What is seen of a world: a task's observation groups, each term measured once and corrupted as it asks."""
+"""Observation manager: measures each term of a task's groups once per step, and applies noise, delay and history."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class ObservationManager:
 
     def _read(self) -> None:
         self._measurements: list[_Measurement] = []
+        # Corruptions of terms, each with the index of the measurement that it changes.
         self._corruptions: list[tuple[int, Corruption]] = []
-        """Corruptions of terms, each with the index of the measurement that it changes."""
         self._corrupted: list[ObservationTerm] = []
         self._groups = {name: self._group(name, group) for name, group in groups_of(self._env.task).items()}
 

@@ -1,4 +1,4 @@
-"""What a step earns: the weighted sum of a task's reward terms, and what each has come to in the episode."""
+"""Reward manager: the weighted sum of a task's reward terms, and the sum of each over the episode."""
 
 from __future__ import annotations
 

@@ -11,12 +11,12 @@ from orbit_core.envs.task import Task
 from orbit_core.envs.terms import CurriculumTerm, ModifyTerm, terms_of
 from orbit_core.interfaces import ConfigurationError
 
+# Steps of an episode; step counters have 64 bits, and libraries keep them in 32.
 _LONGEST_EPISODE = 2**31 - 1
-"""Steps of an episode; step counters have 64 bits, and libraries keep them in 32."""
 
 
 def check_no_backend(given: Mapping[str, object]) -> None:
-    """Refuse settings of a backend, by name, beside a world that is given.
+    """Refuse settings of a backend, by name, where a world is given.
 
     Raises:
         ConfigurationError: one of them is not None.

@@ -21,19 +21,20 @@ if TYPE_CHECKING:
     from orbit_core.actions import ActionTerm
     from orbit_core.envs.environment import Environment
 
+# Name of the robot that acts, where a task has one.
 ROBOT = "robot"
-"""Name of the robot that acts, where a task has one."""
 
+# Name of the action space of a task that has action terms of its own.
 COMPOSED = "composed"
-"""Name of the action space of a task that has action terms of its own."""
 
+# Methods that tasks had, and what takes their place.
 MOVED_METHODS = {
     "start": "TaskState.start(env)",
     "advance": "TaskState.update(env)",
     "reset": "TaskState.reset(env_ids), which resets the tensors that buffer() declares",
     "subtasks": "metadata.subtasks",
 }
-"""Methods that tasks had, and what takes their place."""
+# Fields that tasks had, and what takes their place.
 MOVED_FIELDS = {
     "ppo": "metadata.ppo",
     "view": "metadata.view",
@@ -41,7 +42,7 @@ MOVED_FIELDS = {
     "exceptions": "metadata.exceptions",
     "training": "metadata.training",
 }
-"""Fields that tasks had, and what takes their place."""
+# Attributes that running tasks had, and what takes their place.
 MOVED_STATE = {
     "num_envs": "env.num_envs",
     "device": "env.device",
@@ -54,7 +55,6 @@ MOVED_STATE = {
     "episode_step": "env.state.episode_step",
     "difficulty": "env.state.difficulty",
 }
-"""Attributes that running tasks had, and what takes their place."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Task(ABC):
     """Seconds."""
     actions: Any = None
     """Action terms in place of an action space: :class:`orbit_core.actions.ActionTerms`, or a dataclass of one's own
-    with fields of :class:`~orbit_core.actions.ActionTerm`. None takes those that ``action`` stands for."""
+    with fields of :class:`~orbit_core.actions.ActionTerm`. None takes the preset that ``action`` names."""
     observations: Any = None
     rewards: Any = None
     terminations: Any = None
@@ -180,8 +180,8 @@ class Task(ABC):
         )
 
     def preset_terms(self, spec: RobotSpec, prefix: str) -> dict[str, ActionTerm]:
-        """The action terms that the word ``action`` stands for, of one of the robots that act. Extend where a task's
-        robots are moved by more.
+        """Return the action terms of the preset that ``action`` names, for one of the robots that act. Extend where a
+        task's robots are moved by more.
 
         Args:
             spec: of the robot.
@@ -196,10 +196,10 @@ class Task(ABC):
 
     @abstractmethod
     def scene(self) -> Scene:
-        """What to simulate."""
+        """Return the scene to simulate."""
 
     def bound(self, **limits: tuple[float, float]) -> None:
-        """Hold fields to the least and the most that they may be.
+        """Check that fields are within the least and the most that they may be.
 
         Raises:
             ConfigurationError: one is not within them.

@@ -30,7 +30,7 @@ class TaskException:
     """A task's declaration that it does not meet a check.
 
     An exception that a measurement contradicts is stale, and fails as the check would; but that of velocity limits,
-    which some engines enforce whatever the expert does.
+    which some engines enforce themselves.
     """
 
     check: TaskCheck

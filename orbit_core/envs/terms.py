@@ -74,7 +74,7 @@ class ObservationTerm(Term):
     function: TermFunction
     scale: float = 1.0
     noise_std: float = 0.0
-    """Standard deviation of white noise, drawn anew at each step."""
+    """Standard deviation of white noise, drawn at each step."""
     bias_std: float = 0.0
     """Standard deviation of a bias that each episode draws once and keeps."""
     delay: tuple[int, int] = (0, 0)
@@ -83,7 +83,7 @@ class ObservationTerm(Term):
     agent: str | None = None
     """Who sees it, where several robots act; the name is the function's second argument. None: all see it."""
     history: int | None = None
-    """Steps that are seen, the oldest first; an episode's first value stands for those before it. None: the group's."""
+    """Steps that are seen, the oldest first; an episode's first value counts as those before it. None: the group's."""
     sensors: tuple[SensorSpec, ...] = ()
     """What the function reads that the scene need not have by itself, such as a camera: added to the scene."""
     bounds: tuple[float, float] | None = None
@@ -91,7 +91,7 @@ class ObservationTerm(Term):
     camera: str | None = None
     """Name of the camera whose picture the term is: a network takes pictures of one camera as channels of one input."""
     unit: str | None = None
-    """Unit of the value before it is scaled, for whoever reads it elsewhere; None takes the function's
+    """Unit of the value before it is scaled, for readers elsewhere; None takes the function's
     (:func:`measured_in`)."""
     meaning: Meaning | None = None
     """What the numbers are; None takes the function's (:func:`means`), or the first lines of its docstring."""
@@ -131,15 +131,15 @@ class TerminationTerm(Term):
 @dataclass(unsafe_hash=True)
 class PremiseTerm(Term):
     """``function`` (N,) bool must hold when an episode begins, after the reset has settled
-    (:attr:`Task.settle_time`); what a run makes of starts in which it does not hold is worth nothing."""
+    (:attr:`Task.settle_time`); results of starts in which it does not hold are worthless."""
 
     function: TermFunction
     reason: str
-    """What is wrong with a start in which it does not hold, for whoever mends it; a clause without a full stop."""
+    """What is wrong with a start in which it does not hold, for its author; a clause without a full stop."""
 
 
 class EventTime(Enum):
-    """When an event happens."""
+    """Time of an event."""
 
     STARTUP = "startup"
     """Once, for all environments, when the world is new."""
@@ -210,7 +210,7 @@ class CommandTerm(Term):
         return drawn
 
     def expired(self, env: Any) -> Tensor | None:
-        """(N,) bool after a step: where another sample follows now, whatever the time. None: nowhere."""
+        """(N,) bool after a step: where another sample follows now, before its time. None: nowhere."""
         return None
 
     def follow(self, env: Any, command: Tensor) -> bool:
@@ -288,14 +288,14 @@ def _for_its_agent(term: Any) -> Any:
     return replace(term, function=lambda env: function(env, agent))
 
 
+# Unit of a pose (..., 7).
 POSE = "m, quaternion (w, x, y, z)"
-"""Unit of a pose (..., 7)."""
+# Frame of what is measured in the world.
 ENVIRONMENT = "environment: axes of the world, origin of the environment"
-"""Frame of what is measured in the world."""
 
 
 def measured_in(unit: str) -> Callable[[_Function], _Function]:
-    """Say in which unit a term's function measures; ``"1"`` stands for what has none."""
+    """Say in which unit a term's function measures; ``"1"`` where there is none."""
 
     def mark(function: _Function) -> _Function:
         function.unit = unit  # pyright: ignore[reportFunctionMemberAccess] - functions take attributes
