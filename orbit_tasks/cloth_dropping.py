@@ -9,8 +9,7 @@ from torch import Tensor
 
 from orbit_assets.deformables import open_box
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import Pose, Region, Scene, look_at
@@ -99,7 +98,7 @@ class ClothDroppingEvents:
 
 @dataclass(kw_only=True)
 class ClothDropping(cloth.ClothTask):
-    """The cloth is flat on a smooth tray, anywhere within 5 cm and turned by any angle; the container stands next to it.
+    """The cloth is flat on a smooth tray, anywhere within 5 cm and turned by any angle; the container is next to it.
 
     Succeeds when its middle is within ``tolerance`` of the container's, ``least_inside`` of it is in the container and
     the gripper does not touch it at the episode's end. Metric: that distance.

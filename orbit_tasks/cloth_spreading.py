@@ -11,8 +11,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, RewardTerm
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import Scene, look_at

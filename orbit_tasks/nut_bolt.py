@@ -13,8 +13,7 @@ from orbit_assets.objects import WOOD, box
 from orbit_assets.threads import Thread, ThreadOptions, bolt_on_base, hexagonal_nut
 from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common

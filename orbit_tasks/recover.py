@@ -16,8 +16,7 @@ from torch import Tensor
 from orbit_core.envs import Environment, EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import Node, Port
 from orbit_core.mdp import common, randomize

@@ -26,8 +26,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import HeadingVelocityCommand
 from orbit_core.mdp.scans import height_scan
@@ -70,7 +69,7 @@ class RoughMemory(VelocityMemory, TerrainMemory):
 
 
 def flight(env: Environment[VelocityRough, RoughMemory]) -> Tensor:
-    """(N,) seconds beyond half a second that feet which touch down now were in the air, summed; 0 if commanded to stand.
+    """(N,) seconds beyond half a second that feet which land now were in the air, summed; 0 if commanded to stand.
 
     Rudin et al. (2021), feet air time.
     """
@@ -103,7 +102,7 @@ class RoughObservations:
 
 @dataclass
 class RoughRewards(VelocityRewards):
-    """Rewards of the plane, but tilt costs less, for the ground tilts; long steps, no knocks of other links, no falls."""
+    """Rewards of the plane, but tilt costs less, for the ground tilts; long steps, no knocks of other links and falls."""
 
     tilt: RewardTerm | None = RewardTerm(tilt, -0.5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.04)

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.envs.term_values import check_same_names
-from orbit_core.envs.terms import CommandTerm, terms_of
+from orbit_core.envs.terms import CommandTerm, check_same_names, terms_of
 from orbit_core.interfaces import ConfigurationError, ShapeError, UnknownNameError
 
 if TYPE_CHECKING:

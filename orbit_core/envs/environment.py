@@ -29,23 +29,33 @@ from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.action_terms import action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered, where_rows
 from orbit_core.envs.command_manager import CommandManager
-from orbit_core.envs.episode import EpisodeEnd, StepInfo
+from orbit_core.envs.configuration import (
+    ConfigurationWatch,
+    Modifiers,
+    check_no_backend,
+    curriculum_of,
+    modifiers_of,
+    whole_steps,
+)
+from orbit_core.envs.episode import EpisodeEnd, LostEpisodes, StepInfo
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.expert_starts import ExpertStarts
-from orbit_core.envs.live_configuration import ConfigurationWatch, Modifiers
-from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
-from orbit_core.envs.observation_check import check_finite as check_observation
-from orbit_core.envs.observation_groups import POLICY, with_sensors_of_terms
-from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_of, observation_of
+from orbit_core.envs.observation_layout import (
+    POLICY,
+    Observation,
+    leaf_shapes,
+    leaves_of,
+    observation_of,
+    with_sensors_of_terms,
+)
+from orbit_core.envs.observation_layout import check_finite as check_observation
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.premises import PremiseManager
 from orbit_core.envs.reward_manager import RewardManager
-from orbit_core.envs.settings_check import check_no_backend, curriculum_of, modifiers_of, whole_steps
 from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import per_environment
-from orbit_core.envs.terms import TerminationTerm, terms_of
+from orbit_core.envs.terms import TerminationTerm, per_environment, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.world import WorldFactory, simulate
 from orbit_core.world.lifetime import mark_closed

@@ -17,7 +17,7 @@ from orbit_core.dynamics.indexing import is_mask, write_rows
 from orbit_core.dynamics.linear import SingleThreaded
 from orbit_core.envs.captured_step import CapturableEnvironment
 from orbit_core.envs.episode import EXPERT_START
-from orbit_core.envs.observation_groups import POLICY
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.interfaces import ConfigurationError, Object
 
 if TYPE_CHECKING:

@@ -10,11 +10,9 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import check_shape
-from orbit_core.envs.observation_groups import POLICY, groups_of, terms_of_group
-from orbit_core.envs.observation_layout import GroupLayout, Observation
+from orbit_core.envs.observation_layout import POLICY, GroupLayout, Observation, groups_of, terms_of_group
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import weight_of
-from orbit_core.envs.terms import RewardTerm, terms_of
+from orbit_core.envs.terms import RewardTerm, terms_of, weight_of
 from orbit_core.interfaces import UnknownNameError
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from torch import Tensor
 from orbit_core.dynamics.arguments import MOST_STEPS
 from orbit_core.dynamics.indexing import take_rows, write_rows
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import check_same_names, per_environment
-from orbit_core.envs.terms import PremiseTerm, terms_of
+from orbit_core.envs.terms import PremiseTerm, check_same_names, per_environment, terms_of
 from orbit_core.interfaces import ConfigurationError, PremiseError
 
 if TYPE_CHECKING:

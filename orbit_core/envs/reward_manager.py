@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.envs.observation_check import surely_finite
-from orbit_core.envs.term_values import check_same_names, per_environment, weight_of
-from orbit_core.envs.terms import RewardTerm, terms_of
+from orbit_core.envs.observation_layout import surely_finite
+from orbit_core.envs.terms import RewardTerm, check_same_names, per_environment, terms_of, weight_of
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, first_few
 
 if TYPE_CHECKING:
