@@ -116,7 +116,7 @@ class MobileReachEvents(ReachEvents):
 
 @dataclass(kw_only=True)
 class MobileReach(Mobile, Reach):
-    """Variant of Reach with the goal 1.5 to 2.5 m from where the base starts, in any direction and turned by any angle."""
+    """Variant of Reach with the goal 1.5 to 2.5 m from the base's start, in any direction and turned by any angle."""
 
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {}
     episode_length: float = 12.0

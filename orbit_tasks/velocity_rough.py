@@ -102,7 +102,7 @@ class RoughObservations:
 
 @dataclass
 class RoughRewards(VelocityRewards):
-    """Rewards of the plane, but tilt costs less, for the ground tilts; long steps, no knocks of other links and falls."""
+    """Rewards of the plane, but tilt costs less, for the ground tilts; long steps, no knocks and no falls."""
 
     tilt: RewardTerm | None = RewardTerm(tilt, -0.5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.04)

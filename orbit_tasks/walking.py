@@ -60,7 +60,7 @@ def scaled(spec: RobotSpec, scale: float) -> RobotSpec:
 
 
 def carries_arm(spec: RobotSpec) -> bool:
-    """Return True if a robot on more than two feet has an arm: a biped's arms swing as it walks, this one is only carried."""
+    """Return True if a robot on more than two feet has an arm, which it only carries: a biped's swing."""
     return spec.has_arm and len(spec.feet) > 2
 
 
