@@ -30,6 +30,7 @@ from orbit_data.episodes import (
     Array,
     EpisodeInfo,
 )
+from orbit_data.noise import CLEAN
 from orbit_data.parts import PartFolder
 from orbit_data.states import TaskMemory, WorldStates
 
@@ -65,6 +66,7 @@ class DemonstrationRecorder(StepObserver):
         seed: that the random streams were started from.
         groups: observation groups to record; all if None.
         begun: (N,) episodes that each environment ended before; none if None.
+        clean: gives the actions (N, A) of the last step without noise, which are recorded too.
 
     Raises:
         UnknownNameError: there is no such group.
@@ -78,6 +80,7 @@ class DemonstrationRecorder(StepObserver):
         seed: int,
         groups: Collection[str] | None = None,
         begun: Tensor | None = None,
+        clean: Callable[[], Tensor] | None = None,
     ) -> None:
         check_groups(groups or (), environment)
         self._environment, self._folder, self._wanted, self._seed = environment, folder, wanted, seed
@@ -88,6 +91,7 @@ class DemonstrationRecorder(StepObserver):
         self._contacts = {name: sensor for name, sensor in sensors if isinstance(sensor, ContactSensor)}
         self._rings: dict[str, Tensor] = {}
         self._capacity = environment.max_episode_steps + 1
+        self._clean = clean
         self._step = 0
         self._initial = {name: value.clone() for name, value in self._memory.read().items()}
         self._seen = environment.observe()
@@ -111,6 +115,8 @@ class DemonstrationRecorder(StepObserver):
         """Take in what was done and what it gave; write the episodes that ended."""
         self._seen, reward, terminated, truncated, info = result
         self._put(ACTIONS, action.clamp(-1.0, 1.0))
+        if self._clean is not None:
+            self._put(CLEAN, self._clean())
         self._put(REWARDS, reward)
         self._put(DONES, terminated | truncated)
         self._step += 1

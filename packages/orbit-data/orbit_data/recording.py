@@ -20,6 +20,7 @@ from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 from orbit_data.card import check_card, write_card
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
+from orbit_data.noise import NoisyActor
 from orbit_data.parts import PartFolder
 from orbit_data.recorder import DemonstrationRecorder
 
@@ -220,6 +221,7 @@ def record(
     seed: int,
     groups: Collection[str] | None = None,
     progress: Callable[[int], None] = lambda recorded: None,
+    noise: float = 0.0,
 ) -> Pace:
     """Record episodes until so many are in the file, those that are there already included.
 
@@ -232,13 +234,15 @@ def record(
         seed: of the random streams.
         groups: observation groups to record; all if None.
         progress: told, after each step, how many are recorded.
+        noise: standard deviation of what is added to the actions that are executed, :class:`NoisyActor`; the actor's
+            own are recorded as ``clean_actions``.
 
     Raises:
-        ConfigurationError: the file was recorded with another environment.
+        ConfigurationError: the file was recorded with another environment, or the noise is negative.
         StorageError: the disk is full; finished episodes are kept.
     """
     try:
-        return _record(environment, make_actor, file, task, episodes, seed, groups, progress)
+        return _record(environment, make_actor, file, task, episodes, seed, groups, progress, noise)
     finally:
         file.release()
 
@@ -252,14 +256,18 @@ def _record(
     seed: int,
     groups: Collection[str] | None,
     progress: Callable[[int], None],
+    noise: float,
 ) -> Pace:
     file.take_up(Manifest.of(environment, task, seed))
     shares, infos = Shares(episodes, environment), file.infos()
     begun = shares.left(infos)
     environment.reset(seed)
     _skip(environment, begun)
-    recorder = DemonstrationRecorder(environment, file.parts, shares, seed, groups, begun)
     wanted = max(0, episodes - len(infos))
+    actor = make_actor()
+    noisy = NoisyActor(actor, environment, noise, seed) if noise else None
+    clean = None if noisy is None else lambda: noisy.clean
+    recorder = DemonstrationRecorder(environment, file.parts, shares, seed, groups, begun, clean)
 
     class Teller(StepObserver):
         def before_step(self) -> None:
@@ -267,7 +275,7 @@ def _record(
 
     pace = Pace(0, 0.0)
     if wanted:
-        pace = roll_out(environment, make_actor(), (recorder, Teller()), lambda: recorder.kept >= wanted)
+        pace = roll_out(environment, noisy or actor, (recorder, Teller()), lambda: recorder.kept >= wanted)
     progress(len(infos) + recorder.kept)
     file.gather()
     return pace

@@ -17,6 +17,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.pretrained import policy_path
 from orbit_learn.distill_settings import DistillSettings
 from orbit_learn.loop import LoopTrainer
+from orbit_learn.memory import Remembering
 from orbit_learn.networks import ActorNetwork
 from orbit_learn.policy import load_policy
 from orbit_learn.replay_buffer import ReplayBuffer
@@ -44,6 +45,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
 
     name: ClassVar[str] = "distill"
     settings_type: ClassVar[type[Any]] = DistillSettings
+    options: ClassVar[tuple[str, ...]] = ("distillation", "teacher")
 
     def __init__(self, environment: Environment, settings: DistillSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
@@ -150,7 +152,8 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
         return lambda seen: expert.compute({})["action"]
     teacher = load_policy(policy_path(name), environment.device)
     group = teacher.description.find_group(environment)
-    return lambda seen: teacher.module(seen[group])
+    acting = Remembering(teacher.module, environment.num_envs, environment.device)
+    return lambda seen: acting.act(seen[group], environment.task.episode_step == 0)
 
 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:

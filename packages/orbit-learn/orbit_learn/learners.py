@@ -29,8 +29,12 @@ _LIBRARIES = {
     "rl-games": ("rl_games:RlGamesTrainer", "PPO, asymmetric critics"),
     "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
     "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
+    "imitation": (
+        "cloning.trainer:ImitationTrainer",
+        "clones demonstrations (BC, BC-RNN, mixtures, ACT, diffusion); part of ORBIT",
+    ),
 }
-"""Modules in this package. Each but the last is also the name of the extra that installs it."""
+"""Modules in this package. Each but the last two is also the name of the extra that installs it."""
 
 
 @cache

@@ -12,6 +12,7 @@ from __future__ import annotations
 from functools import cache
 
 from orbit_core.registry import ClassRegistry
+from orbit_learn.cloning.networks import ClonedDiffusion, ClonedPerceptron, ClonedRecurrent, ClonedTransformer
 from orbit_learn.convolutional import Convolutional
 from orbit_learn.networks import Network, Perceptron
 
@@ -19,9 +20,12 @@ GROUP = "orbit.networks"
 """Entry points of packages that bring networks."""
 
 
+_OWN = (Perceptron, Convolutional, ClonedPerceptron, ClonedRecurrent, ClonedTransformer, ClonedDiffusion)
+
+
 @cache
 def _networks() -> ClassRegistry[Network]:
-    return ClassRegistry[Network]("network", GROUP, (Perceptron, Convolutional))
+    return ClassRegistry[Network]("network", GROUP, _OWN)
 
 
 def register_network(kind: type[Network]) -> None:

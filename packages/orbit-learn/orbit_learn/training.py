@@ -17,6 +17,7 @@ from orbit_core.interfaces import ConfigurationError, NonFiniteError, Simulation
 from orbit_core.manifest.manifest import Manifest
 from orbit_core.tensor_file import parse_json
 from orbit_learn.checkpoint import read_checkpoint, tensors_in, write_checkpoint
+from orbit_learn.memory import memory_parts
 from orbit_learn.policy import Policy, PolicyDescription
 from orbit_learn.policy_file import SUFFIX, newest_file
 from orbit_learn.trainer import Progress, Trainer
@@ -179,6 +180,7 @@ class Training:
         trainer, actor = self.trainer, self.trainer.actor()
         versions = self.record.get("versions")
         description = PolicyDescription.of(trainer.environment, self.task, trainer.name, iteration, versions)
+        description = replace(description, memory=memory_parts(actor.module))
         return Policy(actor.module, actor.network, description, self.manifest)
 
     def _diverged(self) -> int:
