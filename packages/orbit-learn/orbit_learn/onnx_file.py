@@ -38,9 +38,9 @@ def write_onnx(
 ) -> None:
     """Write input ``observation`` (N, O) and output ``action`` (N, A). The file appears whole or not at all.
 
-    Of a policy that sees a dictionary, the inputs are its terms, (N, ...) each, by their names. A policy with memory has
-    an input ``<name>`` and an output ``next_<name>`` for each part of it; the metadata hold its values at the first step
-    under ``orbit_memory``.
+    Of a policy that sees a dictionary, the inputs are its terms, (N, ...) each, by their names. A policy with memory
+    has an input ``<name>`` and an output ``next_<name>`` for each part of it; the metadata hold its values at the first
+    step under ``orbit_memory``.
 
     Raises:
         ConfigurationError: the exporter is not installed.

@@ -11,10 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.manifest.compare import Kind, differences, renamed_group
 from orbit_core.manifest.manifest import Manifest
-from orbit_learn.description import Part
+from orbit_core.reading.budget import TRUSTED
+from orbit_learn.description import Part, group_parts
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -71,10 +73,10 @@ def load_demonstrations(path: Path | str, environment: Environment, group: str, 
         ConfigurationError: the dataset is of another robot, task, action space or scale, or too small; names all that
             differs.
     """
-    from orbit_core.reading.budget import TRUSTED
-    from orbit_data.formats import opened
-    from orbit_learn.description import group_parts
-
+    try:
+        from orbit_data.formats import opened
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(f"reading {path} needs {error.name}: {install_extra('imitation')}") from None
     layout = environment.observation[group]
     parts, concatenated = group_parts(layout), layout.concatenated
     with opened(path, TRUSTED) as dataset:
@@ -122,7 +124,7 @@ def check_fit(dataset: Dataset, environment: Environment, group: str) -> None:
             "name one of these by --imitation group=NAME"
         )
     found = differences(renamed_group(recorded, group, group), present, [group])
-    wrong = [str(each) for each in found if each.kind is Kind.ERROR or each.path == "task"]
+    wrong = [str(each) for each in found if each.kind is Kind.ERROR]
     if wrong:
         raise ConfigurationError(f"{dataset.path} cannot be cloned for this environment: {'; '.join(wrong)}")
 

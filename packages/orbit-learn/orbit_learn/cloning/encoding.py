@@ -114,9 +114,9 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
 
 def _is_position(term: ObservationTermManifest) -> bool:
     """Return True if a term's first three columns are a position or a distance in metres."""
-    return term.history == 1 and term.scale == 1.0 and (
-        (term.unit == "m" and tuple(term.shape) == (3,)) or (term.unit.startswith("m, quaternion") and term.shape == (7,))
-    )
+    shape = tuple(term.shape)
+    placed = (term.unit == "m" and shape == (3,)) or (term.unit.startswith("m, quaternion") and shape == (7,))
+    return placed and term.history == 1 and term.scale == 1.0
 
 
 def _relative(
@@ -130,13 +130,13 @@ def _relative(
     if action.scale is None or action.offset is None or action.settings.get("mode") != "absolute":
         return -1, 0.0, 0.0
     for name, term in terms.items():
-        if name in columns and term.history == 1 and term.formula.startswith("measured position of each joint"):
-            if joint in term.components and term.offset:
-                place = list(term.components).index(joint)
-                gain = 1.0 / action.scale[component]
-                # observed = scale * (position - its offset); commanded position = offset + scale * action
-                bias = (term.offset[place] - action.offset[component]) * gain
-                return columns[name] + place, gain / term.scale, bias
+        measured = term.formula.startswith("measured position of each joint")
+        if name in columns and measured and term.history == 1 and term.offset and joint in term.components:
+            place = list(term.components).index(joint)
+            gain = 1.0 / action.scale[component]
+            # observed = scale * (position - its offset); commanded position = offset + scale * action
+            bias = (term.offset[place] - action.offset[component]) * gain
+            return columns[name] + place, gain / term.scale, bias
     return -1, 0.0, 0.0
 
 
@@ -228,8 +228,9 @@ class Labels(nn.Module):
         relative = [column != -1 for column in joints]
         # Plain lists, for buffers would be weights of the policy's file; tensors of them are made on first use.
         self._columns = [max(column, 0) for column in joints]
-        self._gains = [gain if used else 0.0 for gain, used in zip(encoding.gains or (0.0,) * action_size, relative, strict=True)]
-        self._biases = [bias if used else 0.0 for bias, used in zip(encoding.biases or (0.0,) * action_size, relative, strict=True)]
+        none = (0.0,) * action_size
+        self._gains = [gain * used for gain, used in zip(encoding.gains or none, relative, strict=True)]
+        self._biases = [bias * used for bias, used in zip(encoding.biases or none, relative, strict=True)]
         self.binary = list(encoding.binary or (False,) * action_size)
         """Components that are a sign."""
         self.register_buffer("mean", torch.zeros(action_size))

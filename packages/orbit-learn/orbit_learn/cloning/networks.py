@@ -6,6 +6,7 @@ which 8 are executed lifts 63. A demonstrator's pauses are part of a chunk, and 
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -96,8 +97,10 @@ class ClonedRecurrent(ClonedNetwork):
 
 @dataclass(frozen=True, kw_only=True)
 class ClonedTransformer(ClonedNetwork):
-    """Action chunking with transformers: Zhao et al., Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware
-    (2023)."""  # fmt: skip
+    """Action chunking with transformers.
+
+    Zhao et al., Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware (2023).
+    """
 
     name: ClassVar[str] = "cloned_transformer"
     width: int = 128
@@ -148,7 +151,7 @@ class ClonedDiffusion(ClonedNetwork):
 
 
 class Planner(MemoryModule):
-    """Policy that plans ``chunk`` actions and executes ``executed`` of them. Its memory is the plan and the place in it.
+    """Policy that plans ``chunk`` actions and executes ``executed`` of them; it remembers the plan and its place in it.
 
     Args:
         network: that it is built from.
@@ -357,7 +360,11 @@ class TransformerPlanner(Planner):
             return super().act(observation, memory)
         plan = self.labels.actions(self.outputs(self.encoder(observation)), self.encoder.vectors(observation))
         weight = (-self._network.ensemble * memory["plans"]).exp()
-        sums, weights, plans = memory["sums"] + weight[..., None] * plan, memory["weights"] + weight, memory["plans"] + 1
+        sums, weights, plans = (
+            memory["sums"] + weight[..., None] * plan,
+            memory["weights"] + weight,
+            memory["plans"] + 1,
+        )
         action = sums[:, 0] / weights[:, 0, None]
         signs = self.labels.signs(action)
         action = torch.where(signs, torch.where(action < 0.0, -1.0, 1.0), action)
@@ -400,10 +407,11 @@ class DiffusionPlanner(Planner):
 
     def outputs(self, features: Tensor) -> Tensor:
         plan = self.noise.expand(len(features), -1, -1)
-        levels = [round(i * self._network.noises / self._network.samples) for i in range(self._network.samples, -1, -1)]
-        for level, following in zip(levels[:-1], levels[1:], strict=True):
+        noises, samples = self._network.noises, self._network.samples
+        levels = [round(i * noises / samples) for i in range(samples, -1, -1)]
+        for level, following in itertools.pairwise(levels):
             kept, next_kept = self._kept(level), self._kept(following)
-            clean = self._clean(features, plan, features.new_full((len(features),), level / self._network.noises))
+            clean = self._clean(features, plan, features.new_full((len(features),), level / noises))
             noise = (plan - math.sqrt(kept) * clean) / math.sqrt(1.0 - kept)
             plan = math.sqrt(next_kept) * clean + math.sqrt(1.0 - next_kept) * noise
         return plan

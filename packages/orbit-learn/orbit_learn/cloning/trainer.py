@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -72,6 +72,10 @@ class ImitationSettings:
         for name in ("updates_per_iteration", "batch_size", "learning_rate", "hidden_size", "evaluate_every"):
             if not getattr(self, name) > 0:
                 raise ConfigurationError(f"imitation setting '{name}' is positive, not {getattr(self, name)}")
+        if not 0 < self.executed <= self.chunk:
+            raise ConfigurationError(
+                f"imitation setting 'executed' is 1 to chunk, which is {self.chunk}, not {self.executed}"
+            )
 
 
 class ImitationTrainer(Trainer[ImitationSettings]):
@@ -121,12 +125,9 @@ class ImitationTrainer(Trainer[ImitationSettings]):
             if iteration == last or (iteration + 1) % self.settings.evaluate_every == 0:
                 env_steps += self._evaluate()
             returns, success, episodes = self._played
-            report(
-                Progress(
-                    iteration, env_steps, time.perf_counter() - begin, returns, success, episodes,
-                    loss=self._loss, metrics=self._tally.metrics,
-                )  # fmt: skip
-            )
+            seconds = time.perf_counter() - begin
+            progress = Progress(iteration, env_steps, seconds, returns, success, episodes)
+            report(replace(progress, loss=self._loss, metrics=self._tally.metrics))
 
     def state(self) -> Any:
         return {"planner": self._planner.state_dict(), "optimizer": self._optimizer.state_dict()}
