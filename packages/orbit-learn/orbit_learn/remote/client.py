@@ -168,7 +168,8 @@ class RemoteActor:
         assert first is not None
         self._ours = "orbit" in first.metadata
         self._plans = [np.zeros((0, size), np.float32) for _ in range(count)]
-        self._held = [False] * count
+        self.unanswered = [False] * count
+        """Environments whose server failed in their present episode."""
         self.failed = 0
         """Episodes that ended without an answer."""
         self.failures: dict[str, int] = {}
@@ -181,8 +182,8 @@ class RemoteActor:
         actions = np.zeros((len(begun), self._environment.action_size), np.float32)
         for i, begins in enumerate(begun):
             if begins:
-                self._plans[i], self._held[i] = self._plans[i][:0], False
-            if self._held[i]:
+                self._plans[i], self.unanswered[i] = self._plans[i][:0], False
+            if self.unanswered[i]:
                 continue
             if not len(self._plans[i]):
                 seen = self._terms() if seen is None else seen
@@ -226,7 +227,7 @@ class RemoteActor:
         except ServerFailure as failure:
             if (broken := self._servers[index]) is not None:
                 broken.close()
-            self._servers[index], self._held[index] = None, True
+            self._servers[index], self.unanswered[index] = None, True
             self.failed += 1
             self.failures[str(failure)] = self.failures.get(str(failure), 0) + 1
             return np.zeros((0, self._environment.action_size), np.float32)
