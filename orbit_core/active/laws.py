@@ -54,7 +54,7 @@ class ActiveLaw:
 
     @property
     def parameters(self) -> Mapping[str, Tensor]:
-        """(N,) values of each parameter, by name."""
+        """Values (N,) of each parameter, by name."""
         return self._parameters
 
     @property

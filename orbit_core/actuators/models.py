@@ -112,7 +112,7 @@ class ActuatorContext:
 
     @property
     def effort_limits(self) -> Tensor:
-        """(k,) N m or N, as groups or the articulation say."""
+        """Effort limits (k,), N m or N, as groups or the articulation say."""
         limits = self.layout.joint_parameters.effort_limit[list(self.joints)]
         return torch.as_tensor(limits, dtype=torch.float32, device=self.device)
 
@@ -153,7 +153,7 @@ class ActuatorModel(ABC):
 
     @property
     def temperatures(self) -> Tensor | None:
-        """(N, k) degrees Celsius of the motors; None where the model knows of none."""
+        """Temperatures (N, k), degrees Celsius of the motors; None where the model knows of none."""
         return None
 
     def fresh(self, name: str) -> Tensor | float:

@@ -129,19 +129,19 @@ class Engine(Watched, ABC):
     @abstractmethod
     @reads_state
     def joint_positions(self) -> Tensor:
-        """(N, J) rad or m."""
+        """Joint positions (N, J), rad or m."""
 
     @property
     @abstractmethod
     @reads_state
     def joint_velocities(self) -> Tensor:
-        """(N, J) rad/s or m/s."""
+        """Joint velocities (N, J), rad/s or m/s."""
 
     @property
     @abstractmethod
     @reads_state
     def joint_efforts(self) -> Tensor:
-        """(N, J) efforts that drives and commands applied over the last physics step, N m or N, after limits.
+        """Efforts (N, J) of drives and commands over the last physics step after limits, N m or N.
 
         The mean over the step, not the law at its beginning: ``(inertia + armature) (v1 - v0) / h`` of a free joint.
         Forces of the joint itself are not in them: its damping, friction, spring and limits.
@@ -151,13 +151,13 @@ class Engine(Watched, ABC):
     @abstractmethod
     @reads_state
     def link_poses(self) -> Tensor:
-        """(N, L, 7) position and quaternion (w, x, y, z), w >= 0, of each link frame."""
+        """Link poses (N, L, 7), position and quaternion (w, x, y, z), w >= 0, of each link frame."""
 
     @property
     @abstractmethod
     @reads_state
     def link_velocities(self) -> Tensor:
-        """(N, L, 6) linear velocity of the link frame's origin, then angular velocity, both in world axes."""
+        """Linear velocities of the link frames' origins, then angular velocities (N, L, 6), in world axes."""
 
     @abstractmethod
     @changes("positions", "velocities")
@@ -187,7 +187,7 @@ class Engine(Watched, ABC):
     @property
     @reads_state
     def contact_forces(self) -> Tensor:
-        """(N, K, 3) newtons, world axes, per query of ``layout.contact_queries``, averaged over the last ``step`` call.
+        """Contact forces (N, K, 3) of ``layout.contact_queries``, mean of the last ``step`` call: newtons, world axes.
 
         Zero after a reset until the environment has stepped.
         """
@@ -196,7 +196,7 @@ class Engine(Watched, ABC):
     @property
     @reads_state
     def joint_wrenches(self) -> Tensor:
-        """(N, W, 6) force and torque that each of ``layout.wrench_links`` receives from its parent (or the world).
+        """Force and torque (N, W, 6) that each of ``layout.wrench_links`` receives from its parent, or the world.
 
         About the link frame's origin, in the link's axes, over the last physics step. The torque about a hinge's axis
         is the joint's effort, less what its damping, friction, spring and armature take.

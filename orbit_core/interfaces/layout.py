@@ -104,7 +104,7 @@ class SceneLayout:
 
     @staticmethod
     def of(scene: Scene) -> SceneLayout:
-        """Number the scene.
+        """Build the layout of a scene.
 
         Raises:
             ConfigurationError: two entities or sensors share a name, or two actuator groups a joint.

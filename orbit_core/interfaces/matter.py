@@ -101,16 +101,16 @@ class Matter(ABC):
     @property
     @abstractmethod
     def wrenches(self) -> Tensor:
-        """(N, L, 6) wrench about the link frame's origin, world axes, that the engine applies in its next step.
+        """Wrenches (N, L, 6) that the engine applies in its next step, about the links' origins, world axes.
 
-        Of links that the solver moves with its own equations it is the wrench that makes the engine's follow; of
+        For links that the solver moves with its own equations it is the wrench that makes the engine's follow; for
         others the mean that matter exerted in the last step.
         """
 
     @property
     @abstractmethod
     def contact_forces(self) -> Tensor:
-        """(N, D, L, 3) newtons that each deformable exerts on each link, in world axes, mean of the last step."""
+        """Forces (N, D, L, 3) of each deformable on each link, mean of the last step: newtons, world axes."""
 
     @abstractmethod
     def diverged(self) -> Tensor:

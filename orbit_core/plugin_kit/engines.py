@@ -20,22 +20,22 @@ class StatePart(Protocol):
 
     @property
     def joint_positions(self) -> Tensor:
-        """(N, J) rad or m."""
+        """Joint positions (N, J), rad or m."""
         ...
 
     @property
     def joint_velocities(self) -> Tensor:
-        """(N, J) rad/s or m/s."""
+        """Joint velocities (N, J), rad/s or m/s."""
         ...
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, L, 7) positions and quaternions, world axes."""
+        """Positions and quaternions (N, L, 7) of links, world axes."""
         ...
 
     @property
     def link_velocities(self) -> Tensor:
-        """(N, L, 6) linear and angular, world axes."""
+        """Linear and angular link velocities (N, L, 6), world axes."""
         ...
 
 

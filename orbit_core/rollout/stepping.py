@@ -143,7 +143,7 @@ class EpisodeCounter(StepObserver):
 
     @property
     def running(self) -> Tensor:
-        """(N,) bool: environments in which episodes are still to be counted."""
+        """Mask (N,) of the environments in which episodes are still to be counted."""
         return self._left > 0
 
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:

@@ -126,8 +126,10 @@ class JointCommands:
 
 @dataclass(frozen=True)
 class PlanarBase:
-    """Joints, by name, that carry a robot over a plane: ``x`` and ``y`` prismatic along the root's axes, then ``yaw``
-    about its z."""  # fmt: skip
+    """Joints, by name, that carry a robot over a plane.
+
+    ``x`` and ``y`` are prismatic along the root's axes, then comes ``yaw`` about its z.
+    """
 
     x: str
     y: str

@@ -94,11 +94,11 @@ class CameraSensor(TimedSensor):
 
     @property
     def images(self) -> Mapping[Channel, Tensor]:
-        """(N, H, W, channels) of each channel that the camera was specified with."""
+        """Images (N, H, W, channels) of each channel that the camera was specified with."""
         return {channel: self.image(channel) for channel in self._camera.channels}
 
     def image(self, channel: Channel) -> Tensor:
-        """Return (N, H, W, channels)
+        """Return the picture (N, H, W, channels) of a channel.
 
         Raises:
             ConfigurationError: the camera was specified without that channel.
@@ -109,12 +109,12 @@ class CameraSensor(TimedSensor):
 
     @property
     def pose(self) -> Tensor:
-        """(N, 7) in the environment's frame, when the pictures were taken."""
+        """Pose (N, 7), in the environment's frame, when the pictures were taken."""
         return self._read("pose")
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, L, 7) of every link of the scene in the environment's frame, when the pictures were taken."""
+        """Poses (N, L, 7) of every link of the scene in the environment's frame, when the pictures were taken."""
         return self._read("link_poses")
 
     def point_cloud(self) -> Tensor:
