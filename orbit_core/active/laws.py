@@ -169,6 +169,6 @@ def create_law(model: ActiveModel, thing: Object, num_envs: int, device: torch.d
     if not (isinstance(law, type) and issubclass(law, ActiveLaw)):
         raise ConfigurationError(
             f"{registry.origin(name)} of group {GROUP} names {law!r}, which is no subclass of "
-            "orbit_core.active.ActiveLaw: mend or uninstall it"
+            "orbit_core.active.ActiveLaw: fix or uninstall it"
         )
     return law(model, thing, num_envs, device, masking)

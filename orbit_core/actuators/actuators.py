@@ -132,14 +132,14 @@ def model_of(group: ActuatorConfig, entity: str) -> type[ActuatorModel] | None:
         return None
     if issubclass(kind, ImplicitPd):
         raise ConfigurationError(
-            f"actuator {kind.__name__} of '{entity}' has a model of its own, and derives from ImplicitPd, which the "
+            f"actuator {kind.__name__} of '{entity}' has its own model, and derives from ImplicitPd, which the "
             "engine drives: derive it from ActuatorConfig or IdealPd"
         )
     model = registry.get(found.__name__)
     if not (isinstance(model, type) and issubclass(model, ActuatorModel)):
         raise ConfigurationError(
             f"{registry.origin(found.__name__)} of group {GROUP} names {model!r}, which is no subclass of "
-            "orbit_core.actuators.ActuatorModel: mend or uninstall it"
+            "orbit_core.actuators.ActuatorModel: fix or uninstall it"
         )
     return model
 

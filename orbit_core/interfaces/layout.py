@@ -319,7 +319,7 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
         # Files round both limits and home positions.
         if not lower[index] - 1e-6 <= position <= upper[index] + 1e-6:
             raise ConfigurationError(
-                f"home position {position} of joint '{names[index]}' of '{entity.name}' lies outside its limits "
+                f"home position {position} of joint '{names[index]}' of '{entity.name}' is outside of its limits "
                 f"[{lower[index]}, {upper[index]}]: give the entity's home a position within them, or widen the limits "
                 "by edit_joints"
             )

@@ -175,7 +175,7 @@ class World(ABC):
             SimulationError: the engine diverged.
             UnsupportedCapabilityError: nothing is simulated, or the engine has no snapshots of this scene.
         """
-        raise self._unsupported("time of its own to let pass")
+        raise self._unsupported("physics to run on for a while")
 
     def save_state(self) -> Any:
         """Return everything that the continuation depends on."""

@@ -134,7 +134,7 @@ _TRIANGLE_TOLERANCE = 1e-3
 _CLOSED = 1e-3
 # rad or m: files round home positions, and those that were recorded in a simulation press on soft limits
 _HOME_TOLERANCE = 1e-3
-_MEND = "compute its inertia from its shape, or have it mended by ReadOptions(repair=Repair.BALANCE)"
+_REPAIR = "compute its inertia from its shape, or repair it with ReadOptions(repair=Repair.BALANCE)"
 # Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes
 _POWERS = 3
 # Largest difference of a quaternion's length from 1; written ones have few digits
@@ -472,11 +472,11 @@ def _check_inertia(articulation: Articulation, link: Link) -> None:
     small, middle, large = np.linalg.eigvalsh(link.inertia)
     moments = f"principal moments ({small:.3g}, {middle:.3g}, {large:.3g}) kg m^2"
     if small <= 0:
-        raise _error(articulation, f"link '{link.name}' has {moments}, not all positive: {_MEND}")
+        raise _error(articulation, f"link '{link.name}' has {moments}, not all positive: {_REPAIR}")
     if small + middle < large * (1 - _TRIANGLE_TOLERANCE):
         raise _error(
             articulation,
-            f"link '{link.name}' has {moments}, of which one exceeds the sum of the others as no body's can: {_MEND}",
+            f"link '{link.name}' has {moments}, of which one exceeds the sum of the others as no body's can: {_REPAIR}",
         )
 
 
