@@ -130,6 +130,7 @@ class MagneticSealLaw(ActiveLaw):
 
     def gap(self) -> Tensor:
         """Return (N,) metres of gap at the seal."""
+        # Small angles: the gap grows by the arm times the turn.
         position = self.thing.joint_positions[:, self.joints[0]]
         return (self._arm * self._way * (position - self._shut)).clamp_min(0.0)
 

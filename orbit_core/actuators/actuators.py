@@ -68,6 +68,7 @@ class CommandDelay:
 
     def push(self, targets: Tensor) -> Tensor:
         """Take the commands of this step (3, N, k) and return those in effect."""
+        # A ring buffer: slots are reused, and nothing is moved at a step.
         newest = torch.remainder(self._age, self._length)  # each environment writes in turn, from its reset on
         self._history.scatter_(0, newest.expand(1, *targets.shape), targets[None])
         steps_back = torch.minimum(self._delays, self._age)
@@ -288,6 +289,7 @@ class Actuators:
 
     def save_state(self) -> ActuatorState:
         """Return a detached copy."""
+        # Gains are saved too, because events randomise them.
         gains = tuple(tuple(part.clone() for part in model.gains or ()) for model in self._models)
         delays = tuple(None if delay is None else delay.save_state() for delay in self._delays)
         memory = tuple({name: value.clone() for name, value in model.memory.items()} for model in self._models)

@@ -67,6 +67,7 @@ _Parameters = TypeVar("_Parameters", bound=ParametersPart)
 class PartedEngine(Engine, Generic[_State, _Parameters]):
     """Reads from the one part and sets in the other; a derived class makes both, and writes and steps by itself."""
 
+    # Annotations only: a derived class sets both before it is stepped.
     _state: _State
     _parameters: _Parameters
 

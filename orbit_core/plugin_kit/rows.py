@@ -11,6 +11,7 @@ from torch import Tensor
 
 _Index = TypeVar("_Index", Tensor, npt.NDArray[np.int64])
 
+# A slice selects all rows as a view, without a gather.
 Rows = Tensor | slice
 """Indices of environments, or all."""
 HostRows = npt.NDArray[np.int64] | slice

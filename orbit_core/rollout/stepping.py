@@ -167,6 +167,7 @@ class EpisodeCounter(StepObserver):
         """Return the results of the counted episodes, of which there must be at least one."""
         parts = self._counted
         env_ids = torch.cat([part.env_ids for part in parts])
+        # Stable, so that episodes of one environment keep their order in time.
         order = env_ids.argsort(stable=True)
         return Episodes(
             env_ids=env_ids[order],
