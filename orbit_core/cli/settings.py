@@ -118,9 +118,14 @@ class BenchSettings(EnvironmentSettings):
 
 
 def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
-    """Refuse a file that could not be written, or is there already, before the work whose result it is to hold.
+    """Reject an output file that cannot be written, before the work whose result it is to hold.
 
     What a program that was killed has left in its folder is deleted.
+
+    Args:
+        path: of the file; None is no file.
+        suffix: that its name must have.
+        overwrite: whether it may exist.
     """
     if path is None:
         return
@@ -183,6 +188,11 @@ _COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "c
 
 def parse_settings(settings_type: type[_Settings], words: Sequence[str], program: str) -> _Settings:
     """Return settings from the words of the command line, and from the file that they name.
+
+    Args:
+        settings_type: dataclass of the command's settings.
+        words: of the command line.
+        program: name of the command, for messages.
 
     Raises:
         ConfigurationError: the file is not readable or not TOML, or a value is not of its key's type.

@@ -199,7 +199,16 @@ class Object(ABC):
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Set damping, Coulomb friction, armature and spring stiffness (n, k) of some joints; None changes nothing."""
+        """Set parameters of the mechanism of joints; None leaves one as it is.
+
+        Args:
+            damping: (n, k) N s/m or N m s/rad.
+            friction: (n, k) Coulomb friction, N or N m.
+            armature: (n, k) kg or kg m^2.
+            stiffness: (n, k) of springs, N/m or N m/rad.
+            joints: (k,) indices; all movable joints if None.
+            env_ids: indices (n,) or a mask (N,) bool; all if None.
+        """
         raise self._unsupported("joint parameters to set")
 
     def set_joint_limits(

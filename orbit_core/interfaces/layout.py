@@ -300,7 +300,13 @@ def actuator_of_joint(entity: Entity) -> dict[int, ActuatorConfig]:
 
 
 def gripper_positions(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> Mapping[int, float]:
-    """Return positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
+    """Return the positions of a gripper's joints, by joint index.
+
+    Args:
+        spec: of the robot.
+        gripper: one of its grippers.
+        value: ``open_position`` or ``closed_position`` of the gripper, rad or m.
+    """
     values = value if isinstance(value, tuple) else (value,) * len(gripper.joints)
     names = spec.articulation.joint_names
     return match_values(dict(zip(gripper.joints, values, strict=True)), names, "joint", f"the gripper of '{spec.name}'")

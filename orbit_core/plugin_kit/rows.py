@@ -45,9 +45,14 @@ def take_rows(values: Tensor, env_ids: Tensor | None) -> Tensor:
 
 
 def write_rows(target: Tensor, values: Tensor | float, env_ids: Tensor | None) -> None:
-    """Set the rows of some environments; with a mask ``values`` are of all, and those outside of it count for nothing.
+    """Set the rows of some environments.
 
     Nothing waits for the device.
+
+    Args:
+        target: (N, ...) tensor to write to.
+        values: (n, ...), or (N, ...) with a mask, whose other rows are ignored.
+        env_ids: indices (n,) or a mask (N,) bool; all if None.
     """
     if env_ids is None:
         target[:] = values

@@ -30,6 +30,11 @@ def point_cloud(depth: Tensor, intrinsics: Tensor, pose: Tensor | None = None) -
     """Return points (n, H, W, 3) of depth images (n, H, W, 1), infinite where nothing was seen.
 
     In the camera's frame (-z forward, y up), or in the environment's where the camera's ``pose`` (n, 7) is given.
+
+    Args:
+        depth: (n, H, W, 1) m along the optical axis.
+        intrinsics: (3, 3) of the camera, in pixels.
+        pose: (n, 7) of the camera; None gives points in its own frame.
     """
     height, width = depth.shape[1:3]
     column = torch.arange(width, device=depth.device) + 0.5
