@@ -68,6 +68,7 @@ def configured(
         UnknownNameError: there is no such field; names the nearest.
         ConfigurationError: a value is not of the kind that its field takes; names the field by its path.
     """
+    # Split once here; below, paths are lists of names.
     paths = [(str(path).split("."), value) for path, value in values.items()]
     return _Owner(owner, kind, presets or {}).set(config, paths, "")
 
@@ -190,6 +191,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 def _depth(values: Any) -> int:
     """Return how deep tables and lists nest, counted without recursion."""
+    # Level by level: a recursive count would hit the very limit that it looks for.
     depth, level = 0, [values]
     while level:
         depth += 1
@@ -236,6 +238,7 @@ class _Owner:
                 changes[name] = self._set_below(present, below, f"{above}{name}")
             else:
                 what = f"{self.kind} '{above}{name}' of {self.name}"
+                # Presets belong to fields of the configured object itself, not to those below.
                 words = {} if above else self.presets.get(name, {})
                 changes[name] = _read(value, present, known[name], words, what)
         try:
@@ -289,6 +292,7 @@ def _from_text(text: str, hint: Any, present: Any, what: str) -> Any:
 
 def _converted(value: Any, plain: list[Any], what: str, strict: bool, shown: Any = None) -> Any:
     wanted = functools.reduce(lambda left, right: left | right, plain)
+    # msgspec would take True for 1, as Python does.
     if isinstance(value, bool) and bool not in plain:
         raise ConfigurationError(f"{what} is {value}, but must be {_words(plain, None)}")
     if isinstance(value, Enum):
@@ -303,6 +307,7 @@ def _converted(value: Any, plain: list[Any], what: str, strict: bool, shown: Any
 def _checked(value: Any, what: str) -> Any:
     """Reject numbers that no engine can hold."""
     for number in value if isinstance(value, tuple | list) else (value,):
+        # Engines count in 32 bits, and a larger number would wrap around in silence.
         if isinstance(number, int) and abs(number) > _LARGEST:
             raise ConfigurationError(f"{what} is {number}: give at most {_LARGEST}")
         if isinstance(number, float) and not math.isfinite(number):
