@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-import numpy as np
 
 from orbit_core.interfaces.errors import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
 
@@ -442,6 +441,8 @@ class TypeChecker:
         return self._checks[hint]
 
     def _make(self, hint: Any) -> Check:
+        import numpy as np  # only checks need it, and commands that list names start without
+
         branches, optional = _branches(hint), _optional(hint)
         if optional or len(branches) > 1:
             return self._union(branches, optional)
@@ -477,6 +478,8 @@ class TypeChecker:
         return check
 
     def _tuple(self, parts: Sequence[Any]) -> Check:
+        import numpy as np
+
         repeated = len(parts) == 2 and parts[1] is Ellipsis
         checks = [self._of(part) for part in parts if part is not Ellipsis]
 
@@ -533,21 +536,25 @@ def _check_nothing(value: Any, where: str) -> None:
 def _check_number(value: Any, where: str) -> None:
     if type(value) is float and value == value:
         return
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real) or math.isnan(value):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or math.isnan(value):
         raise wrong_value(where, value, _word(float))
 
 
 def _check_whole_number(value: Any, where: str) -> None:
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral):
         raise wrong_value(where, value, _word(int))
 
 
 def _check_truth(value: Any, where: str) -> None:
+    import numpy as np
+
     if not isinstance(value, bool | np.bool_):
         raise wrong_value(where, value, _word(bool))
 
 
 def _check_array(value: Any, where: str) -> None:
+    import numpy as np
+
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
         raise wrong_value(where, value, "an array of real numbers")
     if np.isnan(value).any():
