@@ -71,14 +71,15 @@ def check_massless(articulation: Articulation) -> None:
     for link in articulation.links[1:]:
         if link.name in massless:
             if link.name not in carried:
-                raise _link_error(
-                    articulation, link.name, "moves but has no mass: give it mass and inertia, or fix its joint"
-                )
-            if np.any(link.inertia):
-                raise _link_error(articulation, link.name, "has an inertia but no mass: give it mass")
-            if link.collisions:
-                raise _link_error(articulation, link.name, "collides but has no mass: give it mass and inertia")
-        elif link.name in joint_of and joint_of[link.name].parent in massless:
+                fault = "moves but has no mass: give it mass and inertia, or fix its joint"
+            elif np.any(link.inertia):
+                fault = "has an inertia but no mass: give it mass"
+            elif link.collisions:
+                fault = "collides but has no mass: give it mass and inertia"
+            else:
+                continue
+            raise _error(articulation, f"link '{link.name}' {fault}")
+        if link.name in joint_of and joint_of[link.name].parent in massless:
             _check_independent(articulation, _chain(link.name, joint_of, massless))
 
 
@@ -115,17 +116,11 @@ def _unit_motions(joints: list[Joint]) -> npt.NDArray[np.float64]:
         position = _ELSEWHERE[number % len(_ELSEWHERE)]
         if joint.type is JointType.PRISMATIC:
             column = np.concatenate((axis, np.zeros(3)))
-            moved = Pose((position * joint.axis[0], position * joint.axis[1], position * joint.axis[2]))
         else:
             column = np.concatenate((np.cross(pose.position, axis), axis))
-            moved = Pose.from_axis_angle(joint.axis, position)
         columns.append(column / np.linalg.norm(column))
-        pose = pose @ moved @ joint.child_pose.inverse()
+        pose = pose @ _motion(joint, position) @ joint.child_pose.inverse()
     return np.stack(columns, axis=1)
-
-
-def _link_error(articulation: Articulation, link: str, fault: str) -> AssetError:
-    return AssetError(f"'{articulation.name}': link '{link}' {fault}")
 
 
 # Tolerance as a share of the largest principal moment: published models round their inertias to three digits
