@@ -17,6 +17,7 @@ from orbit_core.registry import Registry
 from orbit_core.scene import ActiveModel, MagneticSeal
 
 NOT_NEGATIVE = Bounds(0.0, 1e9)
+GROUP = "orbit.active"
 
 
 class ActiveLaw:
@@ -138,9 +139,6 @@ class MagneticSealLaw(ActiveLaw):
         # The lower bound keeps a randomised decay of zero from dividing by zero.
         falls = 1.0 + self.gap() / self._decay.clamp_min(1e-9)
         return (-self._way * self._arm * self._force / falls.square())[:, None]
-
-
-GROUP = "orbit.active"
 
 
 @cache

@@ -18,6 +18,9 @@ from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.registry import Registry
 from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
 
+GROUP = "orbit.actuators"
+_ORDER = (PdModel, DcMotorModel)
+
 
 @dataclass(frozen=True)
 class DelayState:
@@ -87,9 +90,6 @@ class CommandDelay:
         self._age.copy_(state.age)
 
 
-GROUP = "orbit.actuators"
-
-
 @cache
 def actuator_models() -> Registry[type[ActuatorModel]]:
     """Return the classes of actuator models, by the name of the class of the groups that they drive.
@@ -143,9 +143,6 @@ def model_of(group: ActuatorConfig, entity: str) -> type[ActuatorModel] | None:
             "orbit_core.actuators.ActuatorModel: fix or uninstall it"
         )
     return model
-
-
-_ORDER = (PdModel, DcMotorModel)
 
 
 @dataclass(frozen=True)

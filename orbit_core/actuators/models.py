@@ -26,6 +26,8 @@ _DIRECT = Transmission(ratios=(1.0,))
 _TINY = 1e-9
 REFERENCE = 25.0
 """Degrees Celsius at which resistances are described, and of motors of which nothing is known."""
+# rad/s or m/s, below which power is not looked at
+_STANDSTILL = 1e-6
 
 
 class Ratios:
@@ -169,10 +171,6 @@ class ActuatorModel(ABC):
     def shared_by(cls, group: Any) -> Hashable:
         """Return a key: groups that agree in it share one model. All groups of a class do unless this is overridden."""
         return None
-
-
-# rad/s or m/s, below which power is not looked at
-_STANDSTILL = 1e-6
 
 
 class PdModel(ActuatorModel):

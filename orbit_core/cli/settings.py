@@ -26,6 +26,9 @@ from orbit_core.moved import moved_name
 Name = Annotated[str | None, arg(metavar="NAME")]
 File = Annotated[Path | None, arg(metavar="FILE")]
 KeyValues = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")]
+_Parsed = TypeVar("_Parsed")
+# A file has tables ([fields], [settings] ...) in place of these, and names no other file.
+_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,10 +183,6 @@ def check_size(name: str, size: tuple[int, ...]) -> None:
 
 
 _Settings = TypeVar("_Settings", bound=EnvironmentSettings)
-_Parsed = TypeVar("_Parsed")
-
-# A file has tables ([fields], [settings] ...) in place of these, and names no other file.
-_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
 
 
 def parse_settings(settings_type: type[_Settings], words: Sequence[str], program: str) -> _Settings:

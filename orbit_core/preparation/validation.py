@@ -28,6 +28,22 @@ from orbit_core.scene import (
     RobotSpec,
 )
 
+# Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there
+_ELSEWHERE = (0.3, -0.5, 0.7, 0.4, -0.6, 0.2)
+# Share of the largest singular value of the joints' unit motions below which they are dependent
+_DEPENDENT = 1e-6
+# Tolerance as a share of the largest principal moment: published models round their inertias to three digits
+_TRIANGLE_TOLERANCE = 1e-3
+# Metres by which a loop may be open at home, and radians by which a weld may be turned
+_CLOSED = 1e-3
+# rad or m: files round home positions, and those that were recorded in a simulation press on soft limits
+_HOME_TOLERANCE = 1e-3
+_REPAIR = "compute its inertia from its shape, or repair it with ReadOptions(repair=Repair.BALANCE)"
+# Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes
+_POWERS = 3
+# Largest difference of a quaternion's length from 1; written ones have few digits
+_UNIT = 1e-3
+
 
 def link_poses(articulation: Articulation, positions: Mapping[str, float]) -> dict[str, Pose]:
     """Return the pose of each link by name, in the root link's frame.
@@ -47,12 +63,6 @@ def _motion(joint: Joint, position: float) -> Pose:
         x, y, z = joint.axis
         return Pose((position * x, position * y, position * z))
     return Pose.from_axis_angle(joint.axis, position) if joint.movable else Pose()
-
-
-# Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there
-_ELSEWHERE = (0.3, -0.5, 0.7, 0.4, -0.6, 0.2)
-# Share of the largest singular value of the joints' unit motions below which they are dependent
-_DEPENDENT = 1e-6
 
 
 def check_massless(articulation: Articulation) -> None:
@@ -121,19 +131,6 @@ def _unit_motions(joints: list[Joint]) -> npt.NDArray[np.float64]:
         columns.append(column / np.linalg.norm(column))
         pose = pose @ _motion(joint, position) @ joint.child_pose.inverse()
     return np.stack(columns, axis=1)
-
-
-# Tolerance as a share of the largest principal moment: published models round their inertias to three digits
-_TRIANGLE_TOLERANCE = 1e-3
-# Metres by which a loop may be open at home, and radians by which a weld may be turned
-_CLOSED = 1e-3
-# rad or m: files round home positions, and those that were recorded in a simulation press on soft limits
-_HOME_TOLERANCE = 1e-3
-_REPAIR = "compute its inertia from its shape, or repair it with ReadOptions(repair=Repair.BALANCE)"
-# Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes
-_POWERS = 3
-# Largest difference of a quaternion's length from 1; written ones have few digits
-_UNIT = 1e-3
 
 
 def validate(articulation: Articulation) -> Articulation:

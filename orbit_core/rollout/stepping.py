@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
     from orbit_core.envs.episode import EpisodeEnd
 
+# Steps from one look to the next: searching for a pose takes as long as several steps
+_EVERY = 50
+
 
 class StepObserver:
     """Looks on while an environment is stepped. Override what is of interest."""
@@ -176,10 +179,6 @@ class EpisodeCounter(StepObserver):
             returns=torch.cat([part.returns for part in parts])[order],
             metrics={name: torch.cat([part.metrics[name] for part in parts])[order] for name in parts[0].metrics},
         )
-
-
-# Steps from one look to the next: searching for a pose takes as long as several steps
-_EVERY = 50
 
 
 class ReachWatch(StepObserver):
