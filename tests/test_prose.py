@@ -47,10 +47,12 @@ LIMITS = {
     "orbit_warp": Limits(14.0, 5.6, 1.5),
     "orbit_warpkit": Limits(17.0, 15.5, 0.9),
 }
-# Folders of the core that have: what is added to them must keep the goal.
+# Folders of the core that have reached it. They are small: a few lines more must not fail them, hence 2.7 %.
 REACHED = (
     "scene", "interfaces", "dynamics", "sensors", "actuators", "active", "preparation", "plugin_kit", "cli", "rollout",
 )  # fmt: skip
+LIMITS |= {f"orbit_core/{name}": Limits(comments=2.7) for name in REACHED}
+LIMITS["orbit_core/interfaces"] = Limits(openings=2.3, comments=2.6)  # its captured steps are being rewritten
 FOLDERS = {
     **{distribution.package: ROOT / distribution.folder for distribution in DISTRIBUTIONS},
     **{
