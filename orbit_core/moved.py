@@ -265,8 +265,17 @@ NAMES = {
         "orbit_core.preparation.validation": ("sort_links", "validate", "validate_entity"),
     },
     "orbit_assets.object_kinds": {"orbit_core.objects": _OBJECTS},
+    "orbit_assets.drive_design": {
+        "orbit_core.dynamics.workspace": ("DriveResponse", "ReflectedInertia", "drive_responses", "reflected_inertia"),
+    },
+    "orbit_core.cli.settings": {
+        "orbit_learn.cli.trained": ("PlaySettings",),
+        "orbit_motion.cli.grasp": ("GraspSettings",),
+        "orbit_viewer.cli.view": ("ViewSettings",),
+    },
     "orbit_core.envs": {"orbit_motion.experts": ()},
     "orbit_core.mdp.common": {"orbit_assets.objects": ("BENCH_HEIGHT", "work_bench")},
+    "orbit_core.sensors": {"orbit_data.bounding_boxes": ("BoundingBoxes2d", "BoundingBoxes3d")},
 }
 """Module -> modules that have names now which were its own: these, or all of ``__all__`` where none is given."""
 

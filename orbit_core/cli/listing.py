@@ -20,8 +20,11 @@ Rows = list[tuple[str, str]]
 
 @dataclass(frozen=True)
 class ListSettings:
-    """Names of all tasks, robots, objects, sensors, backends, renderers, matter solvers, kept policies, learning
-    libraries, action spaces or motion generators."""
+    """Names of all tasks, robots, objects, sensors, backends and the like.
+
+    Further kinds are renderers, matter solvers, action spaces and motion generators; with orbit-learn kept policies and
+    learning libraries.
+    """
 
     kind: Annotated[Positional[str], arg(metavar="KIND")]
     """What to list."""
