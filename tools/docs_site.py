@@ -116,7 +116,8 @@ class Stage:
             self.problems.append(f"{source}: there is no {name[1]}")
             return name[0]
         page = _relative(PurePosixPath(docs_api.page_of(place[0])), target)
-        return f"[{name[0]}]({page}{'#' if place[1] else ''}{place[1]})"
+        shown = name[1].replace(".", ".<wbr>")  # long names break at their dots
+        return f"[<code>{shown}</code>]({page}{'#' if place[1] else ''}{place[1]})"
 
 
 _FRONT = "---\nhide: [navigation, toc]\n---\n\n"
