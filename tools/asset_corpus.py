@@ -170,7 +170,8 @@ def page(outcomes: Iterable[Outcome]) -> str:
     parts = [
         "# Published models, read and compared\n",
         "Made by `python tools/asset_corpus.py --page docs/measured/assets-corpus.md`; `tests/audit/test_corpus.py` "
-        "reads the same files, without shapes where they are URDF, and holds them to the tolerances and to this page.\n",
+        "reads the same files, without shapes where they are URDF, and holds them to the tolerances and to this "
+        "page.\n",
         f'{len(listed)} files: {len(strict)} read as they are, {len(lenient)} with `unsupported="drop"` and '
         f'`repair="balance"` (what was left out or mended stands in the notes), {len(refused)} are refused. '
         f"{len(compared)} could be compared with Pinocchio (URDF) or MuJoCo (MJCF). Of those read as they are: masses "
