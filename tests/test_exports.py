@@ -38,6 +38,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleT
 
 
 @pytest.mark.parametrize("name", PACKAGES)
+@pytest.mark.filterwarnings("error::FutureWarning")  # of a name that has moved
 def test_every_exported_name_is_shown_and_found(name: str) -> None:
     package = importlib.import_module(name)
     exported = set(getattr(package, "__all__", ()))

@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from orbit_data.formats import opened, write_dataset
     from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
     from orbit_data.lerobot import LeRobotWriter, write_lerobot
-    from orbit_data.recorder import DemonstrationRecorder
-    from orbit_data.recording import record
+    from orbit_data.recording import DemonstrationRecorder, record
     from orbit_data.replay import ReplayResult
     from orbit_data.zarr_reader import ZarrDataset
 
@@ -55,8 +54,7 @@ __getattr__, __dir__ = lazy_names(
             "LeRobotWriter",
             "write_lerobot",
         ),
-        "recorder": ("DemonstrationRecorder",),
-        "recording": ("record",),
+        "recording": ("DemonstrationRecorder", "record"),
         "replay": ("ReplayResult",),
         "zarr_reader": ("ZarrDataset",),
     },

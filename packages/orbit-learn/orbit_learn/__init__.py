@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from orbit_learn.description import PolicyDescription
     from orbit_learn.gymnasium import SingleEnvironment, VectorEnvironment
     from orbit_learn.learners import library_names, trainer_type
-    from orbit_learn.network_registry import register_network
     from orbit_learn.onnx_file import read_onnx, write_onnx
     from orbit_learn.pettingzoo import ParallelEnvironment
     from orbit_learn.policy import Policy, load_policy, whole_agent
+    from orbit_learn.policy_file import register_network
     from orbit_learn.trainer import Trainer
     from orbit_learn.training import Training
 
@@ -51,7 +51,7 @@ __getattr__, __dir__ = lazy_names(
             "library_names",
             "trainer_type",
         ),
-        "network_registry": ("register_network",),
+        "policy_file": ("register_network",),
         "onnx_file": (
             "read_onnx",
             "write_onnx",
