@@ -90,6 +90,7 @@ def test_the_sites_links_and_names_lead_somewhere(tmp_path: Path) -> None:
     stage.write()
     assert not stage.problems
     assert "(api/orbit_core.envs.making.md#orbit_core.envs.making.make)" in (tmp_path / "tutorials.md").read_text()
+    assert '"orbit_core.scene.CameraSpec")' in (tmp_path / "sensors.md").read_text()
     assert (tmp_path / "source/examples/lift.py.md").exists()
     assert (tmp_path / "api/orbit_core.world.world.md").exists()
 

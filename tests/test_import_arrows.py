@@ -21,6 +21,7 @@ CORE = ROOT / "orbit_core"
 # Each package may import those of lower rank, and its own.
 RANKS = {
     "scene": 0,
+    "exports": 0.5,
     "interfaces": 1,
     "files": 1.5,
     "registry": 1.5,
