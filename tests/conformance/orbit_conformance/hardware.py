@@ -29,6 +29,18 @@ class Hardware:
         gpus = tuple(torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count()))
         return Hardware(_processor(), cores(), round(_memory(), 1), gpus, platform.platform(terse=True))
 
+    @property
+    def label(self) -> str:
+        """Processor and number of cores, in words."""
+        return f"{self.processor}, {self.cores} core{'s' if self.cores > 1 else ''}"
+
+
+def device_label(device: torch.device) -> str:
+    """Return the name of the GPU, or of the processor with its number of cores."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return Hardware.here().label
+
 
 def versions() -> dict[str, str]:
     """Versions of the software that all backends share; each backend tells its own."""

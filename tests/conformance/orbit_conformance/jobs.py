@@ -145,5 +145,5 @@ def _replays(settings: Settings, backend: str) -> Iterable[Job]:
 def _throughput(settings: Settings, backend: str) -> Iterable[Job]:
     if Part.THROUGHPUT in settings.parts:
         for task in settings.tasks:
-            for num_envs in settings.extent.throughput_envs:
+            for num_envs in settings.throughput_envs_of(backend):
                 yield Job(Kind.THROUGHPUT, task, backend, num_envs=num_envs)

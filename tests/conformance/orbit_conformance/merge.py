@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from orbit_conformance.courses import Course, course_of
 from orbit_conformance.execution import RECORDING
@@ -33,7 +33,8 @@ from orbit_core.files import LOCK, as_path, check_apart, storage_faults, sweep, 
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.recording import Recording
 
-_Named = TypeVar("_Named")
+_Reconcile = Callable[[str, Iterable[Any]], tuple[Any, ...]]
+"""Takes the kind and the information of all runs; returns one of each name."""
 
 
 def merge(folders: Sequence[Path | str], output: Path | str, overwrite: bool = False) -> Result:
@@ -68,6 +69,28 @@ def merge(folders: Sequence[Path | str], output: Path | str, overwrite: bool = F
     return merged
 
 
+def joined(results: Sequence[Result]) -> Result:
+    """Return the results of several runs as one to be shown.
+
+    Unlike :func:`merge`, runs of different dates may share jobs and differ in their declarations: the latest counts.
+
+    Raises:
+        ConfigurationError: two runs differ in the seed, in ``--quick`` or in settings of backends.
+    """
+    latest_first = sorted(results, key=lambda result: result.finished, reverse=True)
+    records = {record.job.key: record for result in reversed(latest_first) for record in result.records}
+    partings = {(p.task, p.backend, p.reference): p for result in reversed(latest_first) for p in result.partings}
+    courses = {(c.task, c.backend): c for result in reversed(latest_first) for c in result.courses}
+    return Result(
+        header=_header([result.header for result in latest_first], latest_first, _first),
+        records=tuple(records.values()),
+        partings=tuple(partings.values()),
+        courses=tuple(courses.values()),
+        finished=latest_first[0].finished,
+        benchmarks=next((result.benchmarks for result in latest_first if result.benchmarks), ()),
+    )
+
+
 def _check_output(output: Path, overwrite: bool) -> None:
     """Reject a folder that is there and not to be replaced, or that holds more than a finished run."""
     if not output.exists() or (output.is_dir() and not any(output.iterdir())):
@@ -100,13 +123,14 @@ def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> 
             if record.job.key in records:
                 raise ConfigurationError(f"two results to be merged hold {record.job.key}: leave one out")
             records[record.job.key] = record
-            _copy(record, folder, output)
+            copy_files(record, folder, output)
     merged = Result(
-        header=_header([result.header for result in results], results),
+        header=_header([result.header for result in results], results, _same),
         records=tuple(records.values()),
         partings=tuple(parting for result in results for parting in result.partings),
         courses=tuple(course for result in results for course in result.courses),
         finished=now(),
+        benchmarks=tuple(dict.fromkeys(each for result in results for each in result.benchmarks)),
     )
     tracks = {task: _recordings(task, merged, output) for task in merged.tried_tasks}
     partings = (*merged.partings, *_partings(merged, tracks))
@@ -115,8 +139,8 @@ def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> 
     return merged
 
 
-def _copy(record: Record, folder: Path, output: Path) -> None:
-    """A record's files, those that are still there: recordings and traces are often left behind."""
+def copy_files(record: Record, folder: Path, output: Path) -> None:
+    """Copy those of a record's files that are still there: recordings and traces are often left behind."""
     for name in record.files:
         source, target = folder / record.job.key / name, output / record.job.key / name
         if source.exists():
@@ -149,16 +173,16 @@ def _courses(result: Result, tracks: dict[str, dict[str, Path]]) -> Iterator[Cou
                 yield course
 
 
-def _header(headers: Sequence[Header], results: Sequence[Result]) -> Header:
+def _header(headers: Sequence[Header], results: Sequence[Result], once: _Reconcile) -> Header:
     first = headers[0]
     return replace(
         first,
         settings=_settings([header.settings for header in headers]),
         started=min(header.started for header in headers),
-        scenarios=_once("scenario", (each for header in headers for each in header.scenarios)),
-        backends=_once("backend", (each for header in headers for each in header.backends), _declared),
-        matters=_once("matter solver", (each for header in headers for each in header.matters), _declared),
-        policies=_once("policy", (each for header in headers for each in header.policies)),
+        scenarios=once("scenario", (each for header in headers for each in header.scenarios)),
+        backends=once("backend", (each for header in headers for each in header.backends)),
+        matters=once("matter solver", (each for header in headers for each in header.matters)),
+        policies=once("policy", (each for header in headers for each in header.policies)),
         sources={name: digest for header in reversed(headers) for name, digest in header.sources.items()},
         origins=_origins(results),
     )
@@ -189,24 +213,30 @@ def _settings(each: Sequence[Settings]) -> Settings:
     )
 
 
-def _declared(info: BackendInfo) -> object:
-    return info.gaps
+def _declared(info: Any) -> object:
+    """Return the part of an information that runs to be merged must share; versions of backends may differ."""
+    return info.gaps if isinstance(info, BackendInfo) else info
 
 
-def _once(
-    kind: str, infos: Iterable[_Named], same: Callable[[_Named], object] = lambda info: info
-) -> tuple[_Named, ...]:
-    """One information of each name.
+def _first(kind: str, infos: Iterable[Any]) -> tuple[Any, ...]:
+    """Return the first information of each name."""
+    found: dict[str, Any] = {}
+    for info in infos:
+        found.setdefault(info.name, info)
+    return tuple(found.values())
+
+
+def _same(kind: str, infos: Iterable[Any]) -> tuple[Any, ...]:
+    """Return one information of each name.
 
     Raises:
         ConfigurationError: two of one name are not the same.
     """
     found: dict[str, Any] = {}
     for info in infos:
-        name = getattr(info, "name")  # noqa: B009
-        if same(found.setdefault(name, info)) != same(info):
+        if _declared(found.setdefault(info.name, info)) != _declared(info):
             raise ConfigurationError(
-                f"the results to be merged know {kind} '{name}' differently, as other code made them: make one anew"
+                f"the results to be merged know {kind} '{info.name}' differently: run one again with the other's code"
             )
     return tuple(found.values())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,7 +21,7 @@ from orbit_conformance.replay import ReplayResult
 from orbit_conformance.robots.check import RobotResult
 from orbit_conformance.scenario import Metric, Scenario
 from orbit_conformance.settings import Settings
-from orbit_conformance.throughput import Throughput
+from orbit_conformance.throughput import Benchmark, Throughput
 from orbit_conformance.transfer import TransferResult, learned
 from orbit_conformance.verdict import Status
 from orbit_core.files import as_path, read_bytes, written_whole
@@ -211,6 +211,15 @@ class Parting:
     things: list[Divergence]
 
 
+@dataclass(frozen=True)
+class Archive:
+    """File that holds the whole of a condensed result: all time steps, curves, plots and videos."""
+
+    name: str
+    sha256: str
+    mebibytes: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Result:
     """A finished run."""
@@ -222,6 +231,10 @@ class Result:
     """Of tasks with deformables."""
     finished: str = ""
     """Time in UTC (ISO 8601)."""
+    benchmarks: tuple[Benchmark, ...] = ()
+    """Stepping rates measured outside of the run, as on GPUs that a run's machine lacks."""
+    archive: Archive | None = None
+    """Set in a condensed result only."""
 
     def of(self, kind: Kind) -> list[Record]:
         """The records of one kind."""
@@ -270,6 +283,12 @@ def encode(value: Any) -> str:
     return json.dumps(_plain(msgspec.to_builtins(value)), allow_nan=False)
 
 
+def encode_sparse(value: Any) -> str:
+    """Return the value as one line of JSON without the fields that have their defaults, rounded to four digits
+    below 1000 and to integers above."""
+    return json.dumps(_sparse(value), allow_nan=False, separators=(",", ":"))
+
+
 def decode(text: str | bytes, kind: type[_Type]) -> _Type:
     """The value of that type, decoded from JSON.
 
@@ -310,6 +329,41 @@ def save(result: Result, folder: Path | str) -> None:
     """
     with written_whole(as_path(folder) / RESULT_FILE) as path:
         path.write_text(f"{encode(result)}\n")
+
+
+def save_sparse(result: Result, folder: Path | str) -> None:
+    """Write the result's file without defaults and with a line for each record, so that changes of it are legible.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    head = encode_sparse(replace(result, records=()))
+    lines = ",\n".join(map(encode_sparse, result.records))
+    with written_whole(as_path(folder) / RESULT_FILE) as path:
+        path.write_text(f'{head[:-1]},"records":[\n{lines}\n]}}\n')
+
+
+def _sparse(value: Any) -> Any:
+    """Return the value as plain data without defaults; a field without a default is always there."""
+    if is_dataclass(value):
+        pairs = ((each, getattr(value, each.name)) for each in fields(value))
+        kept = ((each.name, own) for each, own in pairs if each.name == "schema" or own != _default(each))
+        return {name: _sparse(own) for name, own in kept}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return repr(value)
+        return float(f"{value:.4g}") if abs(value) < 1000.0 else round(value)
+    if isinstance(value, Mapping):
+        return {key: _sparse(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_sparse(item) for item in value]
+    return value
+
+
+def _default(each: Field[Any]) -> Any:
+    return each.default_factory() if each.default_factory is not MISSING else each.default
 
 
 def _plain(value: Any) -> Any:

@@ -51,6 +51,9 @@ class Extent:
     """The same of policies that see pictures, which most engines here draw on the CPU, a few a second; 0 leaves these
     policies out."""
     throughput_envs: tuple[int, ...]
+    """Numbers of environments of a measurement of throughput on a CPU."""
+    gpu_throughput_envs: tuple[int, ...]
+    """The same on a GPU; none of a CPU's, so that results of both can be merged."""
     blocks: int
     """Number of blocks of the environment's steps and of the raw engine's, which alternate."""
     block_steps: int
@@ -64,6 +67,7 @@ QUICK = Extent(
     slow_replays=False,
     pixel_episodes=0,
     throughput_envs=(8,),
+    gpu_throughput_envs=(1024,),
     blocks=3,
     block_steps=10,
     video_seconds=0.5,
@@ -74,6 +78,8 @@ FULL = Extent(
     slow_replays=True,
     pixel_episodes=4,
     throughput_envs=(1, 16, 64),
+    # A GPU's rate grows up to some ten thousand environments, which a CPU would need minutes to step once.
+    gpu_throughput_envs=(1024, 4096, 16384),
     blocks=5,
     block_steps=20,
     video_seconds=5.0,
@@ -144,6 +150,11 @@ class Settings:
     def device_of(self, backend: str) -> str:
         """The device on which the backend simulates."""
         return self.device if find_backend(backend).capabilities().has(Capability.GPU) else "cpu"
+
+    def throughput_envs_of(self, backend: str) -> tuple[int, ...]:
+        """Numbers of environments of the backend's measurements of throughput, as many as its device is made for."""
+        extent = self.extent
+        return extent.throughput_envs if self.device_of(backend) == "cpu" else extent.gpu_throughput_envs
 
 
 def choose(

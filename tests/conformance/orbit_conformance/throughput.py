@@ -19,6 +19,7 @@ from typing import Any
 
 import torch
 
+from orbit_conformance.hardware import device_label
 from orbit_conformance.stopwatch import timed_parts
 from orbit_core.backends import backend as find_backend
 from orbit_core.envs import Environment, make
@@ -67,6 +68,8 @@ class Throughput:
     """Time from the call to the end of the first step, with the engine's import where it was not imported."""
     memory_mib: float
     """Growth of the resident memory of the process and its children; meaningful in a fresh process alone."""
+    hardware: str = ""
+    """Processor or GPU that stepped the environments; empty in results of versions that did not keep it."""
 
     @property
     def shares(self) -> dict[str, float]:
@@ -76,6 +79,25 @@ class Throughput:
         layer = sum(self.parts_milliseconds.values()) - engine
         times = {"engine": engine, "layer": layer, "rendering": self.num_envs * (self.picture_milliseconds or 0.0)}
         return {name: milliseconds / sum(times.values()) for name, milliseconds in times.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark:
+    """A stepping rate measured outside of a run, by a command of ``benchmarks/`` or of a plugin's."""
+
+    task: str
+    robot: str = ""
+    """Robot, where it is not the task's own."""
+    action: str
+    """Action space."""
+    backend: str
+    num_envs: int
+    env_steps_per_second: int
+    ratio: float | None = None
+    """Rate as a share of the engine's own, stepped through the same motions; None where that was not measured."""
+    hardware: str
+    command: str
+    """Command that repeats the measurement."""
 
 
 def measure_once(
@@ -134,6 +156,7 @@ def measure_once(
         picture_milliseconds=picture,
         start_seconds=start,
         memory_mib=grown,
+        hardware=device_label(environment.device),
     )
 
 

@@ -34,8 +34,8 @@ class RunSettings:
     """Hold backends against physics with known answers and whole tasks; write JSON and an HTML report.
 
     A run that was interrupted goes on when the same command is given again. The exit code is 1 if a backend is not as
-    it declares. Other uses: 'orbit conformance compare A B', 'orbit conformance merge A B --output DIR' and 'orbit
-    conformance report DIR'.
+    it declares. Other uses: 'orbit conformance compare A B', 'orbit conformance merge A B --output DIR', 'orbit
+    conformance publish DIR --output DIR' and 'orbit conformance report DIR'.
     """
 
     backend: Names = ()
@@ -93,6 +93,23 @@ class MergeSettings:
     """Folder for the result, the report and the videos."""
     overwrite: bool = False
     """Replace a result that is there already, once the new one is whole."""
+
+
+@dataclass(frozen=True)
+class PublishSettings:
+    """Write a compact page with its data, and an archive with the whole report of several finished runs.
+
+    Where two runs did one job, the later counts. The page names the archive and its sha256.
+    """
+
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR...")]
+    """The folders of finished runs."""
+    output: Annotated[Path, arg(metavar="DIR")]
+    """Folder for the compact page and its data."""
+    archive: Annotated[Path, arg(metavar="DIR")] = Path("out/release")
+    """Folder for the archive."""
+    benchmarks: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Stepping rates measured outside of the runs, as docs/figures/gpu_rates.json has them."""
 
 
 @dataclass(frozen=True)
@@ -234,6 +251,18 @@ def _merge(words: Sequence[str]) -> int:
     return _tell(merge(settings.folders, settings.output, settings.overwrite), settings.output)
 
 
+def _publish(words: Sequence[str]) -> int:
+    settings = parse_words(PublishSettings, words, f"{PROGRAM} publish")
+    if not settings.folders:
+        raise ConfigurationError("name the folders of the runs to be published")
+    from orbit_conformance.publish import publish
+
+    result = publish(settings.folders, settings.output, settings.archive, settings.benchmarks)
+    assert result.archive is not None
+    print(settings.archive / result.archive.name, result.archive.sha256)
+    return 0
+
+
 def _report(words: Sequence[str]) -> int:
     from orbit_conformance.report.page import write_report
 
@@ -247,5 +276,5 @@ def _require_extra() -> None:
 
 
 _COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
-    "run": _run, "compare": _compare, "merge": _merge, "report": _report
+    "run": _run, "compare": _compare, "merge": _merge, "publish": _publish, "report": _report
 }  # fmt: skip

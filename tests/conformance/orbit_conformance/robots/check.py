@@ -56,8 +56,8 @@ class CheckResult:
     """The reason for anything but a pass."""
     errors: dict[str, float]
     """Errors by metric."""
-    figures: dict[str, float]
-    seconds: float
+    figures: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
     """Wall time, building of the world included."""
 
 
@@ -69,9 +69,9 @@ class RobotResult:
     """Number of joints that move freely."""
     mass: float
     """Total mass of the description in kg."""
-    categories: tuple[str, ...]
     checks: tuple[CheckResult, ...]
-    spared: dict[str, str]
+    categories: tuple[str, ...] = ()
+    spared: dict[str, str] = field(default_factory=dict)
     """Reasons by check, of those that the robot is not put to."""
 
     @property
