@@ -1,1 +1,1 @@
-"""How right and how fast each backend is, from physics with known answers up to whole tasks."""
+"""Conformance suite: accuracy and speed of each backend, from physics with known answers up to whole tasks."""

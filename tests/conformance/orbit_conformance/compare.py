@@ -1,4 +1,4 @@
-"""What got better or worse between two results, beyond noise."""
+"""Comparison of two results: changes for better or worse that exceed noise."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Comparison:
 
     @property
     def worse_status(self) -> bool:
-        """Whether any backend's standing got worse."""
+        """Return True if the status of any backend got worse."""
         return any(change.of_status and not change.better for change in self.changes)
 
 
@@ -104,7 +104,7 @@ def _estimates(job: Job, what: str, before: Estimate, after: Estimate, *, higher
 
 
 def _speed(old: Record, new: Record) -> Iterator[Change]:
-    """The change of a speed. Only throughput is compared, because nothing runs beside its measurement."""
+    """Yield the change of a speed; only of throughput, the one speed that is measured on an idle machine."""
     if new.job.kind is Kind.THROUGHPUT and old.throughput and new.throughput:
         before, after = old.throughput.env_steps_per_second, new.throughput.env_steps_per_second
         if abs(after - before) > SPEED_NOISE * before:

@@ -1,4 +1,4 @@
-"""What scenarios of contact share: solids of every kind of shape, smooth ground, where things are, what they feel."""
+"""Parts that scenarios of contact share: solids of every shape, smooth ground, poses and contact forces."""
 
 from __future__ import annotations
 

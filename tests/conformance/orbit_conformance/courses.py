@@ -1,4 +1,4 @@
-"""Where the key points of a task's deformables went in one environment, to be held side by side over backends."""
+"""Courses of a task's deformables: positions of key points over time in one environment, to compare backends."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from orbit_core.rollout.recording import Recording
 
+# The most instants of a course that are kept, evenly spaced.
 _INSTANTS = 101
-"""The most instants of a course that are kept, evenly spaced."""
 
 
 @dataclass(frozen=True)

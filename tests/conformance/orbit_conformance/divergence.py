@@ -1,4 +1,4 @@
-"""How far apart two recorded runs of a task are, over time."""
+"""Distance over time between two recorded runs of a task."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy.typing as npt
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.recording import Recording
 
+# The most instants of a divergence that are kept, evenly spaced.
 _POINTS = 101
-"""The most instants of a divergence that are kept, evenly spaced."""
 
 
 @dataclass(frozen=True)
 class Divergence:
-    """How far apart one thing is in two runs of a task, over the environments in which both episodes still run."""
+    """Distance of one thing between two runs of a task, over environments in which both episodes still run."""
 
     thing: str
     times: list[float]

@@ -43,7 +43,7 @@ class TaskResult:
 
     @property
     def shortfall(self) -> str:
-        """Why an expert has failed: the whole interval of its success lies below what it is held to; empty if not."""
+        """Reason of an expert's failure: its whole success interval is below the required rate; empty if it is not."""
         if self.success.high >= self.expert_success:
             return ""
         return f"success is {self.success.percent()}, below {self.expert_success:g}"
@@ -69,7 +69,7 @@ class _SuccessTimes(StepObserver):
 
 
 class FirstEpisodes:
-    """Runs each environment's first episode and keeps what it came to; closes the environment in the end."""
+    """Runner of each environment's first episode that keeps the results; closes the environment in the end."""
 
     def __init__(
         self,

@@ -33,13 +33,13 @@ from orbit_core.plugin_kit.scratch import OWNER, ScratchFolder
 RECORDING = "recording.npz"
 TRACES = "traces.json"
 VIDEO = "video.mp4"
+# Significant digits to which a trace is rounded: more than a plot shows.
 _DIGITS = 6
-"""Significant digits to which a trace is rounded: more than a plot shows."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A job's record and its files: all that comes back from a worker, wherever it runs."""
+    """A job's record and its files: all that comes back from a worker."""
 
     record: Record
     files: Mapping[str, bytes] = field(default_factory=dict)
@@ -55,10 +55,10 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
         inputs: files by name that earlier jobs made and this one needs.
 
     Returns:
-        The outcome; an exception becomes a record of its own.
+        The outcome; an exception becomes a record.
 
     Raises:
-        StorageError: the disk is full, which tells nothing of the backend.
+        StorageError: the disk is full, which is no fault of the backend.
     """
     torch.set_num_threads(1)  # other jobs run on the other cores
     begin = time.perf_counter()

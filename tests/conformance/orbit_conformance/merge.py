@@ -33,15 +33,15 @@ from orbit_core.files import LOCK, as_path, check_apart, storage_faults, sweep, 
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.recording import Recording
 
+# Takes the kind and the information of all runs; returns one of each name.
 _Reconcile = Callable[[str, Iterable[Any]], tuple[Any, ...]]
-"""Takes the kind and the information of all runs; returns one of each name."""
 
 
 def merge(folders: Sequence[Path | str], output: Path | str, overwrite: bool = False) -> Result:
     """Write the result of several finished runs, with their files, into a folder, which appears as a whole.
 
     Machines, versions and numbers of episodes may differ, and the result names each (``Header.origins``). Where two
-    backends did a task in different runs, how they part is reckoned from the recordings, if they are still there.
+    backends did a task in different runs, distances are computed from the recordings, if these are still there.
 
     Args:
         folders: of the runs.
@@ -157,7 +157,7 @@ def _recordings(task: str, result: Result, folder: Path) -> dict[str, Path]:
 
 
 def _partings(result: Result, tracks: dict[str, dict[str, Path]]) -> Iterator[Parting]:
-    """Those of pairs that no run had both of."""
+    """Yield the partings of pairs of backends that no run had both of."""
     known = {(each.task, frozenset((each.backend, each.reference))) for each in result.partings}
     for task, paths in tracks.items():
         for reference, backend in itertools.combinations(paths, 2):
@@ -189,7 +189,7 @@ def _header(headers: Sequence[Header], results: Sequence[Result], once: _Reconci
 
 
 def _settings(each: Sequence[Settings]) -> Settings:
-    """What all runs cover together."""
+    """Return settings that cover all runs together."""
     first = each[0]
     for name in ("seed", "quick"):
         if len({getattr(own, name) for own in each}) > 1:
@@ -242,7 +242,7 @@ def _same(kind: str, infos: Iterable[Any]) -> tuple[Any, ...]:
 
 
 def _origins(results: Sequence[Result]) -> tuple[Origin, ...]:
-    """Where and when what was done; one for all runs of the same machine, versions and core."""
+    """Return the origins of jobs; runs of the same machine, versions and core share one."""
     found: list[Origin] = []
     for result in results:
         header = result.header

@@ -1,4 +1,4 @@
-"""Where jobs are done: in processes of this machine, or of the machines of a Ray cluster.
+"""Pools that run jobs: in processes of this machine, or of the machines of a Ray cluster.
 
 A worker serves one backend and dies alone: an engine that crashes or hangs costs the job that it was doing.
 """
@@ -133,7 +133,7 @@ class RayPool(Pool):
 
 
 def _begin_worker(log: str) -> None:
-    """Send whatever engines print into the log, and tell there where a process dies."""
+    """Redirect engine output into the log, and write the stack of a process that dies there."""
     sys.stdout.flush()
     stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW)
     os.dup2(stream, 1)

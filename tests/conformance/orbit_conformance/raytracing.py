@@ -1,4 +1,4 @@
-"""Where rays meet shapes, in closed form and in double precision: the truth that rays and images are held against.
+"""Ray tracer in closed form and double precision: the truth for the scenarios of rays and images.
 
 C. Ericson, Real-Time Collision Detection (2005), section 5.3; for triangles T. Möller and B. Trumbore, Fast, minimum
 storage ray/triangle intersection, J. Graphics Tools 2 (1997).
@@ -22,7 +22,7 @@ NOTHING = -1
 
 @dataclass(frozen=True)
 class Hits:
-    """Where R rays met things from outside."""
+    """Hits of R rays on things, from outside."""
 
     distances: Array
     """Distances (R,), infinite for a miss."""
@@ -48,7 +48,7 @@ def trace(things: Sequence[tuple[Geometry, Pose]], origins: Array, directions: A
 
 
 def steady(hits: Hits, others: Sequence[Hits], cosine: float) -> npt.NDArray[np.bool_]:
-    """Whether (R,) the rays beside each one meet the same thing, where its surface faces about the same way."""
+    """Return a mask (R,) of rays whose neighbours meet the same thing at about the same normal."""
     alike = np.ones(len(hits.things), dtype=np.bool_)
     for other in others:
         turned = (hits.normals * other.normals).sum(1)

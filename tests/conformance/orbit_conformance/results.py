@@ -1,4 +1,4 @@
-"""What a run found, as typed data and as JSON. Numbers that are not finite are written as text, such as "nan"."""
+"""Results of a run as typed data and as JSON. Numbers that are not finite are written as text, such as "nan"."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _Type = TypeVar("_Type")
 
 
 class Ending(Enum):
-    """How a job came to its end."""
+    """Ways in which a job ends."""
 
     DONE = "done"
     UNSUPPORTED = "unsupported"
@@ -50,7 +50,7 @@ class Ending(Enum):
 
     @property
     def acceptable(self) -> bool:
-        """Whether the job ended without an error, crash or timeout."""
+        """True if the job ended without an error, crash or timeout."""
         return self in (Ending.DONE, Ending.UNSUPPORTED)
 
 
@@ -168,7 +168,7 @@ class PolicyInfo:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where and when some of the jobs of a merged result were done."""
+    """Machine, versions and dates of some of the jobs of a merged result."""
 
     jobs: dict[str, int]
     """Numbers of jobs by their kind and backend, as in ``"task on <backend>"``."""
@@ -182,7 +182,7 @@ class Origin:
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What a run is of, written before its first record."""
+    """Head of a run's result, written before its first record."""
 
     settings: Settings
     versions: dict[str, str]
@@ -203,7 +203,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Parting:
-    """How one task's trajectories on two backends part over time."""
+    """Distance over time between one task's trajectories on two backends."""
 
     task: str
     backend: str
@@ -247,7 +247,7 @@ class Result:
         return tuple(task for task in self.header.settings.tasks if task in tried)
 
     def matters(self, name: str) -> list[str]:
-        """Who simulated the deformables of one scenario, the engine's own last; a single empty name without any."""
+        """Return the matter solvers of one scenario, the engine's own last; a single empty name without any."""
         found = dict.fromkeys(record.job.matter for record in self.of(Kind.SCENARIO) if record.job.name == name)
         return sorted(found, key=lambda matter: (matter == NATIVE, matter)) or [""]
 

@@ -1,4 +1,4 @@
-"""What a run of the suite covers, with every name checked."""
+"""Settings of a run of the suite, with every name checked."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Part(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Extent:
-    """How much is spent on each task."""
+    """Number of episodes and steps that are spent on each task."""
 
     episodes: int
     """Number of episodes, one in each environment."""
@@ -95,7 +95,7 @@ QUICK_ROBOTS = ("cartpole", "franka_panda", "robotiq_2f85", "unitree_go1")
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What a run covers; two runs of equal settings and versions are the same run."""
+    """Settings of a run; two runs of equal settings and versions are the same run."""
 
     backends: tuple[str, ...]
     scenarios: tuple[str, ...]
@@ -124,12 +124,12 @@ class Settings:
 
     @property
     def scripted_tasks(self) -> tuple[str, ...]:
-        """Those that have an expert; the others are learned, and tried by the policies that are kept for them."""
+        """Tasks that have an expert; the others are learned, and tried by the policies that are kept for them."""
         return tuple(name for name in self.tasks if task_entry(name).task_type().has_expert())
 
     @property
     def extent(self) -> Extent:
-        """How much is spent on each task. Where episodes are few, slow tasks are not replayed either."""
+        """Extent of each task. Where episodes are few, slow tasks are not replayed either."""
         whole = QUICK if self.quick else FULL
         if self.episodes is None:
             return whole
@@ -138,7 +138,7 @@ class Settings:
         return replace(whole, slow_replays=whole.slow_replays and fewer["episodes"] == whole.episodes, **fewer)
 
     def is_slow(self, task: str) -> bool:
-        """Whether the task has cloth or rope, of which a CPU makes a few hundred steps a second, or long episodes."""
+        """Return True if the task has long episodes, or cloth or rope, which a CPU steps slowly."""
         defaults: dict[str, Any] = {}
         own = task_entry(task).task_type()(**defaults)
         return own.episode_length >= LONG or bool(own.scene().deformables)
@@ -174,10 +174,10 @@ def choose(
     """Settings from names; none given means all of that kind.
 
     Without ``parts``, naming scenarios, robots or tasks leaves the parts of the others out. A robot may be named by its
-    parts, as ``"ur10+robotiq_2f85"``. Of ``matters``, ``"native"`` stands for the engines' own.
+    parts, as ``"ur10+robotiq_2f85"``. ``"native"`` in ``matters`` means the engines' own.
 
     Raises:
-        UnknownNameError: nothing bears a name, or what a declared gap names; tells the nearest.
+        UnknownNameError: a name is unknown, or one that a declared gap has; names the nearest.
         ConfigurationError: no backend is installed; a declared gap, or a backend's setting, can not be.
     """
     installed = backend_names()
@@ -217,7 +217,7 @@ def choose(
 
 
 def _robots(named: Sequence[str], quick: bool) -> tuple[str, ...]:
-    """Those that are named, or else all of the catalogue whose models are installed."""
+    """Return the named robots, or else all of the catalogue whose models are installed."""
     for name in named:
         robot_info(name)
     known = QUICK_ROBOTS if quick else robot_names()
@@ -255,7 +255,7 @@ def scenario(name: str) -> Scenario:
 
 
 def _known(kind: str, names: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
-    """Those of the known that are named, in their own order; all if none is."""
+    """Return the known names that are given, in the order of the known; all if none is given."""
     known = tuple(known)
     for name in names:
         if name not in known:

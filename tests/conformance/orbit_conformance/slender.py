@@ -14,7 +14,7 @@ BESSEL_ZERO = 2.404825557695773
 
 
 def root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function that has other signs at both ends is zero, by bisection."""
+    """Return the root of a function that has opposite signs at both ends, by bisection."""
     rising = function(high) > 0.0
     for _ in range(100):
         middle = 0.5 * (low + high)

@@ -1,6 +1,6 @@
-"""Which code a record comes from, so that a run that goes on does again what other code had done.
+"""Digests of the code that a record comes from, so that a resumed run repeats the jobs of other code.
 
-Versions do not tell: a plugin that is being written changes from run to run under one version.
+Versions do not suffice: a plugin that is being written changes from run to run under one version.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from orbit_core.pretrained import pretrained_policy
 from orbit_core.robots import robot_info
 
 CORE = "orbit_core"
+# Packages whose code any job may run.
 _SHARED = ("orbit_core", "orbit_assets", "orbit_motion", "orbit_learn", "orbit_conformance")
-"""Packages whose code any job may run."""
 _SCENARIOS = "orbit_conformance.scenarios"
 _SCENARIOS_WORDS = "the scenarios"
+# Files of these packages that no job runs, and the scenarios, which have a digest of their own.
 _IN_NO_JOB = ("cli/", "contract/", "report/", "scenarios/")
-"""Files of these packages that no job runs, and the scenarios, which have a digest of their own."""
 
 
 def source_digests(settings: Settings) -> dict[str, str]:

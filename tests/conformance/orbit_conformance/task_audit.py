@@ -26,8 +26,8 @@ from orbit_core.rollout.stepping import StepObserver, roll_out
 EXPERT, TRIVIAL = "expert", ("random", "zero", "hold")
 MOST_BEYOND = 0.01
 """Largest share of an expert's samples beyond a limit: contacts throw a joint about for a moment."""
+# Relative excess over a limit that counts as rounding.
 _ROUNDING = 1e-3
-"""Relative excess over a limit that counts as rounding."""
 LEAST_AREA = 0.02
 """m^2 that the starts of the widest-spread thing cover at least."""
 LEAST_YAW = 0.25
@@ -211,7 +211,7 @@ def _judged(audit: TaskAudit, environment: Environment) -> TaskAudit:
         if held is None:
             verdicts.append(Verdict(check, Status.ABSENT, "", figure))
         elif check in declared:
-            # Some engines enforce velocity limits whatever the expert does.
+            # Some engines enforce velocity limits, so that no expert can exceed them there.
             stale = held and check is not TaskCheck.VELOCITY_LIMITS
             verdicts.append(Verdict(check, Status.STALE if stale else Status.DECLARED, figure, declared[check]))
         else:
@@ -220,7 +220,7 @@ def _judged(audit: TaskAudit, environment: Environment) -> TaskAudit:
 
 
 def _measured(check: TaskCheck, audit: TaskAudit, has_rewards: bool) -> tuple[bool | None, str]:
-    """Whether a check holds, None where it does not apply, with its figure or the reason."""
+    """Return True if a check holds, None where it does not apply, with its figure or the reason."""
     agents = audit.agents
     if check is TaskCheck.TRIVIAL_AGENTS:
         most = max(TRIVIAL, key=lambda name: agents[name].success.value)

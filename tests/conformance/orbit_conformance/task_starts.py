@@ -11,12 +11,12 @@ from torch import Tensor
 from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.envs import Environment
 
+# m: least edge of the cells that are counted.
 _CELL = 0.02
-"""m: least edge of the cells that are counted."""
+# Samples expected in each cell of the bounding rectangle: cells grow until it is reached.
 _SAMPLES_PER_CELL = 4
-"""Samples expected in each cell of the bounding rectangle: cells grow until it is reached."""
+# Sectors of a whole turn.
 _SECTORS = 36
-"""Of a whole turn."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How fast an environment steps, against its own engine stepped raw; what it takes to start and to hold in memory.
+"""Stepping rate of an environment against its raw engine, time to start, and memory.
 
 The environment takes random actions and does all that it does in learning: actions to joint targets, physics,
 observations, rewards, terminations, resets (episodes are staggered, so that some end in most blocks). After each block
@@ -29,11 +29,11 @@ from orbit_core.rollout.pictures import OverviewCamera
 
 PICTURE = 84
 """Width and height in pixels of the picture whose cost is measured."""
+# The stopwatch's parts that are the engine's own work.
 _ENGINE = ("engine step", "state reads")
-"""The stopwatch's parts that are the engine's own work."""
 _ENVIRONMENT = "environment"
+# Number of environments that are drawn, and how often each is drawn.
 _DRAWN = 4
-"""Number of environments that are drawn, and how often each is drawn."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,7 @@ class Throughput:
 
     @property
     def shares(self) -> dict[str, float]:
-        """What part of a step that also draws that picture of every environment passes in "engine", "layer" and
-        "rendering"."""
+        """Shares of "engine", "layer" and "rendering" in a step that also draws that picture of every environment."""
         engine = sum(self.parts_milliseconds.get(part, 0.0) for part in _ENGINE)
         layer = sum(self.parts_milliseconds.values()) - engine
         times = {"engine": engine, "layer": layer, "rendering": self.num_envs * (self.picture_milliseconds or 0.0)}
@@ -112,7 +111,7 @@ def measure_once(
     settings: Mapping[str, Any] | None = None,
     compile: bool = False,
 ) -> Throughput:
-    """Measure one number of environments in this process. Run nothing beside it.
+    """Measure one number of environments in this process. Run no other job meanwhile.
 
     Args:
         task: name of a registered task.

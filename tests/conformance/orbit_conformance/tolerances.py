@@ -1,4 +1,4 @@
-"""Whether a tolerance asks as much as the best engine gives."""
+"""Search for tolerances that are looser than the best engine warrants."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def transfer(
 
 def judge(policy: PretrainedPolicy, backend: str, success: Estimate, renderer: str | None = None) -> tuple[Status, str]:
     """Status and reason. A miss, or that there is none where one is declared, counts only if it is beyond chance: if
-    the whole interval lies below, or above, the rate that the policy is held to.
+    the whole interval is below, or above, the rate that the policy is held to.
     """
     gap, least = policy.gap_on(backend, renderer), policy.least_success
     told = f"success is {success.percent()}"

@@ -1,4 +1,4 @@
-"""What a scenario's errors say of a backend that has declared what it can do."""
+"""Verdict on a backend from a scenario's errors and the backend's declarations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orbit_core.interfaces.requirements import MATTER
 
 
 class Status(Enum):
-    """How a backend stands in a scenario."""
+    """Statuses of a backend in a scenario."""
 
     PASS = "pass"
     """Every metric within its tolerance."""
@@ -29,7 +29,7 @@ class Status(Enum):
 
     @property
     def acceptable(self) -> bool:
-        """Whether the backend is as it declares."""
+        """True if the backend is as it declares."""
         return self in (Status.PASS, Status.GAP, Status.UNSUPPORTED)
 
 
@@ -43,7 +43,7 @@ class Verdict:
 
 
 def lacking(backend: Backend, scenario: Scenario, solver: MatterSolver | None = None) -> str:
-    """Which needs of the scenario are declared unsupported, and why; empty if none.
+    """Return the needs of the scenario that are declared unsupported, with reasons; empty if none.
 
     Args:
         backend: what simulates.
@@ -88,7 +88,7 @@ def _judge_metric(metric: Metric, error: float, gap: Gap | None) -> tuple[Status
 
 
 def farthest(traces: Iterable[Trace]) -> str:
-    """Where each measured curve is farthest from the truth, and to which side; empty if all are on it, or none is."""
+    """Describe where each measured curve is farthest from the truth, and to which side; empty if all are on it."""
     found: list[str] = []
     for trace in traces:
         differences = [measured - true for measured, true in zip(trace.measured, trace.truth, strict=True)]

@@ -69,12 +69,12 @@ class RunSettings:
     setting: KeyValues = ()
     """A setting of a backend, as BACKEND.KEY=VALUE, or KEY=VALUE where one --backend is named; repeatable."""
     fresh: bool = False
-    """Begin anew where an unfinished run would go on."""
+    """Start again instead of resuming an unfinished run."""
 
 
 @dataclass(frozen=True)
 class CompareSettings:
-    """What got better or worse between two results, beyond noise. The exit code is 1 if a status got worse."""
+    """Report changes between two results that exceed noise. The exit code is 1 if a status got worse."""
 
     before: Annotated[Positional[Path], arg(metavar="A")]
     """A result's JSON file, or its folder."""
@@ -114,7 +114,7 @@ class PublishSettings:
 
 @dataclass(frozen=True)
 class ReportSettings:
-    """Make a result's HTML report anew."""
+    """Make a result's HTML report again."""
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
     """The folder of a finished run."""
@@ -157,9 +157,9 @@ def _run(words: Sequence[str]) -> int:
             if record is not None and not record.ending.acceptable:
                 bar.console.print(f"{record.job.key}: {record.ending.value}: {record.reason}", markup=False)
 
-        tell = functools.partial(bar.console.print, markup=False)
-        result = run(chosen, settings.output, _pool(settings), progress, tell, settings.fresh)
-    return _tell(result, settings.output)
+        notify = functools.partial(bar.console.print, markup=False)
+        result = run(chosen, settings.output, _pool(settings), progress, notify, settings.fresh)
+    return _conclude(result, settings.output)
 
 
 def _backend_settings(pairs: Sequence[str], backends: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -197,7 +197,7 @@ def _pool(settings: RunSettings) -> Pool:
     return LocalPool(workers, settings.time_limit, settings.output / LOG)
 
 
-def _tell(result: Result, folder: Path) -> int:
+def _conclude(result: Result, folder: Path) -> int:
     """Print the summary, each objection and where the page is; the exit code."""
     from orbit_conformance.report.page import write_report
     from orbit_conformance.tolerances import loose_tolerances
@@ -248,7 +248,7 @@ def _merge(words: Sequence[str]) -> int:
         raise ConfigurationError("name the folders of the runs to be merged")
     from orbit_conformance.merge import merge
 
-    return _tell(merge(settings.folders, settings.output, settings.overwrite), settings.output)
+    return _conclude(merge(settings.folders, settings.output, settings.overwrite), settings.output)
 
 
 def _publish(words: Sequence[str]) -> int:

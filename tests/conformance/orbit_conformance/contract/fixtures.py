@@ -36,7 +36,7 @@ def needs(backend: Backend) -> Needs:
 
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> torch.device:
-    """Where the engines under test live."""
+    """Torch device of the engines under test."""
     return torch.device(str(request.config.getoption("--device", "cpu")))
 
 

@@ -14,7 +14,7 @@ _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
 
 class OnHost:
-    """Stands for an engine. Commands are written here in place, and handed over before each call."""
+    """Proxy of an engine. Commands are written here in place, and handed over before each call."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
@@ -28,7 +28,7 @@ class OnHost:
     def step(self, steps: int) -> None:
         """Step the engine, and raise what its device reports."""
         self._called(self._engine.step)(steps)
-        # An engine that does not wait for its device tells later what went wrong.
+        # An engine that does not wait for its device reports errors only when it is asked.
         getattr(self._engine, "check", lambda: None)()
 
     def _called(self, method: Any) -> Any:

@@ -178,7 +178,7 @@ def test_who_may_touch_within_an_articulation(
     engine = make_engine(scene(folding_arm(self_collisions, exclusions), gravity=WEIGHTLESS, terrain=()))
     engine.step(2)
     assert_near(engine.joint_positions, torch.zeros(1, 2), atol=1e-5)
-    # An equilateral fold: the end of the third bar lies in the first.
+    # An equilateral fold: the end of the third bar is inside the first.
     angle = 2 * math.pi / 3
     engine.write_joint_state(index(0, 1), torch.tensor([[angle, angle]]), None)
     engine.step(2)
@@ -186,7 +186,7 @@ def test_who_may_touch_within_an_articulation(
 
 
 def test_links_that_a_compound_joint_connects_never_touch(make_engine: MakeEngine, needs: Needs) -> None:
-    """They overlap beside their hip, with links without mass and shapes between them."""
+    """The links overlap next to their hip, with links without mass and shapes between them."""
     needs(Capability.SELF_COLLISIONS, Capability.MASSLESS_LINKS)
     pelvis = Link("pelvis", 5.0, inertia=np.eye(3) * 0.02, collisions=(Shape(Sphere(0.1)),))
     aside = Shape(Sphere(0.1), Pose((0.05, 0.0, 0.0)))

@@ -40,7 +40,7 @@ def test_rays_see_what_was_just_written_in_their_own_environment(make_engine: Ma
 
 
 def test_rays_tell_the_terrain_from_things_and_from_nothing(make_engine: MakeEngine) -> None:
-    """One meets the cube, one the ground beside it, one goes up."""
+    """One meets the cube, one the ground next to it, one goes up."""
     engine = make_engine(scene(cube(half=0.1), gravity=WEIGHTLESS))
     origins = torch.tensor([[[0.0, 0.0, 2.0], [0.5, 0.0, 2.0], [0.5, 0.0, 2.0]]])
     directions = torch.tensor([[[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
@@ -73,7 +73,7 @@ def test_rays_leave_what_carries_them_in_each_environment_by_itself(make_engine:
 
 
 def test_rays_meet_what_is_nearest_behind_what_carries_them_wherever_that_goes(make_engine: MakeEngine) -> None:
-    """One's own cube goes about above another, which engines that number what a ray meets come to in any order."""
+    """The carrying cube moves above another; engines that number ray hits may find the two in any order."""
     engine = make_engine(scene(cube("own", half=0.1), cube("other", half=0.1), gravity=WEIGHTLESS))
     origins = torch.tensor([[[0.0, 0.0, 2.0], [0.0, 0.5, 2.0]]])
     down = torch.tensor([0.0, 0.0, -1.0]).expand_as(origins).contiguous()

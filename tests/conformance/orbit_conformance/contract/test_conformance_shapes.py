@@ -46,7 +46,7 @@ def test_a_shape_rests_as_high_as_its_sizes_say(make_engine: MakeEngine, case: s
 
 
 def test_a_shape_stands_where_its_pose_in_the_link_says(make_engine: MakeEngine) -> None:
-    """A capsule turned about y within its link and moved up by 0.03 m lies with the link's origin below; 1.5 mm."""
+    """A capsule turned about y in its link and moved up by 0.03 m rests with the link's origin below; 1.5 mm."""
     placed = replace(LYING, position=(0.0, 0.0, 0.03))
     engine = make_engine(scene(thing(Capsule(0.05, 0.1), Pose(), 0.022, placed)))
     engine.step(40)
@@ -55,7 +55,7 @@ def test_a_shape_stands_where_its_pose_in_the_link_says(make_engine: MakeEngine)
 
 @pytest.mark.parametrize("case", CASES)
 def test_rays_meet_a_shape_where_its_sizes_say(make_engine: MakeEngine, needs: Needs, case: str) -> None:
-    """From straight above, in a second environment where the shape is 1 m higher; 1e-4 m.
+    """Rays from straight above, also in a second environment where the shape is 1 m higher; 1e-4 m.
 
     The normal within 0.1, as some engines have prisms for cylinders; the scenarios of rays measure it.
     """

@@ -157,7 +157,7 @@ def test_joints_are_written_in_the_order_given(make_engine: MakeEngine) -> None:
 
 
 def test_a_fixed_base_moves_when_told_in_its_environment_alone(make_engine: MakeEngine) -> None:
-    """Its links go with it, and stay in all other environments, at once, after steps and after its reset."""
+    """Links follow the base in its environment only: at once, after steps and after its reset."""
     engine = make_engine(scene(pendulum(), terrain=(), gravity=WEIGHTLESS), num_envs=3)
     home = engine.link_poses.clone()
     pose = torch.tensor([[1.0, 2.0, 3.0, *yaw_quaternion(math.pi / 2)]])
@@ -211,7 +211,7 @@ def test_flat_plates_are_built_as_described(make_engine: MakeEngine, beyond: flo
 
 
 def test_a_joint_without_effort_is_built(make_engine: MakeEngine) -> None:
-    """As URDF files have it of passive joints: ``effort="0"``."""
+    """URDF files describe passive joints so: ``effort="0"``."""
     robot = pendulum()
     joints = tuple(dataclasses.replace(joint, effort_limit=0.0) for joint in robot.articulation.joints)
     passive = dataclasses.replace(robot, articulation=dataclasses.replace(robot.articulation, joints=joints))

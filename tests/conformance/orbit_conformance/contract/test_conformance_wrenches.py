@@ -31,7 +31,7 @@ def test_a_joint_wrench_is_in_the_links_axes(make_engine: MakeEngine, needs: Nee
 
 
 def test_an_external_force_accelerates(make_engine: MakeEngine, needs: Needs) -> None:
-    """``F = m a`` in world axes whatever the body's orientation, until set again; 1e-3."""
+    """``F = m a`` in world axes for any orientation of the body, until set again; 1e-3."""
     needs(Capability.EXTERNAL_WRENCHES)
     engine = make_engine(scene(cube(mass=2.0), gravity=WEIGHTLESS, terrain=()), num_envs=3)
     engine.write_root_state(0, torch.tensor([[0.0, 0.0, 1.0, *yaw_quaternion(1.0)]] * 3), None)
@@ -47,7 +47,7 @@ def test_an_external_force_accelerates(make_engine: MakeEngine, needs: Needs) ->
 
 
 def test_an_external_force_acts_at_the_centre_of_mass(make_engine: MakeEngine, needs: Needs) -> None:
-    """It turns nothing, however far off the link's origin is; a torque turns with ``tau / I``; 1 %."""
+    """A force turns nothing, however far off the link's origin is; a torque turns with ``tau / I``; 1 %."""
     needs(Capability.EXTERNAL_WRENCHES)
     engine = make_engine(
         scene(cube(half=0.3, center_of_mass=(0.2, 0.0, 0.0)), gravity=WEIGHTLESS, terrain=()), num_envs=2

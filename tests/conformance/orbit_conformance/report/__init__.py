@@ -1,1 +1,1 @@
-"""A result as one HTML file that opens from the disk, with its videos beside it."""
+"""A result as one HTML file that opens from the disk, with its videos next to it."""

@@ -11,8 +11,8 @@ from orbit_conformance.courses import Course
 from orbit_conformance.report.svg import COLORS, color_of, plotting
 from orbit_conformance.results import Result
 
+# Share of the extent of all curves that is left free around them.
 _MARGIN = 0.05
-"""Of the extent of all that is drawn, left free around it."""
 
 
 def courses(result: Result, task: str) -> str:

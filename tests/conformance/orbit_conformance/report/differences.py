@@ -13,7 +13,7 @@ from orbit_conformance.verdict import Status
 
 @dataclass(frozen=True)
 class Difference:
-    """How far engines differ in one task, or with one policy."""
+    """Difference between engines in one task, or with one policy."""
 
     name: str
     anchor: str

@@ -16,8 +16,8 @@ from orbit_conformance.throughput import Throughput
 from orbit_core.interfaces.matter import NATIVE
 
 _MARGIN = 10**0.5
+# Errors below are drawn here: a logarithmic axis has no zero.
 _LEAST = 1e-9
-"""Errors below are drawn here: a logarithmic axis has no zero."""
 
 
 def accuracy(result: Result, info: ScenarioInfo) -> str:
@@ -44,7 +44,7 @@ def accuracy(result: Result, info: ScenarioInfo) -> str:
 
 
 def _points(records: list[Record], metric: Metric) -> list[tuple[float, float]]:
-    """Speeds and errors of the records that have finite ones; without a solver's own choice beside its sweep."""
+    """Speeds and errors of the records that have finite ones; without a solver's own choice where it has a sweep."""
     swept = [record for record in records if record.job.substep] or records
     results = [record.scenario for record in swept if record.scenario]
     pairs = [(found.speed, found.errors.get(metric.name, math.nan)) for found in results]
@@ -60,7 +60,7 @@ def _dash(matter: str) -> str:
 
 
 def traces(result: Result, info: ScenarioInfo, folder: Path) -> str:
-    """Measured curves beside the truth; empty if the scenario keeps none, or their files are not there."""
+    """Draw measured curves and the truth; empty if the scenario keeps none, or their files are not there."""
     backends = result.header.settings.backends
     curves: dict[str, list[tuple[str, str, Trace]]] = {}
     for backend, matter in itertools.product(backends, result.matters(info.name)):

@@ -98,7 +98,7 @@ def _cell(check: RobotCheck, found: CheckResult | None, spared: Mapping[str, str
 
 
 def _errors(check: RobotCheck, found: CheckResult) -> Iterator[tuple[bool, str, str, str]]:
-    """Of each metric: whether it is within its tolerance, its name, its error and its tolerance."""
+    """Yield for each metric whether it is within its tolerance, its name, its error and its tolerance."""
     for metric in check.metrics:
         if metric.name in found.errors:
             error = found.errors[metric.name]

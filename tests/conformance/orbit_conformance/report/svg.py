@@ -10,7 +10,7 @@ from typing import Any
 
 import matplotlib as mpl
 
-mpl.use("agg")  # no window, whatever the process was told
+mpl.use("agg")  # no window, even where the environment chooses an interactive backend
 
 from matplotlib.figure import Figure
 
@@ -29,12 +29,12 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 7,
     "path.simplify_threshold": 0.5,
 }
-# Okabe and Ito's colours, which the colour-blind can tell apart; without the yellow, which white swallows.
+# Okabe and Ito's colours, which the colour-blind can distinguish; yellow is left out, as it is too pale on white.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 PANEL_WIDTH, PANEL_HEIGHT = 2.7, 2.1
 _COLUMNS = 4
+# Columns of the legend below the panels.
 _LEGEND_COLUMNS = 2
-"""Columns of the legend below the panels."""
 
 
 class Plot:
@@ -93,7 +93,7 @@ def _slim(svg: str) -> str:
 
 
 def _without_bare_groups(svg: str) -> str:
-    """Groups that carry nothing but their content fall away; every tag stands on a line of its own."""
+    """Drop groups without attributes; every tag must be on a separate line."""
     kept, open_groups = [], []
     for line in svg.splitlines():
         if line.startswith("<g"):

@@ -1,1 +1,1 @@
-"""Whether a robot is the same on every engine: its mass, its links, its drives, its grip and its stand."""
+"""Checks that a robot is the same on every engine: its mass, links, drives, grip and stand."""

@@ -16,7 +16,7 @@ TIME_STEP = 0.005
 
 @dataclass(frozen=True)
 class Measures:
-    """What a check of one robot on one backend came to."""
+    """Errors and figures of a check of one robot on one backend."""
 
     errors: Mapping[str, float]
     """Errors by metric; a metric that does not apply to the robot is left out."""

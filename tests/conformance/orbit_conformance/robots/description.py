@@ -1,4 +1,4 @@
-"""Whether an engine built the robot that was described: its mass, and where its links are."""
+"""Check that an engine built the robot that was described: its mass and its link poses."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from orbit_core.dynamics.transforms import quat_distance
 from orbit_core.interfaces import Robot, World
 from orbit_core.scene import RobotSpec
 
+# Twenty configurations, spread over environments so that a wrong one shows.
 _ENVS, _ROUNDS = 4, 5
-"""Twenty configurations, spread over environments so that a wrong one shows."""
 
 
 def _run(trial: Trial, spec: RobotSpec) -> Measures:

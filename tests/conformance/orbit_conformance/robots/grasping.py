@@ -1,4 +1,4 @@
-"""Whether a gripper or a hand closes on a cylinder and holds it against twice its weight."""
+"""Check that a gripper or a hand closes on a cylinder and holds it against twice its weight."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from orbit_core.scene import EndEffector, Gripper, PhysicsMaterial, RobotSpec
 MASS, FRICTION = 0.2, 1.0
 """kg, and its coefficient: rubber's, also where the finger's own is less."""
 _LOAD = 2.0 * MASS * G
+# One in each environment, in the end effector's axes: along the cylinder, towards a finger, and out of the hand.
 _PULLS = torch.eye(3)
-"""One in each environment, in the end effector's axes: along the cylinder, towards a finger, and out of the hand."""
+# Seconds
 _CLOSE, _SETTLE, _HOLD = 1.0, 0.5, 2.0
-"""Seconds"""
 
 
 def _run(trial: Trial, spec: RobotSpec) -> Measures:
@@ -38,7 +38,7 @@ def _hands(spec: RobotSpec) -> list[tuple[EndEffector, Gripper, Place]]:
 
 
 def _slip(trial: Trial, spec: RobotSpec, effector: EndEffector, gripper: Gripper, place: Place) -> float:
-    """How far the cylinder moves in the end effector's frame while it is pulled, in metres."""
+    """Return how far the cylinder moves in the end effector's frame while it is pulled, in metres."""
     material = PhysicsMaterial(static_friction=FRICTION, dynamic_friction=FRICTION)
     thing = cylinder("cylinder", RADIUS, LENGTH, mass=MASS, material=material, pose=place.pose)
     world = trial.world(scene(clamped(spec), thing, terrain=(), gravity=WEIGHTLESS), len(_PULLS))

@@ -1,4 +1,4 @@
-"""Whether a robot's drives hold its home position."""
+"""Check that a robot's drives hold its home position."""
 
 from __future__ import annotations
 

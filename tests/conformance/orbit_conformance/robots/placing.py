@@ -1,4 +1,4 @@
-"""Where a cylinder fits between the open fingers of a hand."""
+"""Search for the place of a cylinder between the open fingers of a hand."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from orbit_core.scene import Cylinder, EndEffector, Gripper, Pose, RobotSpec, Sh
 
 RADIUS, LENGTH = 0.02, 0.1
 """Metres. The axis is along the x of the end effector's frame: across the fingers' opening and the approach."""
+# Metres out of the hand, from the end effector's frame, within which a place is looked for.
 _FARTHEST, _STRIDE = 0.08, 0.002
-"""Metres out of the hand, from the end effector's frame, within which a place is looked for."""
+# Metres between shapes that count as touching.
 _TOUCH = 2e-4
-"""Metres between shapes that count as touching."""
+# Share of the radius to which closing fingers would get into the cylinder: less is no more than brushing its front.
 _CORE = 0.5
-"""Share of the radius to which closing fingers would get into the cylinder: less is no more than brushing its front."""
 _LYING = Pose.from_axis_angle((0.0, 1.0, 0.0), math.pi / 2.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where the cylinder is put, and the robot's joints at that moment and when the hand is closed."""
+    """Pose of the cylinder, and the robot's joints with the hand open and closed."""
 
     pose: Pose
     """Of the cylinder, in the world."""
@@ -35,9 +35,9 @@ class Place:
 
 
 def place_of(spec: RobotSpec, effector: EndEffector, gripper: Gripper) -> Place | None:
-    """The place nearest to the end effector's frame where the open hand leaves room and the closing one does not.
+    """Return the place nearest to the end effector's frame that the open hand leaves free and the closing one does not.
 
-    None where there is none: the hand opens too little, or closes beside it.
+    None where there is none: the hand opens too little, or closes next to it.
     """
     opened = gripper_posture(spec, gripper, gripper.open_position)
     closed = gripper_posture(spec, gripper, gripper.closed_position)

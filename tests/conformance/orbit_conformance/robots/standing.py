@@ -1,4 +1,4 @@
-"""Whether a robot with a free base stands where it is put, its drives holding home."""
+"""Check that a robot with a free base stands where it is put, its drives holding home."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import World
 from orbit_core.scene import RobotSpec
 
+# Seconds: when it is to be at rest, and until when it is to stay so.
 _SETTLE, _STAND = 5.0, 10.0
-"""Seconds: when it is to be at rest, and until when it is to stay so."""
+# m: a root that lies lower, as that of a wheeled base does on the ground, counts as that high.
 _LOWEST = 0.25
-"""m: a root that lies lower, as that of a wheeled base does on the ground, counts as that high."""
 
 
 def _run(trial: Trial, spec: RobotSpec) -> Measures:

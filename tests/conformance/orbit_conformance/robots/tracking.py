@@ -1,4 +1,4 @@
-"""How a robot's drives follow a sine, one joint in each environment, against the linear frequency response."""
+"""Check of drives that follow a sine, one joint per environment, against the linear frequency response."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ FloatArray = npt.NDArray[np.float64]
 FREQUENCY = 0.5
 """Hz"""
 _RATE = 2.0 * math.pi * FREQUENCY
+# Largest swing from end to end, of a joint's range.
 _SWING = 0.3
-"""Largest swing from end to end, of a joint's range."""
+# Largest peak velocity, of a joint's velocity limit.
 _SPEED = 0.8
-"""Largest peak velocity, of a joint's velocity limit."""
+# Largest peak effort of the linear solution, of a joint's effort limit.
 _EFFORT = 0.5
-"""Largest peak effort of the linear solution, of a joint's effort limit."""
+# The sine grows in the first, and is measured over the second.
 _PERIODS = 2
-"""The sine grows in the first, and is measured over the second."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Whether what moves is what was described: masses, inertias, axes, limits, armatures and sizes, by their effects."""
+"""Scenarios that bodies move as described: masses, inertias, axes, limits, armatures and sizes, by their effects."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from orbit_core.scene import Articulation, IdealPd, Joint, JointType, Link, Obje
 
 # Inertias and frames -------------------------------------------------------------------------------------------------
 
+# Armature in kg m^2 that an actuator group gives a joint in the place of its own.
 _MOTOR_ARMATURE = 0.05
-"""Armature in kg m^2 that an actuator group gives a joint in the place of its own."""
 
 
 def _skew_link(name: str, mass: float, number: int) -> Link:
@@ -78,8 +78,8 @@ def _equation_of_motion(trial: Trial) -> float:
 
 # Limits --------------------------------------------------------------------------------------------------------------
 
+# Inertia, damping and effort of each joint in SI units; the speed ends at two units a second.
 _INERTIA, _DRAG, _PUSH = 0.5, 0.5, 1.0
-"""Inertia, damping and effort of each joint in SI units; the speed ends at two units a second."""
 _LIMITS = {"both": (-0.5, 0.8), "above": (-math.inf, 0.6), "below": (-0.7, math.inf)}
 
 

@@ -17,8 +17,8 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, IdealPd, Joint, JointType, Link, Pose, RobotSpec
 
 _LEVER, _MASS, _INERTIA, _TILT = 0.5, 2.0, 0.05, 0.5
+# Size of a body of 2 g, whose smallest moment of inertia is 5e-7 kg m^2.
 _LIGHT = 0.1
-"""Size of a body of 2 g, whose smallest moment of inertia is 5e-7 kg m^2."""
 _POSTURE = (0.4, -0.5, 0.3, 0.6, -0.4, 0.7)
 
 

@@ -1,4 +1,4 @@
-"""What contact sensors measure."""
+"""Scenarios of contact sensors."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _impulses(trial: Trial) -> Mapping[str, float]:
 
 
 def _landing(trial: Trial) -> Mapping[str, float]:
-    """The mean force on a ball that falls and comes to rest is its change of momentum over time, and its weight."""
+    """The mean force on a ball that falls and settles is its change of momentum over time plus its weight."""
     ball = marble("marble", RADIUS, smooth_material(0.0), Pose((0.0, 0.0, RADIUS + 0.2)), 2.0)
     sensors = (ContactSensorSpec(name="touch", entity="marble", filters=("terrain",)),)
     world = trial.world(scene(ball, terrain=SMOOTH_GROUND, sensors=sensors))

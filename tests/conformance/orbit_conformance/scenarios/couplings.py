@@ -40,8 +40,8 @@ def _curved_mimic(trial: Trial) -> Mapping[str, float]:
     return {"coupling": coupling, "energy": energy}
 
 
+# Angle in rad of the crank from level.
 _START = -1.1
-"""Angle in rad of the crank from level."""
 
 
 def _welded() -> RobotSpec:

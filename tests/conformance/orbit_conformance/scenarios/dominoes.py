@@ -15,15 +15,15 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.scene import Pose
 
 _COUNT = 8
+# Thickness, width and height in metres.
 _SIZE = (0.03, 0.1, 0.2)
-"""Thickness, width and height in metres."""
+# Distance in metres from middle to middle.
 _APART = 0.1
-"""Distance in metres from middle to middle."""
+# Angular velocity in rad/s of the first domino about its lower edge.
 _PUSH = 3.0
-"""Angular velocity in rad/s of the first domino about its lower edge."""
 _TILTED = math.radians(10.0)
+# Speed in m/s from the fourth piece to the last: three engines at steps of 0.25 ms come to 1.268, 1.274 and 1.276.
 _SPEED = 1.275
-"""Speed in m/s from the fourth piece to the last: three engines at steps of 0.25 ms come to 1.268, 1.274 and 1.276."""
 
 
 def _dominoes(trial: Trial) -> Mapping[str, float]:

@@ -16,8 +16,8 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import ActuatorConfig, IdealPd, ImplicitPd, RobotSpec
 
 _INERTIA, _MASS = 0.5, 2.0
+# Gains with damping ratios of 0.2, 1 and 3 at 10 rad/s.
 _SOFT = {"under": (50.0, 2.0), "critical": (50.0, 10.0), "over": (50.0, 30.0)}
-"""Gains with damping ratios of 0.2, 1 and 3 at 10 rad/s."""
 
 
 def _response(trial: Trial, kind: Callable[..., ActuatorConfig]) -> Mapping[str, float]:
@@ -53,8 +53,8 @@ def _explicit(trial: Trial) -> Mapping[str, float]:
     return _response(trial, IdealPd)
 
 
+# Stiffness, damping and inertia of drives: the fast modes decay 40 to 1,000 times within a time step of 5 ms.
 _STIFF = {"arm": (4000.0, 400.0, 0.05), "finger": (1000.0, 20.0, 1e-4), "rigid": (1e6, 1e4, 0.5)}
-"""Stiffness, damping and inertia of drives: the fast modes decay 40 to 1,000 times within a time step of 5 ms."""
 
 
 def _stiff(trial: Trial) -> Mapping[str, float]:
@@ -80,10 +80,10 @@ def _stiff(trial: Trial) -> Mapping[str, float]:
     }
 
 
+# Natural frequencies times the time step.
 _SHARES = (0.3, 1.0, 2.5, 5.0, 10.0)
-"""Natural frequencies times the time step."""
+# Damping ratios.
 _RATIOS = (0.1, 0.3, 1.0, 2.0)
-"""Damping ratios."""
 
 
 def _frequencies(trial: Trial) -> Mapping[str, float]:

@@ -25,8 +25,8 @@ from orbit_core.scene import (
 )
 
 _RADIUS, _TRACK, _CASTER = 0.1, 0.4, 0.05
+# Of a wheel about its axle, kg m^2, and of its drive, N m s/rad: 50 times the inertia over a step of 5 ms.
 _INERTIA, _DAMPING = 2e-3, 20.0
-"""Of a wheel about its axle, kg m^2, and of its drive, N m s/rad: 50 times the inertia over a step of 5 ms."""
 _SPEED = 0.5
 
 
@@ -48,7 +48,7 @@ def _base() -> RobotSpec:
 
 
 def _driven(trial: Trial) -> Mapping[str, float]:
-    """From rest to half a metre per second at once: friction limits what a strong drive may do."""
+    """Command half a metre per second from rest: friction limits what a strong drive may do."""
     world = trial.world(scene(_base()))
     base = world.robots["base"]
     trial.step(world, trial.steps(0.2))

@@ -37,6 +37,7 @@ class _Case:
         return named(name, turning)
 
 
+# Drives of 0.1 to 6 times the inertia over the step, ``h d / I`` at 5 ms.
 _CASES = {
     "soft": _Case(40.0, 2.0),
     "stiff": _Case(400.0, 80.0),
@@ -45,9 +46,8 @@ _CASES = {
     "geared": _Case(400.0, 80.0, armature=0.05),
     "dragged": _Case(400.0, 20.0, drag=20.0),
 }
-"""Drives of 0.1 to 6 times the inertia over the step, ``h d / I`` at 5 ms."""
+# Velocity at the start, rad/s; targets of position, rad, and of velocity, rad/s.
 _START, _TARGET, _SPEED = 0.5, 0.5, 2.0
-"""Velocity at the start, rad/s; targets of position, rad, and of velocity, rad/s."""
 
 
 def _set_off(world: World) -> None:

@@ -17,12 +17,12 @@ from orbit_core.scene import Articulation, Box, ImplicitPd, Joint, JointType, Li
 # A peg in a slot -----------------------------------------------------------------------------------------------------
 
 _WIDTH, _LENGTH, _CLEARANCE, _MU, _FORCE = 0.05, 0.1, 2e-4, 0.3, 2.0
+# Offsets of the force over that at which the peg jams.
 _SHARES = (0.0, 0.5, 0.8, 0.9, 1.1, 1.2, 1.5)
-"""Offsets of the force over that at which the peg jams."""
 
 
 def _jamming(trial: Trial) -> Mapping[str, float]:
-    """A weightless peg between two walls is pushed along them by a force beside its middle: one to each environment.
+    """A weightless peg between two walls is pushed along them by a force off its middle, one for each environment.
 
     It leans on both walls with N = F e / l, whose friction holds it back by 2 mu N. What it still gains of speed is
     what the force of insertion lacks.

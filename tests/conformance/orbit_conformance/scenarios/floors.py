@@ -18,10 +18,10 @@ from orbit_core.scene import HeightField, Mesh, MeshCollision, Pose, Shape
 
 Form = Callable[[HeightField], HeightField | Mesh]
 _RADIUS, _SPEED, _SLIDING, _MU = 0.05, 1.0, 1.5, 0.3
+# Radians: along the cells' sides, and across their diagonals.
 _HEADINGS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
-"""Radians: along the cells' sides, and across their diagonals."""
+# Radius of the bowl and first distance of the ball's middle from its axis, in metres.
 _BOWL, _AMPLITUDE = 1.0, 0.3
-"""Radius of the bowl and first distance of the ball's middle from its axis, in metres."""
 
 
 def _as_mesh(field: HeightField) -> Mesh:

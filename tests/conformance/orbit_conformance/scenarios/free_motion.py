@@ -157,8 +157,8 @@ def _spinning_bodies(trial: Trial) -> Mapping[str, float]:
 
 
 _MOMENTS = (0.01, 0.02, 0.03)
+# Angular velocity in rad/s about the principal axes: a tilt of about half a degree.
 _TURN = (0.05, 5.0, 0.05)
-"""Angular velocity in rad/s about the principal axes: a tilt of about half a degree."""
 _TUMBLE = 4.0
 
 

@@ -72,8 +72,8 @@ def _precession(trial: Trial) -> Mapping[str, float]:
 # Free ----------------------------------------------------------------------------------------------------------------
 
 _MOMENTS = {"round": (0.01, 0.01, 0.02), "asymmetric": (0.01, 0.02, 0.03)}
+# Angular velocity in rad/s about a second axis, which makes the spin's axis go round.
 _WOBBLE = 3.0
-"""Angular velocity in rad/s about a second axis, which makes the spin's axis go round."""
 
 
 def _nutation(moments: tuple[float, float, float]) -> float:

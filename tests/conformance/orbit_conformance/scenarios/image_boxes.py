@@ -21,8 +21,8 @@ _CAMERA = CameraSpec(
     name="eye", width=96, height=72, vertical_fov=0.8, channels=(Channel.INSTANCE,),
     pose=look_at((2.6, -1.9, 1.9), (0.0, 0.0, 0.4)),
 )  # fmt: skip
+# Number of rays along a pixel's side that find the outlines.
 _FINE = 8
-"""Number of rays along a pixel's side that find the outlines."""
 
 
 def _things() -> list[tuple[Geometry, Pose]]:

@@ -1,4 +1,4 @@
-"""Images of known shapes, pixel by pixel against a ray tracer; pixels beside an outline or an edge are left out."""
+"""Images of known shapes, pixel by pixel against a ray tracer; pixels next to an outline or an edge are left out."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from orbit_core.scene.shapes import Geometry
 from orbit_core.sensors.camera import CameraSensor
 
 _COLORS = ((0.9, 0.2, 0.1), (0.1, 0.7, 0.2), (0.2, 0.3, 0.9), (0.8, 0.7, 0.1), (0.6, 0.1, 0.7), (0.3, 0.35, 0.4))
+# Distance in metres beyond which nothing is drawn.
 _FAR = 6.0
-"""Distance in metres beyond which nothing is drawn."""
+# Cosine of the angle by which the surface may turn from a pixel to the next.
 _ALIKE = 0.9
-"""Cosine of the angle by which the surface may turn from a pixel to the next."""
 
 
 @dataclass(frozen=True)

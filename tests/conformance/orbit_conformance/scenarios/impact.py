@@ -18,8 +18,8 @@ RADIUS = 0.05
 _DROP = 0.5
 
 
+# Heights in metres, chosen so that impacts fall at different times within a step.
 _DROPS = (0.3, 0.37, 0.44, 0.51, 0.58)
-"""Heights in metres, chosen so that impacts fall at different times within a step."""
 
 
 def _rebound(trial: Trial, thing: ObjectSpec) -> Tensor:

@@ -177,10 +177,10 @@ def _effort_limits(trial: Trial) -> Mapping[str, float]:
     return {"acceleration": error, "effort": effort, **_strong_drives(trial)}
 
 
+# On 0.1 kg m^2: its damping over a step of 5 ms is five times the inertia.
 _STRONG = ImplicitPd(joints=(".*",), damping=100.0, effort_limit=10.0)
-"""On 0.1 kg m^2: its damping over a step of 5 ms is five times the inertia."""
+# Too weak to hold a level link of 1 kg with its centre 0.25 m from the hinge.
 _HOLDING = ImplicitPd(joints=(".*",), damping=100.0, effort_limit=0.5)
-"""Too weak to hold a level link of 1 kg with its centre 0.25 m from the hinge."""
 
 
 def _strong_drives(trial: Trial) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""Colours of flat faces in known light, pixel by pixel; pixels beside an outline or a shadow's edge are left out."""
+"""Colours of flat faces in known light, pixel by pixel; pixels next to an outline or a shadow's edge are left out."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _Array = npt.NDArray[np.float64]
 _Things = Sequence[tuple[Geometry, Pose]]
 
 _FAR = 8.0
+# Distance in metres from a surface at which a ray towards a light starts.
 _LIFT = 1e-6
-"""Distance in metres from a surface at which a ray towards a light starts."""
 _COLORS = ((0.9, 0.3, 0.1), (0.2, 0.7, 0.3), (0.3, 0.4, 0.9), (0.8, 0.8, 0.7))
 _SKY = Sky(above=(0.2, 0.4, 0.9), below=(0.9, 0.8, 0.6))
 _BOXES: _Things = (
@@ -97,7 +97,7 @@ def _color(index: int) -> tuple[float, float, float, float]:
 def _view(
     things: _Things, camera: CameraSpec, lights: Sequence[Light], right: float, up: float
 ) -> tuple[Hits, npt.NDArray[np.bool_], _Array]:
-    """What each pixel's ray meets, which directional lights (pixels, lamps) are kept from it, and its colour."""
+    """Return each pixel's hit, a mask (pixels, lamps) of directional lights in whose shadow it is, and its colour."""
     directions = pixel_directions(camera, right, up)
     origins = np.broadcast_to(camera.pose.position, directions.shape)
     hits = trace(things, origins, directions)

@@ -142,8 +142,8 @@ def _opening(robot: Object, lengths: tuple[float, float, float, float]) -> float
 
 _CRANK_ROCKER = (0.3, 0.1, 0.3, 0.25)
 PARALLELOGRAM = (0.4, 0.2, 0.4, 0.2)
+# Angle in rad from hanging.
 _SWING = 0.5
-"""Angle in rad from hanging."""
 
 
 def _four_bar_linkage(trial: Trial) -> Mapping[str, float]:
@@ -185,8 +185,8 @@ def _swinging_period(trial: Trial) -> tuple[float, float]:
 
 
 _PARALLELOGRAM = (0.4, 0.3, 0.4, 0.3)
+# Angle of the crank, rad.
 _STANDING = 0.5
-"""Angle of the crank, rad."""
 
 
 def _wrenches_in_a_loop(trial: Trial) -> Mapping[str, float]:

@@ -36,8 +36,8 @@ HOLDING, SLIDING = 0.38, 0.6
 """Tangents of the slopes."""
 EDGE_FRICTION, RADIUS, LENGTH, SPACING = 0.3, 0.03, 0.4, 0.01
 SHARES = (0.85, 0.95, 1.05, 1.3)
+# Lengths that hang over the edge in each environment, as parts of the one at which it begins to slide.
 _FIRST_TO_SLIDE = SHARES.index(1.05)
-"""Lengths that hang over the edge in each environment, as parts of the one at which it begins to slide."""
 THICKNESS = 0.004
 
 
@@ -97,7 +97,7 @@ def _over_edge(trial: Trial, strip: Cloth | Rope, clearance: float) -> Mapping[s
     body = world.deformables["strip"]
     body.set_state(torch.stack(starts).to(world.device))
     body.anchor(torch.nonzero(rest[:, 0] == rest[:, 0].min())[:, 0].tolist())
-    trial.step(world, trial.steps(0.2))  # until it lies close
+    trial.step(world, trial.steps(0.2))  # until it is close to the edge
     body.release()
     ends = body.positions[..., 2].argmin(1)  # the last of what hangs down
 
@@ -185,7 +185,7 @@ def _cloth_weight(trial: Trial) -> Mapping[str, float]:
 
 
 def _cloth_load(trial: Trial) -> Mapping[str, float]:
-    """A box falls from 2 cm on a cloth that lies on the ground, and rests on it."""
+    """A box falls from 2 cm on a cloth on the ground, and rests on it."""
     mass, half = 1.0, 0.04
     cloth = Cloth("cloth", sheet((0.15, 0.15), (11, 11)), 0.2, Pose((0.0, 0.0, 0.5 * THICKNESS)), thickness=THICKNESS)
     block = cube("block", half, mass, Pose((0.0, 0.0, half + 0.02 + THICKNESS)))
@@ -216,8 +216,8 @@ _FORCE = Metric(
     looser_because=ASKED,
 )
 _SLIP = "how far its middle moves in the 1.5 s after it is let go"
+# Seconds, as in tasks: at 5 ms light fingers chatter on what another solver moves, and feels them a step late.
 _FINGERS_STEP = 0.0025
-"""Seconds, as in tasks: at 5 ms light fingers chatter on what another solver moves, and feels them a step late."""
 _WEIGHT = "m g down on both fingers together, and nothing across"
 
 SCENARIOS = (

@@ -15,8 +15,8 @@ from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability, Object, World
 from orbit_core.scene import Pose
 
+# m/s along the normal; each falls at three times within a step.
 _SPEEDS, _PHASES = (1.0, 3.0), 3
-"""m/s along the normal; each falls at three times within a step."""
 _SLIPPERY, _ROUGH = 0.15, 1.0
 _SLOPE = math.radians(15.0)
 

@@ -15,10 +15,10 @@ from orbit_core.interfaces import Capability, Object, World
 from orbit_core.scene import ImplicitPd, Pose
 
 _GROUP = "Randomised parameters"
+# The rotation that takes the z axis to y.
 _ON_ITS_SIDE = Pose((0.0, 0.0, 1.0), (math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0))
-"""The rotation that takes the z axis to y."""
+# Values are given out of order, so that a mix-up of environments shows.
 _PLACES = torch.tensor([0, 2, 1])
-"""Values are given out of order, so that a mix-up of environments shows."""
 
 
 def _thing(world: World, name: str) -> Object:
@@ -74,7 +74,7 @@ def _gains(trial: Trial) -> Mapping[str, float]:
 
 
 def _joints(trial: Trial) -> Mapping[str, float]:
-    """Four wheels in each environment: one is damped, one rubs, one is driven, and one hangs on a spring of its own."""
+    """Four wheels in each environment: one is damped, one rubs, one is driven, and one hangs on a spring."""
     inertia, speed, effort, seconds = 0.05, 4.0, 0.3, 0.5
     damping, friction = torch.tensor([0.05, 0.15, 0.1]), torch.tensor([0.1, 0.3, 0.2])
     armature, stiffness = torch.tensor([0.05, 0.2, 0.1]), torch.tensor([1.0, 4.0, 2.0])
@@ -102,7 +102,7 @@ def _joints(trial: Trial) -> Mapping[str, float]:
         world.robots[name].set_effort_targets(torch.full((3, 1), effort, device=world.device))
     trial.step(world, trial.steps(seconds))
     speeds = {name: world.robots[name].joint_velocities[:, 0].clone() for name in parts}
-    trial.step(world, trial.steps(3.0))  # springs come to rest by exp(-4 t)
+    trial.step(world, trial.steps(3.0))  # springs settle by exp(-4 t)
     return {
         "damping": _relative(speeds["damped"], speed * (-damping * seconds / inertia).exp()),
         "friction": _relative(speeds["rubbed"], speed - friction * seconds / inertia),

@@ -15,8 +15,8 @@ from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
 
 _LENGTH = 0.5
+# Amplitudes in rad; the period of the largest is more than twice that of the smallest.
 _AMPLITUDES = (0.05, 1.5, 2.8)
-"""Amplitudes in rad; the period of the largest is more than twice that of the smallest."""
 
 
 def _pendulum(trial: Trial) -> Mapping[str, float]:
@@ -55,8 +55,8 @@ def _period(times: list[float], angles: list[float]) -> float:
     return passages[1] - passages[0] if len(passages) > 1 else math.nan
 
 
+# Angles in rad from the horizontal: the lower link goes over the top within two seconds.
 _RELEASE = (0.3, 0.6)
-"""Angles in rad from the horizontal: the lower link goes over the top within two seconds."""
 
 
 @cache
@@ -104,8 +104,8 @@ def _energy_of_a_chain(trial: Trial) -> Mapping[str, float]:
 
 
 _ARM, _LEVER, _ARM_INERTIA = 0.3, 0.25, 0.1
+# Angle in rad from hanging at which the pendulum is released.
 _UP = 2.5
-"""Angle in rad from hanging at which the pendulum is released."""
 
 
 def _furuta() -> RobotSpec:

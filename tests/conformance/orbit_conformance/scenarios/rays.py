@@ -17,12 +17,12 @@ from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshColl
 from orbit_core.scene.shapes import Geometry
 
 GROUND = Shape(Plane(), name="ground")
+# Length of the rays in metres.
 _REACH = 20.0
-"""Length of the rays in metres."""
+# Angle in radians between a ray and those beside it, which tell whether it passes an edge.
 _BESIDE = 2e-3
-"""Angle in radians between a ray and those beside it, which tell whether it passes an edge."""
+# Cosine of the angle by which the surface may turn between them.
 _ALIKE = 0.98
-"""Cosine of the angle by which the surface may turn between them."""
 
 
 def primitives() -> list[tuple[Geometry, Pose]]:
@@ -77,7 +77,7 @@ def _rays(count: int, above: bool) -> _Rays:
 
 
 def _truth(things: Sequence[tuple[Geometry, Pose]], rays: _Rays) -> tuple[Hits, np.ndarray]:
-    """What the rays meet, and which of them pass no edge."""
+    """Return the hits of the rays, and a mask of rays that pass no edge."""
     aside: Array = np.cross(rays.directions, np.array([0.0, 0.0, 1.0]))
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
     shifts = (aside, -aside, np.cross(rays.directions, aside), np.cross(aside, rays.directions))

@@ -23,8 +23,8 @@ from orbit_core.scene import (
 from orbit_core.sensors import ContactSensor, FrameSensor, ImuSensor, JointSensor
 
 _STATE = ("joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities")
+# Number of physics steps for which a command is held.
 _STEPS = 4
-"""Number of physics steps for which a command is held."""
 
 
 def _busy_scene(*sensors: SensorSpec) -> Scene:
@@ -67,7 +67,7 @@ def _the_same_run_twice(trial: Trial) -> Mapping[str, float]:
 
 
 def _alone_and_among_seven(trial: Trial) -> Mapping[str, float]:
-    """Environments 0, 3 and 6, each beside a world of its own that is given the same commands."""
+    """Compare environments 0, 3 and 6 each with a separate world that is given the same commands."""
     among = trial.world(_busy_scene(), num_envs=7)
     _drive(trial, among, 0.6)
     told = _state(among)
@@ -142,7 +142,7 @@ def _told(world: World) -> dict[str, Tensor]:
 
 
 def _every_environment(trial: Trial) -> Mapping[str, float]:
-    """Of four environments 2 is commanded as 0 and 3 as 1; what is written in 1 and 3 alone leaves 0 and 2 alone."""
+    """Command environment 2 as 0 and 3 as 1; writes to 1 and 3 must leave 0 and 2 unchanged."""
     written, calm = (trial.world(_busy_scene(*_SENSORS), num_envs=4) for _ in range(2))
     kinds = (0, 1, 0, 1)
     for world in (written, calm):

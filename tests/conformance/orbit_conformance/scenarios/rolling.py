@@ -32,10 +32,10 @@ from orbit_core.scene import (
 
 RADIUS, WIDTH = 0.1, 0.04
 _SPEED = 1.0
+# Headings in rad of the two wheels on level ground.
 _HEADINGS = (0.0, 0.6)
-"""Headings in rad of the two wheels on level ground."""
+# Slopes as the tangent of the angle; at friction 0.5 a wheel rolls up to 1.5.
 _SLOPES = (0.1, 0.4)
-"""Slopes as the tangent of the angle; at friction 0.5 a wheel rolls up to 1.5."""
 
 
 def _wheel(name: str, pose: Pose) -> ObjectSpec:
@@ -88,8 +88,8 @@ def _down(trial: Trial, tangent: float) -> tuple[float, float]:
 
 THICKNESS = 0.02
 """Thickness of the coin in metres; its radius is that of the wheels."""
+# Lean in rad from upright, and angular velocity in rad/s about the vertical.
 _LEAN, _TURNING = 0.3, 1.5
-"""Lean in rad from upright, and angular velocity in rad/s about the vertical."""
 
 
 def steady_roll(lean: float, turning: float) -> tuple[float, float]:

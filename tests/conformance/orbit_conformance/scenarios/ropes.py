@@ -115,7 +115,7 @@ def _watched(
 
 
 def _drift(positions: Sequence[float], amplitude: float) -> float:
-    """By what part of it the last third's greatest deflection differs from the amplitude."""
+    """Return the relative difference of the last third's greatest deflection from the amplitude."""
     last = np.abs(positions[-len(positions) // 3 :])
     return abs(float(last.max()) / amplitude - 1.0)
 
@@ -143,7 +143,7 @@ def _pulls(trial: Trial) -> Mapping[str, float]:
 
 
 def weight_error(trial: Trial, world: World, name: str, links: Sequence[tuple[str, str]]) -> float:
-    """By what part of the matter's weight the force on what bears it differs from that, over half a second."""
+    """Return the relative error of the force that bears the matter's weight, over half a second."""
     matter = world.deformables[name]
     trial.step(world, trial.steps(1.0))
     felt = torch.zeros(3, device=world.device)

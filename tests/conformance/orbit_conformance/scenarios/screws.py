@@ -39,7 +39,7 @@ def _screw(trial: Trial) -> Mapping[str, float]:
         curve.append((time, -turned, 0.5 * pace * time**2, float(thing.root_pose[0, 2])))
     times, angles, truth, heights = zip(*curve, strict=True)
     trial.trace("turn", "rad", times, angles, truth)
-    early = 12  # by then it lies on the bolt's flanks
+    early = 12  # by then it rests on the bolt's flanks
     fallen, turns = heights[early] - heights[-1], (angles[-1] - angles[early]) / (2.0 * math.pi)
     share = math.sqrt(max(angles[-1], 0.0) / truth[-1])
     return {"lead": abs(fallen / max(turns, 1e-9) / _THREAD.lead - 1.0), "pace": abs(share - 1.0)}

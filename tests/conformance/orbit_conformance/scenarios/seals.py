@@ -14,21 +14,21 @@ from orbit_core.interfaces import Capability, World
 from orbit_core.scene import Articulation, Joint, JointType, MagneticSeal, ObjectSpec, Pose
 
 _MASS, _FORCE, _DECAY = 2.0, 30.0, 0.01
+# Metres from the hinge to the seal; kg m^2 about the hinge.
 _ARM, _INERTIA = 0.5, 0.1
-"""Metres from the hinge to the seal; kg m^2 about the hinge."""
+# Share of the seal's force by which a pull is weaker, or stronger, than what pulls it off.
 _MARGIN = 0.02
-"""Share of the seal's force by which a pull is weaker, or stronger, than what pulls it off."""
+# Metres of gap from which it is let go, to be pulled shut.
 _AJAR = 0.05
-"""Metres of gap from which it is let go, to be pulled shut."""
 
 
+# Metres of gap up to which speeds are compared: there the motion is still free.
 _FARTHEST = 0.35
-"""Metres of gap up to which speeds are compared: there the motion is still free."""
 
 
 @dataclass(frozen=True)
 class _Part:
-    """What a seal holds shut: inertia and arm as the seal sees them, and where it is shut."""
+    """Body that a seal holds shut: inertia and arm as the seal sees them, and its closed position."""
 
     name: str
     mass: float

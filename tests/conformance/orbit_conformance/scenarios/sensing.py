@@ -37,8 +37,8 @@ from orbit_core.sensors.joint import JointSensor
 _Kind = TypeVar("_Kind", bound=Sensor)
 
 _RADIUS, _MASS = 0.4, 2.0
+# Angular velocity in radians per second.
 _SPIN = 3.0
-"""Angular velocity in radians per second."""
 _IMU = ImuSpec(name="imu", entity="arm", frame="tip")
 _WRENCH = ForceTorqueSpec(name="wrench", entity="arm", link="arm")
 _GROUP = "Sensors"
@@ -82,7 +82,7 @@ def _imu_in_a_circle(trial: Trial) -> Mapping[str, float]:
 
 
 def _imu_falling_and_at_rest(trial: Trial) -> Mapping[str, float]:
-    """One cube falls while it spins about its centre, and one lies on its side on the ground."""
+    """One cube falls while it spins about its centre, and one rests on its side on the ground."""
     on_its_side = Pose((1.0, 0.0, 0.05), (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0))
     entities = (cube("falling", pose=Pose((0.0, 0.0, 10.0))), cube("resting", pose=on_its_side))
     sensors = tuple(ImuSpec(name=entity.name, entity=entity.name, frame=entity.name) for entity in entities)

@@ -1,4 +1,4 @@
-"""Springs of joints: the mechanism's own, beside drives and without."""
+"""Springs of joints: the mechanism's own, with drives and without."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import ActuatorConfig, ImplicitPd, Pose, RobotSpec
 
 _MASS, _REST, _START = 2.0, 0.1, 0.4
+# Angular frequency in rad/s of the free oscillation.
 _OMEGA = 2 * math.pi
-"""Angular frequency in rad/s of the free oscillation."""
 
 
 def _springs(trial: Trial) -> Mapping[str, float]:
@@ -55,8 +55,8 @@ def _hanging(name: str, stiffness: float, home: float = 0.0, actuators: tuple[Ac
 
 
 def _equilibria(trial: Trial) -> dict[str, float]:
-    """How far springs stray from balance with weight, alone, beside a drive, beside one at its limit; and a stiff one,
-    let go where it pulls nothing."""
+    """Return errors of springs in balance with weight: alone, with a drive, with one at its limit; and of a stiff
+    spring that is released where it pulls nothing."""
     soft, stiff, gain, target, limit, weight = 500.0, 2e6, 1500.0, 0.3, 5.0, _MASS * G
     drive = ImplicitPd(joints=(".*",), stiffness=gain, damping=20.0)
     weak = ImplicitPd(joints=(".*",), stiffness=gain, damping=20.0, effort_limit=limit)

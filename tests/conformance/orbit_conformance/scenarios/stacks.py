@@ -15,12 +15,12 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import Pose
 
 _HALF, _COUNT, _APART = 0.05, 5, 1.0
+# Loads in kg on towers of five cubes of 1 kg.
 _LOADS = (10.0, 100.0)
-"""Loads in kg on towers of five cubes of 1 kg."""
+# Blocks of a tower on a slope; metres of a block's height; tangent of the slope's angle.
 _STOREYS, _STOREY, _TANGENT = 3, 0.1, 0.3
-"""Blocks of a tower on a slope; metres of a block's height; tangent of the slope's angle."""
+# Tangents of the slope over those at which towers, the wider the lower, should topple.
 _STEEPNESS = (0.8, 0.9, 0.95, 0.98, 1.02, 1.05, 1.1, 1.2)
-"""Tangents of the slope over those at which towers, the wider the lower, should topple."""
 
 
 def _loaded_towers(trial: Trial) -> Mapping[str, float]:

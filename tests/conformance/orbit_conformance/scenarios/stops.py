@@ -13,12 +13,12 @@ from orbit_conformance.scenarios.joints import named
 from orbit_core.interfaces import Capability
 from orbit_core.scene import ActuatorConfig, ImplicitPd, JointType, RobotSpec
 
+# rad; rad/s.
 _LIMIT, _SPEED = 1.0, 20.0
-"""rad; rad/s."""
+# The parts of a time step by which the impacts differ.
 _PHASES = 5
-"""The parts of a time step by which the impacts differ."""
+# Stiffness, damping and target of the drive that pushes against the limit: 100 N m at rest.
 _PUSH = (200.0, 20.0, 1.5)
-"""Stiffness, damping and target of the drive that pushes against the limit: 100 N m at rest."""
 
 
 def _stopped(name: str, actuators: tuple[ActuatorConfig, ...] = ()) -> RobotSpec:

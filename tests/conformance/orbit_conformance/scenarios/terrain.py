@@ -28,12 +28,12 @@ from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec, Shape, Sphere
 
+# Metres: height from which rays are cast down.
 _ABOVE = 3.0
-"""Metres: height from which rays are cast down."""
+# Metres: where the surface bends by more over a resolution, samples round off an edge; such places are left out.
 _BEND = 5e-4
-"""Metres: where the surface bends by more over a resolution, samples round off an edge; such places are left out."""
+# Metres, of a foot.
 _RADIUS = 0.03
-"""Metres, of a foot."""
 GRID = TerrainGrid(
     kinds=(
         Flat(), Rough(platform=0.6), Slope(platform=0.6), Slope(platform=0.6, down=True), Stairs(platform=0.6),
@@ -99,7 +99,7 @@ def _rest_height(grid: TerrainGrid, place: Array) -> float:
 
 
 def _feet(places: Array, heights: Array) -> RobotSpec:
-    """Balls of 1 kg, each on an upright rail of its own, a millimetre above where it comes to rest."""
+    """Build balls of 1 kg, each on a separate upright rail, a millimetre above their place of rest."""
     links = [Link("rails", 1.0, (0.0, 0.0, 0.0), np.eye(3))]
     ball = np.eye(3) * 0.4 * _RADIUS**2
     links += [

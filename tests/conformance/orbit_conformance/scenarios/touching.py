@@ -1,4 +1,4 @@
-"""At what distance two things touch."""
+"""Scenario of the distance at which two things touch."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import Capsule, ContactSensorSpec, ObjectSpec, Pose
 
 _ROD, _BAR, _RADIUS, _REACH = 0.006, 0.004, 0.035, 0.14
+# Metres between the rod and the ring's bar at first, such that they meet at different times within a step.
 _STARTS = (1.0e-3, 1.53e-3, 2.06e-3, 2.59e-3)
-"""Metres between the rod and the ring's bar at first, such that they meet at different times within a step."""
+# m/s: a tenth of a millimetre in a step.
 _SPEED = 0.02
-"""m/s: a tenth of a millimetre in a step."""
 
 
 def _ring_on_rod(trial: Trial) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""What resists turning: friction about a contact's normal, friction against rolling, and faces that turn flat."""
+"""Friction that resists turning: about a contact's normal, against rolling, and of faces that turn flat."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from orbit_core.scene import Box, ObjectSpec, PhysicsMaterial, Pose, Shape, Sphe
 
 # Friction that is asked for ------------------------------------------------------------------------------------------
 
+# Coefficients in metres: four and fifty times a material's defaults.
 _TORSIONAL, _ROLLING = 0.02, 0.005
-"""Coefficients in metres: four and fifty times a material's defaults."""
 _RADIUS, _DOME = 0.05, 0.5
 
 
@@ -71,12 +71,12 @@ def _rolling_out(trial: Trial) -> Mapping[str, float]:
 
 # In a grip -----------------------------------------------------------------------------------------------------------
 
+# Distance in metres of the bar's centre of mass from the grip, its mass in kg, and its inertia in kg m^2.
 _LEVER, _BAR_MASS, _BAR_INERTIA = 0.05, 0.2, 5e-4
-"""Distance in metres of the bar's centre of mass from the grip, its mass in kg, and its inertia in kg m^2."""
+# Torsional friction of the fingers' round tips, in metres.
 _TIP = 0.005
-"""Torsional friction of the fingers' round tips, in metres."""
+# Ratio in each environment of the weight's torque to the torque that both fingers resist: ``m g l / (2 mu F)``.
 _LOADS = (0.5, 0.8, 0.95, 1.25, 2.0)
-"""Ratio in each environment of the weight's torque to the torque that both fingers resist: ``m g l / (2 mu F)``."""
 
 
 def _held_bar(trial: Trial, torsional: float, forces: tuple[float, ...]) -> World:
@@ -144,8 +144,8 @@ def _pivot(trial: Trial) -> Mapping[str, float]:
 
 # Faces that turn flat ------------------------------------------------------------------------------------------------
 
+# Headings in rad, from along an axis of the world to across it.
 _HEADINGS = tuple(math.pi / 8 * number for number in range(5))
-"""Headings in rad, from along an axis of the world to across it."""
 
 
 def _spin_down(trial: Trial) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""Whether the velocities that an engine tells are those at which its bodies move."""
+"""Scenario that reported velocities are those at which bodies move."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _poses_and_velocities(world: World) -> tuple[Tensor, Tensor]:
 
 
 def _untruth(trial: Trial, world: World, steps: int) -> float:
-    """Largest distance of a velocity told, the mean of a step's begin and end, from how far a link moved in the step.
+    """Largest difference of reported velocities, means of a step's begin and end, from the links' motion in the step.
 
     In m/s, and rad/s, whichever is more.
     """

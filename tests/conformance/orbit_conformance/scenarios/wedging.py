@@ -17,17 +17,17 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, ImplicitPd, Joint, JointType, Link, Pose, RobotSpec, Shape, Sphere
 
 _WIDTH, _LENGTH, _MU, _SQUEEZE, _STIFFNESS, _TIP = 0.05, 0.1, 0.4, 5.0, 1e3, 0.01
+# Heights of the right point over the left one's, over friction times the peg's width: below 1 the peg is wedged.
 _DEPTHS = (0.5, 0.8, 0.9, 1.1, 1.2, 1.5)
-"""Heights of the right point over the left one's, over friction times the peg's width: below 1 the peg is wedged."""
+# Pulls at the first peg over the greatest that holds: one to each environment.
 _PULLS = (0.0, 0.5, 0.8, 0.9, 1.1, 1.2, 1.5)
-"""Pulls at the first peg over the greatest that holds: one to each environment."""
+# Metres between pegs; the turn (rad) by which a peg counts as let go, and the way (m) by which the first does. One
+# that goes turns until the line between the points lies in the cones: at 1.1 it swings to 0.06 rad.
 _APART, _TURNED, _MOVED = 0.2, 0.04, 0.001
-"""Metres between pegs; the turn (rad) by which a peg counts as let go, and the way (m) by which the first does. One
-that goes turns until the line between the points lies in the cones: at 1.1 it swings to 0.06 rad."""
 
 
 def _points() -> RobotSpec:
-    """For each peg a ball on its left side, and one on its right that a force presses on along x."""
+    """Build for each peg a ball on its left side, and one on its right that a force presses on along x."""
     tip = Shape(Sphere(_TIP), material=smooth_material(_MU))
     inertia, reach = np.eye(3) * 0.01, 0.5 * _WIDTH + _TIP
     links, joints = [body("base")], list[Joint]()
