@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orbit_core.preparation.inertia import shapes_mass_properties
+from orbit_assets.mass_properties import shapes_mass_properties
 from orbit_core.scene import Box, Color, Link, PhysicsMaterial, Pose, Shape
 from orbit_core.scene.pose import Vector3
 

@@ -14,13 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
+from orbit_core.configuration import TypeChecker
 from orbit_core.interfaces.errors import ArgumentError, AssetError, OrbitError
-from orbit_core.interfaces.typed import Typed
 
 _LONGEST = 1000
 """Characters of a message; parsers quote whole files."""
 
-_TYPED = Typed()
+_CHECKER = TypeChecker()
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -61,7 +61,7 @@ def names_file(read: Callable[Concatenate[Path | str, _P], _R]) -> Callable[Conc
             raise ArgumentError(f"path is {path!r}: give the path of a file")
         given = signature.bind(path, *args, **kwargs).arguments
         for name, value in given.items():
-            _TYPED.check_value(value, _hints(read)[name], name)
+            _CHECKER.check_value(value, _hints(read)[name], name)
         with naming(str(path)):
             return read(path, *args, **kwargs)
 

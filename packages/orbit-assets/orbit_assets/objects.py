@@ -11,8 +11,9 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
+from orbit_assets.mass_properties import mass_properties, shapes_mass_properties
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import MassProperties, mass_properties, shapes_mass_properties
+from orbit_core.preparation.merge import MassProperties
 from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import (
     Articulation,

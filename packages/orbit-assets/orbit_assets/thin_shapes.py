@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from orbit_assets.findings import Findings
-from orbit_core.preparation.surface_checks import extents
+from orbit_core.preparation.scene_data import extents
 from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 _HALF_THICKNESS = 0.5e-3

@@ -20,9 +20,9 @@ import numpy as np
 
 from orbit_core.files import as_path, storage_faults
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
 from orbit_data.card import CARD, is_card
 from orbit_data.episodes import ACTIONS, DONES, OBSERVED, REWARDS, STATES, Array, Episode, EpisodeInfo
+from orbit_data.manifest.manifest import Manifest
 from orbit_data.reading.parquet import arrow_modules
 from orbit_data.video import write_video
 

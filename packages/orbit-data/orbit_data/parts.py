@@ -18,9 +18,9 @@ from safetensors import SafetensorError, safe_open
 
 from orbit_core.files import LOCK, FolderLock, as_path, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import MAX_DOCUMENT
 from orbit_data.episodes import INITIAL, Array, Episode, EpisodeInfo
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import MAX_DOCUMENT
 
 _MANIFEST = "manifest.json"
 _REPLACES = "replaces"

@@ -6,15 +6,14 @@ adds one row. Only when episodes end are their rows gathered, and written.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from orbit_core.envs.observation_groups import POLICY
-from orbit_core.interfaces import ShapeError, UnknownNameError
-from orbit_core.rollout.recording import tracked_frames
+from orbit_core.interfaces import Object, Robot, ShapeError, UnknownNameError, World
 from orbit_core.rollout.stepping import StepObserver
 from orbit_core.sensors.contact import ContactSensor
 from orbit_data.episodes import (
@@ -197,6 +196,26 @@ class DemonstrationRecorder(StepObserver):
             arrays[OBSERVED + term] = value[:, columns]
             if value.dim() < 4:  # the next picture is the next row's
                 arrays[NEXT + term] = following[:, columns]
+
+
+def tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:
+    """Yield the frames whose poses describe a world: end effectors, and links of objects that can move.
+
+    A robot without an end effector has the frame of its root.
+
+    Args:
+        world: whose robots and objects are listed.
+
+    Yields:
+        Name of the track, and the entity and frame that it follows.
+    """
+    for name, robot in world.robots.items():
+        ends = [end.frame for end in robot.spec.end_effectors] if isinstance(robot, Robot) else []
+        for frame in ends or robot.link_names[:1]:
+            yield f"{name}/{frame}", (robot, frame)
+    for name, thing in world.objects.items():
+        for link in thing.link_names[1 if thing.spec.fixed_base else 0 :]:
+            yield (name if len(thing.link_names) == 1 else f"{name}/{link}"), (thing, link)
 
 
 def _terms_in(layout: GroupLayout, name: str) -> dict[str, slice]:

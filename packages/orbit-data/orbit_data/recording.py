@@ -12,15 +12,15 @@ from torch import Tensor
 
 from orbit_core.files import as_path, storage_faults, sweep
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.compare import Kind, differences
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import TRUSTED
-from orbit_core.reading.hdf5 import hdf5_module
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 from orbit_data.card import check_card, write_card
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
+from orbit_data.manifest.compare import Kind, differences
+from orbit_data.manifest.manifest import Manifest
 from orbit_data.parts import PartFolder
+from orbit_data.reading.budget import TRUSTED
+from orbit_data.reading.hdf5 import hdf5_module
 from orbit_data.recorder import DemonstrationRecorder
 
 if TYPE_CHECKING:

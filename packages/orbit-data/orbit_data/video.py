@@ -11,8 +11,8 @@ import numpy as np
 from orbit_core.files import as_path
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.reading.budget import ReadAccount
 from orbit_data.episodes import Array
+from orbit_data.reading.budget import ReadAccount
 
 _EVERY_OTHER = {"g": "2", "crf": "18"}
 """Every second frame stands by itself, so that any one is soon found; nearly no loss that an eye sees."""

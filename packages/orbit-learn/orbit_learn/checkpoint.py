@@ -2,7 +2,7 @@
 
 A state is a tree of dictionaries, lists, numbers, texts, truth values, None and tensors; libraries keep theirs so in
 ``state_dict``. Tuples become lists, and NumPy's arrays and numbers become tensors and numbers. In the file, see
-:mod:`orbit_core.tensor_file`, a dictionary is ``{"items": [[key, value], ...]}``, for its keys may be numbers,
+:mod:`orbit_data.tensor_file`, a dictionary is ``{"items": [[key, value], ...]}``, for its keys may be numbers,
 and a tensor ``{"tensor": name}``.
 """
 
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.tensor_file import read_tensors, write_tensors
+from orbit_data.tensor_file import read_tensors, write_tensors
 
 FORMAT = 1
 

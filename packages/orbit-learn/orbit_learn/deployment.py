@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from orbit_core.manifest.manifest import Manifest, ObservationTermManifest
+from orbit_data.manifest.manifest import Manifest, ObservationTermManifest
 
 
 def deployment_metadata(manifest: Manifest, group: str, name: str) -> dict[str, str]:

@@ -14,11 +14,11 @@ from torch import Tensor
 from orbit_core.envs.actors import Teacher
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.pretrained import policy_path
 from orbit_learn.distill_settings import DistillSettings
 from orbit_learn.loop import LoopTrainer
 from orbit_learn.networks import ActorNetwork
 from orbit_learn.policy import load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_learn.replay_buffer import ReplayBuffer
 from orbit_learn.student import RunningMoments, build_actor, copied_actor, network_for
 

@@ -13,7 +13,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from orbit_core.envs.environment import Environment
-from orbit_core.rollout.ends import EpisodeTally
+from orbit_learn.ends import EpisodeTally
 from orbit_learn.trainer import Progress, Settings, Trainer
 
 

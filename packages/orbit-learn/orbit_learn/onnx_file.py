@@ -19,8 +19,8 @@ from torch import nn
 from orbit_core.files import as_path, read_bytes, written_whole
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, OrbitError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.tensor_file import parse_json
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.tensor_file import parse_json
 from orbit_learn.deployment import deployment_metadata
 from orbit_learn.description import PolicyDescription
 from orbit_learn.onnx_graph import OnnxGraph

@@ -20,8 +20,8 @@ from torch import Tensor
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.rollout.ends import true_next
 from orbit_learn.convolutional import convolutional_actor
+from orbit_learn.ends import true_next
 from orbit_learn.groups import ACTOR, CRITIC, check_groups, critic_group
 from orbit_learn.loop import LoopTrainer
 from orbit_learn.networks import ActorNetwork, perceptron_actor

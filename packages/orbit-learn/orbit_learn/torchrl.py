@@ -20,7 +20,7 @@ from torchrl.objectives.value import GAE
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import Observation
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.rollout.ends import EpisodeTally, true_next
+from orbit_learn.ends import EpisodeTally, true_next
 from orbit_learn.groups import ACTOR, check_groups, critic_group
 from orbit_learn.loop import LoopTrainer
 from orbit_learn.networks import ActorNetwork

@@ -14,8 +14,8 @@ import torch
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import append_line, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, SimulationError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.tensor_file import parse_json
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.tensor_file import parse_json
 from orbit_learn.checkpoint import read_checkpoint, tensors_in, write_checkpoint
 from orbit_learn.policy import Policy, PolicyDescription
 from orbit_learn.policy_file import SUFFIX, newest_file

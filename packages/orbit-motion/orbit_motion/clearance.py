@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.kinematics import KinematicTree, joint_ancestry
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.dynamics.tree import joint_ancestry
 from orbit_motion.collision_spheres import collision_spheres
 from orbit_motion.obstacles import Obstacles
 from orbit_motion.still import PlacedRobot

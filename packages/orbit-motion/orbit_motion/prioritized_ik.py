@@ -15,10 +15,10 @@ from orbit_core.actions.differential_ik import PoseTermConfig, bounded_targets
 from orbit_core.actions.ik import steadying
 from orbit_core.actions.modes import CommandMode
 from orbit_core.actions.reach import PoseFollower
-from orbit_core.dynamics.qp import solve_qp
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.manipulability import manipulability_gradient
+from orbit_motion.qp import solve_qp
 
 _LIMIT_SHARE = 0.5
 """Of the distance to a limit that a joint may cover in one step (Faverjon and Tournassoud's velocity damper, 1987)."""

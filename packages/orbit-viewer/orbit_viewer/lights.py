@@ -1,7 +1,7 @@
 """The scene's lights and sky in the browser, whose renderer reckons in linear light.
 
 Surfaces that no directional light falls on, and those that face a single one, are as bright as
-:mod:`orbit_core.scene.lights` says; between the two, the browser's are brighter.
+:mod:`orbit_core.scene.scene` says; between the two, the browser's are brighter.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ import numpy.typing as npt
 import torch
 
 from orbit_core.interfaces import SceneLayout
-from orbit_core.plugin_kit.deformable_surface import DeformableSurface
-from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.plugin_kit.meshes import marker_shapes
+from orbit_core.plugin_kit.rendering import DeformableSurface
 from orbit_core.scene import Plane, RobotSpec, Shape
 from orbit_core.scene.pose import Vector3
 from orbit_core.world.frames import frame_shapes

@@ -10,8 +10,8 @@ import numpy as np
 from orbit_assets.audit.findings import Finding, Severity
 from orbit_assets.audit.geometry import bounds, colliding_volume
 from orbit_assets.audit.mechanics import FloatArray
+from orbit_assets.mass_properties import mass_properties
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import mass_properties
 from orbit_core.scene import Link, Shape
 from orbit_core.scene.inertias import principal_axes
 

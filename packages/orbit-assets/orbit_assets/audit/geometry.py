@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from orbit_assets.audit.mechanics import FloatArray
+from orbit_assets.mass_properties import mass_properties
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import mass_properties
 from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, MeshCollision, Shape, Sphere
 
 _ON_SPHERE, _ON_CIRCLE = 96, 24

@@ -16,9 +16,8 @@ from orbit_assets.audit.bodies import Body
 from orbit_assets.audit.findings import Severity
 from orbit_assets.cli.findings_table import findings_table
 from orbit_assets.cli.reading import ReadSettings, remedies_in_flags
-from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import check_output, parse_words
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames, edit_joints
+from orbit_assets.drive_design import DriveDesign
 from orbit_assets.installed import installed_urdf
 from orbit_assets.parts import PartKind, RobotPart
 from orbit_assets.robots.hands import grasp, on_bracket, opened
-from orbit_core.dynamics.drive_design import DriveDesign
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, Frame, Pose
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames, simplify_collisions, subtree
+from orbit_assets.drive_design import DriveDesign, with_armature
 from orbit_assets.installed import installed_urdf
 from orbit_assets.parts import PartKind, RobotPart
 from orbit_assets.robots.hands import bracket, grasp, on_bracket, opened
-from orbit_core.dynamics.drive_design import DriveDesign, with_armature
 from orbit_core.scene import Articulation, Frame, Pose
 from orbit_core.scene.pose import Vector3
 

@@ -22,7 +22,10 @@ def on_bracket(
     Args:
         hand: its root is the palm, or what carries the palm.
         name: of the result, whose root is ``<name>_mount``.
-        origin, fingers, palm, angle: as :func:`bracket` takes them.
+        origin: of the flange in the hand's root.
+        fingers: along the stretched fingers, in the hand's root.
+        palm: out of the palm, in the hand's root; perpendicular to ``fingers``.
+        angle: between ``fingers`` and the direction of grasping, in degrees.
     """
     mount = bracket(origin, fingers, palm, angle).inverse()
     return merge_fixed_links(attach(Articulation(name, (Link(f"{name}_mount"),)), hand, f"{name}_mount", mount))

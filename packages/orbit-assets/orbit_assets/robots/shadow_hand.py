@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames, edit_joints, edit_links, renamed, simplify_collisions
+from orbit_assets.drive_design import DriveDesign
 from orbit_assets.mjcf.reader import read_mjcf
 from orbit_assets.options import ReadOptions, Unsupported
 from orbit_assets.parts import PartKind, RobotPart
 from orbit_assets.robots.hands import grasp, on_bracket, opened
 from orbit_assets.sources import model_folder
-from orbit_core.dynamics.drive_design import DriveDesign
 from orbit_core.scene import Articulation, Frame, Mimic, Pose
 
 SOURCE, LICENCE = "gymnasium-robotics", "Apache-2.0 (meshes after Shadow Robot's sr_common)"

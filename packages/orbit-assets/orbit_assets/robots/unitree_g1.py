@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from orbit_assets.cache import Model
 from orbit_assets.compose import edit_links, simplify_collisions
+from orbit_assets.drive_design import DriveDesign, with_armature
 from orbit_assets.installed import installed_urdf
 from orbit_assets.parts import PartKind, RobotPart
 from orbit_assets.robots import dex3_hand
-from orbit_core.dynamics.drive_design import DriveDesign, with_armature
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, EndEffector, ImplicitPd, Link, Pose, Shape, Sphere
 

@@ -11,7 +11,7 @@ from orbit_assets.usd.library import pxr
 from orbit_assets.usd.mass import NOTHING, body_mass, is_given, solid
 from orbit_assets.usd.stage import Reading, attribute
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import MassProperties
+from orbit_core.preparation.merge import MassProperties
 from orbit_core.scene import Link, Shape
 
 

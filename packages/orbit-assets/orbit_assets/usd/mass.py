@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from orbit_assets.mass_properties import mass_properties
 from orbit_assets.usd.geometry import Placement, Placements
 from orbit_assets.usd.stage import Units, applies, array, authored, number, numbers, rotation
-from orbit_core.preparation.inertia import MassProperties, combine, mass_properties
+from orbit_core.preparation.merge import MassProperties, combine
 from orbit_core.scene import Shape
 from orbit_core.scene.pose import FloatArray
 

@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.output import console, new_table
-from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.read_budget import ReadSettings
+from orbit_core.cli.settings import check_output, check_positive, make_folder, parse_words
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_data.cli.read_budget import ReadSettings
 
 if TYPE_CHECKING:
-    from orbit_core.reading.budget import ReadBudget
     from orbit_data.episodes import Dataset
+    from orbit_data.reading.budget import ReadBudget
 
 Source = Annotated[Positional[Path], arg(metavar="DATASET")]
 _HDF5 = (".hdf5", ".h5")

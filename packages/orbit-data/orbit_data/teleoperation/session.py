@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.envs.episode import EpisodeEnd
-from orbit_core.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Manifest
 from orbit_data.recorder import DemonstrationRecorder
 from orbit_data.recording import RecordingFile
 from orbit_data.teleoperation.device import Device, DeviceLostError, Event, Reading

@@ -11,11 +11,10 @@ import torch
 
 from orbit_assets.audit.findings import Finding, Severity, names_in_short
 from orbit_assets.audit.robots.postures import FloatArray
-from orbit_core.dynamics.drive_design import DriveResponse, drive_responses
-from orbit_core.dynamics.drive_stability import ExplicitGains, unstable_drive
+from orbit_core.actuators.stability import ExplicitGains, unstable_drive
 from orbit_core.dynamics.kinematics import mimic_matrix
 from orbit_core.dynamics.rigid_body import RigidBodyModel
-from orbit_core.dynamics.workspace import workspace_mass_matrices
+from orbit_core.dynamics.workspace import DriveResponse, drive_responses, workspace_mass_matrices
 from orbit_core.interfaces.layout import JointParameters, SceneLayout, actuator_of_joint
 from orbit_core.scene import ImplicitPd, RobotSpec, Scene
 

@@ -10,7 +10,7 @@ import numpy as np
 from orbit_assets.audit.findings import Finding, Severity
 from orbit_assets.audit.geometry import shape_points
 from orbit_assets.audit.robots.postures import FloatArray, frame_pose
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import RobotSpec
 
 _LEVEL = 0.005

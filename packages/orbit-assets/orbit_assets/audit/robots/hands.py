@@ -18,7 +18,7 @@ from orbit_assets.audit.robots.postures import (
     shapes_in_frame,
 )
 from orbit_assets.convex import Convex, within
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import EndEffector, Gripper, Pose, RobotSpec
 
 _WIDEST = 0.2
