@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -248,14 +249,23 @@ class Result:
 
     def matters(self, name: str) -> list[str]:
         """Return the matter solvers of one scenario, the engine's own last; a single empty name without any."""
-        found = dict.fromkeys(record.job.matter for record in self.of(Kind.SCENARIO) if record.job.name == name)
+        found = dict.fromkeys(matter for of, _, matter in self._scenarios if of == name)
         return sorted(found, key=lambda matter: (matter == NATIVE, matter)) or [""]
 
     def scenario_records(self, name: str, backend: str, matter: str = "") -> list[Record]:
         """The records of one scenario on one backend, the longest time step first."""
-        wanted = (name, backend, matter)
-        found = [r for r in self.of(Kind.SCENARIO) if (r.job.name, r.job.backend, r.job.matter) == wanted]
-        return sorted(found, key=lambda record: (-record.job.time_step, -record.job.substep))
+        return self._scenarios.get((name, backend, matter), [])
+
+    @cached_property
+    def _scenarios(self) -> dict[tuple[str, str, str], list[Record]]:
+        """Records of scenarios by name, backend and matter, the longest time step first."""
+        # A page asks for some thousand cells; a search through all records for each of them takes seconds.
+        found: dict[tuple[str, str, str], list[Record]] = {}
+        for record in self.of(Kind.SCENARIO):
+            found.setdefault((record.job.name, record.job.backend, record.job.matter), []).append(record)
+        for records in found.values():
+            records.sort(key=lambda record: (-record.job.time_step, -record.job.substep))
+        return found
 
     def nominal(self, scenario: ScenarioInfo, backend: str, matter: str = "") -> Record | None:
         """The record on which a backend, or the matter on it, is judged; None if it was not run."""
