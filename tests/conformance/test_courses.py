@@ -10,7 +10,7 @@ import numpy as np
 from orbit_conformance.courses import course_of
 from orbit_conformance.hardware import Hardware
 from orbit_conformance.recording import Recording
-from orbit_conformance.report.courses import courses
+from orbit_conformance.report.plots import courses
 from orbit_conformance.results import Header, Result
 from orbit_conformance.settings import Part, Settings
 from orbit_conformance.tasks import run_task

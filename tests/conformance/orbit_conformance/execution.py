@@ -1,4 +1,4 @@
-"""Doing one job, in a worker process on this machine or another."""
+"""Execution of one job, in a worker process on this machine or another."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -23,12 +24,16 @@ from orbit_conformance.tasks import run_task
 from orbit_conformance.throughput import measure_once
 from orbit_conformance.transfer import learned, transfer
 from orbit_conformance.verdict import Status, run_scenario
-from orbit_conformance.videos import film
+from orbit_core.backends import backend, backend_names
 from orbit_core.backends import backend as find_backend
+from orbit_core.envs import make
+from orbit_core.envs.actors import ExpertActor
 from orbit_core.files import DISK_FULL
-from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
+from orbit_core.interfaces import Backend, Capability, Level, StorageError, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.plugin_kit.scratch import OWNER, ScratchFolder
+from orbit_core.rollout.stepping import roll_out
+from orbit_core.rollout.video import VideoRecorder
 
 RECORDING = "recording.npz"
 TRACES = "traces.json"
@@ -200,3 +205,44 @@ _DOINGS: dict[Kind, Callable[[Record, Settings, Path], Record]] = {
     Kind.VIDEO: _video,
     Kind.THROUGHPUT: _throughput,
 }
+
+
+WIDTH, HEIGHT = 256, 192
+
+
+def film(
+    task: str, backend_name: str, path: Path, *, seconds: float, seed: int, device: str, settings: Mapping[str, Any]
+) -> None:
+    """Film the first environment of a task for some seconds, its expert acting, from the task's own view.
+
+    A backend that draws nothing is drawn by another one, the same for all such.
+
+    Raises:
+        UnsupportedCapabilityError: nothing that is installed draws, or the backend lacks what the task needs.
+    """
+    environment = make(task, 1, backend_name, device, seed, renderer_for(backend(backend_name)), settings)
+    try:
+        expert = ExpertActor(environment, seed)
+        environment.reset()
+        steps = min(environment.max_episode_steps, round(seconds / environment.step_dt))
+        with VideoRecorder(environment, path, 1, WIDTH, HEIGHT) as recorder:
+            roll_out(environment, expert, (recorder,), max_steps=steps)
+    finally:
+        environment.close()
+
+
+def renderer_for(simulating: Backend) -> str:
+    """The backend itself if it draws, else the one that draws most exactly."""
+    if simulating.capabilities().has(Capability.RGB):
+        return simulating.name
+    drawing = [name for name in backend_names() if backend(name).capabilities().has(Capability.RGB)]
+    if not drawing:
+        raise UnsupportedCapabilityError(
+            f"backend '{simulating.name}' does not draw, and no other is installed that does"
+        )
+    images = (Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION)
+
+    def exactness(name: str) -> int:
+        return sum(backend(name).capabilities()[image].level is Level.EXACT for image in images)
+
+    return max(drawing, key=exactness)

@@ -97,7 +97,7 @@ class Recording:
 
 
 class _Header(msgspec.Struct, forbid_unknown_fields=True):
-    """What a recording's file says besides its arrays."""
+    """Header of a recording's file, next to its arrays."""
 
     task: str
     backend: str
@@ -177,7 +177,7 @@ class EpisodeRecorder(StepObserver):
         self._actions.append(action.cpu().clone())
 
     def recording(self, task: str, seed: int, fields: Mapping[str, Any]) -> Recording:
-        """What was recorded so far, all first episodes being over.
+        """Return the recording, once all first episodes are over.
 
         Args:
             task: name of the task.

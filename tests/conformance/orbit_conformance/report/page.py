@@ -16,8 +16,8 @@ from markupsafe import Markup
 from orbit_conformance.execution import VIDEO
 from orbit_conformance.jobs import Kind
 from orbit_conformance.report import plots
-from orbit_conformance.report.courses import courses
 from orbit_conformance.report.differences import Difference, differences
+from orbit_conformance.report.plots import courses
 from orbit_conformance.report.ranking import RULE, Ranking, machine_of, rankings, slug
 from orbit_conformance.report.robots import RobotSection, robot_section
 from orbit_conformance.results import REPORT, PolicyInfo, Record, Result, ScenarioInfo, load

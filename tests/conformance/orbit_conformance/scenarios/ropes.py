@@ -58,6 +58,7 @@ def period_of(times: Sequence[float], positions: Sequence[float]) -> float:
     before = np.flatnonzero(signs[:-1] != signs[1:])
     if len(before) < 2:
         return math.inf
+    # The mean over all swings between the first and the last crossing averages out the time step's grid.
     moments = [_crossing(times[k : k + 2], positions[k : k + 2]) for k in (before[0], before[-1])]
     return 2.0 * (moments[1] - moments[0]) / (len(before) - 1)
 
@@ -79,9 +80,11 @@ def particle_masses(rope: Rope) -> Tensor:
 def _catenary(trial: Trial) -> Mapping[str, float]:
     length, span, count = 0.6, 0.4, 51
     along = np.linspace(0.0, length, count)
+    # The rope starts as two straight halves of the right length, close to the catenary without being it.
     fall = np.minimum(along, length - along) * math.sqrt(1.0 - (span / length) ** 2)
     points = np.stack((along * span / length - 0.5 * span, 0.0 * along, -fall), axis=-1)
     held = (Attachment((0, count - 1)),)
+    # Stiff along and limp across, as the catenary assumes; damping brings it to rest in the time given.
     axial, bending, still = 5000.0, 1e-6, 3.0
     rope = Rope("rope", points, 0.1, Pose((0.0, 0.0, 1.0)), 0.005, axial, bending, still, attachments=held)
     world = trial.world(Scene(deformables=(rope,), terrain=()))
