@@ -48,6 +48,7 @@ def compare(before: Result, after: Result) -> Comparison:
     """Hold the later result against the earlier one, job by job; what only one of them has is noted."""
     old = {record.job: record for record in before.judged}
     new = {record.job: record for record in after.judged}
+    # Speeds of two machines say nothing about the code.
     same_machine = before.header.hardware == after.header.hardware
     metrics = {info.name: info for info in after.header.scenarios}
     changes = [
@@ -90,6 +91,7 @@ def _errors(old: Record, new: Record, info: ScenarioInfo) -> Iterator[Change]:
     for metric in info.metrics:
         before = old.scenario.errors.get(metric.name, math.nan)
         after = new.scenario.errors.get(metric.name, math.nan)
+        # Relative to the tolerance as well: a tenth of an error near zero is no change.
         noise = ERROR_NOISE * max(abs(before), metric.tolerance)
         if math.isfinite(before) != math.isfinite(after) or abs(after - before) > noise:
             texts = (f"{value:.3g} {metric.unit}".strip() for value in (before, after))

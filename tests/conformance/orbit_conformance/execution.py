@@ -73,15 +73,18 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
             for file, content in inputs.items():
                 (folder / file).write_bytes(content)
             record = _DOINGS[job.kind](record, settings, folder)
+        # A refusal is a result: the backend declares the gap itself.
         except UnsupportedCapabilityError as error:
             record = replace(record, ending=Ending.UNSUPPORTED, reason=str(error))
         except StorageError:
             raise
         except Exception as error:
+            # A full disk would fail every later job as well, and blame the backend for each.
             if isinstance(error, OSError) and error.errno in DISK_FULL:
                 raise StorageError(f"cannot write into folder {folder.parent}: {error.strerror}") from error
             traceback.print_exc()
             record = replace(record, ending=Ending.ERROR, reason=f"{type(error).__name__}: {error}")
+        # Inputs are files of another job, which has them already.
         own = [path for path in sorted(folder.iterdir()) if path.name not in inputs and path.name != OWNER]
         made = {path.name: path.read_bytes() for path in own}
     return Outcome(replace(record, seconds=time.perf_counter() - begin, files=tuple(made)), made)
@@ -89,6 +92,7 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
 
 def _scenario(record: Record, settings: Settings, folder: Path) -> Record:
     job, described = record.job, scenario(record.job.name)
+    # Tolerances hold at the nominal time step only; a sweep shows errors without a verdict.
     nominal = job.time_step == described.time_step and not job.substep
     own, matter = settings.settings_of(job.backend), job.matter or NATIVE
     trial = Trial(job.backend, job.time_step, record.device, own, settings.seed, matter, job.substep)
@@ -245,4 +249,5 @@ def renderer_for(simulating: Backend) -> str:
     def exactness(name: str) -> int:
         return sum(backend(name).capabilities()[image].level is Level.EXACT for image in images)
 
+    # A picture of the report should look alike for all engines that cannot draw.
     return max(drawing, key=exactness)

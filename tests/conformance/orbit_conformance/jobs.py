@@ -84,8 +84,10 @@ def plan(settings: Settings) -> list[Phase]:
         )
         for backend in settings.backends
     ]
+    # Replays need the recordings of all backends, which the phases before made.
     phases += [Phase(tuple(_replays(settings, backend))) for backend in settings.backends]
     phases += [Phase(tuple(_drawn_by(settings, renderer))) for renderer in settings.renderers]
+    # Last and alone: other jobs would take cores and memory from the measurement.
     phases += [Phase(tuple(_throughput(settings, backend)), alone=True) for backend in settings.backends]
     return [phase for phase in phases if phase.jobs]
 

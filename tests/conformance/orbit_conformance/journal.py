@@ -125,6 +125,7 @@ class Journal:
 
 def _check_folder(folder: Path) -> None:
     """Reject a folder that holds things, but no run: files of theirs could have the names of ours."""
+    # A folder with a lock or a log only is one of a run that ended before its first record.
     found = {path.name for path in folder.iterdir()}
     if found - {LOCK, LOG} and not found & {JOURNAL, RESULT_FILE, PREVIOUS}:
         raise ConfigurationError(f"folder {folder} holds other things and no run of this suite: give another --output")

@@ -62,6 +62,7 @@ def merge(folders: Sequence[Path | str], output: Path | str, overwrite: bool = F
     output = output.resolve()
     with storage_faults(output):
         output.parent.mkdir(parents=True, exist_ok=True)
+    # A merge that was killed left its half-written folder there.
     sweep(output.parent)
     with written_whole(output) as written:
         merged = _merge(folders, results, written)
@@ -120,6 +121,7 @@ def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> 
     records: dict[str, Record] = {}
     for folder, result in zip(folders, results, strict=True):
         for record in result.records:
+            # Which of two results of one job is right cannot be known here.
             if record.job.key in records:
                 raise ConfigurationError(f"two results to be merged hold {record.job.key}: leave one out")
             records[record.job.key] = record
@@ -132,6 +134,7 @@ def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> 
         finished=now(),
         benchmarks=tuple(dict.fromkeys(each for result in results for each in result.benchmarks)),
     )
+    # Two backends of different runs have never been compared: do so now.
     tracks = {task: _recordings(task, merged, output) for task in merged.tried_tasks}
     partings = (*merged.partings, *_partings(merged, tracks))
     merged = replace(merged, partings=partings, courses=(*merged.courses, *_courses(merged, tracks)))

@@ -135,9 +135,11 @@ class RayPool(Pool):
 def _begin_worker(log: str) -> None:
     """Redirect engine output into the log, and write the stack of a process that dies there."""
     sys.stdout.flush()
+    # O_NOFOLLOW: a link in the folder must not lead the log to another file.
     stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW)
     os.dup2(stream, 1)
     os.dup2(stream, 2)
+    # An engine's crash leaves no Python exception; its stack in the log is all that there is.
     faulthandler.enable()
     # Engines may have workers of their own, which a daemon may not; nothing public takes the mark off again.
     multiprocessing.current_process()._config["daemon"] = False  # pyright: ignore[reportAttributeAccessIssue]

@@ -103,6 +103,7 @@ class Record:
     @property
     def status(self) -> Status:
         """Status of the backend; a job that broke counts as failed."""
+        # The order matters: a refusal is no failure, a crash is one whatever was measured before.
         if self.ending is Ending.UNSUPPORTED:
             return Status.UNSUPPORTED
         if not self.ending.acceptable or (self.task and self.task.shortfall):

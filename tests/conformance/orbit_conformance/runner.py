@@ -60,6 +60,7 @@ def run(
                 notify(journal.dropped)
             progress(None, len(journal.records), total)
             for phase in phases:
+                # Work is listed before the pool starts, since a replay reads files that the phases before it wrote.
                 work = [one for job in phase.jobs if (one := _work(job, settings, journal)) is not None]
                 for outcome in pool.run(work, phase.alone) if work else ():
                     journal.add(outcome)
@@ -122,6 +123,7 @@ def _work(job: Job, settings: Settings, journal: Journal) -> Work | None:
     inputs: Mapping[str, bytes] = {}
     if job.kind is Kind.REPLAY:
         source = journal.records[Job(Kind.TASK, job.name, job.source).key]
+        # A task that was refused or that crashed left no actions to replay.
         if RECORDING not in source.files:
             reason = f"nothing was recorded on backend '{job.source}': {source.reason}"
             journal.add(Outcome(Record(job, Ending.UNSUPPORTED, reason)))

@@ -184,12 +184,14 @@ def choose(
     if not installed:
         raise ConfigurationError(f"no backend is installed: {install_extra('BACKEND')}, see 'orbit list backends'")
     known = [s.name for s in SCENARIOS]
+    # A slow scenario that is named runs in a quick run too.
     tried = [s.name for s in SCENARIOS if not (quick and s.slow)]
     of_tasks = (Part.TASKS, Part.TRANSFERS, Part.THROUGHPUT)
     named = {Part.SCENARIOS: scenarios, Part.ROBOTS: robots} | dict.fromkeys(of_tasks, tasks)
     implied = tuple(part for part in Part if named[part] or not (scenarios or robots or tasks))
     chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
     backends = _known("backend", backends, installed)
+    # Declarations that cannot be true would only show after hours of a full run.
     for name in backends:
         check_declarations(find_backend(name))
     matters = _known("matter solver", matters, (*matter_names(), NATIVE))
@@ -240,6 +242,7 @@ def _renderers() -> tuple[str, ...]:
     take longer for an episode's pictures than a job may.
     """
     drawing = [name for name in backend_names() if find_backend(name).capabilities().has(Capability.RGB)]
+    # A path tracer takes minutes for an episode's pictures.
     alone = [name for name in renderer_names() if renderer(name).capabilities()[Capability.RAY_TRACED_RGB] != EXACT]
     return (*drawing, *alone)
 

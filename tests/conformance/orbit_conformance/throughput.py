@@ -129,6 +129,7 @@ def measure_once(
         UnsupportedCapabilityError: the backend lacks what the task needs.
     """
     torch.set_num_threads(1)  # as the command line does: small tensors gain nothing, and the engine needs the cores
+    # Before the engine's import, which is a part of start and memory.
     memory, begin = _resident_mib(), time.perf_counter()
     environment = make(task, num_envs, backend, device, seed, settings=settings, compile=compile, **(fields or {}))
     try:
@@ -139,8 +140,10 @@ def measure_once(
         start = time.perf_counter() - begin
         grown = _resident_mib() - memory
         raw = _raw_steppers(environment)
+        # Kernels compile and caches fill in the first block.
         _block(environment, agent, raw, block_steps)  # warm up
         measured = [_block(environment, agent, raw, block_steps) for _ in range(blocks)]
+        # A run of its own: the stopwatch itself costs some microseconds a part.
         parts = _parts(environment, agent, block_steps * max(1, blocks // 4))
         picture = _picture_milliseconds(environment)
     finally:

@@ -36,6 +36,7 @@ def loose_tolerances(result: Result) -> list[LooseTolerance]:
     for info in result.header.scenarios:
         for metric in info.metrics:
             errors = _errors(result, info, metric.name)
+            # A metric with a stated reason may be as loose as it says.
             if not errors or metric.looser_because:
                 continue
             best, backend = min(errors)

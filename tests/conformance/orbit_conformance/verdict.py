@@ -65,6 +65,7 @@ def judge(owner: Backend | MatterSolver, scenario: Scenario, errors: Mapping[str
 def judge_metrics(metrics: Iterable[Metric], errors: Mapping[str, float], gaps: Mapping[str, Gap]) -> Verdict:
     """Hold the error of each metric against its tolerance, and the declared gap of that metric's name."""
     findings = [_judge_metric(metric, errors[metric.name], gaps.get(metric.name)) for metric in metrics]
+    # The worst status decides, and only its reasons are given.
     for status in (Status.FAIL, Status.STALE, Status.GAP):
         reasons = [reason for found, reason in findings if found is status]
         if reasons:
@@ -76,6 +77,7 @@ def _judge_metric(metric: Metric, error: float, gap: Gap | None) -> tuple[Status
     def told(value: float) -> str:
         return f"{value:.3g} {metric.unit}".strip()
 
+    # NaN compares false with everything, and must not pass.
     within = math.isfinite(error) and error <= metric.tolerance
     measured, tolerance = f"{metric.name} is {told(error)}", f"tolerance of {told(metric.tolerance)}"
     if gap is None:

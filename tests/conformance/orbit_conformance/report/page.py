@@ -276,6 +276,7 @@ def _worst_cell(result: Result, kind: Kind, name: str, backend: str) -> Cell:
     records = [r for r in result.of(kind) if (r.job.name, r.job.backend, r.job.renderer) == (name, backend, "")]
     if not records:
         return Cell(None, "not run")
+    # Throughput has several records in a cell, one for each number of environments.
     worst = max(records, key=lambda record: list(_SYMBOLS).index(record.status))
     label = worst.played.success.percent() if worst.played else _label(worst)
     return Cell(worst.status, label, worst.why)

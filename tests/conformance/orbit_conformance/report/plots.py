@@ -49,6 +49,7 @@ def accuracy(result: Result, info: ScenarioInfo) -> str:
 
 def _points(records: list[Record], metric: Metric) -> list[tuple[float, float]]:
     """Speeds and errors of the records that have finite ones; without a solver's own choice where it has a sweep."""
+    # A solver's own choice of step would be a point off the line of its sweep.
     swept = [record for record in records if record.job.substep] or records
     results = [record.scenario for record in swept if record.scenario]
     pairs = [(found.speed, found.errors.get(metric.name, math.nan)) for found in results]
@@ -77,6 +78,7 @@ def traces(result: Result, info: ScenarioInfo, folder: Path) -> str:
         return ""
     with plotting(list(curves)) as plot:
         for title, panel in plot.panels.items():
+            # All engines have the same truth, at the same times.
             truth = curves[title][0][2]
             panel.plot(truth.times, truth.truth, color="#bbb", linewidth=3.5, label="truth")
             for backend, matter, trace in curves[title]:

@@ -27,6 +27,7 @@ def _hung(
 ) -> RobotSpec:
     """A body of 2 kg, its centre half a metre below a compound joint; its lengths times ``size``, of one density."""
     joint = Joint(name, JointType.CONTINUOUS, "base", "bob")
+    # Links without mass between the joints, which engines of reduced coordinates may find singular.
     links, joints = compound(joint, freedoms)
     bob = Link("bob", _MASS * size**3, (0.0, 0.0, -_LEVER * size), np.diag(moments) * size**5)
     return RobotSpec(

@@ -74,6 +74,7 @@ def _photograph(
     channels: tuple[Channel, ...],
     solids: Sequence[tuple[Geometry, Pose]],
     ground: Geometry,
+    # Off all planes of symmetry, so that a mirrored picture differs.
     eye: Vector3 = (2.6, -1.9, 1.9),
 ) -> _View:
     """The picture of solids that stand still on a ground; they are only to be seen, and collide with nothing."""
@@ -115,6 +116,7 @@ def _depth(trial: Trial) -> Mapping[str, float]:
     view = _photograph(trial, (Channel.DEPTH, Channel.POSITION), _things(), Plane())
     truth = view.truth.distances[view.sure & view.met]
     points = view.camera.pose.position + truth[:, None] * pixel_directions(view.camera)[view.sure & view.met]
+    # Pixels of the sky have to be infinite: a far plane's depth would look like a wall.
     nothing = view.of(Channel.DEPTH, ~view.met)
     return {
         "depth": float(np.abs(view.of(Channel.DEPTH, view.met)[..., 0] - truth).max()),
@@ -232,6 +234,7 @@ def _lit_photograph(trial: Trial, things: _Things, lights: tuple[Light, ...]) ->
     found = sensor.image(Channel.RGB)[0].flatten(0, 1).cpu().double().numpy()
     views = [_view(things, camera, lights, right, up) for right in (-1.0, 0.0, 1.0) for up in (-1.0, 0.0, 1.0)]
     hits, shaded, true = views.pop(4)
+    # A pixel counts only where all rays within it meet the same face in the same light.
     sure = steady(hits, [other for other, _, _ in views], 0.999)
     for _, other, _ in views:
         sure &= (other == shaded).all(-1)
@@ -255,6 +258,7 @@ def _view(
     directions = pixel_directions(camera, right, up)
     origins = np.broadcast_to(camera.pose.position, directions.shape)
     hits = trace(things, origins, directions)
+    # The renderer draws nothing beyond either.
     hits.things[hits.distances > _LIT_FAR] = NOTHING
     met = hits.things != NOTHING
     colors = np.array(
@@ -267,6 +271,7 @@ def _view(
     for number, lamp in enumerate(lamps):
         toward = -np.array(lamp.unit_direction)
         cosine = (hits.normals @ toward).clip(0.0) * met
+        # A ray from the surface itself would meet it again by rounding.
         starts = (origins + np.where(met, hits.distances, 0.0)[:, None] * directions) + _LIFT * hits.normals
         blocked = trace(things, starts, np.broadcast_to(toward, starts.shape)).things != NOTHING
         shaded[:, number] = blocked & (cosine > 0.0) & lamp.shadows
@@ -328,6 +333,7 @@ def _boxes(things: list[tuple[Geometry, Pose]], camera: CameraSpec) -> npt.NDArr
     for index in range(len(things)):
         rows, columns = np.nonzero(shown == index)
         if len(rows):
+            # Edges of pixels, as the boxes' convention has them: the last pixel is inside.
             boxes[index] = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
     return boxes
 

@@ -30,7 +30,9 @@ def _rebound(trial: Trial, thing: ObjectSpec) -> Tensor:
     pose = body.root_pose.clone()
     pose[:, 2] = RADIUS + drops
     body.set_root_pose(pose)
+    # Until the last has bounced, and before the first falls again.
     trial.step(world, trial.steps(math.sqrt(2 * max(_DROPS) / G) + 0.08))
+    # Height and speed in flight give the height of the rebound without waiting for it.
     heights, speeds = body.root_pose[:, 2] - RADIUS, body.root_velocity[:, 2]
     return (heights + speeds**2 / (2 * G)) / drops
 
@@ -71,6 +73,7 @@ def _height_of_bounces(time: float, fall: float, restitution: float) -> float:
     if time < fall:
         return 0.5 * G * (fall**2 - time**2)
     time -= fall
+    # Infinitely many bounces end in finite time; below 1 mm/s they cannot be seen.
     while speed > 1e-3:
         speed *= restitution
         flight = 2 * speed / G
@@ -81,6 +84,7 @@ def _height_of_bounces(time: float, fall: float, restitution: float) -> float:
 
 
 def _chain(trial: Trial) -> Mapping[str, float]:
+    # A gap between the balls makes the impacts follow one another, which decides the outcome.
     count, gap, speed = 5, 0.02, 1.0
     material = smooth_material(0.0, 1.0)
     balls = [marble(f"marble{i}", RADIUS, material, Pose((i * (2 * RADIUS + gap), 0.0, 0.0))) for i in range(count)]
@@ -127,6 +131,7 @@ def _bouncing_pair(trial: Trial, friction: float, restitution: float) -> World:
         marble("ball", RADIUS, material, Pose()),
         box("box", (0.3, 0.3, 2 * RADIUS), mass=1.0, material=material, pose=Pose((0.0, 2.0, 0.0))),
     )
+    # Impacts at several instants within a step: an engine that is right at one may be wrong at another.
     down = torch.tensor(_SPEEDS).repeat_interleave(_PHASES)
     world = trial.world(scene(*things, terrain=SMOOTH_GROUND, gravity=WEIGHTLESS), len(down))
     for thing in world.objects.values():
@@ -175,6 +180,7 @@ def _landing(trial: Trial) -> Mapping[str, float]:
     body.set_root_velocity(velocity)
     trial.step(world, trial.steps(0.9))
     fall = (2 * heights / G).sqrt()
+    # The landing's impulse m g t takes the same friction along as the weight does over that time.
     after = (speed - friction * G * fall).clamp(min=0.0)
     way = speed * fall + after**2 / (2 * friction * G)
     return {"way": float(((body.root_pose - pose)[:, 0].cpu() / way - 1).abs().max())}
@@ -244,9 +250,11 @@ def _dominoes(trial: Trial) -> Mapping[str, float]:
     numbers = list(range(_COUNT))
     steady = [float(tipped[3]) + (number - 3) * _APART / _SPEED for number in numbers]
     trial.trace("time at which a piece tips, over its number", "s", numbers, tipped.tolist(), steady)
+    # A piece that never tips leaves NaN, which compares false: it counts as standing.
     stages = tipped.diff()
     return {
         "standing": float((~(stages > 0)).sum()),
+        # The first pieces still gain speed from the push.
         "speed": abs(float((_COUNT - 4) * _APART / (tipped[-1] - tipped[3])) / _SPEED - 1),
     }
 

@@ -31,6 +31,7 @@ def _pendulum(trial: Trial) -> Mapping[str, float]:
     start = math.pi / 2 - torch.tensor(_AMPLITUDES)[:, None]
     robot.set_joint_state(start.to(world.device), torch.zeros_like(start).to(world.device))
     times, angles, speeds = [], [], []
+    # Two periods of the largest amplitude, which is the slowest.
     for time in trial.advance(world, 2.0 * max(expected)):
         times.append(time)
         angles.append((robot.joint_positions[:, 0].double().cpu() - math.pi / 2).clone())
@@ -77,7 +78,9 @@ def _double_pendulum(trial: Trial) -> Mapping[str, float]:
     truth, measured = _double(tuple(times)), np.array(states)
     trial.trace("angle of the lower hinge", "rad", times, measured[:, 1].tolist(), truth[:, 1].tolist())
     energies = np.array([chain.energy(state) for state in measured])
+    # Energy is counted from hanging at rest, so that the relative error has a meaning.
     lowest = chain.energy(np.array([math.pi / 2, 0.0, 0.0, 0.0]))
+    # The motion is chaotic: a small error grows tenfold in the second second.
     early = np.asarray(times) <= 1.0 + 1e-9
     apart = np.abs(measured[:, :2] - truth[:, :2]).max(-1)
     return {
@@ -160,6 +163,7 @@ _PRECESSION = _MASS * G * _TOP_LEVER / (_AXIAL * SPIN)
 
 def _gyroscope() -> RobotSpec:
     """A disc on a level axle along x that turns on gimbals about z and y, 0.1 m aside of them."""
+    # Gimbals as light as engines can bear, since the closed form has none.
     ring = np.eye(3) * 1e-4
     links = (
         Link("base", 1.0, (0.0, 0.0, 0.0), np.eye(3)),
@@ -232,6 +236,7 @@ def _fast_spin(trial: Trial) -> Mapping[str, float]:
             error["energy"] = max(error["energy"], abs(float(now.energy / then.energy) - 1))
             axis = quat_rotate(thing.root_pose[0, 3:].cpu(), torch.tensor([0.0, 0.0, 1.0])).double()
             along = float(axis @ then.angular[0] / then.angular.norm())
+            # The axis nutates within a known cone: only what goes beyond it is an error.
             beyond = math.acos(max(-1.0, min(1.0, along))) - _nutation(_MOMENTS[name])
             error["axis"] = max(error["axis"], beyond)
             if name == "asymmetric":

@@ -62,12 +62,14 @@ def _stack(trial: Trial) -> Mapping[str, float]:
     ]
     sensors = (ContactSensorSpec(name="ground", entity="cube0", filters=("terrain",)),)
     world = trial.world(scene(*cubes, terrain=SMOOTH_GROUND, sensors=sensors))
+    # A tower of ten cubes trembles for some time before it rests.
     trial.step(world, trial.steps(2.0))
     before = positions(world)[0]
     trial.step(world, trial.steps(1.0))
     drift = (positions(world)[0] - before).norm(dim=-1).max()
     weight = contact_sensor(world, "ground").filtered_forces[0, 0, 0, 2].item()
     settled = positions(world)[0]
+    # Heights relative to the cube below: how far each layer has sunk into the next.
     layers = torch.diff(torch.cat((torch.tensor([-_HALF]), settled[:, 2]))) - 2 * _HALF
     return {
         "penetration": float(-layers.min()),
@@ -81,7 +83,9 @@ def _stack(trial: Trial) -> Mapping[str, float]:
 def _heap(trial: Trial) -> Mapping[str, float]:
     side, radius, mass = 6, 0.05, 0.5
     inside = side * radius * 1.1  # half the bin's width
+    # 7.5 % more than touching, and a little noise: balls fall into a heap, not into a crystal.
     spacing = 2.15 * radius
+    # The same heap on every engine.
     generator = torch.Generator().manual_seed(7)
     grid = torch.cartesian_prod(*[torch.arange(side)] * 3).double()
     centers = (grid - (side - 1) / 2) * spacing
@@ -94,6 +98,7 @@ def _heap(trial: Trial) -> Mapping[str, float]:
     world = trial.world(scene(*balls, terrain=(*SMOOTH_GROUND, *_bin(inside, 1.0))))
     trial.step(world, trial.steps(1.2))
     centers = positions(world)[0]
+    # Expanding the square, cdist's default, would lose the overlap of a micrometre in rounding.
     distances = torch.cdist(centers, centers, compute_mode="donot_use_mm_for_euclid_dist")
     distances.fill_diagonal_(1.0)
     overlaps = torch.cat(
@@ -143,6 +148,7 @@ def _loaded_towers(trial: Trial) -> Mapping[str, float]:
     world = trial.world(scene(*cubes, terrain=SMOOTH_GROUND))
     curve, sinks, leans = [], [0.0] * len(_LOADS), [0.0] * len(_LOADS)
     start = positions(world)[0].cpu()
+    # Soft contacts creep for seconds under a hundredfold load: a look after one second would pass them.
     for time in trial.advance(world, 8.0, every=0.1):
         places = positions(world)[0].cpu()
         for tower, (now, before) in enumerate(zip(places.chunk(len(_LOADS)), start.chunk(len(_LOADS)), strict=True)):
@@ -160,6 +166,7 @@ def _toppling(trial: Trial) -> Mapping[str, float]:
     blocks = [
         box(
             f"block{layer}_{number}",
+            # Widths on both sides of the one that topples on this slope, so that the limit itself is measured.
             (_STOREYS * _STOREY * _TANGENT / steepness, 0.1, _STOREY),
             mass=1.0,
             material=material,
@@ -172,9 +179,11 @@ def _toppling(trial: Trial) -> Mapping[str, float]:
     start = positions(world)[0].cpu()
     trial.step(world, trial.steps(2.0))
     moved = (positions(world)[0].cpu() - start).norm(dim=-1).view(len(_STEEPNESS), _STOREYS)
+    # The top block of a fallen tower has moved by more than half a storey.
     fallen = moved[:, -1] > 0.5 * _STOREY
     steepness = torch.tensor(_STEEPNESS)
     wrong = (steepness - 1.0).abs()[fallen != (steepness > 1.0)]
+    # Towers near the limit may lean a little; creep is measured on those that stand safely.
     standing = moved[steepness < 0.9]
     return {"tilt": float(wrong.max()) if len(wrong) else 0.0, "creep": float(standing.max()) / 2.0}
 
@@ -197,6 +206,7 @@ def _untruth(trial: Trial, world: World, steps: int) -> float:
     for _ in range(steps):
         trial.step(world)
         next_poses, next_told = _poses_and_velocities(world)
+        # Motion by poses is the truth: reported velocities may hide a constraint's correction.
         moved = pose_error(poses, next_poses) / trial.time_step
         worst = max(worst, float((moved - 0.5 * (told + next_told)).abs().max()))
         poses, told = next_poses, next_told
@@ -207,6 +217,7 @@ def _velocity_told(trial: Trial) -> Mapping[str, float]:
     material = smooth_material(FRICTION)
     tower = [
         cube(f"cube{layer}", 0.05, mass, Pose((0.0, 0.0, 0.05 + 0.1 * layer)), material)
+        # A heavy load on top makes position corrections of the layers below large.
         for layer, mass in enumerate((1.0, 1.0, 10.0))
     ]
     resting = trial.world(scene(*tower, terrain=SMOOTH_GROUND))

@@ -57,6 +57,7 @@ def _rolling_wheel(trial: Trial) -> Mapping[str, float]:
     for wheel, heading in zip(world.objects.values(), _HEADINGS, strict=True):
         starts.append(wheel.root_pose[0, :3].cpu().clone())
         along = torch.tensor([math.cos(heading), math.sin(heading), 0.0])
+        # Pure rolling from the start: friction has nothing to do on the level.
         spin = torch.tensor([-math.sin(heading), math.cos(heading), 0.0]) / RADIUS
         wheel.set_root_velocity((_SPEED * torch.cat((along, spin)))[None].to(world.device))
     slower, aside, curve = 0.0, 0.0, []
@@ -64,6 +65,7 @@ def _rolling_wheel(trial: Trial) -> Mapping[str, float]:
         for wheel, heading, start in zip(world.objects.values(), _HEADINGS, starts, strict=True):
             along = torch.tensor([math.cos(heading), math.sin(heading), 0.0])
             way = wheel.root_pose[0, :3].cpu() - start
+            # Distance instead of speed: slips of single steps add up.
             slower = max(slower, abs(float(way @ along) / _SPEED - time))
             aside = max(aside, float((way - (way @ along) * along).norm()))
         curve.append((time, float(world.objects["wheel0"].root_velocity[0, :3].norm()), _SPEED))
@@ -81,6 +83,7 @@ def _down(trial: Trial, tangent: float) -> tuple[float, float]:
     before = wheel.root_velocity[0].cpu().clone()
     trial.step(world, trial.steps(0.5))
     gained = wheel.root_velocity[0].cpu() - before
+    # A solid cylinder has 1 + 1/2 of its mass as inertia along the slope.
     truth = 2 / 3 * G * math.sin(angle) * 0.5
     along = torch.tensor([math.cos(angle), 0.0, -math.sin(angle)])
     return float(gained[:3] @ along) / truth, float(gained[4]) * RADIUS / truth
@@ -132,6 +135,7 @@ def _rolling_coin(trial: Trial) -> Mapping[str, float]:
         truth = torch.tensor([radius * math.sin(angle), radius * (1 - math.cos(angle)), height])
         path = max(path, float((pose_now[:3] - truth).norm()) / radius)
         own = quat_rotate(pose_now[3:], torch.tensor([0.0, 0.0, 1.0]))
+        # Clamped, as rounding may leave the axis a little longer than one.
         lean = max(lean, abs(math.asin(max(-1.0, min(1.0, float(own[2])))) - _LEAN))
         curve.append((time, float(pose_now[1]), float(truth[1])))
     trial.trace("way of the coin aside", "m", *zip(*curve, strict=True))
@@ -170,6 +174,7 @@ def _ball_on_turntable(trial: Trial) -> Mapping[str, float]:
     # No slip: v - a spin x z = W z x r, so the horizontal spin is z x (v - W z x r) / a.
     spin = _quarter(slip) / _BALL
     thing.set_root_velocity(torch.tensor([[*speed.tolist(), 0.0, *spin.tolist(), 0.0]], device=world.device))
+    # A solid ball circles at 2/7 of the table's rate, whatever its radius and its place.
     own = 2 / 7 * _TABLE_RATE
     center = place + _quarter(speed) / own
     radius = float(speed.norm()) / own
@@ -228,6 +233,7 @@ def _driven(trial: Trial) -> Mapping[str, float]:
         times.append(time)
         speeds.append(float(base.root_velocity[0, 0]))
     trial.trace("speed of the base", "m/s", times, speeds, [_BASE_SPEED] * len(times))
+    # The first half is acceleration, limited by friction.
     later = np.array(speeds[len(speeds) // 2 :])
     return {
         "speed": abs(float(later.mean()) / _BASE_SPEED - 1.0),

@@ -77,6 +77,7 @@ def _pulled(trial: Trial, world: World) -> dict[str, float]:
     drawer, door = world.objects["drawer"], world.objects["door"]
     strength = torch.tensor([1.0, 1.0, 0.5], device=world.device)
     for thing in (drawer, door):
+        # The third environment shows that a parameter set for one environment acts there only.
         thing.active["seal"].set_parameter("force", _FORCE * strength)
     pull = _FORCE * torch.tensor([1.0 - _MARGIN, 1.0 + _MARGIN, 1.0], device=world.device)
     wrench = torch.zeros(3, 1, 6, device=world.device)
@@ -93,6 +94,7 @@ def _pulled(trial: Trial, world: World) -> dict[str, float]:
             # Nearer, the speed is little and the start of the motion, which is a step's, is most of it.
             if _DECAY < gap < _FARTHEST:
                 work = float(pull[row]) * gap - float(strength[row]) * _work(gap)
+                # Work done on the part is its kinetic energy, at any time step.
                 truth = math.sqrt(2.0 * work / part.mass)
                 slow = max(slow, abs(speed / truth - 1.0))
                 if part is _PARTS[0] and row == 1:

@@ -79,6 +79,7 @@ def _smooth(grid: TerrainGrid, places: Array, reach: float) -> np.ndarray:
     for shift in reach * np.array(((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, -1.0))):
         sides = [grid.height(*(places + sign * shift).T) for sign in (1.0, -1.0)]
         fine &= np.abs(sides[0] + sides[1] - 2.0 * middle) < _BEND
+        # A step of a staircase bends nowhere but at its edge; steep places are left out as well.
         fine &= np.abs(sides[0] - middle) < 2.0 * reach
     return fine
 
@@ -86,6 +87,7 @@ def _smooth(grid: TerrainGrid, places: Array, reach: float) -> np.ndarray:
 def _rays(trial: Trial, grid: TerrainGrid) -> Mapping[str, float]:
     world = trial.world(scene(terrain=grid.shapes()), num_envs=2)
     half = 0.5 * np.asarray(grid.size) + 0.5 * grid.border
+    # Places off the grid's points, where interpolation matters.
     places = np.random.default_rng(1).uniform(-half, half, (4000, 2))
     places = places[_smooth(grid, places, grid.resolution)]
     origins = torch.tensor(np.column_stack((places, np.full(len(places), _ABOVE))), dtype=torch.float32)
@@ -129,6 +131,7 @@ def _feet(places: Array, heights: Array) -> RobotSpec:
         for n, ((x, y), z) in enumerate(zip(places, heights, strict=True))
     )  # fmt: skip
     feet = Articulation("feet", tuple(links), joints)
+    # On fixed rails no foot can roll off a slope.
     return RobotSpec(name="feet", articulation=feet, fixed_base=True, home={".*": 1e-3})
 
 
@@ -205,6 +208,7 @@ def _level(trial: Trial, form: Form) -> Mapping[str, float]:
     ball = marble("ball", _FLOOR_RADIUS, smooth_material(1.0), Pose((-0.7, -0.3, _FLOOR_RADIUS)))
     boxes = [
         box(f"box{n}", (0.15, 0.15, 0.06), mass=1.0, material=smooth_material(_MU), pose=Pose((x, y, 0.03)))
+        # Boxes start across cell borders at different offsets, which is where prisms and edges are felt.
         for n, (x, y) in enumerate(((-1.6, -1.5), (-0.8, -1.487), (-1.587, -0.8)))
     ]
     floor = Shape(form(_level_field()), material=SMOOTH, name="floor")
@@ -237,9 +241,11 @@ def _bowl(trial: Trial, form: Form) -> Mapping[str, float]:
     x, y = np.meshgrid(places, places)
     field = HeightField(_BOWL - np.sqrt(_BOWL**2 - x**2 - y**2), (0.8, 0.8))
     reach = _BOWL - _FLOOR_RADIUS
+    # A little off the middle line, so that the ball does not run along the mesh's own edges.
     start = Pose((_AMPLITUDE, 0.013, _BOWL - math.sqrt(reach**2 - _AMPLITUDE**2) + 5e-4))
     ball = marble("ball", _FLOOR_RADIUS, smooth_material(1.0), start)
     world = trial.world(scene(ball, terrain=(Shape(form(field), material=SMOOTH, name="bowl"),)))
+    # A rolling ball swings by sqrt(7/5) slower than a sliding point.
     period = 2 * math.pi * math.sqrt(7 * reach / (5 * G))
     trial.step(world, trial.steps(period))
     farthest = 0.0
