@@ -11,10 +11,10 @@ from orbit_conformance.results import Record, Result, ScenarioInfo
 from orbit_conformance.verdict import Status
 from orbit_core.rollout.estimates import Estimate
 
+# Smaller changes of an error, as a share of it or of its tolerance, are the noise of other processors and threads.
 ERROR_NOISE = 0.1
-"""Smaller changes of an error, as a share of it or of its tolerance, are the noise of other processors and threads."""
+# Relative change of a speed that the other work of a machine may cause.
 SPEED_NOISE = 0.2
-"""Relative change of a speed that the other work of a machine may cause."""
 _RANKS = (Status.PASS, Status.GAP, Status.UNSUPPORTED, Status.STALE, Status.FAIL)
 
 

@@ -33,6 +33,7 @@ def course_of(recording: Recording) -> Course | None:
     if not points or not recording.metrics:
         return None
     name, values = next(iter(recording.metrics.items()))
+    # The next episode's steps are in the recording too.
     last = int(recording.lengths[0]) - 1
     rows = np.unique(np.linspace(0, last, min(_INSTANTS, last + 1)).round().astype(int))
     return Course(

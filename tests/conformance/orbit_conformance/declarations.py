@@ -26,6 +26,7 @@ def check_declarations(owner: Backend | MatterSolver) -> None:
     """
     who = f"{'backend' if isinstance(owner, Backend) else 'matter solver'} '{owner.name}'"
     where = f"the gaps of {who}"
+    # Gaps name scenarios and checks of robots alike.
     experiments = {experiment.name: experiment for experiment in (*SCENARIOS, *CHECKS)}
     seen: set[tuple[str, str, str]] = set()
     for gap in owner.gaps():

@@ -62,6 +62,7 @@ class _SuccessTimes(StepObserver):
         environment = self._environment
         self._step += 1
         held = environment.task.success(environment.world)  # of those that go on; the others' follows
+        # An episode that ended has been reset by now: its success is in the final information.
         if "final" in info:
             held = held.index_put((info["final"].env_ids,), info["final"].success)
         self.held_since.masked_fill_(self._counter.running & ~held, self._step)

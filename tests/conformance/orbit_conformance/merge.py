@@ -78,6 +78,7 @@ def joined(results: Sequence[Result]) -> Result:
     Raises:
         ConfigurationError: two runs differ in the seed, in ``--quick`` or in settings of backends.
     """
+    # The newest declarations and settings describe the engines of today.
     latest_first = sorted(results, key=lambda result: result.finished, reverse=True)
     records = {record.job.key: record for result in reversed(latest_first) for record in result.records}
     partings = {(p.task, p.backend, p.reference): p for result in reversed(latest_first) for p in result.partings}
@@ -125,6 +126,7 @@ def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> 
             if record.job.key in records:
                 raise ConfigurationError(f"two results to be merged hold {record.job.key}: leave one out")
             records[record.job.key] = record
+            # Files that git or a release left behind are not missed.
             copy_files(record, folder, output)
     merged = Result(
         header=_header([result.header for result in results], results, _same),

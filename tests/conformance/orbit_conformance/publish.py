@@ -48,6 +48,7 @@ def publish(
     for folder, result in results.items():
         if result.archive:
             raise ConfigurationError(f"{folder} holds a condensed result: unpack {result.archive.name} and name that")
+    # Runs of different dates need not agree in declarations, as merged ones must.
     whole = joined([*results.values()])
     if benchmarks is not None:
         whole = replace(whole, benchmarks=_benchmarks(as_path(benchmarks)))
@@ -55,6 +56,7 @@ def publish(
     with tempfile.TemporaryDirectory() as place, storage_faults(archive):
         report = Path(place) / name
         report.mkdir()
+        # Oldest first: the files of a later run replace those of the same job.
         for folder, result in sorted(results.items(), key=lambda item: item[1].finished):
             for record in result.records:
                 copy_files(record, folder, report)
@@ -62,6 +64,7 @@ def publish(
         write_report(report)
         archive.mkdir(parents=True, exist_ok=True)
         packed = _pack(report, archive / f"{name}.tar.xz")
+    # After the archive, whose digest the page names.
     small = condensed(whole, packed)
     with storage_faults(page):
         page.mkdir(parents=True, exist_ok=True)

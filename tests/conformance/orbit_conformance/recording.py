@@ -112,6 +112,7 @@ def _check_arrays(actions: npt.NDArray[Any], lengths: npt.NDArray[Any], others: 
     Raises:
         ValueError: says which.
     """
+    # A file from elsewhere may hold anything: numpy's own errors would not name it.
     if actions.ndim != 3 or lengths.shape != actions.shape[1:2] or not lengths.size:
         raise ValueError(f"it has actions of shape {actions.shape} and lengths of shape {lengths.shape}")
     if actions.dtype.kind != "f" or lengths.dtype.kind not in "iu" or any(a.dtype.kind != "f" for a in others):

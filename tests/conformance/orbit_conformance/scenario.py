@@ -74,6 +74,7 @@ class Scenario:
     @property
     def of_matter(self) -> bool:
         """True if something in it bends or flows, so that it is run with every matter solver."""
+        # Needs say it already; a separate flag could contradict them.
         return any(need in MATTER for need in self.needs)
 
     def metric(self, name: str) -> Metric:

@@ -86,11 +86,11 @@ FULL = Extent(
 )
 
 
+# Seconds from which on an episode is long.
 LONG = 10.0
-"""Seconds from which on an episode is long."""
 
+# One without a hand, an arm, a hand of many followers, and one that stands.
 QUICK_ROBOTS = ("cartpole", "franka_panda", "robotiq_2f85", "unitree_go1")
-"""One without a hand, an arm, a hand of many followers, and one that stands."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,6 +44,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
         if not name.startswith(_IN_NO_JOB)
     )
     found = {CORE: _digest(core)}
+    # Scenarios have a digest of their own: a change of one does not repeat tasks and policies.
     if settings.scenarios:
         found[_SCENARIOS_WORDS] = _digest(_files(_SCENARIOS))
     for name in settings.backends:
@@ -55,6 +56,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
         solver = matter_solver(name)
         found[_matter(name)] = _plugin_digest(solver, _packages(solver, MATTER_SOLVERS))
     for name in settings.robots:
+        # A robot's model comes from a package, whose version stands in for its files.
         packages = robot_info(name).source.split(", ")
         found[_robot(name)] = _digest((), *(f"{package} {installed_version(package)}" for package in packages))
     named = {name for job in jobs for name in sources_of(job)}
@@ -68,6 +70,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
 def sources_of(job: Job) -> set[str]:
     """The bodies of code that a job's outcome depends on, by the same words."""
     found = {CORE, _backend(job.backend)}
+    # A replay depends on the backend that recorded it as well.
     if job.source:
         found.add(_backend(job.source))
     if job.renderer:

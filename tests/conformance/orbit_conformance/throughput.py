@@ -27,8 +27,8 @@ from orbit_core.envs.actors import RandomActor
 from orbit_core.interfaces import Capability
 from orbit_core.rollout.video import OverviewCamera
 
+# Width and height in pixels of the picture whose cost is measured.
 PICTURE = 84
-"""Width and height in pixels of the picture whose cost is measured."""
 # The stopwatch's parts that are the engine's own work.
 _ENGINE = ("engine step", "state reads")
 _ENVIRONMENT = "environment"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from orbit_conformance.results import Result, ScenarioInfo
 
+# Largest ratio of a tolerance to the best engine's error that needs no reason.
 FACTOR = 3.0
-"""Largest ratio of a tolerance to the best engine's error that needs no reason."""
 
 
 @dataclass(frozen=True)

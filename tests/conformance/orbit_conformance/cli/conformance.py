@@ -200,6 +200,7 @@ def _conclude(result: Result, folder: Path) -> int:
     from orbit_conformance.report.page import write_report
     from orbit_conformance.tolerances import loose_tolerances
 
+    # Before the summary: an interrupted terminal still leaves the page.
     report = write_report(folder)
     console().print(_summary(result))
     for record in result.objections:

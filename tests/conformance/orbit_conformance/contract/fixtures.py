@@ -96,11 +96,13 @@ def make_engine(backend: Backend, device: torch.device) -> Iterator[MakeEngine]:
         try:
             backends.check_scene(backend, scene)
             engine = backend.create_engine(SceneLayout.of(scene), num_envs, device, config)
+        # A refusal with its reason is what the contract asks for: the scene's other promises cannot be tested.
         except UnsupportedCapabilityError as error:
             pytest.skip(str(error))
         made.append(engine)
         return engine if device.type == "cpu" else OnHost(engine)  # pyright: ignore[reportReturnType]
 
     yield make
+    # Engines hold threads and memory of the device, which the next test needs.
     for engine in made:
         engine.close()

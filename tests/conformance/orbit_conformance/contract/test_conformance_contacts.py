@@ -59,6 +59,7 @@ def material(friction: float) -> PhysicsMaterial:
 
 def friction_felt(engine: Engine) -> Tensor:
     """Coefficient from how far a cube slides that is pushed off at 1 m/s: ``v^2 / (2 mu g)``."""
+    # Settle on the ground before the push.
     engine.step(20)
     before = engine.link_poses[:, 0, 0].clone()
     engine.write_root_state(0, None, torch.tensor([[1.0, 0, 0, 0, 0, 0]] * engine.num_envs))
@@ -132,6 +133,7 @@ def test_height_fields_collide_where_their_heights_say(make_engine: MakeEngine, 
     """Balls on the two halves of a step: rows run along y, columns along x; 2 mm."""
     needs(Capability.HEIGHT_FIELDS)
     heights = np.zeros((21, 41))
+    # Rows and columns of different number and height, so that swapped axes show.
     heights[:, 25:] = 0.3  # x > 0.5
     heights[:5] = -0.2  # y < -0.5
     field = Shape(HeightField(heights, (4.0, 2.0)), Pose((0.0, 0.0, 0.1)))
@@ -144,6 +146,7 @@ def test_height_fields_collide_where_their_heights_say(make_engine: MakeEngine, 
 
 def test_environments_do_not_touch(make_engine: MakeEngine) -> None:
     """Bodies of different environments pass through each other: each falls as if it were alone."""
+    # Engines keep environments in one world, at one place: nothing but filters keeps them apart.
     alone = make_engine(scene(cube(pose=Pose((0.0, 0.0, 1.0)))))
     many = make_engine(scene(cube(pose=Pose((0.0, 0.0, 1.0)))), num_envs=5)
     for engine in (alone, many):

@@ -9,8 +9,8 @@ from orbit_conformance.contract.fixtures import MakeEngine, Needs
 from orbit_conformance.contract.test_conformance_reset import busy_scene, drive
 from orbit_core.interfaces import Backend, Capability, Level
 
+# rad and m, rad/s and m/s, where copies are approximate.
 NEAR = {"joint_positions": 2e-3, "link_poses": 2e-3, "joint_velocities": 0.2, "link_velocities": 0.2}
-"""rad and m, rad/s and m/s, where copies are approximate."""
 
 
 def test_a_copy_goes_on_as_what_it_was_copied_from(make_engine: MakeEngine, needs: Needs, backend: Backend) -> None:

@@ -49,6 +49,7 @@ def test_the_effort_is_that_of_the_last_physics_step_and_stays_until_the_next(
     at_once.step(3)
     for _ in range(3):
         one_by_one.step(1)
+    # Writes must not change the reading: it is of the last step.
     before = one_by_one.joint_efforts.clone()
     at_once.write_joint_state(index(0), torch.ones(1, 1), torch.ones(1, 1))
     at_once.set_drive_gains(index(0), torch.full((1, 1), 7.0), torch.full((1, 1), 1.0))
@@ -140,8 +141,10 @@ def test_explicit_gains_diverge_beyond_the_limit_that_the_core_computes_and_not_
     spec = light_ended_arm()
     much = np.full(2, 1e6)
     gains = ExplicitGains(stiffness=much, damping=delay * much, implicit_damping=np.zeros(2))
+    # The core's own limit of stability decides what it refuses, so that it has to fit every engine.
     edge = unstable_drive(spec.articulation, gains, np.zeros(2), scene().physics_dt, fixed_base=True)
     assert edge is not None
+    # 4 % on either side of the edge.
     for factor, diverges in ((0.96, False), (1.04, True)):
         stiffness = 1e6 * edge.share * factor
         engine = make_engine(scene(spec, gravity=WEIGHTLESS, terrain=()))
@@ -151,6 +154,7 @@ def test_explicit_gains_diverge_beyond_the_limit_that_the_core_computes_and_not_
             engine.efforts[:] = -stiffness * (engine.joint_positions + delay * engine.joint_velocities)
             engine.step(1)
             farthest = max(farthest, float(engine.joint_positions.abs().max()))
+            # A thousand times the start: it has diverged, and more steps would only overflow.
             if farthest > 0.1:
                 break
         assert (farthest > 0.1) is diverges
@@ -222,6 +226,7 @@ def test_drive_gains_per_environment(make_engine: MakeEngine, needs: Needs) -> N
     engine.set_drive_gains(index(0), gains, torch.full((2, 1), 20.0), index(2, 1))
     engine.reset()
     engine.efforts.fill_(5.0)
+    # Long enough for the softest of the drives to settle.
     engine.step(1500)
     assert_near(engine.joint_positions, torch.tensor([[0.1], [0.2], [0.05]]), rtol=0.01, atol=0)
     engine.position_targets.fill_(1.0)

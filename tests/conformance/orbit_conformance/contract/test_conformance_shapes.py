@@ -17,6 +17,7 @@ from orbit_core.scene.shapes import Geometry
 
 UPRIGHT = Pose()
 LYING = Pose.from_axis_angle((0.0, 1.0, 0.0), math.pi / 2)
+# A geometry, how it is turned, and the height of its centre at rest in metres.
 CASES: dict[str, tuple[Geometry, Pose, float]] = {
     "a box on its broad side": (Box((0.12, 0.08, 0.04)), UPRIGHT, 0.04),
     "a box on its narrow side": (Box((0.12, 0.08, 0.04)), LYING, 0.12),
@@ -26,7 +27,6 @@ CASES: dict[str, tuple[Geometry, Pose, float]] = {
     "a cylinder on its end": (Cylinder(0.08, 0.1), UPRIGHT, 0.1),
     "a cylinder on its side": (Cylinder(0.08, 0.1), LYING, 0.08),
 }
-"""A geometry, how it is turned, and the height of its centre at rest in metres."""
 
 
 def thing(geometry: Geometry, turned: Pose, height: float, placed: Pose | None = None) -> ObjectSpec:

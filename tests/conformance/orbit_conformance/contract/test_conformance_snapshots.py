@@ -41,6 +41,7 @@ def test_a_snapshot_repeats(make_engine: MakeEngine, backend: Backend) -> None:
         engine.load_state(saved)
     engine.step(7)
     first = everything(engine)
+    # Anything may happen after saving: motion, other commands, the reset of one environment.
     drive(engine, index(0, 1, 2), 5)
     engine.reset(index(1))
     for _ in range(2):
@@ -57,6 +58,7 @@ def test_a_snapshot_holds_commands(make_engine: MakeEngine, command: str) -> Non
     given = torch.tensor([[0.1, -0.2], [0.3, 0.4]])
     getattr(engine, command)[:] = given
     saved = engine.save_state()
+    # Overwritten in place, as tasks do: a snapshot that kept a reference would change with it.
     getattr(engine, command)[:] = 7.0
     engine.step(1)
     engine.load_state(saved)
@@ -157,6 +159,7 @@ def test_a_snapshot_holds_what_was_set_per_environment(
         engine.step(30)
         for name, measured in everything(engine).items():
             assert_near(measured, expected[name], rtol=1e-5, atol=1e-5)
+    # Without this the test would pass for an engine that ignores the parameter.
     assert any(not torch.equal(unchanged[name][1], changed[name][1]) for name in STATE), "the change does nothing"
 
 

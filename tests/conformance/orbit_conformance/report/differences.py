@@ -63,6 +63,7 @@ def _difference(
     leading = next(iter(next(iter(played.values())).metrics))
     means = {backend: found.metrics[leading].value for backend, found in played.items()}
     metric = f"{leading}: {_extremes({backend: f'{mean:.2g}' for backend, mean in means.items()}, means)}"
+    # A refused task is the largest difference that there can be for its user.
     lowest = 0 if refused else min(success.values())
     return Difference(name, anchor, text, metric, trajectories, float(max(success.values()) - lowest), distance)
 

@@ -341,6 +341,7 @@ def _task_row(backend: str, record: Record) -> tuple[str, ...]:
     task = record.task
     if task is None:
         return (backend, "-", record.why, "", "", "", "")
+    # The first metric is the leading one.
     name, metric = next(iter(task.metrics.items()))
     time = _estimate(task.seconds_to_success) if task.seconds_to_success else "-"
     broken = ", ".join(f"{check.name}: {check.failed} of {check.starts}" for check in task.premises) or "-"
@@ -400,6 +401,7 @@ def _gaps(result: Result) -> Iterator[GapGroup]:
     known = {info.name for info in result.header.scenarios}
     for owner in (*result.header.backends, *result.header.matters):
         own = (gap for gap in owner.gaps if gap.scenario in known)
+        # Gaps of one cause follow each other in declarations, so that the page says it once.
         for reason, gaps in itertools.groupby(own, key=lambda gap: gap.reason):
             yield GapGroup(owner.name, reason, tuple(_gap_line(result, owner.name, gap) for gap in gaps))
 

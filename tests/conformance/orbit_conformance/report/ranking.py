@@ -106,6 +106,7 @@ def rank(use: Use, result: Result) -> Ranking:
         else:
             measured[backend] = tuple(value for value in found if isinstance(value, Value))
     columns = [_ranks([values[index] for values in measured.values()]) for index in range(len(use.figures))]
+    # The first figure breaks ties: it is the one about correctness in most uses.
     keys = {backend: (sum(ranks), ranks[0]) for backend, *ranks in zip(measured, *columns, strict=True)}
     placings = (
         Placing(1 + sum(other < keys[backend] for other in keys.values()), backend, values)
@@ -206,6 +207,7 @@ def _success(title: str, tasks: Sequence[str]) -> Figure:
 
     def read(result: Result, backend: str) -> Value | Missing:
         own = {record.job.name: record for record in result.of(Kind.TASK) if record.job.backend == backend}
+        # A mean over fewer tasks would favour the engine that skipped a hard one.
         if absent := [task for task in tasks if task not in own]:
             return Missing(f"{len(absent)} of {len(tasks)} tasks not run")
         rates = {task: played.success.value if (played := own[task].played) else 0.0 for task in tasks}
@@ -268,6 +270,7 @@ def _fastest(result: Result, backend: str, task: str, gpu: bool) -> _Rate | Miss
         on_it = [rate for rate in rates if rate.machine == machine]
         return len({rate.backend for rate in on_it}), max(rate.rate for rate in on_it)
 
+    # A fast machine must not lift one engine above those measured on a slower one.
     machine = max((rate.machine for rate in rates), key=engines_then_speed, default="")
     own = [rate for rate in rates if rate.backend == backend]
     if not own:

@@ -72,6 +72,7 @@ def robot_section(result: Result) -> RobotSection | None:
         RobotTable(backend, tuple(_line(record) for record in records if record.job.backend == backend))
         for backend in result.header.settings.backends
     )
+    # Gaps of robots that this run left out would look as if they were measured.
     robots = {record.job.name for record in records}
     declared = [(info.name, gap) for info in result.header.backends for gap in info.gaps if robots & {*gap.robots}]
     everywhere = [("all", gap) for gap in ROBOT_GAPS if robots & {*gap.robots}]

@@ -82,9 +82,11 @@ def _slim(svg: str) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
+    # Ids of many plots in one page would clash; nothing refers to these.
     svg = re.sub(r' id="[A-Za-z0-9.]+_\d+"', "", svg)
     svg = re.sub(r' (?:xmlns(?::xlink)?|version)="[^"]*"', "", svg)
     svg = svg.replace("xlink:href", "href")
+    # A hundredth of a point is below a screen's resolution, and halves the page.
     svg = re.sub(r'\b(?:d|x|y|transform)="[^"]*"', lambda place: re.sub(r"(\.\d\d)\d+", r"\1", place[0]), svg)
     svg = re.sub(r"font-family: [^;\"]*", "", svg)  # the page's own
     svg = re.sub(r"\s*\n\s*(?=[A-Zz][ \"\d-])", " ", svg)  # a path's points on one line

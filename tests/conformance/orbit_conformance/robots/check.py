@@ -10,8 +10,8 @@ from orbit_conformance.verdict import Status, Verdict, judge_metrics
 from orbit_core.interfaces import Gap
 from orbit_core.scene import RobotSpec
 
+# Seconds, that of the tasks.
 TIME_STEP = 0.005
-"""Seconds, that of the tasks."""
 
 
 @dataclass(frozen=True)

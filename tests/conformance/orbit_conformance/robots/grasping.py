@@ -21,8 +21,8 @@ from orbit_core.interfaces import World
 from orbit_core.interfaces.layout import gripper_positions
 from orbit_core.scene import Cylinder, EndEffector, Gripper, PhysicsMaterial, Pose, RobotSpec, Shape
 
+# Metres. The axis is along the x of the end effector's frame: across the fingers' opening and the approach.
 RADIUS, LENGTH = 0.02, 0.1
-"""Metres. The axis is along the x of the end effector's frame: across the fingers' opening and the approach."""
 # Metres out of the hand, from the end effector's frame, within which a place is looked for.
 _FARTHEST, _STRIDE = 0.08, 0.002
 # Metres between shapes that count as touching.
@@ -53,8 +53,10 @@ def place_of(spec: RobotSpec, effector: EndEffector, gripper: Gripper) -> Place 
     frame = frame_pose(spec, effector.frame, opened)
     around, within_reach = all_shapes(spec, opened), all_shapes(spec, closed)
     whole, core = (Shape(Cylinder(radius, LENGTH / 2.0)) for radius in (RADIUS, _CORE * RADIUS))
+    # The nearest place first: far out on the fingertips every hand is weak.
     for out in np.arange(0.0, _FARTHEST, _STRIDE):
         pose = frame @ Pose((0.0, 0.0, float(out))) @ _LYING
+        # The core has to be met, or a closing hand would only brush the cylinder.
         if not _touches(whole, pose, around) and _touches(core, pose, within_reach):
             return Place(pose, opened, closed)
     return None
@@ -66,8 +68,8 @@ def _touches(shape: Shape, pose: Pose, others: list[Convex]) -> bool:
     return any(within(thing, other, _TOUCH) for other in others)
 
 
+# kg, and its coefficient: rubber's, also where the finger's own is less.
 MASS, FRICTION = 0.2, 1.0
-"""kg, and its coefficient: rubber's, also where the finger's own is less."""
 _LOAD = 2.0 * MASS * G
 # One in each environment, in the end effector's axes: along the cylinder, towards a finger, and out of the hand.
 _PULLS = torch.eye(3)
@@ -91,10 +93,12 @@ def _slip(trial: Trial, spec: RobotSpec, effector: EndEffector, gripper: Gripper
     """Return how far the cylinder moves in the end effector's frame while it is pulled, in metres."""
     material = PhysicsMaterial(static_friction=FRICTION, dynamic_friction=FRICTION)
     thing = cylinder("cylinder", RADIUS, LENGTH, mass=MASS, material=material, pose=place.pose)
+    # Without gravity only the pulls load the grip, from the same start in each direction.
     world = trial.world(scene(clamped(spec), thing, terrain=(), gravity=WEIGHTLESS), len(_PULLS))
     _close(trial, world, spec, gripper, place)
     robot, held = world.robots[spec.name], world.objects["cylinder"]
     before = _within(world, spec, effector)
+    # Directions of the hand, whatever its orientation in the world is.
     pulls = quat_rotate(robot.frame_pose(effector.frame)[:, 3:], _LOAD * _PULLS.to(world.device))
     held.set_wrenches(torch.cat((pulls, torch.zeros_like(pulls)), -1)[:, None])
     trial.step(world, trial.steps(_HOLD))
@@ -112,8 +116,10 @@ def _close(trial: Trial, world: World, spec: RobotSpec, gripper: Gripper, place:
     robot.set_joint_state(opened, torch.zeros_like(opened))
     fingers = list(gripper_positions(spec, gripper, gripper.closed_position))
     for time in trial.advance(world, _CLOSE):
+        # A step of the targets would hit the cylinder instead of gripping it.
         share = min(1.0, time / _CLOSE)
         robot.set_position_targets(((1.0 - share) * opened + share * closed)[:, fingers], fingers)
+    # Fingers and cylinder find their balance before the first pull.
     trial.step(world, trial.steps(_SETTLE))
 
 

@@ -26,6 +26,7 @@ def _run_hold(trial: Trial, spec: RobotSpec) -> Measures:
         farthest = torch.maximum(farthest, _from_home(robot, joints))
     slides = [spec.articulation.movable_joints[joint].type is JointType.PRISMATIC for joint in joints]
     errors = dict[str, float]()
+    # Angles and distances have tolerances of their own; a robot may have only one kind of joint.
     for name, chosen in (("angle", False), ("distance", True)):
         if chosen in slides:
             errors[name] = float(farthest[torch.tensor([slide is chosen for slide in slides])].max())
@@ -80,8 +81,10 @@ def _run(trial: Trial, spec: RobotSpec) -> Measures:
     robot = world.robots[spec.name]
     joints = held_joints(spec)
     lowest = lowest_point(spec)
+    # Height of the root with the lowest point of the robot on the ground.
     standing = spec.pose.position[2] - (0.0 if lowest is None else lowest)
     trial.step(world, trial.steps(_SETTLE))
+    # Drives may sag when the robot is put down; from here on nothing may move.
     settled, rest = robot.joint_positions.clone(), robot.root_pose.clone()
     trial.step(world, trial.steps(_STAND - _SETTLE))
     end = robot.root_pose

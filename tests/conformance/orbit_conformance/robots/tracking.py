@@ -20,8 +20,8 @@ from orbit_core.scene import Joint, JointType, RobotSpec
 
 FloatArray = npt.NDArray[np.float64]
 
+# Hz
 FREQUENCY = 0.5
-"""Hz"""
 _RATE = 2.0 * math.pi * FREQUENCY
 # Largest swing from end to end, of a joint's range.
 _SWING = 0.3

@@ -225,6 +225,7 @@ def _applied(trial: Trial) -> Mapping[str, float]:
     times = [trial.time_step * (number + 1) for number in range(_STEPS)]
     trial.trace("effort of a stiff drive", "N m", times, measured[:, 1].tolist(), truth[:, 1].tolist())
     error = (measured - truth).abs().amax(0) / truth.abs().amax(0)
+    # Reported efforts may never exceed the limit, whatever momentum says.
     limit = _CASES["limited"].limit
     assert limit is not None
     over = float(measured[:, list(_CASES).index("limited")].abs().max()) / limit - 1.0
@@ -240,6 +241,7 @@ def _chain(trial: Trial) -> float:
     drive = ImplicitPd(joints=(".*",), stiffness=400.0, damping=60.0)
     world = trial.world(scene(pendulum(links=_LINKS, actuators=(drive,)), terrain=()))
     robot, truth = world.robots["pendulum"], PlanarChain(_LINKS, 0.5)
+    # Different targets, so that the links' accelerations couple.
     robot.set_position_targets(torch.tensor([[-0.5, -0.3, 0.4]], device=world.device))
     state, worst, largest = np.zeros(2 * _LINKS), 0.0, 0.0
     for _ in range(_STEPS):

@@ -43,6 +43,7 @@ def _curved_mimic(trial: Trial) -> Mapping[str, float]:
     thing, speed = world.robots["geared"], 1.0
     at = torch.tensor([[-0.8, speed]], device=world.device)
     thing.set_joint_state(at[:, :1], at[:, 1:], joints=[0])
+    # The follower moves by the slope times the leader's speed, so that the pair's inertia changes along the way.
     start = _INERTIA * speed**2 * (1 + _LAW.slope(-0.8) ** 2) / 2
     coupling = energy = 0.0
     curve = []
@@ -102,10 +103,12 @@ def _mimic(trial: Trial) -> Mapping[str, float]:
     offset, effort, omega, inertia = 0.1, 4.0, 2 * math.pi, 0.1
     robots = (geared(-2.0, offset, _MOTOR), _nested(0.5))
     world = trial.world(scene(*robots, gravity=WEIGHTLESS, terrain=()))
+    # A nested follower turns with its leader as well: its rate is 1 + the multiplier.
     cases = (("nested", 0.5, 0.0, inertia * (1 + 1.5**2)), ("geared", -2.0, offset, inertia * (1 + 2.0**2)))
     coupling = motion = 0.0
     curve = []
     for time in trial.advance(world, 2.0):
+        # Efforts hold over a step: the cosine at its middle makes no phase error.
         held = effort * math.cos(omega * (time + 0.5 * trial.time_step))  # for the step to come
         for name, multiplier, aside, total in cases:
             robot = world.robots[name]

@@ -32,8 +32,8 @@ from orbit_core.scene import (
 )
 
 FRICTION = 0.4
+# Tangents of the slopes.
 HOLDING, SLIDING = 0.38, 0.6
-"""Tangents of the slopes."""
 EDGE_FRICTION, RADIUS, LENGTH, SPACING = 0.3, 0.03, 0.4, 0.01
 SHARES = (0.85, 0.95, 1.05, 1.3)
 # Lengths that hang over the edge in each environment, as parts of the one at which it begins to slide.

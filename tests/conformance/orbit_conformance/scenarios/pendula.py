@@ -151,8 +151,8 @@ def _rotary_pendulum(trial: Trial) -> Mapping[str, float]:
     }
 
 
+# Spin in rad/s: 17 degrees in a millisecond.
 SPIN = 300.0
-"""Spin in rad/s: 17 degrees in a millisecond."""
 
 # On gimbals ----------------------------------------------------------------------------------------------------------
 

@@ -91,8 +91,8 @@ def _down(trial: Trial, tangent: float) -> tuple[float, float]:
 
 # A coin --------------------------------------------------------------------------------------------------------------
 
+# Thickness of the coin in metres; its radius is that of the wheels.
 THICKNESS = 0.02
-"""Thickness of the coin in metres; its radius is that of the wheels."""
 # Lean in rad from upright, and angular velocity in rad/s about the vertical.
 _LEAN, _TURNING = 0.3, 1.5
 

@@ -19,17 +19,17 @@ from orbit_core.scene import Articulation, Attachment, Link, ObjectSpec, Pose, R
 
 GROUP = "Matter"
 TIME_STEPS = (0.005, 0.0025, 0.00125)
+# Turns x down.
 HANGING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
-"""Turns x down."""
+# A reason for a :attr:`Metric.looser_because`.
 ASKED = "what tasks with cloth and rope ask for; the best holds together exactly what it holds"
-"""A reason for a :attr:`Metric.looser_because`."""
+# Of links that carry cloth or rope.
 WEIGHT_FELT = Metric(
     name="force", unit="", tolerance=0.02, meaning="error of the mean force over the weight", looser_because=ASKED
 )
-"""Of links that carry cloth or rope."""
 _LATE = "a body that another solver moves feels its rope one physics step late, which gives to slow swings or takes"
+# Metres, or radians times metres, of swings that are small.
 SMALL = 0.01
-"""Metres, or radians times metres, of swings that are small."""
 
 
 def hanging_rope(

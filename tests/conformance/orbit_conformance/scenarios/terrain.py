@@ -59,6 +59,7 @@ GRID = TerrainGrid(
     ),
     levels=2, cell_size=3.0, resolution=0.05, border=1.0,
 )  # fmt: skip
+# Few triangles, which some engines collide one by one.
 COARSE = replace(
     GRID,
     kinds=(Rough(platform=0.6, spacing=0.25), Slope(platform=0.5), Stairs(platform=0.5, run=0.25)),
@@ -67,9 +68,8 @@ COARSE = replace(
     resolution=0.125,
     form=TerrainForm.MESH,
 )
-"""Few triangles, which some engines collide one by one."""
+# Fewer still, and wide enough for a foot.
 FACETS = replace(COARSE, kinds=(Rough(platform=0.6, spacing=1.0), Slope(platform=0.6)), border=0.25)
-"""Fewer still, and wide enough for a foot."""
 
 
 def _smooth(grid: TerrainGrid, places: Array, reach: float) -> np.ndarray:
