@@ -74,7 +74,7 @@ def values_of(figure: Figure, found: Result) -> list[str]:
         # Ranks 1 + 3 + 3, 2 + 1 + 1 and 3 + 2 + 2: the best in one figure may come second, before its equal in sum.
         (((9, 1, 1), (5, 9, 9), (4, 5, 5)), [(1, "two"), (2, "one"), (3, "three")]),
         (((9, 1, 5), (5, 9, 5), (1, 1, 5)), [(1, "one"), (2, "two"), (3, "three")]),
-        # Figures that read alike share a rank, whatever their last digits are.
+        # Figures that read alike share a rank, also where their last digits differ.
         (((9.1, 5, 5), (9.2, 5, 5), (9.3, 5, 5)), [(1, "one"), (1, "two"), (1, "three")]),
     ],
 )

@@ -80,7 +80,7 @@ def test_the_videos_of_a_task_play_together(page: Page) -> None:
 
 
 def test_the_page_is_readable_on_a_narrow_screen(page: Page) -> None:
-    """Nothing reaches beyond the screen but tables that scroll on their own, with all folds open."""
+    """No content reaches beyond the screen except tables that scroll on their own, with all folds open."""
     page.set_viewport_size({"width": 480, "height": 800})
     page.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
     assert page.evaluate("document.documentElement.scrollWidth") <= 480

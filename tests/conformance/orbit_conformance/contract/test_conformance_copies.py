@@ -20,6 +20,7 @@ def test_a_copy_goes_on_as_what_it_was_copied_from(make_engine: MakeEngine, need
     engine = make_engine(busy_scene(backend), num_envs=4)
     drive(engine, index(0, 1, 2, 3), 10)
     before = engine.joint_positions.clone()
+    # From one environment of the engine itself: source and target share memory.
     engine.copy_state(engine, 1, index(0, 3))
     torch.testing.assert_close(engine.joint_positions[2], before[2], rtol=0.0, atol=0.0)
     for steps in (0, 1, 6):

@@ -21,6 +21,7 @@ def rays_needed(needs: Needs) -> None:
 def test_beyond_the_greatest_distance_there_is_nothing(make_engine: MakeEngine) -> None:
     engine = make_engine(scene(cube()))
     origins, down = torch.tensor([[[0.5, 0.0, 2.0]]]), torch.tensor([[[0.0, 0.0, -1.0]]])
+    # Just short of the ground, and just beyond.
     near, far = engine.cast_rays(origins, down, 1.9), engine.cast_rays(origins, down, 2.1)
     assert near.distances.isinf().all()
     assert near.links.tolist() == [[BACKGROUND]]
@@ -34,6 +35,7 @@ def test_rays_see_what_was_just_written_in_their_own_environment(make_engine: Ma
     engine.write_root_state(0, poses, None)
     before = engine.link_poses.clone()
     origins, down = torch.tensor([0.0, 0.0, 3.0]).expand(2, 1, 3), torch.tensor([0.0, 0.0, -1.0]).expand(2, 1, 3)
+    # Results come in the order of the environments asked for.
     hits = engine.cast_rays(origins, down, 10.0, index(2, 0))
     assert_near(hits.distances[:, 0], torch.tensor([1.4, 2.4]), **TOLERANCE)
     assert torch.equal(engine.link_poses, before)
@@ -63,6 +65,7 @@ def test_rays_leave_what_carries_them_in_each_environment_by_itself(make_engine:
     for entity, height in ((0, 0.5), (1, 0.6)):
         poses = torch.tensor([[0.0, 0.0, height, *yaw_quaternion(0.2 * number)] for number in range(3)])
         engine.write_root_state(entity, poses, None)
+    # Wider than the cubes: rays past them and through both are in one call.
     place = torch.linspace(-0.2, 0.2, 12)
     x, y = torch.meshgrid(place, place, indexing="ij")
     origins = torch.stack((x, y, torch.full_like(x, 2.0)), -1).view(1, -1, 3).expand(3, -1, 3).contiguous()

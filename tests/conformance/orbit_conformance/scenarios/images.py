@@ -87,6 +87,7 @@ def _photograph(
         for n, ((geometry, pose), color) in enumerate(zip(solids, _COLORS, strict=False))
     ]
     terrain = (Shape(ground, color=(*_COLORS[-1], 1.0), name="ground"),)
+    # Two environments, which have to look alike.
     world = trial.world(scene(*objects, sensors=(camera,), terrain=terrain), num_envs=2)
     sensor = world.sensors["eye"]
     assert isinstance(sensor, CameraSensor)

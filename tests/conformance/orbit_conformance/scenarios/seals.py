@@ -79,6 +79,7 @@ def _pulled(trial: Trial, world: World) -> dict[str, float]:
     for thing in (drawer, door):
         # The third environment shows that a parameter set for one environment acts there only.
         thing.active["seal"].set_parameter("force", _FORCE * strength)
+    # On both sides of the force that holds, so that the limit itself is tested.
     pull = _FORCE * torch.tensor([1.0 - _MARGIN, 1.0 + _MARGIN, 1.0], device=world.device)
     wrench = torch.zeros(3, 1, 6, device=world.device)
     wrench[:, 0, 0] = pull

@@ -107,6 +107,7 @@ def _equilibria(trial: Trial) -> dict[str, float]:
     soft, stiff, gain, target, limit, weight = 500.0, 2e6, 1500.0, 0.3, 5.0, _MASS * G
     drive = ImplicitPd(joints=(".*",), stiffness=gain, damping=20.0)
     weak = ImplicitPd(joints=(".*",), stiffness=gain, damping=20.0, effort_limit=limit)
+    # Springs alone and in company: an engine may add a drive's stiffness to the spring's, or replace it.
     cases = {
         "alone": (_hanging("alone", soft), _REST + weight / soft),
         "driven": (
