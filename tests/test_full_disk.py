@@ -24,12 +24,12 @@ from orbit_core.scene import Articulation, Link, Mesh, Pose, Shape
 from orbit_data.card import write_card
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import write_dataset
-from orbit_data.parts import PartFolder
+from orbit_data.recording import PartFolder
 from orbit_learn.actuators.networks import NetworkDescription, write_network
-from orbit_learn.checkpoint import write_checkpoint
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.policy import Policy
+from orbit_learn.training import write_checkpoint
 from tests.faults import no_file_beyond, small_disk
 
 CORNERS = np.random.default_rng(0).normal(size=(8, 3))

@@ -24,23 +24,21 @@ from orbit_data.card import write_card
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_data.lerobot import write_lerobot
+from orbit_data.lerobot import read_video, write_lerobot, write_video
 from orbit_data.lerobot_reader import LeRobotDataset
-from orbit_data.parts import PartFolder
 from orbit_data.reading.budget import ReadAccount, ReadBudget
-from orbit_data.recording import RecordingFile
+from orbit_data.recording import PartFolder, RecordingFile
 from orbit_data.tensor_file import read_tensors, write_tensors
-from orbit_data.video import read_video, write_video
 from orbit_data.zarr_reader import ZarrDataset, is_zarr
 from orbit_learn.actuators.networks import NetworkDescription, read_network, write_network
 from orbit_learn.actuators.recordings import read_recording
-from orbit_learn.checkpoint import read_checkpoint, write_checkpoint
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.onnx_file import read_onnx
 from orbit_learn.policy import Policy, load_policy
 from orbit_learn.policy_file import newest_file, read_policy
 from orbit_learn.pretrained import policy_path
+from orbit_learn.training import read_checkpoint, write_checkpoint
 
 
 def episodes() -> list[Episode]:

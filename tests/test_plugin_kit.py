@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_assets.compound_joints import BALL, compound
+from orbit_assets.joint_models import BALL, compound
 from orbit_conformance.bodies import pendulum, scene, slider
 from orbit_core import backends
 from orbit_core.interfaces import TERRAIN, ConfigurationError, ContactQuery, SceneLayout

@@ -158,7 +158,7 @@ class Link:
     ``inertia`` (3, 3) in kg m^2 is about the centre of mass, in the link's axes; ``center_of_mass`` is in the link
     frame. ``semantic_label`` names the kind of thing in segmentation images; empty takes the entity's. A link without
     mass and inertia may be the root of a fixed base, or stand between two joints of a tree, as those of a compound
-    joint do (:mod:`orbit_assets.compound_joints`).
+    joint do (:mod:`orbit_assets.joint_models`).
     """
 
     name: str
@@ -200,7 +200,7 @@ class Articulation:
     """What a reader or the catalogue changed against the source, for the build report."""
     loops: tuple[LoopJoint, ...] = ()
     drives: tuple[DriveGains, ...] = ()
-    """What the file says of the motors; :mod:`orbit_assets.drives` makes actuators of it when asked."""
+    """What the file says of the motors; :mod:`orbit_assets.scene_files` makes actuators of it when asked."""
     home: tuple[tuple[str, float], ...] = ()
     """A joint's name and its position (rad or m) in the pose that the file names as home, for those that it names."""
 
@@ -229,7 +229,7 @@ class Articulation:
         """Pairs of links that a joint connects, compound joints and loops included: they never collide.
 
         The simple joints of a compound one connect its ends through links without mass and shapes
-        (:mod:`orbit_assets.compound_joints`).
+        (:mod:`orbit_assets.joint_models`).
         """
         # A compound joint is a chain of simple ones: its ends touch each other although no single joint connects them.
         above = {joint.child: joint.parent for joint in self.joints}

@@ -13,7 +13,7 @@ import torch
 
 from orbit_assets import sources
 from orbit_assets.cache import cached_articulation
-from orbit_assets.parts import compose
+from orbit_assets.robot_parts import compose
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
 from orbit_core.preparation.validation import link_poses, validate_entity

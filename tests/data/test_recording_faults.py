@@ -22,8 +22,7 @@ from orbit_core.interfaces import ConfigurationError, StorageError
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
 from orbit_data.manifest.manifest import Manifest
-from orbit_data.parts import PartFolder
-from orbit_data.recording import RecordingFile, record
+from orbit_data.recording import PartFolder, RecordingFile, record
 from tests.faults import KILLS, kills
 
 BACKEND = default_backend()

@@ -22,10 +22,10 @@ from torch import Tensor, nn
 import orbit_core
 from orbit_core.interfaces import OrbitError
 from orbit_data import tensor_file
-from orbit_learn.checkpoint import read_checkpoint, write_checkpoint
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.training import read_checkpoint, write_checkpoint
 
 DESCRIPTION = PolicyDescription(
     "Reach", "a_robot", "joint_position", (Part("seen", 3),), (Part("moved", 2),), 0.02, "an_engine", "a_library", 1

@@ -143,7 +143,7 @@ def test_every_term_of_every_task_says_what_it_is() -> None:
 @pytest.mark.parametrize("task", ["Lift", "Velocity-Flat", "Handover"])
 def test_arrays_of_a_manifest_that_belong_together_have_one_length(task: str) -> None:
     from orbit_data.manifest.manifest import Manifest
-    from orbit_learn.deployment import deployment_metadata
+    from orbit_learn.onnx_file import deployment_metadata
 
     environment = make(task, 1, BACKEND)
     manifest = Manifest.of(environment, task, 0)

@@ -27,8 +27,8 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_viewer.camera_pictures import picture_of
-from orbit_viewer.geometry import Drawing
+from orbit_viewer.scene_view import Drawing
+from orbit_viewer.viewer import picture_of
 
 
 @pytest.mark.parametrize(

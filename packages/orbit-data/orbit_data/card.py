@@ -15,8 +15,8 @@ from orbit_data.reading.budget import TRUSTED
 
 CARD = "README.md"
 """Name of the card of a dataset that is a folder."""
+# Lines after a card's title.
 _HEAD = ("", "| | |", "|---|---|")
-"""Lines after a card's title."""
 
 
 def card(dataset: Dataset) -> str:

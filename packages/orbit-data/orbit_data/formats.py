@@ -112,13 +112,13 @@ def check_target(path: Path) -> None:
 
 
 def read_all(datasets: Iterable[Dataset]) -> Iterator[Episode]:
-    """All episodes of some datasets, one after the other."""
+    """Yield all episodes of some datasets, one after the other."""
     for dataset in datasets:
         yield from map(dataset.read, range(len(dataset.episodes)))
 
 
 def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
-    """The manifest of datasets that can be one; the first one's, where they differ in what is noted alone.
+    """Return the manifest of datasets that can be one; the first one's, where they differ in what is noted alone.
 
     Raises:
         ConfigurationError: numbers mean different things in them; names every difference.
@@ -139,7 +139,7 @@ def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
 
 
 def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
-    """Positions of ``train`` and ``valid``, the latter's share of ``count`` drawn at random.
+    """Return positions of ``train`` and ``valid``, the latter's share of ``count`` drawn at random.
 
     Raises:
         ConfigurationError: one of them would be empty.

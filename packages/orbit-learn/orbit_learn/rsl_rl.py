@@ -36,9 +36,9 @@ from orbit_learn.warm_start import columns_seen, started_from
 MOST_STD = 1.0
 """Most that the deviation of actions grows to, where it does not begin wider."""
 
+# Iterations that what the environment showed at first counts for in the statistics of what a policy to begin with had
+# not seen.
 _START_WEIGHT = 5
-"""Iterations that what the environment showed at first counts for in the statistics of what a policy to begin with had
-not seen."""
 
 
 class RslRlEnvironment(VecEnv):

@@ -121,7 +121,7 @@ class Obstacles:
 
 
 def _simple(shape: Shape) -> Shape:
-    """The shape itself, or the box around it."""
+    """Return the shape itself, or the box around it."""
     if isinstance(shape.geometry, Mesh):
         points = np.asarray(shape.geometry.vertices)
         low, high = points.min(0), points.max(0)

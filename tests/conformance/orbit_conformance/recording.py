@@ -20,7 +20,7 @@ from orbit_core.interfaces import AssetError, ConfigurationError, World
 from orbit_core.rollout.stepping import EpisodeCounter, StepObserver
 from orbit_data.reading.budget import ReadAccount, ReadBudget
 from orbit_data.reading.npz import FAULTS, read_npz
-from orbit_data.recorder import tracked_frames
+from orbit_data.recording import tracked_frames
 from orbit_data.tensor_file import parse_json
 
 if TYPE_CHECKING:

@@ -51,7 +51,7 @@ def record(settings: RecordSettings) -> None:
     from orbit_data import recording
     from orbit_data.card import facts
     from orbit_data.hdf5 import Hdf5Dataset
-    from orbit_data.recorder import check_groups
+    from orbit_data.recording import check_groups
 
     check_actor(settings.agent)
     check_positive("episodes", settings.episodes)

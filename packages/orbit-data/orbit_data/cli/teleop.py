@@ -118,7 +118,7 @@ def teleop(settings: TeleopSettings) -> None:
 
 def _show(settings: TeleopSettings, session: Session, device: Device, driver: Driver) -> None:
     from orbit_data.teleoperation.leader import Leader
-    from orbit_data.teleoperation.views import Views
+    from orbit_data.teleoperation.session import Views
     from orbit_viewer.viewer import Viewer
 
     attach, pages = getattr(device, "attach", None), getattr(device, "pages", ())

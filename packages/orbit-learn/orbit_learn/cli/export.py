@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from orbit_data.manifest.manifest import Manifest
     from orbit_learn.policy import Policy
 
+# Settings of a training that make its environment's numbers, beside what the policy itself tells.
 _OF_A_TRAINING = ("robot", "action", "fields", "set", "settings", "setting")
-"""Settings of a training that make its environment's numbers, beside what the policy itself tells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +95,10 @@ def _amend(policy: Policy, path: Path) -> None:
 
 
 def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
-    """The manifest of a file that is older than what manifests say of their numbers, with that of the environment as it
-    is today, where this has the same joints, home positions and terms; else as it was, with a warning."""
+    """Return the manifest of a file that is older than what manifests say of their numbers, with that of the
+    environment as it is today, where this has the same joints, home positions and terms; else as it was, with a
+    warning.
+    """
     from orbit_data.manifest.compare import Kind, differences
 
     group = policy.description.group
@@ -116,7 +118,7 @@ def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
 
 
 def _present(policy: Policy, path: Path) -> Manifest:
-    """The manifest of the environment that a policy fits today, for files of before there were manifests. What
+    """Return the manifest of the environment that a policy fits today, for files of before there were manifests. What
     the training's record beside the file tells, it tells too.
 
     Raises:

@@ -21,7 +21,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def played(settings: PlaySettings) -> PlaySettings:
-    """The settings with all that the policy was learned for in the place of what they leave open.
+    """Return the settings with all that the policy was learned for in the place of what they leave open.
 
     Raises:
         UnknownNameError: there is no such file, folder or kept policy.

@@ -139,7 +139,7 @@ def _processes() -> int:
 
 
 def _algorithm(settings: TrainSettings, kind: type[Any], ppo: PpoSettings) -> Any:
-    """The settings that the library takes: the task's own, or its class's, with the user's over them."""
+    """Return the settings that the library takes: the task's own, or its class's, with the user's over them."""
     learned = isinstance(ppo, kind)
     defaults, given = (ppo, settings.ppo) if learned else (kind(), settings.distillation)
     what, refused = ("PPO", "--distillation and --teacher") if learned else ("distillation", "--ppo")
@@ -167,7 +167,7 @@ def _words(settings: TrainSettings, progress: Progress) -> str:
 
 
 def _success(progress: Progress) -> str:
-    """The rate with its interval of 95 %."""
+    """Return the rate with its interval of 95 %."""
     from orbit_core.rollout.estimates import proportion
 
     return proportion(round(progress.success_rate * progress.episodes), progress.episodes).percent()
