@@ -1,4 +1,4 @@
-"""Results of several runs as one: what is taken over, what is reckoned anew, what is refused."""
+"""Results of several runs as one: what is kept, what is computed again, what is rejected."""
 
 from __future__ import annotations
 

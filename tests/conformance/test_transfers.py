@@ -102,7 +102,7 @@ def test_a_policy_that_sees_pictures_acts_on_what_another_renderer_draws() -> No
 
 
 def result(successes: int, errors: float = 0.01, declared: tuple[TransferGap, ...] = (SLIPS,)) -> Result:
-    """Of one policy: as it should be where it was learned, and with so many successes of 100 elsewhere."""
+    """Results of one policy: as required where it was learned, and with so many successes of 100 elsewhere."""
     info = PolicyInfo("pull", "Pulls a bar", "Cabinet", "dry", "a library", 250, KEPT.least_success, declared)
     records = tuple(record(backend, *of) for backend, of in (("dry", (100, 0.01)), ("slippery", (successes, errors))))
     settings = Settings(
