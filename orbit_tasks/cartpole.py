@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions import ActionTerms, JointEffortConfig
-from orbit_core.actions.joint_effort import JointEffort
+from orbit_core.actions.joints import JointEffort
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from orbit_core.actions import ActionTerm, MotionGenerator, preset_terms
 from orbit_core.actions.base import JointTarget
-from orbit_core.actions.base_velocity import ROUNDING
 from orbit_core.actions.embodiment import leg_joints
+from orbit_core.actions.mobile_base import ROUNDING
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Robot, World
@@ -144,7 +144,7 @@ class Locomotion(MotionGenerator):
         if self._since and self._since % self._each == 0:
             self._legs_command.copy_(self._asked())
             targets = self._lower.compute({"command": self._legs_command})
-            self.robot.set_position_targets(targets[JointTarget.POSITION.value], self.joints)
+            self.robot.set_position_targets(targets[JointTarget.POSITION], self.joints)
         self._since += 1
 
     def _asked(self) -> Tensor:

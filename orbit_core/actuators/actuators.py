@@ -218,11 +218,6 @@ class Actuators:
         joints = self._engine.layout.joints
         return {f"{type(model).__name__} of joint '{joints[model.joints[0]].name}'": model for model in self._models}
 
-    def memory(self) -> dict[str, Tensor]:
-        """Return memory of the models between steps, by name."""
-        own = {f"{name}, {number}": model for number, (name, model) in enumerate(self.models.items())}
-        return {f"{part} of {name}": value for name, model in own.items() for part, value in model.memory.items()}
-
     def temperatures(self) -> Tensor | None:
         """Return winding temperatures (N, J) in degrees Celsius, 25 for joints without; None if no joint has any."""
         warm = [(model.columns, model.temperatures) for model in self._models]

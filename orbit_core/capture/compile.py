@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import types
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -107,13 +108,12 @@ def _launches(call: Any, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]
     def noting(kernel: Callable[..., None]) -> Callable[..., None]:
         return lambda *arguments: launches.append((kernel, arguments))
 
+    # A copy of the function with globals of its own: inductor's module stays as it is.
     module = function.__globals__
-    own = {name: module[name] for name in kernels}
-    module.update({name: noting(kernel) for name, kernel in own.items()})
-    try:
-        outputs = call(list(inputs))
-    finally:
-        module.update(own)
+    noted = {**module, **{name: noting(module[name]) for name in kernels}}
+    copy = types.FunctionType(function.__code__, noted, function.__name__, function.__defaults__, function.__closure__)
+    owner = getattr(call, "__self__", None)
+    outputs = copy(list(inputs)) if owner is None else copy(owner, list(inputs))
 
     def launch(*_: Tensor) -> Sequence[Tensor]:
         for kernel, arguments in launches:

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import World
-from orbit_core.interfaces.capture import Watched
+from orbit_core.interfaces.capture import Traceable
 
 _PARTS: Final = ("core", "assets", "motion", "learn", "data", "viewer", "conformance")
 _OWN: Final = frozenset(f"orbit_{part}" for part in _PARTS)
@@ -208,7 +208,7 @@ class PythonState:
             self._visit_object(path, value)
 
     def _is_walked(self, value: object) -> bool:
-        if isinstance(value, World | Watched):
+        if isinstance(value, World | Traceable):
             return False
         return isinstance(value, self._configuration) or _package(type(value)) not in _OTHERS
 
@@ -273,6 +273,8 @@ def frozen_by_trace(before: PythonState) -> tuple[str, bool]:
         known = holder.known.get(key) if isinstance(holder.known, dict) else holder.known
         if known is not None:
             what = before.describe((holder, key))
+            if isinstance(known, Tensor):
+                return f"{what} is another tensor after each step: write it in place", False
             return f"{what} changes in Python, which a captured step would freeze: {REMEDY}", False
     return "", bool(changes)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 import warnings
 from collections.abc import Mapping
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
+from orbit_core.agent import AgentGraph, Edge, FunctionNode
 from orbit_core.backends import default_backend
 from orbit_core.configuration import settings_table
 from orbit_core.dynamics.arguments import (
@@ -24,9 +23,10 @@ from orbit_core.dynamics.arguments import (
     whole_number,
 )
 from orbit_core.dynamics.indexing import write_rows
+from orbit_core.dynamics.linear import SingleThreaded
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.action_terms import action_terms, driven_scene
-from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
+from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered, where_rows
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.expert_starts import ExpertStarts
@@ -45,8 +45,7 @@ from orbit_core.envs.term_values import per_environment
 from orbit_core.envs.terms import TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.world import WorldFactory, simulate
-from orbit_core.world.closing import close_for_good
-from orbit_core.world.threads import SingleThreaded
+from orbit_core.world.lifetime import mark_closed
 
 
 class Environment:
@@ -138,25 +137,24 @@ class Environment:
         self.all_ids = torch.arange(num_envs, device=self.device)
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
+        # NumPy's view: on few numbers its operations cost a third of torch's.
+        self._ended = self.done.numpy() if self.device.type == "cpu" else self.done
         self.lost = LostEpisodes(self.world) if reset_diverged else None
         """Episodes that diverged, where these do not raise."""
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
-        self.actions = ActionManager(self.world, task, terms)
+        self.actions = ActionManager(self.world, task, terms, self.step_dt)
         self.action_size = self.actions.size
-        self._action = torch.zeros(num_envs, self.action_size, device=self.device)
-        task.last_action = torch.zeros_like(self._action)
-        task.action_before = torch.zeros_like(self._action)
+        self._action = self.actions.action
         task.start(self.world)
         self.observer = ObservationManager(self.world, task)
         self.observation = self.observer.layouts
         """What each group of the observation is like, by name."""
         self._checks = check_finite or self.device.type == "cpu"
-        self._seen: tuple[int, Observation] | None = None
-        """Version of the world's state, and the observation of it that the closed step made."""
+        self._seen: Observation | None = None
+        """Observation of the present state; None until it is computed, which draws its noise."""
         several = len(task.agents) > 1
         self.multi_agent = MultiAgentView(task, self.observation[POLICY], self.step_dt) if several else None
         """Whose each part of observation, action and reward is, where several robots act."""
-        self.cut = self._build_agent()
         if compile and not capture:
             raise ConfigurationError("compile=True needs the step to be captured: leave capture=False out, or compile")
         if not autoreset and num_envs > 1:
@@ -172,7 +170,7 @@ class Environment:
         """Which episodes begin on the expert's way, where the task asks for such."""
         self._watch = ConfigurationWatch(task)
         self._closed = self._close_step()
-        self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
+        self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.actions))
         self._events.startup()
         self.premises.sample(self.begin)
         if self.starts is not None:
@@ -192,7 +190,7 @@ class Environment:
         Raises:
             ArgumentError, ShapeError: the seed or ``env_ids`` cannot be; nothing has changed then.
         """
-        env_ids = self.world.masking.rows(env_ids)
+        env_ids = self.world.selector.resolve(env_ids)
         if seed is not None:
             self.world.random.seed(seed, env_ids)
         self._over = False
@@ -233,7 +231,8 @@ class Environment:
         if self._over:
             raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
-        self._modifiers.run(self.steps)
+        if self._modifiers.terms:
+            self._modifiers.run(self.steps)
         closed = self._closed if self._started else None
         if closed is None or not closed.holds():
             if self._watch.changed():
@@ -247,7 +246,7 @@ class Environment:
         reward, terminated, truncated = self.advance()
         if self._checks:
             self._rewards.check_finite(reward)
-        if not bool(self.done.any()):
+        if not self._ended.any():
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
         final = self._everyone(last := self._observe()).only(ended)
@@ -263,6 +262,29 @@ class Environment:
         with SingleThreaded():
             return self._observe()
 
+    def agent(self, policy: Node) -> AgentGraph:
+        """Build the graph of the whole agent: observation, a policy, what turns its action into joint targets.
+
+        ``agent.step()`` and then ``environment.world.step(task.decimation)`` moves the robots as :meth:`step` does.
+        Rewards, ends of episodes and resets are the environment's alone: reset the agent with it.
+
+        Args:
+            policy: node with an input for each tensor of the observation, named ``group`` or ``group/term``, and the
+                output ``action`` (N, A).
+
+        Raises:
+            UnknownNameError, ConfigurationError, ShapeError: the policy's ports do not fit.
+        """
+        seen = tuple(Port(name, shape) for name, shape in leaf_shapes(self.observation).items())
+
+        def observe(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+            return {port.name: leaf for port, leaf in zip(seen, leaves_of(self.observer()), strict=True)}
+
+        nodes = [FunctionNode("observation", observe, outputs=seen), policy, *self.actions.nodes]
+        edges = [Edge(f"observation.{port.name}", f"{policy.name}.{port.name}") for port in seen]
+        edges += self.actions.edges(f"{policy.name}.action")
+        return AgentGraph(nodes, edges, rate=1.0 / self.step_dt)
+
     def expert(self) -> Node:
         """The task's scripted policy: call its ``compute({})`` for an action."""
         return self.task.expert(self.world)
@@ -270,26 +292,7 @@ class Environment:
     def close(self) -> None:
         """Free what the world holds; idempotent. Every later use raises a ClosedError."""
         self.world.close()
-        close_for_good(self, "the environment")
-
-    # The agent ------------------------------------------------------------------------------------------------------
-
-    def _build_agent(self) -> Cut:
-        """observation -> policy (the cut) -> what turns actions into joint commands."""
-        seen = tuple(Port(name, shape) for name, shape in leaf_shapes(self.observation).items())
-        action = Port("action", (self.action_size,))
-
-        def observe(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-            return {port.name: leaf for port, leaf in zip(seen, leaves_of(self._observation()), strict=True)}
-
-        nodes: list[Node] = [
-            FunctionNode("observation", observe, outputs=seen),
-            FunctionNode("policy", _no_policy, inputs=seen, outputs=(action,)),
-            *self.actions.nodes,
-        ]
-        edges = [Edge(f"observation.{port.name}", f"policy.{port.name}") for port in seen]
-        edges += self.actions.edges("policy.action")
-        return Cut(AgentGraph(nodes, edges, rate=1.0 / self.step_dt), "policy")
+        mark_closed(self, "the environment")
 
     def _refresh(self) -> None:
         """Take in the terms that the task has now."""
@@ -308,7 +311,7 @@ class Environment:
 
     def _close_step(self) -> CapturedStep | None:
         """The step without its Python, where that is asked for or the device is not Python's own."""
-        reason = needs_python(self.world, self.cut, self.task.decimation)
+        reason = needs_python(self.world, self.actions, self.task.decimation)
         if self._compile and reason:
             raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
         if reason or not self._capture or (self.device.type == "cpu" and not self._compile):
@@ -318,7 +321,7 @@ class Environment:
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
-        self._seen = (self.world.clock.version, self._checked_observation(result[0]))
+        self._seen = self._checked_observation(result[0])
         if self._checks:
             self._rewards.check_finite(result[1])
         if isinstance(info := result[4], StepInfo):
@@ -328,7 +331,6 @@ class Environment:
             if self._compile:
                 raise ConfigurationError(f"the step cannot be compiled: {closed.refusal}; or leave compile out")
             self._closed = None
-            self._observe()  # from here on the agent counts its own steps
             warnings.warn(f"each step waits for the device: {closed.refusal}", RuntimeWarning, stacklevel=4)
         return result
 
@@ -338,7 +340,8 @@ class Environment:
         self._events.advance()
         if self.lost is not None:
             self.lost.forget()
-        self.cut.act({"action": self._action})
+        self._seen = None
+        self.actions.apply()
         self.world.step(task.decimation)
         task.episode_step += 1
         task.advance(self.world)
@@ -364,22 +367,28 @@ class Environment:
         return action
 
     def _observe(self) -> Observation:
-        return self._checked_observation(observation_of(self.observation, list(self.cut.observe().values())))
+        """Return the observation of the present state, computed once."""
+        if self._seen is None:
+            self._seen = self._checked_observation(self.observer())
+        return {**self._seen}
 
     def _checked_observation(self, observation: Observation) -> Observation:
         if self._checks:
             check_observation(observation, self.observation)
         return observation
 
-    def _observation(self) -> Observation:
-        if self._seen is not None and self._seen[0] == self.world.clock.version:
-            return self._seen[1]
-        return self.observer()
-
     def _observe_new(self, began: Tensor) -> Observation:
-        """(N,) bool, the environments whose episodes began; the other environments have been observed already."""
-        with self.world.masking.only(began):
-            return self._observe()
+        """Return the observation with new rows where an episode began; the other environments keep theirs.
+
+        Args:
+            began: (N,) bool.
+        """
+        before = self._observe()
+        with self.world.selector.only(began):
+            fresh = self.observer()
+        leaves = [where_rows(began, new, old) for new, old in zip(leaves_of(fresh), leaves_of(before), strict=True)]
+        self._seen = self._checked_observation(observation_of(self.observation, leaves))
+        return {**self._seen}
 
     def _reward(self) -> Tensor:
         values = self._rewards.values()
@@ -388,15 +397,13 @@ class Environment:
         return self._rewards.total(values)
 
     def _terminated(self) -> Tensor:
-        ends = [self._ended(name, term) for name, term in self.termination_terms.items()]
-        return functools.reduce(torch.logical_or, ends) if ends else self._never.clone()
-
-    def _ended(self, name: str, term: TerminationTerm) -> Tensor:
-        what = f"termination term '{name}'"
-        value = per_environment(term.function(self.world, self.task), what, self.num_envs)
-        if value.dtype != torch.bool:
-            raise ConfigurationError(f"{what} gives {value.dtype}: its function must give torch.bool")
-        return value
+        ended: Tensor | None = None
+        for name, term in self.termination_terms.items():
+            value = term.function(self.world, self.task)
+            if type(value) is not Tensor or value.dtype is not torch.bool or value.shape != self.done.shape:
+                value = _checked_end(value, f"termination term '{name}'", self.num_envs)
+            ended = value if ended is None else torch.logical_or(ended, value)
+        return self._never.clone() if ended is None else ended
 
     def _everyone(self, observation: Observation) -> EpisodeEnd:
         """What all episodes would have come to, ended now."""
@@ -426,9 +433,11 @@ class Environment:
 
     def begin(self, env_ids: Tensor | None) -> None:
         """New episodes in some environments, by index, or by mask where the step is traced."""
+        if env_ids is None:
+            self._seen = None
         self.world.reset(env_ids)
         self.task.reset(env_ids)
-        self.cut.graph.reset(env_ids)
+        self.actions.reset(env_ids)
         self.observer.reset(env_ids)
         self._rewards.reset(env_ids)
         self._events.reset(env_ids)
@@ -437,5 +446,8 @@ class Environment:
             self.starts.begin(env_ids)
 
 
-def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-    raise ConfigurationError("the environment's agent is cut at its policy: actions come from outside")
+def _checked_end(value: object, what: str, num_envs: int) -> Tensor:
+    value = per_environment(value, what, num_envs)
+    if value.dtype != torch.bool:
+        raise ConfigurationError(f"{what} gives {value.dtype}: its function must give torch.bool")
+    return value

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 
 import torch
@@ -76,37 +77,34 @@ class EventManager:
         """Run the events of an episode's beginning, in environments by index or mask."""
         for timer in self._timers.values():
             timer.draw(env_ids)
-        terms = self._at[EventTime.RESET]
-        if is_mask(env_ids):
-            self._run_where(env_ids, terms)
-        else:
-            self._run(self._all if env_ids is None else env_ids, terms)
+        self._run(env_ids, self._at[EventTime.RESET])
 
     def advance(self) -> None:
         """Run the events that are due at the beginning of a step."""
         for timer in self._timers.values():
-            due = timer.left == 0
-            if self._world.masking.traced:
-                self._run_where(due, [timer.term])
+            due = self._world.selector.where(timer.left == 0)
+            if due is not None:
+                self._run(due, [timer.term])
                 timer.draw(due)
-            elif bool(due.any()):
-                env_ids = due.nonzero().squeeze(-1)
-                self._run(env_ids, [timer.term])
-                timer.draw(env_ids)
             timer.left -= 1
 
-    def _run(self, env_ids: Tensor, terms: list[EventTerm]) -> None:
-        for term in terms:
-            term.function(self._world, self._task, env_ids)
-        self._world.clock.touch()  # an event may have changed what a cached term depends on
+    def _run(self, env_ids: Tensor | None, terms: list[EventTerm]) -> None:
+        """Run events of some environments, by index or mask, and undo what they did to the memory of others."""
+        with self._kept_elsewhere(env_ids), self._world.selector.given(env_ids) as rows:
+            for term in terms:
+                term.function(self._world, self._task, rows)
+            self._world.clock.touch()  # an event may have changed what a cached term depends on
 
-    def _run_where(self, mask: Tensor, terms: list[EventTerm]) -> None:
-        """Run events as for all environments, and keep what they did to those of the mask."""
-        memory = [m for m in self._memory().values() if m.shape[:1] == mask.shape]
+    @contextmanager
+    def _kept_elsewhere(self, env_ids: Tensor | None) -> Iterator[None]:
+        """Put the task's own tensors back outside of a mask: events write them for all environments then."""
+        if not is_mask(env_ids):
+            yield
+            return
+        memory = [tensor for tensor in self._memory().values() if tensor.shape[:1] == env_ids.shape]
         before = [(tensor, tensor.clone(), tensor._version) for tensor in memory]
-        with self._world.masking.only(mask):
-            self._run(self._all, terms)
-        others = ~mask
+        yield
+        others = ~env_ids
         for tensor, old, version in before:
             if tensor._version != version:
                 write_rows(tensor, old, others)

@@ -13,13 +13,12 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import is_mask, write_rows
+from orbit_core.dynamics.linear import SingleThreaded
+from orbit_core.envs.captured_step import CapturableEnvironment
 from orbit_core.envs.episode import EXPERT_START
 from orbit_core.envs.observation_groups import POLICY
-from orbit_core.envs.observation_layout import observation_of
-from orbit_core.envs.step_parts import StepParts
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ConfigurationError, Object, World
-from orbit_core.world.threads import SingleThreaded
 
 MOST_STATES = 2**16
 """States that are kept at most, drawn from all that were recorded."""
@@ -62,7 +61,7 @@ class ExpertStarts:
         self.began_there = torch.zeros(world.num_envs, dtype=torch.bool, device=world.device)
         """(N,) whether the present episode began on the expert's way."""
 
-    def record(self, environment: StepParts, action: Tensor) -> None:
+    def record(self, environment: CapturableEnvironment, action: Tensor) -> None:
         """Let the expert play an episode, and keep the states that it comes by; random streams go on as if nothing had
         been drawn.
 
@@ -82,7 +81,7 @@ class ExpertStarts:
         with torch.no_grad(), SingleThreaded():
             expert = self._task.expert(self._world)
             for step in range(steps - 1):
-                observed = observation_of(environment.observation, list(environment.cut.observe().values()))[POLICY]
+                observed = environment.observe()[POLICY]
                 wanted = expert.compute({})["action"]
                 if step % _STRIDE == 0:
                     shown = {_SEEN: observed, _DONE: wanted} if isinstance(observed, Tensor) else {}
@@ -126,10 +125,10 @@ class ExpertStarts:
             return
         world = self._world
         if is_mask(env_ids):
-            with world.masking.only(env_ids):
+            with world.selector.only(env_ids):
                 draw = world.random.uniform((2,))
             chosen = env_ids & (draw[:, 0] < self._share)
-            with world.masking.only(chosen):
+            with world.selector.only(chosen):
                 self._place(draw[:, 1], None, chosen)
         else:
             rows = torch.arange(world.num_envs, device=world.device) if env_ids is None else env_ids

@@ -75,14 +75,14 @@ class Modifiers:
 
     def __init__(self, task: Task, terms: Mapping[str, ModifyTerm]) -> None:
         self._task = task
-        self._terms = terms
+        self.terms = terms
         for name, term in terms.items():
             value = _value_at(task, term.address, name)
             set_value(task, term.address, value, name)
 
     def run(self, steps: int) -> None:
         """Set each term's value for the next step, where it is another."""
-        for name, term in self._terms.items():
+        for name, term in self.terms.items():
             before = _value_at(self._task, term.address, name)
             value = term.function(steps, before)
             if value is not before and value != before:

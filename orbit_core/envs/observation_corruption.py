@@ -38,6 +38,8 @@ class Corruption:
         self._shape = tuple(value.shape[1:])
         self._bias = torch.zeros_like(value) if term.bias_std else None
         self._delay = _Delay(term.delay, value, world, what) if term.delay != (0, 0) else None
+        self.changes = noisy or term.scale != 1.0 or self._delay is not None
+        """False where values are seen as they are."""
 
     def __call__(self, value: Tensor) -> Tensor:
         """What is seen of this step's value."""

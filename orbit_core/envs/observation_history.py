@@ -19,7 +19,7 @@ class Past:
     """
 
     def __init__(self, world: World, value: Tensor, length: int) -> None:
-        self._masking = world.masking
+        self._selector = world.selector
         self._values = value.new_zeros(len(value), length, *value.shape[1:])
         """(N, length, ...), the newest first."""
         self._fresh = torch.ones(len(value), dtype=torch.bool, device=value.device)
@@ -34,7 +34,7 @@ class Past:
         newest = value[:, None]
         shifted = torch.cat((newest, self._values[:, :-1]), dim=1)
         values = torch.where(self._fresh.view(-1, *(1 for _ in shifted.shape[1:])), newest, shifted)
-        rows = self._masking.rows(None)  # the others have been observed in this step already
+        rows = self._selector.resolve(None)  # the others have been observed in this step already
         write_rows(self._values, values, rows)
         write_rows(self._fresh, False, rows)
         return values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import torch
 from torch import Tensor
@@ -71,9 +72,19 @@ class ObservationManager:
 
     def __call__(self) -> Observation:
         """Everything that is seen now; the tensors are new ones."""
-        measured = [measurement.read(self._world, self._task) for measurement in self._measurements]
-        seen = [corruption(measured[index]) for index, corruption in self._corruptions]
-        return {name: group.show(seen) for name, group in self._groups.items()}
+        measured: list[Tensor] = []
+        for measurement in self._measurements:  # plain loops: a step's time is that of its Python calls
+            value = measurement.function(self._world, self._task, *measurement.agent)
+            if value.shape != measurement.shape or value.dtype is not measurement.dtype:
+                measurement.refuse(value)
+            measured.append(value)
+        seen: list[Tensor] = []
+        for index, corruption in self._corruptions:
+            seen.append(corruption(measured[index]) if corruption.changes else measured[index])
+        observation: Observation = {}
+        for name, group in self._groups.items():
+            observation[name] = group.show(seen)
+        return observation
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Draw what holds for an episode, by index or mask."""
@@ -125,8 +136,11 @@ class _Measurement:
 
     def __init__(self, term: ObservationTerm, what: str, world: World, task: Task) -> None:
         self.term = term
+        self.function = term.function
+        self.agent = () if term.agent is None else (term.agent,)
+        """Arguments of the function after world and task."""
         self._what = what
-        value = self._value(world, task)
+        value = self.function(world, task, *self.agent)
         if not isinstance(value, Tensor):
             raise ConfigurationError(f"{what} gives a {type(value).__name__}: its function must return a torch.Tensor")
         if value.ndim == 0 or len(value) != world.num_envs:
@@ -138,25 +152,14 @@ class _Measurement:
             raise ConfigurationError(f"{what} is on device {value.device}, the world on {world.device}")
         self.example = value.new_empty(()).expand(value.shape)
         """(N, ...) like all later values; its memory is one number's."""
-        self._shape, self._dtype = value.shape, value.dtype
+        self.shape, self.dtype = value.shape, value.dtype
 
-    def read(self, world: World, task: Task) -> Tensor:
-        """(N, ...)
-
-        Raises:
-            ShapeError: shape or dtype are not those of the first time.
-        """
-        value = self._value(world, task)
-        if value.shape != self._shape or value.dtype != self._dtype:
-            raise ShapeError(
-                f"{self._what} has shape {tuple(value.shape)} and {value.dtype}, but had {tuple(self._shape)} and "
-                f"{self._dtype} when the environment was made: it must give the same at every step"
-            )
-        return value
-
-    def _value(self, world: World, task: Task) -> Tensor:
-        term = self.term
-        return term.function(world, task) if term.agent is None else term.function(world, task, term.agent)
+    def refuse(self, value: Tensor) -> NoReturn:
+        """Raise a ShapeError for a value whose shape or dtype is not that of the first time."""
+        raise ShapeError(
+            f"{self._what} has shape {tuple(value.shape)} and {value.dtype}, but had {tuple(self.shape)} and "
+            f"{self.dtype} when the environment was made: it must give the same at every step"
+        )
 
 
 @dataclass(frozen=True)
@@ -179,9 +182,14 @@ class _Group:
     layout: GroupLayout
 
     def show(self, seen: list[Tensor]) -> Tensor | dict[str, Tensor]:
-        values = [term.show(seen) for term in self.terms]
+        values: list[Tensor] = []
+        for term in self.terms:
+            value = seen[term.index] if term.past is None else term.show(seen)
+            if self.layout.concatenated and (value.dtype is not torch.float32 or value.ndim != 2):
+                value = _flat(value)
+            values.append(value)
         if self.layout.concatenated:
-            return torch.cat([_flat(value) for value in values], dim=1)
+            return torch.cat(values, dim=1)
         # Copies, for what a function gave may be the engine's own memory.
         return {name: value.clone() for name, value in zip(self.layout.terms, values, strict=True)}
 

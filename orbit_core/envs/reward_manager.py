@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
+from orbit_core.envs.observation_check import surely_finite
 from orbit_core.envs.task import Task
 from orbit_core.envs.term_values import check_same_names, per_environment, weight_of
 from orbit_core.envs.terms import RewardTerm, terms_of
@@ -30,6 +29,7 @@ class RewardManager:
         self.terms = terms_of(task.rewards, RewardTerm)
         self._weights = torch.tensor(self._scaled(), device=world.device)
         self._column = self._weights[:, None]
+        self._shape = torch.Size((world.num_envs,))
         self.sums = torch.zeros(len(self.terms), world.num_envs, device=world.device)
         """(terms, N) each term's contribution to the episode so far."""
 
@@ -54,12 +54,17 @@ class RewardManager:
         """
         if not self.terms:
             return self.sums
-        values = torch.stack([self._value(name, term) for name, term in self.terms.items()])
-        self.sums.addcmul_(values, self._column)
-        return values
+        values: list[Tensor] = []
+        for name, term in self.terms.items():  # a plain loop: a step's time is that of its Python calls
+            value = term.function(self._world, self._task)
+            if type(value) is not Tensor or value.dtype is not torch.float32 or value.shape != self._shape:
+                value = self._checked(name, value)
+            values.append(value)
+        stacked = torch.stack(values)
+        self.sums.addcmul_(stacked, self._column)
+        return stacked
 
-    def _value(self, name: str, term: RewardTerm) -> Tensor:
-        value = term.function(self._world, self._task)
+    def _checked(self, name: str, value: object) -> Tensor:
         value = per_environment(value, f"reward term '{name}'", self._world.num_envs)
         if value.is_complex():
             raise ConfigurationError(f"reward term '{name}' gives {value.dtype}: its function must give real numbers")
@@ -71,7 +76,7 @@ class RewardManager:
         Raises:
             NonFiniteError: names the terms and the environments.
         """
-        if math.isfinite(float(reward.sum())) or bool(reward.isfinite().all()):
+        if surely_finite(reward) or bool(reward.isfinite().all()):
             return
         wrong = (~reward.isfinite()).nonzero().squeeze(-1).tolist()
         names = [name for name, total in zip(self.terms, self.sums, strict=True) if not total[wrong].isfinite().all()]

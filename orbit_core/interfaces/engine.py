@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces.capture import Watched, changes, measures, reads_state
+from orbit_core.interfaces.capture import Traceable, changes, measures, reads_state
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import BACKGROUND, Approximation, BuiltModel, SceneLayout
 
@@ -77,7 +77,7 @@ def _among(met: Tensor, links: range) -> Tensor:
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
 
-class Engine(Watched, ABC):
+class Engine(Traceable, ABC):
     """N environments of one scene in one physics engine.
 
     N = ``num_envs``, J movable joints and L links as numbered by ``layout``; n = ``len(env_ids)``, all environments

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Protocol
 
@@ -246,6 +247,14 @@ class Object(ABC):
         return UnsupportedCapabilityError(f"'{self.name}' has no {what}: {type(self).__name__} provides none")
 
 
+class JointTarget(StrEnum):
+    """Quantity that is commanded to a joint; the value names the port that carries it, (N, k) for k joints."""
+
+    POSITION = "position_targets"
+    VELOCITY = "velocity_targets"
+    EFFORT = "effort_targets"
+
+
 class Robot(Object):
     """An articulation with actuator groups that take commands."""
 
@@ -274,6 +283,26 @@ class Robot(Object):
     @abstractmethod
     def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
         """Set effort targets (N, k), N m or N, which are added to the actuators' PD law."""
+
+    def target_writer(
+        self, target: JointTarget, joints: Sequence[int], checked: bool = True
+    ) -> Callable[[Tensor], object]:
+        """Return a function that writes targets (N, k) of some joints.
+
+        A controller makes one when it is built, so that a step looks up no joints.
+
+        Args:
+            target: quantity that is written.
+            joints: indices (k,).
+            checked: False for targets that the caller has just clamped: float32, finite and on the device. A world may
+                then skip its checks.
+        """
+        setter = {
+            JointTarget.POSITION: self.set_position_targets,
+            JointTarget.VELOCITY: self.set_velocity_targets,
+            JointTarget.EFFORT: self.set_effort_targets,
+        }[target]
+        return partial(setter, joints=joints)
 
 
 class Deformable(ABC):

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from orbit_core.interfaces.capture import Watched, measures
+from orbit_core.interfaces.capture import Traceable, measures
 from orbit_core.interfaces.layout import TERRAIN, SceneLayout
 from orbit_core.scene import CameraSpec, Channel, Shape
 
@@ -42,7 +42,7 @@ _FIELDS = {
 }  # fmt: skip
 
 
-class Renderer(Watched, ABC):
+class Renderer(Traceable, ABC):
     """Draws visual shapes (collision shapes where a link has none), terrain and markers."""
 
     # None costs nothing; a table of all links would be looked up for every pixel.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
+from orbit_core.interfaces.capture import Schedule
 from orbit_core.interfaces.engine import Engine
 from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
@@ -51,18 +52,23 @@ class WorldClock(Protocol):
         ...
 
 
-class WorldMasking(Protocol):
-    """Selection of the environments that a call is for; while a mask is set, only those of the mask."""
-
-    traced: bool
-    """True while a step is traced: no code may read the values of tensors then."""
+class WorldSelector(Protocol):
+    """Selection of the environments that a call is for; while a mask is set, of those in it only."""
 
     # A context, so that the mask is lifted even where the code within raises.
     def only(self, mask: Tensor) -> AbstractContextManager[None]:
         """Set a mask (N,) bool for a while."""
         ...
 
-    def rows(self, env_ids: Tensor | None) -> Tensor | None:
+    def given(self, env_ids: Tensor | None) -> AbstractContextManager[Tensor]:
+        """Give indices (n,) for indices; for a mask (N,), the indices of all environments, under the mask."""
+        ...
+
+    def where(self, mask: Tensor) -> Tensor | None:
+        """Return the environments of a mask (N,) as indices, None without any; in a traced step the mask itself."""
+        ...
+
+    def resolve(self, env_ids: Tensor | None) -> Tensor | None:
         """Return the environments that ``env_ids`` means: checked indices (n,), a mask (N,) bool, or None for all."""
         ...
 
@@ -137,7 +143,7 @@ class World(ABC):
     markers: Mapping[str, Marker]
     clock: WorldClock
     random: WorldRandom
-    masking: WorldMasking
+    selector: WorldSelector
 
     # Time
 
@@ -265,33 +271,9 @@ class World(ABC):
         raise self._unsupported("native objects")
 
     @property
-    def needs_python(self) -> str:
-        """Reason why a step of this world cannot be captured (:mod:`orbit_core.capture`); empty if it can."""
-        # A recorded or real world steps in Python, which no graph can repeat.
-        return f"{type(self).__name__} has no engine"
-
-    @property
-    def schedule_period(self) -> int:
-        """Physics steps after which the same sensors are due again."""
-        # Without a schedule of its own every step is alike.
-        return 1
-
-    @property
-    def phase(self) -> Hashable:
-        """Schedule key of the next step: which sensors are due and how many physics steps run at once."""
-        raise self._unsupported("captured steps")
-
-    def enter(self, phase: Any, steps: int) -> None:
-        """Continue after ``steps`` physics steps that were replayed without Python and ended in ``phase``."""
-        raise self._unsupported("captured steps")
-
-    def touch(self) -> None:
-        """Invalidate all quantities that were derived from the present state."""
-        raise self._unsupported("captured steps")
-
-    def memory(self) -> dict[str, Tensor]:
-        """Return the tensors that a captured step writes in place, without the engine's, by name."""
-        raise self._unsupported("captured steps")
+    def schedule(self) -> Schedule | None:
+        """Counters of a step, which a captured step moves on; None where nothing is simulated, nor captured."""
+        return None
 
     def _unsupported(self, what: str) -> UnsupportedCapabilityError:
         return UnsupportedCapabilityError(f"this world has no {what}: {type(self).__name__} provides none")

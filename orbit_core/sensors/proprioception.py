@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from typing import Any
 
 import torch
@@ -183,6 +182,7 @@ class ImuSensor(AveragingSensor):
     """
 
     noisy = ("angular_velocity", "linear_acceleration")
+    scheduled = (*AveragingSensor.scheduled, "_before_known")
 
     def __init__(self, spec: ImuSpec, context: SensorContext) -> None:
         super().__init__(spec, context, (3,))
@@ -214,21 +214,12 @@ class ImuSensor(AveragingSensor):
         elif self._before_known:
             write_rows(self._before, self._mount.velocity(env_ids)[:, :3], env_ids)
 
-    @property
-    def phase(self) -> tuple[Hashable, ...]:
-        return *super().phase, self._before_known
-
-    def enter(self, phase: tuple[Any, ...]) -> None:
-        super().enter(phase)
-        self._before_known = phase[6]
-
     def save_state(self) -> dict[str, Any]:
         return super().save_state() | {"before": self._before.clone()}
 
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
         self._before.copy_(state["before"])
-        self._before_known = state["phase"][6]
 
     def _integrate(self, steps: int) -> Tensor:
         velocity = self._mount.velocity()[:, :3]

@@ -251,12 +251,12 @@ def test_a_step_is_captured_once_for_each_phase_of_its_schedule() -> None:
     environment = closed(Environment(sensing(rate=12.5), 3, BACKEND), whole=True)
     for _ in range(20):
         environment.step(torch.zeros(3, environment.action_size))
-    assert [part.phases for part in environment._closed.parts] == [4]
+    assert [part.captured for part in environment._closed.parts] == [4]
     environment.close()
 
 
 def test_a_schedule_of_too_many_phases_is_named() -> None:
     environment = Environment(sensing(rate=200.0 / 131), 1, BACKEND)
-    reason = needs_python(environment.world, environment.cut, environment.task.decimation)
+    reason = needs_python(environment.world, environment.actions, environment.task.decimation)
     assert reason.startswith("what is due repeats after 131 steps only")
     environment.close()

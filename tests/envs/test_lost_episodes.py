@@ -18,7 +18,7 @@ def break_one(env: Environment, which: int) -> None:
     broken = torch.zeros(1, 6)
     broken[0, 0] = torch.nan
     env.world.engine.write_root_state(0, None, broken, torch.tensor([which]))
-    env.world.touch()
+    env.world.clock.touch()
 
 
 def walkers(backend: str, **more: object) -> Environment:

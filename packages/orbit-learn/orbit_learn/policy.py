@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from orbit_core.envs.observation_layout import leaf_shapes
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_data.manifest.compare import check_manifest, renamed_group
@@ -157,17 +158,15 @@ class PolicyNode(Node):
 
 
 def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
-    """Return the environment's agent with the policy in the cut's place, from the observation to the actuators.
+    """Build the environment's agent with a policy in it, from the observation to the actuators.
 
-    ``agent.step()`` and then ``environment.world.step(task.decimation)`` moves the robot as ``environment.step`` does
-    with the policy's actions; rewards, ends of episodes and resets are the environment's step's alone. Where
-    environments are reset, reset the agent too.
+    :meth:`orbit_core.envs.Environment.agent` says how to step it.
 
     Raises:
         ConfigurationError: the policy was learned for another environment.
     """
-    group, place = policy.fit(environment), environment.cut.node
-    return environment.cut.graph.replace(place.name, PolicyNode(policy, inputs=place.inputs, group=group))
+    seen = tuple(Port(name, shape) for name, shape in leaf_shapes(environment.observation).items())
+    return environment.agent(PolicyNode(policy, inputs=seen, group=policy.fit(environment)))
 
 
 class PolicyActor:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.full_ik import FullIk
-from orbit_core.actions.pose_command import displaced
+from orbit_core.actions.ik import displaced
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply, yaw_angle
 from orbit_core.envs.task import Task

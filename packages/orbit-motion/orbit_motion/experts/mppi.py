@@ -123,8 +123,8 @@ class Mppi(Node):
         for env in range(environment.num_envs):
             rows = torch.arange(env * samples, (env + 1) * samples, device=model.device)
             model.world.copy_state(env, rows, environment.world)
-        own = remembered(environment.task, environment.cut)
-        for name, tensor in remembered(model.task, model.cut).items():
+        own = remembered(environment.task, environment.actions)
+        for name, tensor in remembered(model.task, model.actions).items():
             given = own.get(name)
             if (
                 given is not None

@@ -221,7 +221,7 @@ def report(environment: Environment, what: str, times: dict[str, list[float]]) -
         "device": torch.cuda.get_device_name() if environment.device.type == "cuda" else "cpu",
         "num_envs": environment.num_envs,
         "recorded": closed is not None and not closed.refusal,
-        "phases": [] if closed is None else [part.phases for part in closed.parts],
+        "phases": [] if closed is None else [part.captured for part in closed.parts],
         "env_steps_per_s": round(environment.num_envs / statistics.median(times["whole"])),
         "ms": {name: round(1e3 * statistics.median(values), 4) for name, values in times.items()},
         "finite": bool(environment.world.engine.link_poses.isfinite().all()),

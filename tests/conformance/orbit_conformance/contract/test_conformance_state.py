@@ -15,7 +15,7 @@ from orbit_conformance.bodies import WEIGHTLESS, ball, body, cube, index, pendul
 from orbit_conformance.contract.fixtures import MakeEngine
 from orbit_conformance.contract.truth import assert_near
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
-from orbit_core.world.build_check import check_build
+from orbit_core.world.checks import check_build
 
 EXACT = {"rtol": 1e-5, "atol": 1e-5}
 

@@ -1,24 +1,24 @@
-"""What was closed, or was made by the process that this one was forked from, says so at every later use.
-
-It costs nothing before: the object becomes one of a class of its own, whose methods and properties raise.
-"""
+"""Errors of worlds that were closed, or that a forked process found in its memory."""
 
 from __future__ import annotations
 
 import ctypes
 import functools
 import inspect
-from typing import Any, NoReturn
+import multiprocessing.process
+import os
+import weakref
+from typing import Any, NoReturn, Protocol
 
 from orbit_core.interfaces import ClosedError
 
-_STAY = frozenset({"close", "close_extras", "closed", "leave_to_parent", "unwrapped"})
+_STAY = frozenset({"close", "close_extras", "closed", "mark_forked", "unwrapped"})
 """What may be used of a closed thing: closing it again, what Gymnasium asks to find out whether it is
 closed, and what a forked process does with what it finds."""
 _MARK = "_was_closed"
 
 
-def close_for_good(thing: object, what: str) -> None:
+def mark_closed(thing: object, what: str) -> None:
     """Let every public method and property of ``thing`` raise, but ``close``; plain attributes can be read.
 
     Args:
@@ -29,7 +29,7 @@ def close_for_good(thing: object, what: str) -> None:
         thing.__class__ = _closed_class(type(thing), f"{what} is closed: make another")
 
 
-def leave_to_parent(thing: object, what: str, parent: int) -> None:
+def mark_forked(thing: object, what: str, parent: int) -> None:
     """The same in a process that was forked from process ``parent``, whose thing it is; closing it does nothing here.
 
     It is kept until the process is gone, for its destructor might wait for threads that are not here.
@@ -58,3 +58,30 @@ def _closed_class(kind: type, why: str, closes: bool = True) -> Any:
 def _is_use(member: object) -> bool:
     """Whether a class's member is a method or a property, and no plain value."""
     return inspect.isroutine(member) or isinstance(member, property | functools.cached_property)
+
+
+class ForkAware(Protocol):
+    """What is to be given up in forked processes."""
+
+    def mark_forked(self, parent: int) -> None:
+        """Refuse every later use."""
+        ...
+
+
+_made: weakref.WeakSet[ForkAware] = weakref.WeakSet()
+
+
+def register_after_fork(thing: ForkAware) -> None:
+    """Call the thing's ``mark_forked`` in every process that is forked from now on."""
+    _made.add(thing)
+
+
+def _leave_all() -> None:
+    if _made:  # else this process, when it exits, would end workers that engines have in its parent
+        multiprocessing.process._children.clear()  # pyright: ignore[reportAttributeAccessIssue] - nothing public does it
+    for thing in list(_made):
+        thing.mark_forked(os.getppid())
+
+
+if hasattr(os, "register_at_fork"):  # other systems do not fork
+    os.register_at_fork(after_in_child=_leave_all)
