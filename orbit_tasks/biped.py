@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.envs import Environment
 from orbit_core.interfaces import Robot, World
 from orbit_core.mdp import common
 from orbit_core.sensors import ContactSensor
+from orbit_tasks import walking
 
 CONTACTS = "contacts"
 """The contact sensor's name."""
@@ -28,15 +30,25 @@ _LEAST_COMMAND = 0.1
 """m/s: a robot that is told to go slower than this is told to stand."""
 
 
-class Walking(Protocol):
-    """What these terms read of a task."""
+class WalkingMemory(walking.SpeedLimited):
+    """What the terms of walking look up once."""
 
-    command: Tensor
-    """(N, 3) velocity forward and to the left in m/s, yaw rate in rad/s."""
     foot_links: Tensor
     """(feet,) int64 among the links of the contact sensor."""
+    other_links: Tensor
+    """(k,) int64: links that are neither trunk nor feet."""
     still_joints: Tensor
     """(joints,) 1 for those that swing no leg forward, 0 for others."""
+
+    def start(self, env: Environment) -> None:
+        super().start(env)
+        robot = common.robot_of(env.world)
+        names = list(contacts_of(env.world).link_names)
+        touching = [names.index(robot.spec.articulation.frame(foot).link) for foot in robot.spec.feet]
+        others = [link for link in range(1, len(names)) if link not in touching]
+        self.foot_links = torch.tensor(touching, device=env.device)
+        self.other_links = torch.tensor(others, dtype=torch.int64, device=env.device)
+        self.still_joints = still_joints(robot)
 
 
 def contacts_of(world: World) -> ContactSensor:
@@ -46,31 +58,31 @@ def contacts_of(world: World) -> ContactSensor:
     return sensor
 
 
-def stride(world: World, task: Walking) -> Tensor:
+def stride(env: Environment[Any, WalkingMemory]) -> Tensor:
     """(N,) seconds that the robot has stood on one foot with the other in the air; 0 when told to stand."""
-    timer = contacts_of(world).timer()
-    flying, touching = timer.air_time[:, task.foot_links], timer.contact_time[:, task.foot_links]
+    timer = contacts_of(env.world).timer()
+    flying, touching = timer.air_time[:, env.state.foot_links], timer.contact_time[:, env.state.foot_links]
     standing = touching > 0.0
     lasted = torch.where(standing, touching, flying).amin(1).clamp_max(_LONGEST_STEP)
-    return lasted * (standing.sum(1) == 1) * (task.command[:, :2].norm(dim=1) > _LEAST_COMMAND)
+    return lasted * (standing.sum(1) == 1) * (env.commands["velocity"][:, :2].norm(dim=1) > _LEAST_COMMAND)
 
 
-def slide(world: World, task: Walking) -> Tensor:
+def slide(env: Environment[Any, WalkingMemory]) -> Tensor:
     """(N,) m/s along the ground of feet that touch it, summed."""
-    robot = common.robot_of(world)
+    robot = common.robot_of(env.world)
     velocities = torch.stack([robot.frame_velocity(foot)[:, :2] for foot in robot.spec.feet], 1)
-    return (velocities.norm(dim=2) * contacts_of(world).in_contact()[:, task.foot_links]).sum(1)
+    return (velocities.norm(dim=2) * contacts_of(env.world).in_contact()[:, env.state.foot_links]).sum(1)
 
 
-def stray(world: World, task: Walking) -> Tensor:
+def stray(env: Environment[Any, WalkingMemory]) -> Tensor:
     """(N,) rad, summed: how far joints that swing no leg are from home."""
-    robot = common.robot_of(world)
-    return ((robot.joint_positions - robot.home_positions) * task.still_joints).abs().sum(1)
+    robot = common.robot_of(env.world)
+    return ((robot.joint_positions - robot.home_positions) * env.state.still_joints).abs().sum(1)
 
 
-def near_limits(world: World, task: Walking) -> Tensor:
+def near_limits(env: Environment[Any, WalkingMemory]) -> Tensor:
     """(N,) rad, summed: how far joints are beyond nine tenths of their range."""
-    robot = common.robot_of(world)
+    robot = common.robot_of(env.world)
     low, high = robot.position_limits.unbind(1)
     reach = 0.5 * _SOFT_LIMIT * (high - low)
     return ((robot.joint_positions - 0.5 * (low + high)).abs() - reach).clamp_min(0.0).nan_to_num(0.0).sum(1)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from torch import Tensor
 
-from orbit_core.envs import ObservationGroup, ObservationTerm
+from orbit_core.envs import Environment, ObservationGroup, ObservationTerm
 from orbit_core.envs.task import ROBOT
 from orbit_core.envs.terms import measured_in
-from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
 from orbit_core.scene import END_EFFECTOR, CameraSpec, Channel, look_at
@@ -48,9 +46,9 @@ FRONT_LABELS = replace(FRONT, channels=(Channel.SEMANTIC, Channel.DEPTH))
 
 
 @measured_in("m")
-def goal(world: World, task: Any) -> Tensor:
+def goal(env: Environment) -> Tensor:
     """(N, ...) the task's goal."""
-    return task.goal
+    return env.commands["goal"]
 
 
 @dataclass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,7 +13,9 @@ from torch import Tensor
 from orbit_core.actions import joint_commands
 from orbit_core.actions.embodiment import leg_joints
 from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
-from orbit_core.interfaces import ConfigurationError, Robot, World, match_names
+from orbit_core.envs import Environment
+from orbit_core.envs.state import TaskState
+from orbit_core.interfaces import Robot, World, match_names
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
 from orbit_core.scene import ActuatorConfig, RobotSpec
@@ -55,18 +57,6 @@ def walker(name: str, scale: float | None) -> RobotSpec:
 def scaled(spec: RobotSpec, scale: float) -> RobotSpec:
     """The robot with so many rad from home for one unit of action ``joint_position``."""
     return replace(spec, joint_commands=replace(joint_commands(spec), position_scale=scale))
-
-
-def check_commands(max_forward: float, max_sideways: float, max_yaw_rate: float) -> None:
-    """See that velocities can be drawn between these, in m/s and rad/s, and their opposites.
-
-    Raises:
-        ConfigurationError: one is below zero.
-    """
-    limits = {"max_forward": max_forward, "max_sideways": max_sideways, "max_yaw_rate": max_yaw_rate}
-    for name, most in limits.items():
-        if most < 0.0:
-            raise ConfigurationError(f"field '{name}' of a task of walking is {most:g}: give zero or more")
 
 
 def carries_arm(spec: RobotSpec) -> bool:
@@ -132,11 +122,14 @@ JOINT_READINGS = ("joint_positions", "joint_velocities")
 """Those with a component for each joint."""
 
 
-class SpeedLimited(Protocol):
-    """What :func:`overspeed` reads of a task."""
+class SpeedLimited(TaskState):
+    """State of a task whose joints :func:`overspeed` judges."""
 
     speed_limits: Tensor
     """(joints,) rad/s."""
+
+    def start(self, env: Environment) -> None:
+        self.speed_limits = speed_limits(common.robot_of(env.world))
 
 
 def speed_limits(robot: Robot) -> Tensor:
@@ -145,7 +138,7 @@ def speed_limits(robot: Robot) -> Tensor:
     return torch.as_tensor(limits, dtype=torch.float32, device=robot.home_positions.device)
 
 
-def overspeed(world: World, task: SpeedLimited) -> Tensor:
+def overspeed(env: Environment[Any, SpeedLimited]) -> Tensor:
     """(N,) rad/s, summed over joints: what they are beyond their velocity limits, which few engines hold."""
-    speeds = common.robot_of(world).joint_velocities.abs()
-    return (speeds - task.speed_limits).clamp_min(0.0).sum(1)
+    speeds = common.robot_of(env.world).joint_velocities.abs()
+    return (speeds - env.state.speed_limits).clamp_min(0.0).sum(1)

@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from orbit_core.envs.making import make
     from orbit_core.envs.ppo import PpoSettings
     from orbit_core.envs.registry import TaskEntry, TaskRegistry, task_entries, task_entry
-    from orbit_core.envs.task import Task
+    from orbit_core.envs.state import TaskState, buffer
+    from orbit_core.envs.task import Subtask, Task, TaskMetadata
     from orbit_core.envs.terms import (
+        CommandTerm,
         CurriculumTerm,
         EventTerm,
         EventTime,
@@ -36,8 +38,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "making": ("make",),
     "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
-    "task": ("Task",),
+    "state": ("TaskState", "buffer"),
+    "task": ("Subtask", "Task", "TaskMetadata"),
     "terms": (
+        "CommandTerm",
         "CurriculumTerm",
         "EventTerm",
         "EventTime",
@@ -51,9 +55,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
 }
 __all__ = [
-    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ExpertStarts", "ModifyTerm", "ObservationGroup",
-    "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Task", "TaskEntry", "TaskRegistry",
-    "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+    "CommandTerm", "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ExpertStarts", "ModifyTerm",
+    "ObservationGroup", "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Subtask", "Task", "TaskEntry",
+    "TaskMetadata", "TaskRegistry", "TaskState", "TerminationTerm", "buffer", "make", "once_per_state", "task_entries",
+    "task_entry",
 ]  # fmt: skip
 
 __getattr__, __dir__ = lazy_names(__name__, _MODULES, moved_name)

@@ -79,7 +79,7 @@ class HoldActor(Actor):
         import torch
 
         self._random = RandomActor(environment, seed)
-        self._begun = environment.task.episode_step
+        self._begun = environment.state.episode_step
         self._held = torch.zeros(environment.num_envs, environment.action_size, device=environment.device)
 
     def act(self) -> Tensor:

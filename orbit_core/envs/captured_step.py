@@ -16,11 +16,13 @@ from orbit_core.capture.compile import check_compiler
 from orbit_core.capture.python_state import REMEDY, Holder, PythonState
 from orbit_core.capture.replay import CapturedFunction, ScheduledFunction
 from orbit_core.envs.action_manager import ActionManager
+from orbit_core.envs.command_manager import CommandManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import GroupLayout, Observation, leaves_of, observation_of
 from orbit_core.envs.observation_manager import ObservationManager
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
+from orbit_core.envs.terms import CommandTerm, ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
 
 
@@ -28,8 +30,8 @@ class CapturableEnvironment(Protocol):
     """The parts of a step, which an environment runs one by one or has captured. None of them waits for the device."""
 
     world: World
-    task: Task
     actions: ActionManager
+    commands: CommandManager
     device: torch.device
     observer: ObservationManager
     observation: dict[str, GroupLayout]
@@ -44,6 +46,16 @@ class CapturableEnvironment(Protocol):
     """(N,) indices of all environments."""
     done: Tensor
     """(N,) whose episode ended in the last step."""
+
+    @property
+    def task(self) -> Task:
+        """Configuration of the environment."""
+        ...
+
+    @property
+    def state(self) -> TaskState:
+        """Memory of the run."""
+        ...
 
     def observe(self) -> Observation:
         """Return what a policy sees of the present state."""
@@ -153,7 +165,7 @@ class CapturedStep:
         """Capture all parts again if a value of plain Python was changed between steps, other than a weight."""
         if self._python is None:
             return
-        changes = [change for change in self._python.changes() if not _is_weight(*change)]
+        changes = [change for change in self._python.changes() if not _is_live(*change)]
         if not changes:
             self._python.update()
             return
@@ -171,10 +183,10 @@ class CapturedStep:
             )
 
     def _look(self) -> PythonState:
-        task = self._environment.task
+        task, state = self._environment.task, self._environment.state
         nodes = {f"node '{generator.name}'": generator for generator in self._environment.actions.generators}
-        roots = {type(task).__name__: task, **nodes, **self._environment.world.python_laws}
-        return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
+        own = {type(task).__name__: task, type(state).__name__: state}
+        return PythonState({**own, **nodes, **self._environment.world.python_laws}, (Term, ObservationGroup))
 
     @property
     def refusal(self) -> str:
@@ -199,7 +211,7 @@ class CapturedStep:
 
     def _play(self) -> tuple[Tensor, ...]:
         """A step before resets: observation, reward, terminated, truncated, then what :meth:`_info` needs."""
-        environment, task = self._environment, self._environment.task
+        environment = self._environment
         outcome = environment.advance()
         seen = leaves_of(environment.observer())
         for observed, leaf in zip(self._observed, seen, strict=True):
@@ -207,7 +219,13 @@ class CapturedStep:
         metrics = environment.metrics()
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
-        end = (environment.done, environment.success(), task.episode_step, environment.reward_sums, *metrics.values())
+        end = (
+            environment.done,
+            environment.success(),
+            environment.state.episode_step,
+            environment.reward_sums,
+            *metrics.values(),
+        )
         return (*self._observed, *outcome, *(tensor.clone() for tensor in end))
 
     def _renew(self) -> tuple[Tensor, ...]:
@@ -234,8 +252,10 @@ class CapturedStep:
         return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
 
 
-def _is_weight(holder: Holder, key: object) -> bool:
-    return isinstance(holder.owner, RewardTerm) and key == "weight"  # a tensor of the reward manager's holds it
+def _is_live(holder: Holder, key: object) -> bool:
+    """Return True for configuration that managers hold in a tensor: weights of rewards, ranges of commands."""
+    owner = holder.owner
+    return (isinstance(owner, RewardTerm) and key == "weight") or (isinstance(owner, CommandTerm) and key in owner.live)
 
 
 def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
@@ -243,11 +263,11 @@ def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
     return torch.where(mask.view(-1, *(1 for _ in values.shape[1:])), values, otherwise)
 
 
-def remembered(task: Task, actions: ActionManager) -> dict[str, Tensor]:
-    """Return the tensors that a task and its motion generators keep from step to step, by name."""
-    own = {name: value for name, value in vars(task).items() if name != "cache"}
-    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": actions.node_memory})
-    return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
+def remembered(environment: CapturableEnvironment) -> dict[str, Tensor]:
+    """Return the tensors that an environment's state, commands and motion generators keep from step to step, by name."""
+    leaves = tree_leaves_with_path(environment.actions.node_memory)
+    nodes = {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
+    return {**environment.state.memory(), **environment.commands.memory(), **nodes}
 
 
 def needs_python(world: World, actions: ActionManager, decimation: int) -> str:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from orbit_core.actions import ActionTerms
 from orbit_core.configuration import Presets, configured, field_types
 from orbit_core.envs.action_terms import action_terms
-from orbit_core.envs.task import COMPOSED, Task
+from orbit_core.envs.task import COMPOSED, MOVED_FIELDS, Task
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.objects import ObjectConfig, object_config, object_kinds
 
@@ -33,6 +33,7 @@ def configure(task_type: type[_TaskType], values: Mapping[str, Any]) -> _TaskTyp
         ConfigurationError: a value is not of the kind that the field takes, or not finite.
     """
     owner = f"task {task_type.__name__}"
+    _check_renamed(task_type, values)
     try:
         defaults = task_type()  # pyright: ignore[reportCallIssue] - subclasses give every field a default
     except TypeError as error:
@@ -44,6 +45,22 @@ def configure(task_type: type[_TaskType], values: Mapping[str, Any]) -> _TaskTyp
         # The word for an action space is spelt out for this robot, so that there are terms to change.
         task.actions, task.action = ActionTerms(**action_terms(task, task.scene())), COMPOSED
     return configured(task, below, owner)
+
+
+def _check_renamed(task_type: type[Task], values: Mapping[str, Any]) -> None:
+    """Refuse paths of fields by the names that they had.
+
+    Raises:
+        ConfigurationError: a field has another name now; names it.
+    """
+    renamed = {**MOVED_FIELDS, **task_type.renamed}
+    for path in values:
+        parts = path.split(".")
+        for count in range(1, len(parts) + 1):
+            old = ".".join(parts[:count])
+            if old in renamed:
+                now = ".".join((renamed[old], *parts[count:]))
+                raise ConfigurationError(f"field '{path}' of task {task_type.__name__} is now '{now}'")
 
 
 def _presets(task: Task) -> Presets:

@@ -8,6 +8,7 @@ learned near the goal spreads backwards from there.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -17,8 +18,10 @@ from orbit_core.dynamics.linear import SingleThreaded
 from orbit_core.envs.captured_step import CapturableEnvironment
 from orbit_core.envs.episode import EXPERT_START
 from orbit_core.envs.observation_groups import POLICY
-from orbit_core.envs.task import Task
-from orbit_core.interfaces import ConfigurationError, Object, World
+from orbit_core.interfaces import ConfigurationError, Object
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
 
 MOST_STATES = 2**16
 """States that are kept at most, drawn from all that were recorded."""
@@ -40,18 +43,18 @@ class ExpertStarts:
     remembers besides, and what a solver starts from, begins as in every episode.
 
     Args:
-        world: that is simulated.
-        task: that is learned, with :attr:`~orbit_core.envs.Task.expert_starts` above zero.
+        env: whose task is learned, with :attr:`~orbit_core.envs.Task.expert_starts` above zero.
 
     Raises:
         ConfigurationError: the share is not between 0 and 1, or nothing is simulated.
     """
 
-    def __init__(self, world: World, task: Task) -> None:
+    def __init__(self, env: Environment) -> None:
+        world, task = env.world, env.task
         share = task.expert_starts
         if not 0.0 <= share <= 1.0:
             raise ConfigurationError(f"expert_starts is the share of episodes, between 0 and 1, not {share:g}")
-        self._world, self._task, self._share = world, task, share
+        self._env, self._world, self._task, self._share = env, world, task, share
         self._entities: list[Object] = [*world.robots.values(), *world.objects.values()]
         self._states: dict[str, Tensor] = {}
         """(K, ...) of each part of a state that differs between states; empty until they are recorded."""
@@ -76,10 +79,10 @@ class ExpertStarts:
         environment.begin(None)
         steps, moments = environment.max_episode_steps, list[Mapping[str, Tensor]]()
         failed, reached = self.began_there.clone(), self.began_there.clone()
-        reached_at = torch.full_like(self._task.episode_step, steps)
+        reached_at = torch.full_like(self._env.state.episode_step, steps)
         generator = torch.Generator(action.device).manual_seed(0)
         with torch.no_grad(), SingleThreaded():
-            expert = self._task.expert(self._world)
+            expert = self._task.expert(self._env)
             for step in range(steps - 1):
                 observed = environment.observe()[POLICY]
                 wanted = expert.compute({})["action"]
@@ -90,7 +93,7 @@ class ExpertStarts:
                 action.copy_((wanted + _STRAYING * strays).clamp(-1.0, 1.0))
                 _, terminated, _ = environment.advance()
                 failed |= terminated
-                new = self._task.success(self._world) & ~reached
+                new = self._task.success(self._env) & ~reached
                 reached_at[new] = step + 1
                 reached |= new
         self._keep(moments, reached & ~failed, reached_at)
@@ -173,11 +176,11 @@ class ExpertStarts:
 
     def _memories(self) -> dict[str, Tensor]:
         """The tensors (N, ...) that the agent remembers from step to step, by name."""
-        task = self._task
-        memories = {"step": task.episode_step, "last action": task.last_action, "action before": task.action_before}
-        for number, generator in enumerate(task.generators):
+        state = self._env.state
+        memories = {"step": state.episode_step, "last action": state.last_action, "action before": state.action_before}
+        for number, generator in enumerate(self._env.actions.generators):
             held = generator.memory().items()
-            memories |= {f"{number} {name}": each for name, each in held if each.shape[:1] == (task.num_envs,)}
+            memories |= {f"{number} {name}": each for name, each in held if each.shape[:1] == (self._env.num_envs,)}
         return memories
 
 

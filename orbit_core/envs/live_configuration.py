@@ -13,7 +13,7 @@ from orbit_core.envs.task import Task
 from orbit_core.envs.terms import ModifyTerm, Term
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 
-_COLLECTIONS = ("rewards", "terminations", "events", "curriculum", "premises", "observations")
+_COLLECTIONS = ("commands", "rewards", "terminations", "events", "curriculum", "premises", "observations")
 _FIXED = (
     "robot", "action", "physics_dt", "decimation", "episode_length", "settle_time", "premise_time",
     "domain_randomization", "curriculum_enabled", "expert_starts",

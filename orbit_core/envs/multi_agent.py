@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -16,6 +17,9 @@ from orbit_core.envs.term_values import weight_of
 from orbit_core.envs.terms import RewardTerm, terms_of
 from orbit_core.interfaces import UnknownNameError
 
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+
 
 class MultiAgentView:
     """Tells apart what is each agent's, by the terms that name it; what names no agent is everyone's.
@@ -24,15 +28,15 @@ class MultiAgentView:
     agents' rewards, the shared terms counted once.
 
     Args:
-        task: whose agents they are; it has started.
+        env: whose agents they are.
         layout: of the group ``"policy"``.
-        step_dt: seconds in a step of the environment.
     """
 
-    def __init__(self, task: Task, layout: GroupLayout, step_dt: float) -> None:
+    def __init__(self, env: Environment, layout: GroupLayout) -> None:
+        task = env.task
         self.agents = task.agents
-        self._actions = task.action_slices
-        self._task, self._step_dt = task, step_dt
+        self._actions = env.actions.slices
+        self._task, self._step_dt = task, env.step_dt
         owners = {name: term.agent for name, term in terms_of_group(groups_of(task)[POLICY]).items()}
         self.layouts = {
             agent: replace(layout, terms={n: t for n, t in layout.terms.items() if owners[n] in (None, agent)})
@@ -40,10 +44,10 @@ class MultiAgentView:
         }
         """What each agent's part of the group ``"policy"`` is like."""
         self._columns = {
-            agent: _columns(layout, own).to(task.device) for agent, own in self.layouts.items() if layout.concatenated
+            agent: _columns(layout, own).to(env.device) for agent, own in self.layouts.items() if layout.concatenated
         }
-        self._weights = torch.tensor(self._weights_now(), device=task.device)
-        self._rewards = torch.zeros(len(self.agents), task.num_envs, device=task.device)
+        self._weights = torch.tensor(self._weights_now(), device=env.device)
+        self._rewards = torch.zeros(len(self.agents), env.num_envs, device=env.device)
 
     def refresh(self) -> None:
         """Take the weights that the task has now; a captured step sees them too."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationGroup, ObservationTerm
+from orbit_core.envs.terms import ObservationGroup, ObservationTerm, check_arguments
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import Scene
 
@@ -79,6 +79,8 @@ def _check_group(what: str, group: ObservationGroup) -> None:
         term = getattr(group, field.name)
         if field.name not in _OWN_FIELDS and term is not None and not isinstance(term, ObservationTerm):
             raise ConfigurationError(f"{what}: '{field.name}' must be an ObservationTerm, not {term!r}")
+        if isinstance(term, ObservationTerm):
+            check_arguments(term, f"{type(group).__name__}.{field.name}")
     terms = terms_of_group(group)
     if not terms:
         raise ConfigurationError(f"{what} has no terms: give it one, or set the group to None")

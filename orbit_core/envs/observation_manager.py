@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import torch
 from torch import Tensor
@@ -12,9 +12,11 @@ from orbit_core.envs.observation_corruption import Corruption
 from orbit_core.envs.observation_groups import groups_of, terms_of_group
 from orbit_core.envs.observation_history import Past
 from orbit_core.envs.observation_layout import GroupLayout, Observation, TermLayout
-from orbit_core.envs.task import Task
 from orbit_core.envs.terms import ObservationGroup, ObservationTerm
-from orbit_core.interfaces import ConfigurationError, ShapeError, World
+from orbit_core.interfaces import ConfigurationError, ShapeError
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
 
 _DTYPES = (torch.float32, torch.uint8, torch.int32, torch.int64, torch.bool)
 
@@ -25,17 +27,16 @@ class ObservationManager:
     Terms that share function and agent are measured once; those that share their corruption as well, once corrupted.
 
     Args:
-        world: that is observed.
-        task: whose groups they are; it has started. Each term is evaluated once, to learn its shape and dtype.
+        env: that is observed; its state has started. Each term is evaluated once, to learn its shape and dtype.
 
     Raises:
         ConfigurationError: a group or term cannot be; names it.
         ShapeError: a term gives no tensor (N, ...).
     """
 
-    def __init__(self, world: World, task: Task) -> None:
-        self._world = world
-        self._task = task
+    def __init__(self, env: Environment) -> None:
+        self._env = env
+        self._world = env.world
         self._read()
         self.layouts = {name: group.layout for name, group in self._groups.items()}
         """Layout of each group, by name."""
@@ -45,7 +46,7 @@ class ObservationManager:
         self._corruptions: list[tuple[int, Corruption]] = []
         """Corruptions of terms, each with the index of the measurement that it changes."""
         self._corrupted: list[ObservationTerm] = []
-        self._groups = {name: self._group(name, group) for name, group in groups_of(self._task).items()}
+        self._groups = {name: self._group(name, group) for name, group in groups_of(self._env.task).items()}
 
     def refresh(self) -> None:
         """Take the terms that the task has now: function, scale, noise and bias may be others.
@@ -74,7 +75,7 @@ class ObservationManager:
         """Everything that is seen now; the tensors are new ones."""
         measured: list[Tensor] = []
         for measurement in self._measurements:  # plain loops: a step's time is that of its Python calls
-            value = measurement.function(self._world, self._task, *measurement.agent)
+            value = measurement.function(self._env, *measurement.agent)
             if value.shape != measurement.shape or value.dtype is not measurement.dtype:
                 measurement.refuse(value)
             measured.append(value)
@@ -127,20 +128,21 @@ class ObservationManager:
         for index, known in enumerate(self._measurements):
             if (known.term.function, known.term.agent) == (term.function, term.agent):
                 return index
-        self._measurements.append(_Measurement(term, what, self._world, self._task))
+        self._measurements.append(_Measurement(term, what, self._env))
         return len(self._measurements) - 1
 
 
 class _Measurement:
     """A term's function, and what it gave when it was evaluated first."""
 
-    def __init__(self, term: ObservationTerm, what: str, world: World, task: Task) -> None:
+    def __init__(self, term: ObservationTerm, what: str, env: Environment) -> None:
         self.term = term
         self.function = term.function
         self.agent = () if term.agent is None else (term.agent,)
         """Arguments of the function after world and task."""
         self._what = what
-        value = self.function(world, task, *self.agent)
+        world = env.world
+        value = self.function(env, *self.agent)
         if not isinstance(value, Tensor):
             raise ConfigurationError(f"{what} gives a {type(value).__name__}: its function must return a torch.Tensor")
         if value.ndim == 0 or len(value) != world.num_envs:

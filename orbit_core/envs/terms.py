@@ -1,27 +1,29 @@
-"""Terms: small functions on (world, task), collected in a task's dataclasses so that each can be changed alone."""
+"""Terms: small functions of the environment, collected in dataclasses so that each can be changed separately."""
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError
 
 if TYPE_CHECKING:
-    from orbit_core.interfaces import World
     from orbit_core.scene import SensorSpec
 
 TermFunction = Callable[..., Tensor]
-"""(world, task) -> (N, ...); of a term that names an agent, (world, task, agent) -> (N, ...)"""
-EventFunction = Callable[["World", Any, Tensor], None]
-"""(world, task, env_ids)"""
+"""(env) -> (N, ...); of a term that names an agent, (env, agent) -> (N, ...)"""
+EventFunction = Callable[[Any, Tensor], None]
+"""(env, env_ids)"""
+Bounds = tuple[float, float]
+"""Least and most of a number that is drawn uniformly."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,9 @@ class Meaning:
 
 class Term:
     """Base of all terms. Fields may be set, and act at the next step; a collection's default is shared, and may not."""
+
+    arguments: ClassVar[tuple[str, ...]] = ("env",)
+    """Arguments that the term's function is called with, before the name of an agent."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         vars(self)["_default_of"] = f"{owner.__name__}.{name}"
@@ -76,7 +81,7 @@ class ObservationTerm(Term):
     """Fewest and most steps of the environment that a measurement is late by, drawn for each episode. What was measured
     first counts as measured ever since."""
     agent: str | None = None
-    """Who sees it, where several robots act; the name is the function's third argument. None: all see it."""
+    """Who sees it, where several robots act; the name is the function's second argument. None: all see it."""
     history: int | None = None
     """Steps that are seen, the oldest first; an episode's first value stands for those before it. None: the group's."""
     sensors: tuple[SensorSpec, ...] = ()
@@ -113,7 +118,7 @@ class RewardTerm(Term):
     function: TermFunction
     weight: float
     agent: str | None = None
-    """Who earns it, where several robots act; the name is the function's third argument. None: each does, in full."""
+    """Who earns it, where several robots act; the name is the function's second argument. None: each does, in full."""
 
 
 @dataclass(unsafe_hash=True)
@@ -152,6 +157,7 @@ class EventTerm(Term):
     time in seconds from the episode's start, or from the last time, to the next; it is rounded to whole steps.
     """
 
+    arguments: ClassVar[tuple[str, ...]] = ("env", "env_ids")
     function: EventFunction
     time: EventTime = EventTime.RESET
     interval: tuple[float, float] = (0.0, 0.0)
@@ -176,9 +182,44 @@ class ModifyTerm(Term):
     step that is compiled, or recorded on a GPU, is captured again.
     """
 
+    arguments: ClassVar[tuple[str, ...]] = ("steps", "value")
     address: str
     """Path of the value in the task: ``"rewards.lift.weight"``, ``"events.push.interval"``, ``"max_forward"``."""
     function: Callable[[int, Any], Any]
+
+
+@dataclass(unsafe_hash=True, kw_only=True)
+class CommandTerm(Term):
+    """A command: a velocity, pose or goal that is sampled when an episode begins, and again in time.
+
+    A sample is drawn uniformly within :meth:`ranges`, and :meth:`command` makes the command of it. Terms read it as
+    ``env.commands[name]``, a tensor (N, K). Ready-made ones: :mod:`orbit_core.mdp.commands`.
+    """
+
+    live: ClassVar[frozenset[str]] = frozenset()
+    """Fields that only :meth:`ranges` reads: setting them in a running environment costs no new capture of its step."""
+    resampling_time: Bounds | None = None
+    """Least and most seconds until the next sample, drawn with each sample; None: one sample an episode."""
+
+    def ranges(self, env: Any) -> dict[str, Bounds]:
+        """Least and most of each number that is drawn, by name."""
+        raise NotImplementedError
+
+    def command(self, env: Any, drawn: Tensor, env_ids: Tensor) -> Tensor:
+        """Commands (n, K) of environments ``env_ids`` (n,), from the numbers drawn for them (n, D)."""
+        return drawn
+
+    def expired(self, env: Any) -> Tensor | None:
+        """(N,) bool after a step: where another sample follows now, whatever the time. None: nowhere."""
+        return None
+
+    def follow(self, env: Any, command: Tensor) -> bool:
+        """Adjust the command (N, K) in place after a step, where it depends on the state. Return True if it may have
+        changed."""
+        return False
+
+    def show(self, env: Any, command: Tensor, env_ids: Tensor) -> None:
+        """Place markers for new commands (n, K) of environments ``env_ids`` (n,). Override where a scene has some."""
 
 
 _Term = TypeVar("_Term")
@@ -186,12 +227,13 @@ _Function = TypeVar("_Function", bound=TermFunction)
 
 
 def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
-    """The terms in a dataclass's fields, in order, each with a function of (world, task) alone.
+    """The terms in a dataclass's fields, in order, each with a function of the environment only.
 
     A field set to None is left out: a term switched off. A collection that is None has no terms.
 
     Raises:
         TypeError: a field holds something else.
+        ConfigurationError: a term's function takes other arguments than it is called with.
     """
     terms: dict[str, _Term] = {}
     if collection is None:
@@ -204,13 +246,46 @@ def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
             raise TypeError(
                 f"{type(collection).__name__}.{field.name} must be a {getattr(kind, '__name__', kind)}, not {term!r}"
             )
+        check_arguments(term, f"{type(collection).__name__}.{field.name}")
         terms[field.name] = term if getattr(term, "agent", None) is None else _for_its_agent(term)
     return terms
 
 
+def check_arguments(term: object, what: str) -> None:
+    """Check that a term's function takes the arguments that it is called with.
+
+    Args:
+        term: any kind of term; what has no function passes.
+        what: place of the term, for the message.
+
+    Raises:
+        ConfigurationError: it takes others; names those that it has to take.
+    """
+    function = getattr(term, "function", None)
+    if not isinstance(term, Term) or function is None:
+        return
+    if not callable(function):
+        raise ConfigurationError(f"the function of term {what} is {function!r:.60}, which cannot be called")
+    wanted = (*term.arguments, "agent") if getattr(term, "agent", None) is not None else term.arguments
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of C, without a signature
+        return
+    try:
+        signature.bind(*wanted)
+    except TypeError:
+        names = [name for name, each in signature.parameters.items() if each.default is each.empty]
+        before = names[:2] == ["world", "task"]
+        hint = ": the world is env.world, the task env.task, what it remembers env.state" if before else ""
+        raise ConfigurationError(
+            f"the function of term {what} takes ({', '.join(names)}), but terms are called with "
+            f"({', '.join(wanted)}){hint}"
+        ) from None
+
+
 def _for_its_agent(term: Any) -> Any:
     function, agent = term.function, term.agent
-    return replace(term, function=lambda world, task: function(world, task, agent))
+    return replace(term, function=lambda env: function(env, agent))
 
 
 POSE = "m, quaternion (w, x, y, z)"
@@ -263,15 +338,16 @@ def unit_of(term: ObservationTerm) -> str:
 
 
 def once_per_state(function: _Function) -> _Function:
-    """Compute a term once per state of the world, and for each agent's name if it takes one, whoever asks for it."""
+    """Compute a term once per state of the world, and for each agent's name if it takes one."""
 
     @wraps(function)
-    def cached(world: World, task: Any, *agent: str) -> Tensor:
+    def cached(env: Any, *agent: str) -> Tensor:
         key = (function, *agent)
-        version, value = task.cache.get(key, (-1, None))
-        if value is None or version != world.clock.version:
-            value = function(world, task, *agent)
-            task.cache[key] = (world.clock.version, value)
+        now = env.world.clock.version
+        version, value = env.cache.get(key, (-1, None))
+        if value is None or version != now:
+            value = function(env, *agent)
+            env.cache[key] = (now, value)
         return value
 
     return cached  # pyright: ignore[reportReturnType] - as the function is called, it is called

@@ -180,7 +180,7 @@ class VideoRecorder(StepObserver):
         self._file = VideoFile(path, self._columns * width, lines * height, rate)
         with contextlib.ExitStack() as stack:
             stack.callback(self._file.discard)
-            self._camera = OverviewCamera(environment.world, width, height, environment.task.view, frames)
+            self._camera = OverviewCamera(environment.world, width, height, environment.task.metadata.view, frames)
             stack.pop_all()
 
     @property

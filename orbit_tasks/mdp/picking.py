@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
-from orbit_core.envs.task import Task
+from orbit_core.envs import Environment
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
@@ -66,9 +66,9 @@ def least_turn(before: Tensor, after: Tensor) -> Tensor:
 def raised(target: TermFunction, height: float) -> TermFunction:
     """The pose that ``target`` gives, higher by ``height`` metres."""
 
-    def pose(world: World, task: Task) -> Tensor:
-        up = torch.tensor([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0], device=world.device)
-        return target(world, task) + up
+    def pose(env: Environment) -> Tensor:
+        up = torch.tensor([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0], device=env.device)
+        return target(env) + up
 
     return pose
 
@@ -76,9 +76,9 @@ def raised(target: TermFunction, height: float) -> TermFunction:
 def back(target: TermFunction, way: float) -> TermFunction:
     """The pose of a hand that ``target`` gives, ``way`` metres back out of where the hand points."""
 
-    def pose(world: World, task: Task) -> Tensor:
-        hand = target(world, task)
-        shift = torch.tensor([0.0, 0.0, -way], device=world.device).expand(len(hand), 3)
+    def pose(env: Environment) -> Tensor:
+        hand = target(env)
+        shift = torch.tensor([0.0, 0.0, -way], device=env.device).expand(len(hand), 3)
         return torch.cat((hand[:, :3] + quat_rotate(hand[:, 3:], shift), hand[:, 3:]), dim=1)
 
     return pose
@@ -87,8 +87,8 @@ def back(target: TermFunction, way: float) -> TermFunction:
 def straight_up(height: float) -> TermFunction:
     """The hand as it is, at ``height`` metres in the environment's frame."""
 
-    def pose(world: World, task: Task) -> Tensor:
-        hand = common.hand_pose(world, task)
+    def pose(env: Environment) -> Tensor:
+        hand = common.hand_pose(env)
         return torch.cat((hand[:, :2], torch.full_like(hand[:, :1], height), hand[:, 3:]), dim=1)
 
     return pose
@@ -102,9 +102,9 @@ def hand_for(place: TermFunction, held: TermFunction) -> TermFunction:
         held: (N, 7) of the thing now; its turn in the hand is kept.
     """
 
-    def pose(world: World, task: Task) -> Tensor:
-        hand, goal = common.hand_pose(world, task), place(world, task)
-        inside = quat_rotate_inverse(hand[:, 3:], held(world, task)[:, :3] - hand[:, :3])
+    def pose(env: Environment) -> Tensor:
+        hand, goal = common.hand_pose(env), place(env)
+        inside = quat_rotate_inverse(hand[:, 3:], held(env)[:, :3] - hand[:, :3])
         return torch.cat((goal[:, :3] - quat_rotate(goal[:, 3:], inside), goal[:, 3:]), dim=1)
 
     return pose

@@ -114,7 +114,7 @@ class PolicyDescription:
             robot=environment.task.robot,
             action=environment.task.action,
             observation_parts=group_parts(layout),
-            action_parts=tuple(Part(g.name, g.command_size) for g in environment.task.generators),
+            action_parts=tuple(Part(g.name, g.command_size) for g in environment.actions.generators),
             step_dt=environment.step_dt,
             backend=environment.world.backend,
             library=library,

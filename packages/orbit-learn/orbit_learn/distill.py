@@ -218,7 +218,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._optimizer = torch.optim.Adam(self._student.parameters(), lr=settings.learning_rate)
         self._seen, _ = environment.reset(seed)
         # Episodes that all began together would fill the memory with one time of the episode after another.
-        environment.task.episode_step.random_(environment.max_episode_steps)
+        environment.state.episode_step.random_(environment.max_episode_steps)
         self._buffer = ReplayBuffer(settings.buffer_size, self._seen["policy"], environment.action_size)
         self._student_leads = torch.zeros(environment.num_envs, dtype=torch.bool, device=device)
         """(N,) whose episode the student leads."""
@@ -302,7 +302,7 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
                 "an expert begins each episode with its first phase, also one that begins on its way: to let it teach, "
                 "set expert_starts=0"
             )
-        expert = environment.task.expert(environment.world)
+        expert = environment.expert()
         if isinstance(expert, Teacher):
             expert.teaches = True
         return lambda seen: expert.compute({})["action"]

@@ -56,11 +56,11 @@ class RslRlEnvironment(VecEnv):
     @property
     def episode_length_buf(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
         """(N,) steps since reset; the runner sets it to spread the first episodes' ends."""
-        return self.environment.task.episode_step
+        return self.environment.state.episode_step
 
     @episode_length_buf.setter
     def episode_length_buf(self, steps: Tensor) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        self.environment.task.episode_step.copy_(steps)
+        self.environment.state.episode_step.copy_(steps)
 
     def get_observations(self) -> TensorDict:
         return self._dict(self._observation)

@@ -61,7 +61,7 @@ class _SuccessTimes(StepObserver):
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
         environment = self._environment
         self._step += 1
-        held = environment.task.success(environment.world)  # of those that go on; the others' follows
+        held = environment.task.success(environment)  # of those that go on; the others' follows
         # An episode that ended has been reset by now: its success is in the final information.
         if "final" in info:
             held = held.index_put((info["final"].env_ids,), info["final"].success)
@@ -116,7 +116,7 @@ class FirstEpisodes:
             episode_return=mean(episodes.returns.tolist()),
             seconds_to_success=mean(seconds.tolist()) if len(seconds) else None,
             premises=environment.premises.checks,
-            expert_success=environment.task.expert_success,
+            expert_success=environment.task.metadata.expert_success,
         )
 
     def recording(self) -> Recording:

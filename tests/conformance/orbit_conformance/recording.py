@@ -170,7 +170,7 @@ class EpisodeRecorder(StepObserver):
         for name, place in self._watched.items():
             self._tracks[name].append(place()[: self._count].masked_fill(over[:, None], torch.nan).cpu())
         if self._environment.world.deformables:
-            name, values = next(iter(self._environment.task.metrics(self._environment.world).items()))
+            name, values = next(iter(self._environment.task.metrics(self._environment).items()))
             self._metrics.setdefault(name, []).append(values[: self._count].masked_fill(over, torch.nan).cpu())
 
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:

@@ -155,7 +155,7 @@ class _LimitMeter(StepObserver):
     """Samples of the speeds and efforts of all robots' joints, over their limits."""
 
     def __init__(self, environment: Environment) -> None:
-        self._task = environment.task
+        self._state = environment.state
         self._joints = [
             (robot, _finite_limits(robot, "velocity_limit"), _finite_limits(robot, "effort_limit"))
             for robot in environment.world.robots.values()
@@ -167,7 +167,7 @@ class _LimitMeter(StepObserver):
     def after_step(self, action: Tensor, info: Mapping[str, Any]) -> None:
         """Sample the joints of episodes that still count and go on; where one ended, the next has begun."""
         assert self.counter is not None
-        rows = self.counter.running & (self._task.episode_step > 0)
+        rows = self.counter.running & (self._state.episode_step > 0)
         for robot, speed_limits, effort_limits in self._joints:
             self.speeds.append((robot.joint_velocities.abs() / speed_limits)[rows].flatten())
             self.efforts.append((robot.joint_efforts.abs() / effort_limits)[rows].flatten())
@@ -204,7 +204,7 @@ def _run(environment: Environment, agent: str, seed: int, limits: _LimitMeter | 
 
 def _judged(audit: TaskAudit, environment: Environment) -> TaskAudit:
     """Return the audit with its verdicts."""
-    declared = {exception.check: exception.reason for exception in environment.task.exceptions}
+    declared = {exception.check: exception.reason for exception in environment.task.metadata.exceptions}
     verdicts = list[Verdict]()
     for check in TaskCheck:
         # Measured before declarations are looked at, so that a stale one is found.

@@ -188,7 +188,7 @@ def _stagger(environment: Environment, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     steps = torch.randint(environment.max_episode_steps, (environment.num_envs,), generator=generator)
     environment.reset()
-    environment.task.episode_step[:] = steps.to(environment.device)
+    environment.state.episode_step[:] = steps.to(environment.device)
 
 
 def _block(environment: Environment, agent: RandomActor, raw: dict[str, Any], steps: int) -> dict[str, float]:
@@ -239,7 +239,7 @@ def _picture_milliseconds(environment: Environment) -> float | None:
     """Median time to draw an environment once."""
     if not find_backend(environment.world.backend).capabilities().has(Capability.RGB):
         return None
-    camera = OverviewCamera(environment.world, PICTURE, PICTURE, environment.task.view)
+    camera = OverviewCamera(environment.world, PICTURE, PICTURE, environment.task.metadata.view)
     rows = torch.arange(min(_DRAWN, environment.num_envs), device=environment.device)
     try:
         times = [_seconds(environment, camera.pictures, [rows]) for _ in range(1 + _DRAWN)]

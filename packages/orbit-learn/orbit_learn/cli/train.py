@@ -89,7 +89,7 @@ def train(settings: TrainSettings) -> Path:
         raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
     environment = make_environment(settings, settings.num_envs, reset_diverged=settings.diverged == "reset")
     try:
-        algorithm = _algorithm(settings, make_trainer, environment.task.ppo)
+        algorithm = _algorithm(settings, make_trainer, environment.task.metadata.ppo)
         folder = settings.resume or settings.output or _new_folder(settings)
         record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
         trainer = make_trainer(environment, algorithm, folder, settings.seed)
@@ -125,7 +125,7 @@ def for_training(settings: TrainSettings) -> TrainSettings:
     """With the fields that the task sets in training, under what the user sets."""
     if settings.task is None:
         return settings
-    fields = {**task_entry(settings.task).task_type().training, **settings.fields}
+    fields = {**task_entry(settings.task).task_type().metadata.training, **settings.fields}
     return dataclasses.replace(settings, fields=fields)
 
 
