@@ -264,7 +264,7 @@ def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
 
 
 def remembered(environment: CapturableEnvironment) -> dict[str, Tensor]:
-    """Return the tensors that an environment's state, commands and motion generators keep from step to step, by name."""
+    """Return the tensors that state, commands and motion generators keep from step to step, by name."""
     leaves = tree_leaves_with_path(environment.actions.node_memory)
     nodes = {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
     return {**environment.state.memory(), **environment.commands.memory(), **nodes}

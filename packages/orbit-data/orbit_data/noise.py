@@ -52,7 +52,7 @@ class NoisyActor(Actor):
     def act(self) -> Tensor:
         self.clean = self._actor.act().clamp(-1.0, 1.0)
         self._streams.begin(self._environment.world.random.episode)
-        begun = (self._environment.task.episode_step == 0)[:, None]
+        begun = (self._environment.state.episode_step == 0)[:, None]
         size = self._environment.action_size
         drawn = self._streams.uniform((2 * size + 2,), 0.0, 1.0)
         self._scale = torch.where(begun, 2.0 * self._deviation * drawn[:, :1], self._scale)

@@ -98,7 +98,7 @@ class TaskMemory:
     """What a task, its agent's nodes and the markers remember, (N, ...) each by name: goals above all."""
 
     def __init__(self, environment: Environment) -> None:
-        found = remembered(environment.task, environment.actions)
+        found = remembered(environment)
         rows = {_plain(name): value for name, value in found.items() if value.shape[:1] == (environment.num_envs,)}
         self._tensors = {name: value for name, value in rows.items() if value[0].numel()}
         self._world = environment.world

@@ -309,7 +309,7 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
     teacher = load_policy(policy_path(name), environment.device)
     group = teacher.description.find_group(environment)
     acting = Remembering(teacher.module, environment.num_envs, environment.device)
-    return lambda seen: acting.act(seen[group], environment.task.episode_step == 0)
+    return lambda seen: acting.act(seen[group], environment.state.episode_step == 0)
 
 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:

@@ -180,5 +180,5 @@ class PolicyActor:
 
     def act(self) -> Tensor:
         """(N, A) the next action."""
-        begun = self._environment.task.episode_step == 0
+        begun = self._environment.state.episode_step == 0
         return self._acting.act(self._environment.observe()[self._group], begun)

@@ -177,7 +177,7 @@ class RemoteActor:
 
     def act(self) -> Tensor:
         """(N, A) the next action."""
-        begun = (self._environment.task.episode_step == 0).tolist()
+        begun = (self._environment.state.episode_step == 0).tolist()
         seen: dict[str, np.ndarray] | None = None
         actions = np.zeros((len(begun), self._environment.action_size), np.float32)
         for i, begins in enumerate(begun):
