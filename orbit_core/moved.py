@@ -20,6 +20,21 @@ from orbit_core.interfaces.errors import ConfigurationError
 
 # Module -> modules of the same package that it took in, by the last part of their names
 _MERGED = {
+    "orbit_conformance.contract.fixtures": ("on_host",),
+    "orbit_conformance.execution": ("videos",),
+    "orbit_conformance.report.plots": ("courses",),
+    "orbit_conformance.robots.grasping": ("placing",),
+    "orbit_conformance.robots.standing": ("holding",),
+    "orbit_conformance.scenarios.drives": ("efforts",),
+    "orbit_conformance.scenarios.fits": ("screws", "touching", "wedging"),
+    "orbit_conformance.scenarios.images": ("image_boxes", "lighting"),
+    "orbit_conformance.scenarios.impact": ("dominoes", "oblique_impact"),
+    "orbit_conformance.scenarios.linkages": ("couplings",),
+    "orbit_conformance.scenarios.pendula": ("gyroscopes",),
+    "orbit_conformance.scenarios.resting": ("stacks", "velocities"),
+    "orbit_conformance.scenarios.rolling": ("driving",),
+    "orbit_conformance.scenarios.springs": ("stops",),
+    "orbit_conformance.scenarios.terrain": ("floors",),
     "orbit_core.active.laws": ("factory", "law", "magnetic_seal"),
     "orbit_core.actuators.actuators": ("delay", "factory"),
     "orbit_core.actuators.models": ("model", "motors"),
