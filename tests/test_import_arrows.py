@@ -30,6 +30,7 @@ RANKS = {
     "moved": 1.6,
     "backends": 2,
     "objects": 2,
+    "pretrained": 2,
     "robots": 2,
     "dynamics": 2,
     "preparation": 2.5,

@@ -1,7 +1,7 @@
 """Kept policies by name. Any installed package may add its own through the entry-point group ``orbit.policies``.
 
-An entry point names a package. Each folder in it that holds a file ``policy.toml`` is a policy of that folder's name;
-beside the file lies what ``orbit train`` wrote, of which the last ``policy_<iteration>.safetensors`` counts. The
+An entry point names a package. Each folder in it that holds a file ``policy.toml`` is a policy of that folder's name.
+Next to the file is the output of ``orbit train``, of which the last ``policy_<iteration>.safetensors`` counts. The
 file holds the fields of :class:`PretrainedPolicy`::
 
     description = "Opens a drawer to where it should be: Franka Panda, joint targets"
@@ -56,11 +56,12 @@ class TransferGap:
 
     def __post_init__(self) -> None:
         _check_rate(self.least_success)
+        # It would hold everywhere, and hide a policy that got worse.
         if self.backend is None and self.renderer is None:
             raise ValueError("a gap names a backend, a renderer or both")
 
     def holds_for(self, backend: str, renderer: str) -> bool:
-        """Whether it is of that backend and that renderer."""
+        """Return True if it is declared of that backend and that renderer."""
         return self.backend in (None, backend) and self.renderer in (None, renderer)
 
 
@@ -84,12 +85,13 @@ class PretrainedPolicy:
             raise ValueError(f"fields is a table of the task's fields, not {self.fields!r}")
 
     def gap_on(self, backend: str, renderer: str | None = None) -> TransferGap | None:
-        """What is declared of a backend that draws itself, or of it and a renderer: the first gap that holds."""
+        """Return the first gap that holds for a backend and a renderer; the backend draws if None."""
         return next((gap for gap in self.gaps if gap.holds_for(backend, renderer or backend)), None)
 
 
 @cache
 def _installed() -> Registry[PretrainedPolicy]:
+    # A package may be in several places, as a namespace package is.
     def read(package: ModuleType) -> None:
         for folder in package.__path__:
             for about in sorted(Path(folder).glob(f"*/{ABOUT}")):
@@ -100,12 +102,12 @@ def _installed() -> Registry[PretrainedPolicy]:
 
 
 def pretrained_policies() -> dict[str, PretrainedPolicy]:
-    """All that installed packages bring, by name, sorted; those of broken packages left out."""
+    """Return all policies of installed packages, by name, sorted; those of broken packages are left out."""
     return dict(sorted(_installed().values.items()))
 
 
 def pretrained_policy(name: str) -> PretrainedPolicy:
-    """The kept policy of that name.
+    """Return the kept policy of that name.
 
     Raises:
         UnknownNameError: there is none.
@@ -115,17 +117,18 @@ def pretrained_policy(name: str) -> PretrainedPolicy:
 
 
 def policy_path(name: str | Path) -> Path:
-    """The file or folder at that path, if there is one, else the folder of the kept policy of that name.
+    """Return the file or folder at that path, if there is one, else the folder of the kept policy of that name.
 
     Raises:
         UnknownNameError: there is neither.
     """
+    # A path wins over a name, so that a policy in the working folder can be played.
     path = as_path(name)
     return path if path.exists() else pretrained_policy(str(name)).folder
 
 
 def policy_fields(name: str | Path) -> Mapping[str, Any]:
-    """The fields of the task that a policy must be given, as the file ``policy.toml`` beside it says; none without one.
+    """Return the fields of the task that a policy needs, from the file ``policy.toml`` next to it; none without one.
 
     Raises:
         UnknownNameError: there is no such file, folder or kept policy.
@@ -147,6 +150,7 @@ def _about(path: Path) -> Path:
 def _read(about: Path) -> PretrainedPolicy:
     try:
         values = read_toml(about, "description")
+        # Unknown keys raise a TypeError, which names them.
         gaps = tuple(TransferGap(**gap) for gap in values.pop("gaps", ()))
         policy = PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
         TypeChecker().check(policy, "it")
