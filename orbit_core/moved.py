@@ -227,7 +227,6 @@ MODULES = {
     "orbit_core.motion.term": "orbit_core.actions.term",
     "orbit_core.perception": "orbit_motion.perception",
     "orbit_core.preparation.inertia": "orbit_assets.mass_properties",
-    "orbit_core.pretrained": "orbit_learn.pretrained",
     "orbit_core.reading": "orbit_data.reading",
     "orbit_core.rollout.ends": "orbit_learn.ends",
     "orbit_core.rollout.recording": "orbit_conformance.recording",

@@ -31,6 +31,7 @@ RANKS = {
     "moved": 1.6,
     "backends": 2,
     "objects": 2,
+    "pretrained": 2,
     "robots": 2,
     "dynamics": 2,
     "preparation": 2.5,

@@ -22,7 +22,7 @@ Rows = list[tuple[str, str]]
 class ListSettings:
     """Names of all tasks, robots, objects, sensors, backends and the like.
 
-    Further kinds are renderers, matter solvers, action spaces and motion generators; with orbit-learn kept policies and
+    Further kinds are renderers, matter solvers, kept policies, action spaces and motion generators; with orbit-learn
     learning libraries.
     """
 
@@ -103,6 +103,12 @@ def _matter() -> list[tuple[str, str]]:
     return rows + _missing(installable_matter())
 
 
+def _policies() -> Rows:
+    from orbit_core.pretrained import pretrained_policies
+
+    return [(policy.name, policy.description) for policy in pretrained_policies().values()]
+
+
 def _actions() -> list[tuple[str, str]]:
     from orbit_core.actions import action_words
 
@@ -138,6 +144,7 @@ _LISTS = {
     "backends": _backends,
     "renderers": _renderers,
     "matter": _matter,
+    "policies": _policies,
     "actions": _actions,
     "motion": _motion,
 }
