@@ -114,7 +114,7 @@ __getattr__, __dir__ = lazy_names(
 
 
 def register(registry: TaskRegistry) -> None:
-    """Entry point ``orbit.tasks``: tell the registry of every task, importing none."""
+    """Entry point ``orbit.tasks``: register every task, importing none."""
     registry.add("Reach", "Bring the end effector to a sampled pose", "orbit_tasks.reach:Reach")
     registry.add("Lift", "Lift a cube from the table to a sampled position", "orbit_tasks.lift:Lift")
     registry.add("Stack", "Put one block on another", "orbit_tasks.stack_pyramid:Stack")
@@ -165,7 +165,7 @@ def register(registry: TaskRegistry) -> None:
         "Rope-Reshaping", "Bend a rope into a corner of a sampled angle", "orbit_tasks.rope_reshaping:RopeReshaping"
     )
     registry.add(
-        "Cloth-Dropping", "Drop a cloth into a container beside its tray", "orbit_tasks.cloth_dropping:ClothDropping"
+        "Cloth-Dropping", "Drop a cloth into a container next to its tray", "orbit_tasks.cloth_dropping:ClothDropping"
     )
     registry.add(
         "Flag-Hoisting", "Raise a flag by its staff to its place at a mast", "orbit_tasks.flag_hoisting:FlagHoisting"

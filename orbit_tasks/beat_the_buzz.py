@@ -31,8 +31,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common, randomize
@@ -42,24 +41,24 @@ from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import held
 
 ROD, RING, TOUCH = "rod", "ring", "touch"
+# Metres of the rod's ends above the table.
 HEIGHT = 0.2
-"""Metres of the rod's ends above the table."""
+# Metres, radius of the rod and of the ring's bars.
 THICKNESS, BAR = 0.006, 0.004
-"""Metres, radius of the rod and of the ring's bars."""
+# Metres from the hand to the ring's middle, and from there to the middle of its bars.
 REACH, RADIUS = 0.14, 0.035
-"""Metres from the hand to the ring's middle, and from there to the middle of its bars."""
+# Metres between the course's points; points to a capsule of the rod; metres of the rod at either end left out.
 SPACING, EVERY, MARGIN = 0.005, 4, 0.05
-"""Metres between the course's points; points to a capsule of the rod; metres of the rod at either end left out."""
+# Metres ahead of where the ring is that a reward and the expert look to.
 AHEAD = 0.03
-"""Metres ahead of where the ring is that a reward and the expert look to."""
+# Newtons, that count as a touch.
 LEAST_FORCE = 1e-3
-"""Newtons, that count as a touch."""
+# Metres forward and up of corners that the rod is bent through, on even steps along 0.4 m from left to right.
 BENDS: Mapping[str, Sequence[tuple[float, float]]] = {
     "easy": ((0.0, 0.0), (0.0, 0.03), (0.0, 0.0), (0.0, -0.03), (0.0, 0.0)),
     "medium": ((0.0, 0.0), (0.03, 0.04), (0.0, 0.0), (-0.03, -0.04), (0.0, 0.0)),
     "hard": ((0.0, 0.0), (0.02, 0.03), (-0.02, 0.0), (0.02, -0.03), (-0.02, 0.0), (0.02, 0.03), (0.0, 0.0)),
 }
-"""Metres forward and up of corners that the rod is bent through, on even steps along 0.4 m from left to right."""
 
 
 def course_of(rod: str) -> Course:
@@ -87,7 +86,7 @@ def rings_along(course: Course) -> Tensor:
 
 
 class BuzzMemory(TaskState):
-    """What the ring has covered and touched in an episode, and the course that it follows."""
+    """State of a ring: the part of the rod that it covered, its touches, and the course."""
 
     rings: Tensor
     """(K, 7) of the ring along the rod's part that is to be covered, in the rod's frame."""
@@ -98,7 +97,7 @@ class BuzzMemory(TaskState):
     gained: Tensor = buffer()
     """(N,) m/s, at which it was covered in this step."""
     touches: Tensor = buffer()
-    """(N,) how often the ring has come to touch the rod."""
+    """(N,) how often the ring began to touch the rod."""
     touched: Tensor = buffer(dtype=torch.bool)
     """(N,) bool: it did in the step before."""
 
@@ -113,7 +112,7 @@ class BuzzMemory(TaskState):
         self.touched.copy_(now)
         ring = pose_multiply(pose_inverse(env.world.objects[ROD].root_pose), common.hand_pose(env))
         places = torch.arange(len(self.rings), device=env.device) * self.spacing
-        # Only near where it has come to: elsewhere the rod may come as near to the ring, which is not around it there.
+        # Only near the present place: elsewhere the rod may be as near to the ring, which is not around it there.
         far = (places - self.covered[:, None]).abs() > 0.05
         nearest = vector_norm(ring[:, None, :3] - self.rings[:, :3], dim=2).masked_fill(far, torch.inf).argmin(1)
         covered = torch.maximum(self.covered, places[nearest])
@@ -127,7 +126,7 @@ def finished(env: Environment[BeatTheBuzz, BuzzMemory]) -> Tensor:
 
 
 def ahead(env: Environment[BeatTheBuzz, BuzzMemory], way: float = AHEAD) -> Tensor:
-    """(N, 7) of the ring ``way`` metres ahead of where it has come to on the rod, at most at its end."""
+    """(N, 7) of the ring ``way`` metres ahead of where it is on the rod, at most at its end."""
     index = ((env.state.covered + way) / env.state.spacing).round().long().clamp(max=len(env.state.rings) - 1)
     return pose_multiply(env.world.objects[ROD].root_pose, env.state.rings[index])
 
@@ -139,7 +138,7 @@ def at_rod(env: Environment[BeatTheBuzz]) -> Tensor:
 
 @once_per_state
 def offset(env: Environment[BeatTheBuzz]) -> Tensor:
-    """(N, 3) in the ring's axes: from its middle to the rod's middle line, where it has come to."""
+    """(N, 3) in the ring's axes: from its middle to the rod's middle line, where it is."""
     ring = common.hand_pose(env)
     return quat_rotate_inverse(ring[:, 3:], at_rod(env)[:, :3] - ring[:, :3])
 
@@ -224,7 +223,7 @@ class BuzzTerminations:
 
 @dataclass
 class BuzzEvents:
-    """Robot and rod are placed anew for each episode; the arm's gains with domain randomisation."""
+    """Robot and rod are placed for each episode; the arm's gains with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.005))
     place_rod: EventTerm | None = EventTerm(place_rod)

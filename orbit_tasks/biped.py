@@ -1,4 +1,4 @@
-"""What a robot on two feet is rewarded for that walks: terms and weights, over those of robots on four.
+"""Rewards of a biped that walks: terms and weights, over those of robots on four feet.
 
 They follow what Isaac Lab and mjlab learn a Unitree G1 with (Mittal et al., Orbit, 2023; Zakka et al., mjlab, 2026): a
 fall costs, steps on one foot after the other earn, feet do not slide, and joints that carry no step stay near home.
@@ -20,18 +20,18 @@ from orbit_core.mdp import common
 from orbit_core.sensors import ContactSensor
 from orbit_tasks import walking
 
+# The contact sensor's name.
 CONTACTS = "contacts"
-"""The contact sensor's name."""
+# Seconds on one foot beyond which a step earns no more.
 _LONGEST_STEP = 0.4
-"""Seconds on one foot beyond which a step earns no more."""
+# Part of a joint's range, around its middle, within which its position costs nothing.
 _SOFT_LIMIT = 0.9
-"""Part of a joint's range, around its middle, within which its position costs nothing."""
+# m/s: a robot that is commanded to go slower than this is to stand.
 _LEAST_COMMAND = 0.1
-"""m/s: a robot that is told to go slower than this is told to stand."""
 
 
 class WalkingMemory(walking.SpeedLimited):
-    """What the terms of walking look up once."""
+    """State of walking: looked up once in a new world."""
 
     foot_links: Tensor
     """(feet,) int64 among the links of the contact sensor."""
@@ -59,7 +59,7 @@ def contacts_of(world: World) -> ContactSensor:
 
 
 def stride(env: Environment[Any, WalkingMemory]) -> Tensor:
-    """(N,) seconds that the robot has stood on one foot with the other in the air; 0 when told to stand."""
+    """(N,) seconds that the robot has stood on one foot with the other in the air; 0 if commanded to stand."""
     timer = contacts_of(env.world).timer()
     flying, touching = timer.air_time[:, env.state.foot_links], timer.contact_time[:, env.state.foot_links]
     standing = touching > 0.0
@@ -91,7 +91,7 @@ def near_limits(env: Environment[Any, WalkingMemory]) -> Tensor:
 def still_joints(robot: Robot) -> Tensor:
     """(joints,) 0 for joints that swing a leg forward, 1 for others.
 
-    The former are those on the way to a foot whose axis, at home, lies across the robot.
+    The former are those on the way to a foot whose axis, at home, is across the robot.
     """
     device = robot.home_positions.device
     tree = KinematicTree(robot.spec.articulation, device)
@@ -118,11 +118,11 @@ def suited(rewards: Any, feet: int) -> None:
             setattr(rewards, name, replace(term, weight=weight) if weight else None)
 
 
+# Of terms that robots on four feet have with other weights.
 WEIGHTS: Mapping[str, float] = {
     "yaw_tracking": 1.0, "bouncing": -0.2, "tilt": -1.0, "effort": -2e-6, "action_rate": -0.02, "fall": -200.0,
 }  # fmt: skip
-"""Of terms that robots on four feet have with other weights."""
+# Terms of robots on two feet alone.
 OF_TWO_FEET = ("stride", "slide", "stray", "near_limits")
-"""Terms of robots on two feet alone."""
+# Terms of robots on more than two feet alone.
 OF_MANY_FEET = ("flight", "bumps")
-"""Terms of robots on more than two feet alone."""

@@ -24,8 +24,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import Subtask, TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, Bounds, Meaning, measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformScalarCommand, generated_command
@@ -35,12 +34,12 @@ from orbit_motion.experts import Expert, Phase
 
 DRAWER = "drawer_joint"
 HANDLE = "drawer_handle"
+# Height in metres of what the cabinet stands on.
 PLINTH = 0.18
-"""Height in metres of what the cabinet stands on."""
 
 
 class CabinetMemory(TaskState):
-    """What the terms of a cabinet look up once."""
+    """State of a cabinet, looked up once in a new world."""
 
     drawer: int
     """Index of the drawer's joint."""
@@ -150,15 +149,15 @@ def distance_to_cabinet(robot: RobotSpec) -> float:
     return common.workspace_of(robot).high[0] + 0.23
 
 
+# The expert's phases from before the handle on.
 PULLING = (
     Phase(before_handle, position_tolerance=0.02, timeout=3.0),
     Phase(at_handle, position_tolerance=0.008, timeout=1.5),
     Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
     Phase(pulled, gripper_open=False),
 )
-"""The expert's phases from before the handle on."""
+# m and rad by which it leads: a stronger pull takes the fingers off the bar.
 POSITION_LEAD, ROTATION_LEAD = 0.05, 0.2
-"""m and rad by which it leads: a stronger pull takes the fingers off the bar."""
 
 
 @dataclass
@@ -201,7 +200,7 @@ class CabinetTerminations:
 
 @dataclass
 class CabinetCommands:
-    """How far the drawer is to be open."""
+    """Commanded opening of the drawer."""
 
     goal: CommandTerm | None = CabinetGoal()
 

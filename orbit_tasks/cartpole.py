@@ -28,8 +28,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.mdp import common, randomize
@@ -38,12 +37,12 @@ from orbit_core.robots import robot
 from orbit_core.scene import RobotSpec, Scene, look_at
 
 SLIDER, HINGE = "slider", "hinge"
+# N, of the motor.
 STRONGEST = 20.0
-"""N, of the motor."""
+# rad from the top within which the regulator takes over, where the energy is right.
 _CATCH = 0.4
-"""rad from the top within which the regulator takes over, where the energy is right."""
+# Of the regulator: squared state (cart, pole and their velocities) and squared force.
 _WEIGHTS = (1.0, 10.0, 0.5, 0.5), 0.01
-"""Of the regulator: squared state (cart, pole and their velocities) and squared force."""
 
 
 def cartpole(name: str) -> RobotSpec:
@@ -62,7 +61,7 @@ def cartpole(name: str) -> RobotSpec:
 
 
 class CartpoleMemory(TaskState):
-    """What the terms of a cart and pole look up once."""
+    """State of cart and pole, looked up once in a new world."""
 
     rail: float
     """m, on either side of the middle."""
@@ -150,7 +149,7 @@ class CartpoleRewards:
 
 @dataclass
 class SwingUpTerminations:
-    """An episode ends early where the cart comes to the rail's end."""
+    """An episode ends early where the cart reaches the rail's end."""
 
     left: TerminationTerm | None = TerminationTerm(left)
 
@@ -164,7 +163,7 @@ class BalanceTerminations(SwingUpTerminations):
 
 @dataclass
 class CartpoleEvents:
-    """Cart and pole are placed anew for each episode; masses with domain randomisation."""
+    """Cart and pole are placed for each episode; masses with domain randomisation."""
 
     place: EventTerm | None = EventTerm(place)
     masses: EventTerm | None = None
@@ -172,7 +171,7 @@ class CartpoleEvents:
 
 @dataclass(kw_only=True)
 class Cartpole(Task):
-    """What both tasks share. Success: at the episode's end the pole stands and is nearly at rest, and the cart is on
+    """Base of both tasks. Success: at the episode's end the pole stands and is nearly at rest, and the cart is on
     its rail. Metrics: the pole's angle and the cart's distance from the middle.
     """  # fmt: skip
 
@@ -258,8 +257,8 @@ class SwingUpController(Node):
         pole, self._gravity = links["pole"], -env.world.scene.gravity[2]
         arm = pole.center_of_mass[2]
         self._first_moment = pole.mass * arm
+        # Of the pole about its hinge.
         self._inertia = float(pole.inertia[1, 1]) + pole.mass * arm**2
-        """Of the pole about its hinge."""
         self._mass = pole.mass + links["cart"].mass
         self._gains = self._regulator(env.step_dt).to(env.device)
 

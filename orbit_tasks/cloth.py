@@ -1,4 +1,4 @@
-"""What tasks of a cloth share: the cloth on a smooth tray, what is seen of it, and how a hand takes it."""
+"""Base of tasks of a cloth: the cloth on a smooth tray, its observations, and how a hand takes it."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from orbit_tasks.mdp import matter
 
 CLOTH = "cloth"
 SMOOTH = PhysicsMaterial(static_friction=0.2, dynamic_friction=0.2)
+# Height in metres of a low tray.
 TRAY = 0.02
-"""Height in metres of a low tray."""
+# Metres below a tray's top to which fingers that press on the cloth are sent.
 PRESSED = 0.0065
-"""Metres below a tray's top to which fingers that press on the cloth are sent."""
+# In which the reach of fingers is tabulated from open to closed.
 STEPS = 16
-"""In which the reach of fingers is tabulated from open to closed."""
+# Of their way that fingers close while the hand follows.
 SOON = 0.25
-"""Of their way that fingers close while the hand follows."""
+# Metres above the table at which a hand carries a cloth past other things.
 CARRIED = 0.3
-"""Metres above the table at which a hand carries a cloth past other things."""
 
 
 @dataclass(kw_only=True)
@@ -185,7 +185,7 @@ def pressing(world: World) -> TermFunction:
 
 
 def pinching(world: World) -> tuple[Phase, ...]:
-    """Phases that take the cloth by its middle where it lies flat on a low tray.
+    """Phases that take the cloth by its middle where it is flat on a low tray.
 
     The open fingers press on it, and as they close the cloth between them buckles up and is held.
     """

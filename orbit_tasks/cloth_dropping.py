@@ -1,4 +1,4 @@
-"""Cloth-Dropping: pinch a cloth that lies flat on a tray and drop it into a container beside it."""
+"""Cloth-Dropping: pinch a cloth that is flat on a tray and drop it into a container next to it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from torch import Tensor
 
 from orbit_assets.deformables import open_box
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import Pose, Region, Scene, look_at
@@ -20,10 +19,10 @@ from orbit_tasks.cloth import CARRIED, CLOTH, TRAY, middle
 from orbit_tasks.mdp import matter
 
 CONTAINER = "container"
+# Metres within the container.
 INNER = (0.18, 0.18, 0.12)
-"""Metres within the container."""
+# Metres from the table to the hand as it opens: the cloth, which hangs 10 cm below it, is in the container then.
 LOWERED = 0.15
-"""Metres from the table to the hand as it opens: the cloth, which hangs 10 cm below it, is in the container then."""
 
 
 @measured_in("m")
@@ -90,7 +89,7 @@ class ClothDroppingRewards(cloth.Smoothness):
 
 @dataclass
 class ClothDroppingEvents:
-    """Robot, cloth and container are placed anew for each episode."""
+    """Robot, cloth and container are placed for each episode."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cloth: EventTerm | None = EventTerm(matter.place_deformable(CLOTH, (0.05, 0.05)))
@@ -99,7 +98,7 @@ class ClothDroppingEvents:
 
 @dataclass(kw_only=True)
 class ClothDropping(cloth.ClothTask):
-    """The cloth lies flat on a smooth tray, anywhere within 5 cm and turned by any angle; the container stands beside.
+    """The cloth is flat on a smooth tray, anywhere within 5 cm and turned by any angle; the container is next to it.
 
     Succeeds when its middle is within ``tolerance`` of the container's, ``least_inside`` of it is in the container and
     the gripper does not touch it at the episode's end. Metric: that distance.

@@ -1,4 +1,4 @@
-"""Cloth-Folding: take a corner of a cloth that lies flat and lay it on the opposite one."""
+"""Cloth-Folding: take a corner of a flat cloth and lay it on the opposite one."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, RewardTerm
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Scene, look_at
@@ -22,29 +21,29 @@ from orbit_tasks import cloth
 from orbit_tasks.cloth import CLOTH, TRAY
 from orbit_tasks.mdp import matter
 
+# Key points that the fold along the other diagonal lays on each other; the first is taken.
 PAIRS = (("corner--", "corner++"), ("side-", "back"), ("front", "side+"))
-"""Key points that the fold along the other diagonal lays on each other; the first is taken."""
+# Of the tray, as of a rubber mat: the lower half stays in place while the other is carried over it.
 MAT = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
-"""Of the tray, as of a rubber mat: the half that lies stays in place while the other is carried over it."""
+# Metres by which the hand's way over the fold ends short of its mirror image: cloth drawn tight would draw the fold
+# along. Where the hand lets go it looks where the sides are.
 SHORT = 0.03
-"""Metres by which the hand's way over the fold ends short of its mirror image: cloth drawn tight would draw the fold
-along. Where the hand lets go it looks where the sides came to lie."""
+# Metres at most that it then goes off that end.
 ASTRAY = 0.05
-"""Metres at most that it then goes off that end."""
+# Metres below the tray's top to which the open fingers are sent: hardly, for a mat would hold them by its friction.
 PRESSED = 0.001
-"""Metres below the tray's top to which the open fingers are sent: hardly, for a mat would hold them by its friction."""
+# Metres above the tray's top of the finger tips that open.
 LOW = 0.03
-"""Metres above the tray's top of the finger tips that open."""
+# Height of the hand's way over the fold, in parts of its half width: a full arc draws the lower half along.
 ARC = 0.5
-"""Height of the hand's way over the fold, in parts of its half width: a full arc draws the lower half along."""
+# On that way, from the tray to the tray again.
 ANGLES = tuple(math.radians(degrees) for degrees in (25, 50, 75, 100, 125, 150))
-"""On that way, from the tray to the tray again."""
+# m/s of the cloth's particles at most, root mean square, that count as rest.
 AT_REST = 0.02
-"""m/s of the cloth's particles at most, root mean square, that count as rest."""
 
 
 class FoldMemory(TaskState):
-    """Where the cloth lay when the episode began."""
+    """State of a fold: the cloth's place when the episode began."""
 
     fold: Tensor = buffer(3)
     """(N, 3) where the cloth's middle was, in the environment's frame."""
@@ -67,7 +66,7 @@ def distance(env: Environment[ClothFolding]) -> Tensor:
 
 
 def remember_fold(env: Environment[ClothFolding, FoldMemory], env_ids: Tensor) -> None:
-    """Where the cloth is to be folded, and which way: at its middle, away from the corner that is taken."""
+    """Note where the cloth is to be folded, and which way: at its middle, away from the corner that is taken."""
     thing = env.world.deformables[CLOTH]
     one, other = (thing.key_point(name)[env_ids] for name in PAIRS[0])
     env.state.fold[env_ids] = 0.5 * (one + other)
@@ -76,14 +75,14 @@ def remember_fold(env: Environment[ClothFolding, FoldMemory], env_ids: Tensor) -
 
 @once_per_state
 def at_rest(env: Environment[ClothFolding]) -> Tensor:
-    """(N,) bool: whether the cloth lies still."""
+    """(N,) bool: True where the cloth is still."""
     return env.world.deformables[CLOTH].velocities.square().sum(2).mean(1) < AT_REST**2
 
 
 def hand_at(env: Environment[ClothFolding, FoldMemory], position: Tensor, height: float | Tensor) -> Tensor:
     """(N, 7) the hand pointing down over a position (N, 3), at a height or heights (N,), across the diagonal.
 
-    So both fingers are beside the cloth near its corner, and drag none of it along the mat as they close.
+    So both fingers are next to the cloth near its corner, and drag none of it along the mat as they close.
     """
     yaw = torch.atan2(env.state.ahead[:, 1], env.state.ahead[:, 0]) - math.pi
     return torch.cat((cloth.at_height(position, height)[:, :3], common.facing_down(yaw)), dim=1)
@@ -128,14 +127,14 @@ def over_fold(angle: float, base: float) -> TermFunction:
 
 @once_per_state
 def overshot(env: Environment[ClothFolding, FoldMemory]) -> Tensor:
-    """(N,) metres, mean of both sides, that the folded half lies beyond its place."""
+    """(N,) metres, mean of both sides, that the folded half is beyond its place."""
     thing = env.world.deformables[CLOTH]
     apart = [thing.key_point(one) - thing.key_point(other) for one, other in PAIRS[1:]]
     return (torch.stack(apart).mean(0) * env.state.ahead).sum(1)
 
 
 def at_place(height: float) -> TermFunction:
-    """Term: (N, 7) the hand where the folded half comes to lie in its place, at a height."""
+    """Term: (N, 7) the hand where the folded half is in its place, at a height."""
 
     def pose(env: Environment[ClothFolding, FoldMemory]) -> Tensor:
         end = half_diagonal(env) - env.task.taken - SHORT
@@ -170,7 +169,7 @@ class ClothFoldingRewards(cloth.Smoothness):
 
 @dataclass
 class ClothFoldingEvents:
-    """Robot and cloth are placed anew for each episode."""
+    """Robot and cloth are placed for each episode."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cloth: EventTerm | None = EventTerm(matter.place_deformable(CLOTH, (0.04, 0.04), 0.3))
@@ -179,7 +178,7 @@ class ClothFoldingEvents:
 
 @dataclass(kw_only=True)
 class ClothFolding(cloth.ClothTask):
-    """The cloth lies flat on a mat, up to 4 cm off its place each way and turned by up to 0.3 rad.
+    """The cloth is flat on a mat, up to 4 cm off its place each way and turned by up to 0.3 rad.
 
     Succeeds when the key points of each of three pairs, which the fold along the diagonal lays on each other, are
     within ``tolerance`` sides of each other, the cloth is at rest and the gripper does not touch it at the episode's

@@ -1,4 +1,4 @@
-"""Cloth-Lifting: pinch a cloth that lies flat on a tray and hold its middle at a sampled position."""
+"""Cloth-Lifting: pinch a cloth that is flat on a tray and hold its middle at a sampled position."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.envs import CommandTerm, Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import UniformPositionCommand, generated_command
@@ -48,7 +47,7 @@ class ClothGoal(UniformPositionCommand):
 
 
 def at_goal(env: Environment[ClothLifting]) -> Tensor:
-    """(N, 7) the hand where the cloth's middle comes to the goal, as it hangs in the hand now."""
+    """(N, 7) the hand where the cloth's middle is at the goal, as it hangs in the hand now."""
     return common.pointing_down(env.commands["goal"] + common.hand_pose(env)[:, :3] - middle(env))
 
 
@@ -98,7 +97,7 @@ class ClothLiftingEvents:
 
 @dataclass(kw_only=True)
 class ClothLifting(cloth.ClothTask):
-    """The cloth lies flat on a smooth tray, anywhere within 5 cm and turned by any angle.
+    """The cloth is flat on a smooth tray, anywhere within 5 cm and turned by any angle.
 
     Succeeds when the cloth's middle is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
     """

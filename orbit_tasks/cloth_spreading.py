@@ -1,4 +1,4 @@
-"""Cloth-Spreading: draw the corners of a crumpled cloth apart until it lies spread on its tray."""
+"""Cloth-Spreading: draw the corners of a crumpled cloth apart until it is spread on its tray."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, RewardTerm
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import Scene, look_at
@@ -22,20 +21,20 @@ from orbit_tasks.cloth import CLOTH, TRAY
 from orbit_tasks.mdp import matter
 from orbit_tasks.mdp.crumpled import crumpled
 
+# Key points that the expert draws outwards, in this order.
 STROKES = ("corner++", "corner--", "corner+-", "corner-+")
-"""Key points that the expert draws outwards, in this order."""
+# How often it does so.
 ROUNDS = 3
-"""How often it does so."""
+# Share of its area that the cloth covers when the expert leaves it alone.
 DONE = 0.93
-"""Share of its area that the cloth covers when the expert leaves it alone."""
+# Metres from the tray's middle, each way, to which the expert lets the cloth's middle go.
 ASTRAY = 0.05
-"""Metres from the tray's middle, each way, to which the expert lets the cloth's middle go."""
+# How far it draws a corner, in parts of the way from the cloth's middle to where the corner is when it is flat.
 FURTHER = 1.1
-"""How far it draws a corner, in parts of the way from the cloth's middle to where the corner lies when it is flat."""
 
 
 class SpreadMemory(TaskState):
-    """How the cloth may lie crumpled, and how it lies flat."""
+    """State of a cloth: its crumpled starts, and its flat shape."""
 
     starts: Tensor
     """(S, P, 3) in which the cloth may lie crumpled, around x = y = 0."""
@@ -51,7 +50,7 @@ class SpreadMemory(TaskState):
 
 @once_per_state
 def covered(env: Environment[ClothSpreading]) -> Tensor:
-    """(N,) the area that the cloth covers, seen from above, as share of its own."""
+    """(N,) the area that the cloth covers, seen from above, as share of its area."""
     return env.world.deformables[CLOTH].covered_area / env.task.size**2
 
 
@@ -132,7 +131,7 @@ class ClothSpreadingRewards(cloth.Smoothness):
 
 @dataclass
 class ClothSpreadingEvents:
-    """Robot and cloth are placed anew for each episode, the cloth crumpled in one of several ways."""
+    """Robot and cloth are placed for each episode, the cloth crumpled in one of several ways."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cloth: EventTerm | None = EventTerm(matter.place_chosen(CLOTH, lambda env: env.state.starts, (0.03, 0.03)))
@@ -140,9 +139,9 @@ class ClothSpreadingEvents:
 
 @dataclass(kw_only=True)
 class ClothSpreading(cloth.ClothTask):
-    """The cloth lies crumpled on a smooth tray, as it fell there, turned by any angle.
+    """The cloth is crumpled on a smooth tray, as it fell there, turned by any angle.
 
-    Succeeds when it covers ``least_covered`` of its own area at the episode's end. Metric: that share.
+    Succeeds when it covers ``least_covered`` of its area at the episode's end. Metric: that share.
     """
 
     state_type: ClassVar[type[TaskState]] = SpreadMemory

@@ -26,8 +26,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import Bounds, Meaning, TermFunction, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformScalarCommand, generated_command
@@ -38,21 +37,21 @@ from orbit_tasks.mdp import held
 
 THING = "dishwasher"
 DOOR_BAR, RACK_BAR = "door_bar", "rack_bar"
+# Metres in the dishwasher's frame: the door's outer face, its hinge's height, and from the hinge to the door's bar.
 FRONT, HINGE, REACH = -0.2, 0.14, 0.27
-"""Metres in the dishwasher's frame: the door's outer face, its hinge's height, and from the hinge to the door's bar."""
+# Metres by which the hand's middle stands behind a bar that it pulls, and below its middle.
 BEHIND, DEEP = 0.03, 0.015
-"""Metres by which the hand's middle stands behind a bar that it pulls, and below its middle."""
+# rad at which the hand lets go of the door: its weight opens it further.
 LET_GO = 0.8
-"""rad at which the hand lets go of the door: its weight opens it further."""
+# Metres forward and up in the dishwasher's frame: where the hand goes, to within the phases' tolerances.
 STATIONS = (
     (-0.27, 0.49), (-0.16, 0.47), (-0.16, 0.395), (-0.28, 0.38), (-0.38, 0.31),
     (-0.12, 0.45), (-0.12, 0.325), (-0.32, 0.325),
 )  # fmt: skip
-"""Metres forward and up in the dishwasher's frame: where the hand comes to, to within the phases' tolerances."""
 
 
 class DishwasherMemory(TaskState):
-    """What the terms of a dishwasher look up once."""
+    """State of a dishwasher, looked up once in a new world."""
 
     door: int
     rack: int
@@ -159,13 +158,13 @@ def pull_door(env: Environment[Dishwasher]) -> Tensor:
     angle = (door(env) + 0.25).clamp(max=LET_GO + 0.05)[:, None]
     up = torch.eye(3, device=env.device)[2]
     hinge = thing.root_pose[:, :3] + FRONT * into + HINGE * up
-    # The bar lies 9 mm behind the plane of the hinge.
+    # The bar is 9 mm behind the plane of the hinge.
     bar = hinge + (0.009 * angle.cos() - REACH * angle.sin()) * into + (REACH * angle.cos() + 0.009 * angle.sin()) * up
     return _down(env, bar + 0.5 * BEHIND * into, -DEEP)
 
 
 def pull_rack(env: Environment[Dishwasher]) -> Tensor:
-    """(N, 7) the hand moved by what the rack lacks, however the bar lies at it."""
+    """(N, 7) the hand moved by what the rack lacks, however the bar touches it."""
     hand, bar = common.hand_pose(env)[:, :3], bars(env)[:, 1]
     position = hand - (env.commands["goal"][:, 0] - rack(env))[:, None] * inward(env)
     return _down(env, torch.cat((position[:, :2], bar[:, 2:]), dim=1), -DEEP)
@@ -220,7 +219,7 @@ class DishwasherTerminations:
 
 @dataclass
 class DishwasherCommands:
-    """How far the rack is to be out."""
+    """Commanded travel of the rack."""
 
     goal: CommandTerm | None = DishwasherGoal()
 
@@ -238,7 +237,7 @@ class DishwasherEvents:
 
 @dataclass
 class DishwasherPremises:
-    """It is shut."""
+    """Premise that the dishwasher is shut."""
 
     shut: PremiseTerm | None = PremiseTerm(
         lambda env: (joints(env).abs() < 0.01).all(1),

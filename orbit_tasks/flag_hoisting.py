@@ -1,4 +1,4 @@
-"""Flag-Hoisting: take a flag by its staff and raise it beside a mast, until it hangs spread at its place."""
+"""Flag-Hoisting: take a flag by its staff and raise it next to a mast, until it hangs spread at its place."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from torch.linalg import vector_norm
 from orbit_assets.objects import SolidOptions, box
 from orbit_core.envs import CommandTerm, Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import UniformPositionCommand, generated_command
@@ -26,19 +25,19 @@ from orbit_tasks.cloth import CLOTH, TRAY
 from orbit_tasks.mdp import matter
 
 STAFF, MAST = "staff", "mast"
+# Metres of the staff's section, across and upright.
 THICK, TALL = 0.014, 0.03
-"""Metres of the staff's section, across and upright."""
+# Metres that the finger tips keep from the tray as they take the staff.
 CLEAR = 0.0105
-"""Metres that the finger tips keep from the tray as they take the staff."""
+# The key point that belongs next to the mast: one end of the edge that is on the staff.
 CORNER = "corner++"
-"""The key point that belongs beside the mast: one end of the edge that is on the staff."""
 
 corner = cloth.key_point(CORNER)
 """(N, 3) the flag's corner, in the environment's frame."""
 
 
 class FlagMemory(TaskState):
-    """What the terms of a flag look up once."""
+    """State of a flag, looked up once in a new world."""
 
     triangles: Tensor
     """(T, 3) particles of the flag's triangles."""
@@ -81,7 +80,7 @@ def at_staff(height: float):
 
 
 def at_goal(env: Environment[FlagHoisting]) -> Tensor:
-    """(N, 7) the hand where the flag's corner comes to its place, as the flag hangs now."""
+    """(N, 7) the hand where the flag's corner is at its place, as the flag hangs now."""
     return common.pointing_down(env.commands["goal"] + common.hand_pose(env)[:, :3] - corner(env))
 
 
@@ -154,7 +153,7 @@ class FlagHoistingEvents:
 
 @dataclass(kw_only=True)
 class FlagHoisting(cloth.ClothTask):
-    """The flag lies flat on a tray, one edge fixed along a staff; it is to hang from it beside a mast.
+    """The flag is flat on a tray, one edge fixed along a staff; it is to hang from it next to a mast.
 
     Succeeds when the flag's corner is within ``tolerance`` of its place and ``least_spread`` of the flag is seen from
     the side at the episode's end. Metric: that distance.

@@ -30,13 +30,13 @@ from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
 from orbit_tasks import biped, walking
 
+# m^2: of the inverse kinematics; keeps steps bounded at a straight knee (Nakamura and Hanafusa, 1986).
 _DAMPING = 1e-4
-"""m^2: of the inverse kinematics; keeps steps bounded at a straight knee (Nakamura and Hanafusa, 1986)."""
 _NEWTON_STEPS = 2
+# Part of a joint's velocity limit that its wanted position may move at.
 _OWN_SPEED = 0.9
-"""Part of a joint's velocity limit that its wanted position may move at."""
+# N: force above which a foot is on the ground.
 _TOUCH = 1.0
-"""N: force above which a foot is on the ground."""
 
 
 @dataclass(frozen=True)
@@ -81,14 +81,14 @@ class Gait:
     """1/s^2: vertical acceleration over the error of the trunk's height."""
 
 
+# For legs whose joints turn too slowly for the usual steps: bent knees lift a foot by less of a turn, and what swings
+# lack, forces along the ground make up for. The more of these the sway takes, the less is left for the velocity.
 SLOW_JOINTS = Gait(
     period=0.24, stance=0.62, swing_height=0.03, ease=0.3, rise=-0.13, foothold_gain=0.1, velocity_gain=20.0,
     turning_gain=20.0, grip=0.5, top_speed=1.0, sway_gain=10.0,
 )  # fmt: skip
-"""For legs whose joints turn too slowly for the usual steps: bent knees lift a foot by less of a turn, and what swings
-lack, forces along the ground make up for. The more of these the sway takes, the less is left for the velocity."""
+# m/s: speed at which a gait's swings are held against the joints' velocity limits.
 _BRISK = 1.0
-"""m/s: speed at which a gait's swings are held against the joints' velocity limits."""
 
 
 class FootholdGait(Node):
@@ -125,22 +125,22 @@ class FootholdGait(Node):
         count = env.num_envs
         root = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=env.device)
         self._root = root.expand(count, 7)
+        # (N, J) that the legs shall have.
         self._positions = robot.home_positions.repeat(count, 1)
-        """(N, J) that the legs shall have."""
         limits = torch.as_tensor(joint_limits(robot.spec, "velocity_limit"), dtype=torch.float32, device=env.device)
         feet, jacobian = self._kinematics(self._positions[:1], self._root[:1])
         usual = Gait()
         hasty = _swing_speed(usual, jacobian[0]) > limits[self._legs]
         self._gait = gait or (SLOW_JOINTS if bool(hasty.any()) else usual)
+        # (1, 4, 3) feet in the trunk's frame at home.
         self._neutral = feet * torch.tensor([1.0, 1.0, 1.0 + self._gait.rise], device=env.device)
-        """(1, 4, 3) feet in the trunk's frame at home."""
+        # (N, 4, 3) wanted of the feet, in the level frame of the trunk: where they are, or lifted off.
         self._planted = self._neutral.repeat(count, 1, 1)
-        """(N, 4, 3) wanted of the feet, in the level frame of the trunk: where they are, or lifted off."""
         self._velocities = torch.zeros(3, count, 3, device=env.device)
+        # (N, 3) each: integrated error, what was measured, smoothed, and what is wanted on the way to the command.
         self._integral, self._smooth, self._asked = self._velocities.unbind()
-        """(N, 3) each: integrated error, what was measured, smoothed, and what is wanted on the way to the command."""
+        # (N,) each: rad/s^2 of the stride's cosine and sine.
         self._against_sway = torch.zeros(2, count, device=env.device)
-        """(N,) each: rad/s^2 of the stride's cosine and sine."""
         # Feet on opposite corners of the trunk step together.
         self._offset = 0.5 * (self._neutral[0, :, 0] * self._neutral[0, :, 1] > 0).float()
         gains = robot.nominal_gains
@@ -155,8 +155,8 @@ class FootholdGait(Node):
         touching = [links.index(robot.spec.articulation.frame(foot).link) for foot in self._feet]
         self._foot_links = torch.tensor(touching, device=env.device)
         self._mass = robot.spec.articulation.mass
+        # kg m^2 about the vertical, of the mass as if it lay over the feet.
         self._inertia = self._mass * float(self._neutral[..., :2].square().sum(2).mean())
-        """kg m^2 about the vertical, of the mass as if it lay over the feet."""
         self._height = robot.spec.pose.position[2]
 
     def memory(self) -> Mapping[str, Tensor]:
@@ -228,7 +228,7 @@ class FootholdGait(Node):
         height = self._neutral[..., 2] + gait.swing_height * torch.sin(torch.pi * past).square() * ~standing
         flat = torch.where(standing[..., None], self._planted[..., :2], swinging)
         feet = torch.cat((flat, height[..., None]), 2)
-        # A foot in the air keeps clear of the ground whatever the trunk's tilt; feet on it hold the trunk by theirs.
+        # A foot in the air keeps clear of the ground at any tilt of the trunk; feet on it hold the trunk by theirs.
         roll, pitch = tilt[:, None, 0], tilt[:, None, 1]
         lean = pitch * feet[..., 0] - roll * feet[..., 1]
         return torch.cat((flat, (height + lean * ~standing)[..., None]), 2)

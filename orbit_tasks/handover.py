@@ -24,8 +24,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Bounds, Meaning, TermFunction, measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformPositionCommand, generated_command
@@ -35,17 +34,17 @@ from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, tabletop
 
 GIVER, RECEIVER = "giver", "receiver"
+# Metres, of the rod.
 LENGTH, WIDTH = 0.24, 0.03
-"""Metres, of the rod."""
+# Metres from the rod's middle to where a hand holds it: the giver the end on its own side, the receiver the other.
 GRIP = 0.065
-"""Metres from the rod's middle to where a hand holds it: the giver the end on its own side, the receiver the other."""
 SIDES = {GIVER: -1.0, RECEIVER: 1.0}
+# Metres above the table at which the rod is passed on, in the middle between the arms.
 HEIGHT = 0.25
-"""Metres above the table at which the rod is passed on, in the middle between the arms."""
 
 
 class HandoverMemory(tabletop.TabletopMemory):
-    """Where the rod is passed on, and how near it came to there."""
+    """State of a handover: the place of the handover, and how near the rod was to it."""
 
     place: Tensor
     """(N, 3) where the rod is passed on."""
@@ -162,7 +161,7 @@ def beside_place(agent: str, back: float, height: float) -> TermFunction:
 
 
 def carried(agent: str, goal: TermFunction) -> TermFunction:
-    """(N, 7) that agent's hand where the rod's middle comes to a goal (N, 3), as the rod sits in the hand now."""
+    """(N, 7) that agent's hand where the rod's middle is at a goal (N, 3), as the rod sits in the hand now."""
 
     def target(env: Environment[Handover]) -> Tensor:
         wanted = goal(env)

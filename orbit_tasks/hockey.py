@@ -17,8 +17,7 @@ from orbit_assets.objects import NET_WIDTH as WIDTH
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
@@ -26,16 +25,16 @@ from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import held, premises, tabletop
 
 ICE = PhysicsMaterial(0.04, 0.04)
+# Metres, of the ice on the table.
 THICKNESS = 0.01
-"""Metres, of the ice on the table."""
+# Metres, of the puck.
 RADIUS, HEIGHT = 0.03, 0.02
-"""Metres, of the puck."""
+# Metres above the table at which the blade's middle strikes.
 STRIKE = THICKNESS + BLADE_HALF[2] + 0.005
-"""Metres above the table at which the blade's middle strikes."""
 
 
 class HockeyMemory(tabletop.TabletopMemory):
-    """Where the net is on its way, and how near the puck came to it."""
+    """State of the net on its way, and the puck's least distance to it."""
 
     net_middle: Tensor = buffer()
     """(N,) metres, where the net is in the middle of its way."""
@@ -134,7 +133,7 @@ def place_net(env: Environment[Hockey, HockeyMemory], env_ids: Tensor) -> None:
 
 
 def place_puck(env: Environment[Hockey], env_ids: Tensor) -> None:
-    """On an 8 x 24 cm patch at the near side of the hand's workspace."""
+    """Place the puck on an 8 x 24 cm patch at the near side of the hand's workspace."""
     near = common.workspace(env.world)[0][0]
     low, high = (near + 0.02, -0.12, THICKNESS + 0.5 * HEIGHT), (near + 0.1, 0.12, THICKNESS + 0.5 * HEIGHT)
     position = env.world.random.uniform((3,), low, high, env_ids)
@@ -199,7 +198,7 @@ class HockeyRewards:
 
 @dataclass
 class HockeyEvents(tabletop.ArmEvents):
-    """Robot, net and puck are placed anew for each episode; friction and the like with domain randomisation."""
+    """Robot, net and puck are placed for each episode; friction and the like with domain randomisation."""
 
     place_net: EventTerm | None = EventTerm(place_net)
     place_puck: EventTerm | None = EventTerm(place_puck)
@@ -207,7 +206,7 @@ class HockeyEvents(tabletop.ArmEvents):
 
 @dataclass
 class HockeyPremises:
-    """The puck lies still on the ice, and outside of the net."""
+    """The puck is still on the ice, and outside of the net."""
 
     still: PremiseTerm | None = PremiseTerm(
         lambda env: premises.standing(env.world, ("puck",), THICKNESS + 0.5 * HEIGHT),
@@ -218,7 +217,7 @@ class HockeyPremises:
 
 @dataclass(kw_only=True)
 class Hockey(tabletop.TabletopTask):
-    """The hand holds a stick for good. The puck lies before it on ice, the net stands at the end of its reach.
+    """The hand holds a stick for good. The puck is before it on ice, the net stands at the end of its reach.
 
     Succeeds when the whole puck is in the net at the episode's end. Metric: the shortest distance in the episode from
     the puck to the net's inside.

@@ -1,4 +1,4 @@
-"""In-Hand-Repose: a hand, its palm up, turns an object to one sampled orientation after another.
+"""Task In-Hand-Repose: a hand, its palm up, turns an object to one sampled orientation after another.
 
 The task and its reward follow Makoviychuk et al., Isaac Gym: High Performance GPU-Based Physics Simulation For Robot
 Learning (2021), section 5.3, after OpenAI et al., Learning Dexterous In-Hand Manipulation (2018).
@@ -29,8 +29,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common, randomize
@@ -43,12 +42,12 @@ from orbit_core.scene.pose import Vector3
 
 OBJECT = "object"
 ABOVE_PALM: Vector3 = (-0.015, -0.01, -0.03)
+# Where objects start in hands that would drop more of them at :data:`ABOVE_PALM`.
 OFFSETS: Mapping[str, Vector3] = {
     "allegro_left": (0.005, 0.0, -0.03),
     "shadow_hand": (0.0, 0.0, -0.03),
     "dex3_left": (0.0, 0.0, -0.03),
 }
-"""Where objects start in hands that would drop more of them at :data:`ABOVE_PALM`."""
 
 
 def hand(name: str) -> RobotSpec:

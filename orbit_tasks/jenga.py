@@ -16,30 +16,29 @@ from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_mul
 from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import Subtask, TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import Color, PhysicsMaterial, Pose, RobotSpec, Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, tabletop
 
+# Metres of the plinth's height, on which the tower stands: arms reach no lower with such a hand.
 PLINTH = 0.2
-"""Metres of the plinth's height, on which the tower stands: arms reach no lower with such a hand."""
 SMOOTH = PhysicsMaterial(0.3, 0.3)
 RED: Color = (0.8, 0.25, 0.2, 1.0)
+# Metres above a block's middle at which a hand holds it, so that no finger reaches below the block.
 LIFT = 0.004
-"""Metres above a block's middle at which a hand holds it, so that no finger reaches below the block."""
 GIVEN = "given"
 
 
 class JengaMemory(tabletop.TabletopMemory):
-    """How the tower was built, and where the given block lay in it."""
+    """State of a tower: its layout, and the given block's place in it."""
 
     foot: Tensor = buffer(7)
     """(N, 7) the middle of the tower's underside."""
     rest: Tensor = buffer(7)
-    """(N, 7) of the given block while it lies in the tower."""
+    """(N, 7) of the given block while it is in the tower."""
     heights: Tensor
     """(N, B) metres of the other blocks' middles where they were put."""
     cells: Tensor
@@ -84,7 +83,7 @@ def distance(env: Environment[Jenga]) -> Tensor:
 
 @once_per_state
 def fallen(env: Environment[Jenga, JengaMemory]) -> Tensor:
-    """(N,) bool: another block lies lower, by half its height, than where it was."""
+    """(N,) bool: another block is lower, by half its height, than where it was."""
     return (other_positions(env)[..., 2] < env.state.heights - 0.5 * SIZE[2]).any(1)
 
 
@@ -160,7 +159,7 @@ def seat(height: float) -> TermFunction:
 
 
 def place_tower(env: Environment[Jenga, JengaMemory], env_ids: Tensor) -> None:
-    """Build the tower anew, up to 2 cm off its place and turned by up to 0.1 rad; the given block lies in one of those
+    """Build the tower again, up to 2 cm off its place and turned by up to 0.1 rad; the given block is in one of those
     layers between the third and the last but two whose blocks point to the robot."""  # fmt: skip
     middle = distance_of_tower(env.world.robots[common.ROBOT].spec)
     bounds = (middle - 0.02, -0.02, PLINTH, -0.1), (middle + 0.02, 0.02, PLINTH, 0.1)
@@ -222,14 +221,14 @@ class JengaTerminations:
 
 @dataclass
 class JengaEvents(tabletop.ArmEvents):
-    """Robot and tower are placed anew for each episode; friction and gains with domain randomisation."""
+    """Robot and tower are placed for each episode; friction and gains with domain randomisation."""
 
     place_tower: EventTerm | None = EventTerm(place_tower)
 
 
 @dataclass
 class JengaPremises:
-    """The tower stands, and the given block lies in it."""
+    """The tower stands, and the given block is in it."""
 
     standing: PremiseTerm | None = PremiseTerm(
         lambda env: ~fallen(env) & (out(env) < env.task.protrusion + 0.005),
@@ -261,7 +260,7 @@ class Jenga(tabletop.TabletopTask):
     protrusion: float = 0.03
     """Metres of the given block that stand out, by which a gripper takes it: 0.02 to 0.05."""
     slack: float = 0.001
-    """Metres by which the given block is lower than the others, so that it lies loose: 0 to 0.003."""
+    """Metres by which the given block is lower than the others, so that it is loose: 0 to 0.003."""
     tolerance: float = 0.015
     """Metres."""
     penalty: float = 1.0

@@ -40,7 +40,7 @@ from orbit_tasks.pixels import ArmPixels
 
 
 class LiftMemory(TaskState):
-    """What the terms of a lift look up once."""
+    """State of a lift, looked up once in a new world."""
 
     rest_height: float
     """Metres from the table to the middle of a cube that stands on it."""
@@ -146,7 +146,7 @@ def goal_frame(env: Environment[Lift]) -> Tensor:
 
 
 def at_goal(env: Environment[Lift]) -> Tensor:
-    """(N, 7) the hand where the cube's centre comes to the goal, as the cube sits in the hand now."""
+    """(N, 7) the hand where the cube's centre is at the goal, as the cube sits in the hand now."""
     hand = common.hand_pose(env)
     return common.pointing_down(env.commands["goal"] + hand[:, :3] - cube_pose(env)[:, :3])
 
@@ -261,7 +261,7 @@ class Lift(Task):
         )
 
     def cube_at(self, place: Vector3) -> ObjectSpec:
-        """What is to be lifted, standing at that place.
+        """Return the object to be lifted, standing at a place.
 
         Raises:
             ConfigurationError: its base is fixed.

@@ -1,4 +1,4 @@
-"""What tasks of arms on bases have in common: how the base is moved and placed, and where it stands to use its arm."""
+"""Base of tasks of arms on bases: how the base is moved and placed, and where it stands to use its arm."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from orbit_core.mdp import common
 from orbit_core.scene import RobotSpec
 from orbit_tasks.locomotion import LocomotionConfig
 
+# The action term that moves a walking robot; other bases' terms are of that name too.
 BASE = "base"
-"""The action term that moves a walking robot; other bases' terms are of that name too."""
 
 
 def mobile(name: str, gripper: bool = True) -> RobotSpec:
@@ -138,7 +138,7 @@ def near_to(target: TermFunction, scale: float) -> TermFunction:
 
 @dataclass(kw_only=True)
 class Mobile:
-    """What a task for an arm on a base has besides: derive from this first, and then from the task.
+    """Fields of a task for an arm on a base: derive from this first, and then from the task.
 
     The action space's own terms move the arm, and a term ``base`` the base: by its own velocities, or, where it walks,
     by a kept policy that follows them.
@@ -151,7 +151,7 @@ class Mobile:
     """m/s forward at which a robot on legs is led; half of it sideways, and as much in rad/s."""
 
     def preset_terms(self: Walking, spec: RobotSpec, prefix: str) -> dict[str, ActionTerm]:
-        """As :meth:`~orbit_core.envs.Task.preset_terms`."""
+        """Return action terms, see :meth:`orbit_core.envs.Task.preset_terms`."""
         if not spec.feet:
             return preset_terms(spec, self.action, prefix)
         # As if the arm stood on a bench: the legs are the base's.
@@ -171,7 +171,7 @@ class Mobile:
 
 
 class Walking(Protocol):
-    """What :class:`Mobile` needs of the task."""
+    """Protocol of the task that :class:`Mobile` extends."""
 
     action: str
     gait: str

@@ -36,12 +36,12 @@ from orbit_tasks.mobile import (
     tipped,
 )
 
+# Height in metres of the lowest place that an arm on a bench is asked to reach, above its own foot.
 BENCH_ARM = 0.15
-"""Height in metres of the lowest place that an arm on a bench is asked to reach, above its own foot."""
 
 
 class MobileCabinetMemory(CabinetMemory):
-    """What the terms of a cabinet look up once for a moving base."""
+    """State of a cabinet before a moving base, looked up once in a new world."""
 
     away: float
     """Metres from the base to the cabinet's middle where the expert opens it."""
@@ -58,7 +58,7 @@ def before_cabinet(env: Environment[MobileCabinet, MobileCabinetMemory]) -> Tens
 
 @dataclass
 class MobileCabinetState(CabinetState):
-    """As the state of Cabinet, and where the base is."""
+    """State of Cabinet, and the base's pose."""
 
     base_pose: ObservationTerm | None = ObservationTerm(base_pose)
 
@@ -72,7 +72,7 @@ class MobileCabinetObservations(CabinetObservations):
 
 @dataclass
 class MobileCabinetRewards(CabinetRewards):
-    """As those of Cabinet, and one that grows over the metres that the base drives."""
+    """Rewards of Cabinet, and one that grows over the metres that the base drives."""
 
     approach: RewardTerm | None = RewardTerm(near_to(handle_pose, 1.0), 1.0)
 
@@ -86,14 +86,14 @@ class MobileCabinetTerminations(CabinetTerminations):
 
 @dataclass
 class MobileCabinetEvents(CabinetEvents):
-    """As those of Cabinet; the base starts anywhere before the cabinet, out of the arm's reach, facing anywhere."""
+    """Events of Cabinet; the base starts anywhere before the cabinet, out of the arm's reach, facing anywhere."""
 
     place_robot: EventTerm | None = EventTerm(start_within((-2.0, -1.0), (-0.8, 1.0)))
 
 
 @dataclass(kw_only=True)
 class MobileCabinet(Mobile, Cabinet):
-    """As Cabinet, from 0.8 to 2 m farther off, up to 1 m to the side, and facing anywhere.
+    """Variant of Cabinet, from 0.8 to 2 m farther off, up to 1 m to the side, and facing anywhere.
 
     The cabinet is raised until the robot's arm is to it what one on a bench is to a cabinet on its plinth.
     """

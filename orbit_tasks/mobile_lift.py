@@ -38,20 +38,20 @@ from orbit_tasks.lift import (
 from orbit_tasks.mdp import picking
 from orbit_tasks.mobile import Mobile, base_pose, base_radius, mobile, near_to, sag_rate, start_in_ring, tipped
 
+# Metres of the table along x and y.
 DEPTH, WIDTH = 0.6, 1.4
-"""Metres of the table along x and y."""
+# Where its middle is.
 TABLE = (1.5, 0.0)
-"""Where its middle is."""
+# x in m of the side at which the cube is.
 EDGE = TABLE[0] - 0.5 * DEPTH
-"""x in m of the side at which the cube lies."""
+# Metres from the middle of the table to where the base starts.
 RING = (1.5, 2.3)
-"""Metres from the middle of the table to where the base starts."""
+# Metres from the middle of the side within which cube and goal are; and what a base keeps off its ends.
 SIDEWAYS, LEGS = 0.45, 0.4
-"""Metres from the middle of the side within which cube and goal are; and what a base keeps off its ends."""
 
 
 class MobileLiftMemory(LiftMemory):
-    """What the terms of a lift at a table look up once."""
+    """State of a lift at a table, looked up once in a new world."""
 
     standoff: float
     """Metres from the table's side to the middle of a base that stands at it."""
@@ -79,7 +79,7 @@ def place_cube(env: Environment[MobileLift, MobileLiftMemory], env_ids: Tensor) 
 
 @dataclass(unsafe_hash=True, kw_only=True)
 class MobileLiftGoal(UniformPositionCommand):
-    """Position over the same stretch of the table, wherever the cube is, from 15 cm above it."""
+    """Position over the same stretch of the table, independent of the cube, from 15 cm above it."""
 
     def reach(self, env: Environment[MobileLift, MobileLiftMemory]) -> dict[str, Bounds]:
         low = env.state.surface + 0.15
@@ -94,7 +94,7 @@ def beside(env: Environment[MobileLift, MobileLiftMemory], position: Tensor) -> 
 
 @dataclass
 class MobileLiftState(LiftState):
-    """As the state of Lift, and where the base is."""
+    """State of Lift, and the base's pose."""
 
     base_pose: ObservationTerm | None = ObservationTerm(base_pose)
 
@@ -108,7 +108,7 @@ class MobileLiftObservations(LiftObservations):
 
 @dataclass
 class MobileLiftRewards(LiftRewards):
-    """As those of Lift, and one that grows over the metres that the base drives."""
+    """Rewards of Lift, and one that grows over the metres that the base drives."""
 
     approach: RewardTerm | None = RewardTerm(near_to(cube_pose, 1.0), 1.0)
 
@@ -129,7 +129,7 @@ class MobileLiftCommands(LiftCommands):
 
 @dataclass
 class MobileLiftEvents(LiftEvents):
-    """As those of Lift; the base starts anywhere around the table, facing anywhere."""
+    """Events of Lift; the base starts anywhere around the table, facing anywhere."""
 
     place_robot: EventTerm | None = EventTerm(start_in_ring(TABLE, RING))
     place_cube: EventTerm | None = EventTerm(place_cube)
@@ -137,7 +137,7 @@ class MobileLiftEvents(LiftEvents):
 
 @dataclass(kw_only=True)
 class MobileLift(Mobile, Lift):
-    """As Lift, from anywhere around the table; the goal may be farther along the table than the arm reaches.
+    """Variant of Lift, from anywhere around the table; the goal may be farther along the table than the arm reaches.
 
     The table is as high as suits the robot's arm.
     """
@@ -169,7 +169,7 @@ class MobileLift(Mobile, Lift):
         )
 
     def planner(self, robot: RobotSpec, surface: float) -> BasePlannerConfig:
-        """What the expert's paths keep off: the table, or its legs where a walking robot's head fits under it."""
+        """Return the planner of paths, which keep off the table, or only its legs where a walking robot fits under it."""
         reach = RING[1] + 1.0
         low, high = (TABLE[0] - reach, TABLE[1] - reach), (TABLE[0] + reach, TABLE[1] + reach)
         height = surface - (0.1 if robot.feet else 0.0)

@@ -41,8 +41,8 @@ from orbit_tasks.reach import (
     ReachTerminations,
 )
 
+# Metres over the floor from where the base starts to the goal; an arm reaches less than one.
 NEAREST, FARTHEST = 1.5, 2.5
-"""Metres over the floor from where the base starts to the goal; an arm reaches less than one."""
 
 
 @dataclass(unsafe_hash=True, kw_only=True)
@@ -68,13 +68,13 @@ class MobileReachGoal(UniformPoseCommand):
 
 
 def before_goal(env: Environment[MobileReach]) -> Tensor:
-    """(N, 3) the base where the goal lies ahead, in the middle of the workspace."""
+    """(N, 3) the base where the goal is ahead, in the middle of the workspace."""
     return ahead_of(over_floor(env.commands["goal"]), reach_ahead(env.world))
 
 
 @dataclass
 class MobileReachState(ReachState):
-    """As the state of Reach, and where the base is."""
+    """State of Reach, and the base's pose."""
 
     base_pose: ObservationTerm | None = ObservationTerm(base_pose)
 
@@ -88,7 +88,7 @@ class MobileReachObservations(ReachObservations):
 
 @dataclass
 class MobileReachRewards(ReachRewards):
-    """As those of Reach, but for the distance, whose reward grows over the metres that the base drives."""
+    """Rewards of Reach with a distance term scaled for a moving base."""
 
     position: RewardTerm | None = RewardTerm(near_to(lambda env: env.commands["goal"], 1.0), 2.0)
 
@@ -109,14 +109,14 @@ class MobileReachCommands(ReachCommands):
 
 @dataclass
 class MobileReachEvents(ReachEvents):
-    """As those of Reach; the base starts about the middle, facing anywhere."""
+    """Events of Reach; the base starts about the middle, facing anywhere."""
 
     place_robot: EventTerm | None = EventTerm(start_within((-0.5, -0.5), (0.5, 0.5), spread=0.2))
 
 
 @dataclass(kw_only=True)
 class MobileReach(Mobile, Reach):
-    """As Reach, with the goal 1.5 to 2.5 m from where the base starts, in any direction and turned by any angle."""
+    """Variant of Reach with the goal 1.5 to 2.5 m from the base's start, in any direction and turned by any angle."""
 
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {}
     episode_length: float = 12.0

@@ -13,8 +13,7 @@ from orbit_assets.objects import WOOD, box
 from orbit_assets.threads import Thread, ThreadOptions, bolt_on_base, hexagonal_nut
 from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
@@ -22,24 +21,24 @@ from orbit_core.scene import PhysicsMaterial, Pose, Scene
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, premises, tabletop
 
+# Metres: of M16, and of the finest lead and fit that fields of distances resolve.
 RADIUS, COARSE, CLEARANCE = 0.008, 0.004, 4e-4
-"""Metres: of M16, and of the finest lead and fit that fields of distances resolve."""
+# Metres: of the bolt above its base, of the nut, and across the nut's flats.
 LENGTH, HEIGHT, WIDTH = 0.032, 0.016, 0.04
-"""Metres: of the bolt above its base, of the nut, and across the nut's flats."""
+# Metres of height of the bolt's base, and of the nut's stand.
 BASE, STAND = 0.02, 0.03
-"""Metres of height of the bolt's base, and of what the nut lies on."""
 OILED = PhysicsMaterial(0.1, 0.1)
+# Metres above the nut's underside at which a hand holds it.
 GRIP = 0.6 * HEIGHT
-"""Metres above the nut's underside at which a hand holds it."""
+# Metres below itself to which the hand is led while it turns the nut.
 PUSH = 1e-3
-"""Metres below itself to which the hand is led while it turns the nut."""
+# Hand's turns, about, from which and to which it turns the nut: within the range of a Panda's wrist.
 FROM, TO = math.radians(165.0), math.radians(-80.0)
-"""Hand's turns, about, from which and to which it turns the nut: within the range of a Panda's wrist."""
+# rad between them, and how far from there a hand takes the nut off its stand.
 MIDDLE, REACH = 0.5 * (FROM + TO), 0.5 * (FROM - TO) - math.radians(10.0)
-"""rad between them, and how far from there a hand takes the nut off its stand."""
 SIXTH = math.pi / 3.0
+# rad by which the hand's turn is asked to go ahead; back, with open fingers, twice as far.
 STRIDE = 0.4
-"""rad by which the hand's turn is asked to go ahead; back, with open fingers, twice as far."""
 
 
 @once_per_state
@@ -85,7 +84,7 @@ def aligned(env: Environment[NutBolt]) -> Tensor:
 
 
 def dropped(env: Environment[NutBolt]) -> Tensor:
-    """(N,) the nut fell off its stand onto the table, whichever side up it lies."""
+    """(N,) the nut fell off its stand onto the table, either side up."""
     return nut_pose(env)[:, 2] + 0.5 * HEIGHT * upright(env) < BASE + 0.25 * HEIGHT
 
 
@@ -127,7 +126,7 @@ def first_grasp(env: Environment[NutBolt]) -> Tensor:
 def grasp(env: Environment[NutBolt]) -> Tensor:
     """(N, 7) the hand around the nut, its fingers at two flats, turned as nearly as can be by ``FROM``."""
     nut = nut_pose(env)
-    # The fingers open along the hand's y, and a corner lies along the nut's x: flats are across its y.
+    # The fingers open along the hand's y, and a corner is along the nut's x: flats are across its y.
     yaw = 2.0 * torch.atan2(nut[:, 6], nut[:, 3])
     yaw = yaw + SIXTH * torch.round((FROM - yaw) / SIXTH)
     position = nut[:, :3] + torch.tensor([0.0, 0.0, GRIP], device=env.device)
@@ -213,14 +212,14 @@ class NutTerminations:
 
 @dataclass
 class NutEvents(tabletop.ArmEvents):
-    """Robot, bolt and nut are placed anew for each episode; friction and gains with domain randomisation."""
+    """Robot, bolt and nut are placed for each episode; friction and gains with domain randomisation."""
 
     place_things: EventTerm | None = EventTerm(place_things)
 
 
 @dataclass
 class NutPremises:
-    """The nut lies free of the bolt."""
+    """The nut is free of the bolt."""
 
     lying: PremiseTerm | None = PremiseTerm(
         lambda env: premises.standing(env.world, ("nut",), STAND),
@@ -230,7 +229,7 @@ class NutPremises:
 
 @dataclass(kw_only=True)
 class NutBolt(tabletop.TabletopTask):
-    """A nut lies on a stand beside a bolt, onto which it is to be screwed, ``turns`` down.
+    """A nut rests on a stand next to a bolt, onto which it is to be screwed, ``turns`` down.
 
     Succeeds when at the episode's end the nut is upright and within ``tolerance`` of its place. Metric: that distance.
     """

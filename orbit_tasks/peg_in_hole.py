@@ -16,8 +16,7 @@ from orbit_core.dynamics import transforms
 from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
@@ -26,18 +25,18 @@ from orbit_motion.experts import Expert, Phase, Retry
 from orbit_tasks.mdp import picking, stages, tabletop
 
 SMOOTH = PhysicsMaterial(static_friction=0.3, dynamic_friction=0.3)
+# Metres below itself to which a block is led near its hole's rim: a stronger push turns it in the hand.
 GENTLE = 0.0015
-"""Metres below itself to which a block is led near its hole's rim: a stronger push turns it in the hand."""
+# How many times what a block lacks sideways is asked for: drives are slow, and a push on the rim moves them.
 HASTE = 6.0
-"""How many times what a block lacks sideways is asked for: drives are slow, and a push on the rim moves them."""
+# Metres below the rim from which on a block is in its hole, whose walls lead it.
 IN = 0.0005
-"""Metres below the rim from which on a block is in its hole, whose walls lead it."""
+# Metres by which an error in rotation counts as one in position: a radian moves a block's rim about so far.
 ARM = 0.03
-"""Metres by which an error in rotation counts as one in position: a radian moves a block's rim about so far."""
 
 
 class PegMemory(tabletop.TabletopMemory):
-    """What the terms of pegs and holes look up once."""
+    """State of pegs and holes, looked up once in a new world."""
 
     turn: Tensor
     """(B,) rad of the least turn that brings each section onto itself; zero where any does."""
@@ -124,7 +123,7 @@ def tracking(env: Environment[PegInHole], scale: float) -> Tensor:
 
 
 def aligned(env: Environment[PegInHole]) -> Tensor:
-    """(N,) in [0, 1]: how well lifted blocks stand above or in their holes, at whatever height, on average."""
+    """(N,) in [0, 1]: how well lifted blocks stand above or in their holes, at any height, on average."""
     off = offsets(env)
     error = torch.hypot(vector_norm(off[..., :2], dim=-1), ARM * transforms.rotation_angle(off[..., 3:]))
     return (lifted(env) * common.nearness(error, 0.01)).mean(1)
@@ -168,7 +167,7 @@ def grasp(env: Environment[PegInHole, PegMemory], index: int, height: float = 0.
 
 
 def carried(env: Environment[PegInHole], index: int, height: float, push: float = 1.0, haste: float = 1.0) -> Tensor:
-    """(N, 7) the hand where the block comes to stand ``height`` (m) above its place, as it sits in the hand now.
+    """(N, 7) the hand where the block stands ``height`` (m) above its place, as it sits in the hand now.
 
     It goes down by at most ``push`` (m), near the rim by :data:`GENTLE`, and until it is in the hole asks for ``haste``
     times what it lacks sideways."""  # fmt: skip
@@ -214,7 +213,7 @@ class PegRewards:
 
 @dataclass
 class PegEvents(tabletop.ArmEvents):
-    """Robot, board and blocks are placed anew for each episode; masses and the like with domain randomisation."""
+    """Robot, board and blocks are placed for each episode; masses and the like with domain randomisation."""
 
     place_board: EventTerm | None = EventTerm(place_board)
     place_blocks: EventTerm | None = EventTerm(place_blocks)

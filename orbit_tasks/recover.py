@@ -1,4 +1,4 @@
-"""Recover: a legged robot that lies on the ground anyhow stands up.
+"""Recover: a legged robot stands up from any posture on the ground.
 
 After Hwangbo et al., Learning Agile and Dynamic Motor Skills for Legged Robots (2019), and Lee et al., Robust Recovery
 Controller for a Quadrupedal Robot Using Deep Reinforcement Learning (2019).
@@ -16,8 +16,7 @@ from torch import Tensor
 from orbit_core.envs import Environment, EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import Node, Port
 from orbit_core.mdp import common, randomize
@@ -26,12 +25,12 @@ from orbit_core.scene import Scene, look_at
 from orbit_tasks import walking
 from orbit_tasks.trunk import angular_velocity, projected_gravity
 
+# Height from which a robot is dropped, over that of its home pose.
 _FALL = 1.25
-"""Height from which a robot is dropped, over that of its home pose."""
 
 
 class RecoverMemory(walking.SpeedLimited):
-    """What the terms of a recovery look up once."""
+    """State of a recovery, looked up once in a new world."""
 
     home_height: float
     """Metres."""
@@ -97,7 +96,7 @@ def drop(env: Environment[Recover, RecoverMemory], env_ids: Tensor) -> None:
 
 @dataclass
 class RecoverState(ObservationGroup):
-    """What a robot feels of itself, and its last action."""
+    """Observations of a robot of itself, and its last action."""
 
     angular_velocity: ObservationTerm | None = ObservationTerm(angular_velocity)
     projected_gravity: ObservationTerm | None = ObservationTerm(projected_gravity)
@@ -129,7 +128,7 @@ class RecoverRewards:
 
 @dataclass
 class RecoverTerminations:
-    """An episode lasts its time: a robot that lies is what the task is about."""
+    """An episode lasts its time: fallen robots are what the task is about."""
 
 
 @dataclass
@@ -143,7 +142,7 @@ class RecoverEvents:
 
 
 class HomePosture(Node):
-    """Drives every joint to its home: stands a robot up that lies on its feet. Something to compare policies with."""
+    """Drives every joint to its home: stands a robot up whose feet are below it. Something to compare policies with."""
 
     def __init__(self, env: Environment[Recover]) -> None:
         self.name = "policy"
@@ -180,7 +179,7 @@ class Recover(Task):
     action: str = "joint_position"
     episode_length: float = 6.0
     action_scale: float = 1.5
-    """rad from home for one unit of action ``joint_position``: who lies on the back pushes off far from home."""
+    """rad from home for one unit of action ``joint_position``: a robot on its back pushes off far from home."""
     tilt_tolerance: float = 0.25
     """rad"""
     height_tolerance: float = 0.2

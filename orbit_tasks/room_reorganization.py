@@ -24,14 +24,14 @@ from orbit_tasks import room
 from orbit_tasks.mdp import picking
 from orbit_tasks.mobile import Mobile, base_pose, base_radius, mobile, sag_rate, start_within, tipped
 
+# Names of what is to be tidied up.
 THINGS = ("cube", "can", "carton")
-"""Names of what is to be tidied up."""
+# Of each, m.
 HALF_HEIGHTS = (0.025, 0.04, 0.05)
-"""Of each, m."""
+# Metres from a piece's front edge to the middles of what stands on it.
 INSET = 0.1
-"""Metres from a piece's front edge to the middles of what stands on it."""
+# Metres by which the shelf's top is higher than the tables'.
 SHELF_RAISED = 0.15
-"""Metres by which the shelf's top is higher than the tables'."""
 
 
 def things() -> tuple[ObjectSpec, ...]:
@@ -44,7 +44,7 @@ def things() -> tuple[ObjectSpec, ...]:
 
 
 class RoomMemory(TaskState):
-    """Where things belong in an episode, and how furniture suits the robot."""
+    """State of a room: the places of things in an episode, and furniture that suits the robot."""
 
     places: Tensor = buffer(len(THINGS), 3)
     """(N, 3, 3) of the things' middles in the environment's frame, m."""
@@ -180,7 +180,7 @@ class RoomTerminations:
 
 @dataclass
 class RoomEvents:
-    """The room, the robot in its free part and the things are placed anew for each episode."""
+    """The room, the robot in its free part and the things are placed for each episode."""
 
     place_robot: EventTerm | None = EventTerm(start_within((-1.2, -1.8), (1.2, -1.4)))
     place_things: EventTerm | None = EventTerm(place_things)

@@ -1,4 +1,4 @@
-"""Rope-Reshaping: bend a rope that lies straight on a table into a corner of a sampled angle."""
+"""Rope-Reshaping: bend a straight rope on a table into a corner of a sampled angle."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from orbit_assets.objects import BENCH_HEIGHT, work_bench
 from orbit_core.envs import CommandTerm, Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import KeyPoint, MarkerShape, MarkerSpec, Pose, Rope, Scene, look_at
@@ -25,14 +24,14 @@ from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import matter
 
 ROPE = "rope"
+# Evenly along the rope; the goal has a place for each.
 KEY_POINTS = 5
-"""Evenly along the rope; the goal has a place for each."""
+# Parts of the angle by which the expert leads the rope's end.
 WAYPOINTS = (0.35, 0.7, 1.0)
-"""Parts of the angle by which the expert leads the rope's end."""
 
 
 class RopeMemory(TaskState):
-    """Where the rope lay when the episode began."""
+    """State of a rope: its place when the episode began."""
 
     points: Tensor = buffer(KEY_POINTS, 3)
     """(N, 5, 3) its key points, in the environment's frame."""
@@ -179,7 +178,7 @@ class RopeReshapingTerminations:
 
 @dataclass
 class RopeReshapingCommands:
-    """How far half of the rope is to be turned."""
+    """Commanded turn of half of the rope."""
 
     bend: CommandTerm | None = BendCommand()
 
@@ -195,7 +194,7 @@ class RopeReshapingEvents:
 
 @dataclass(kw_only=True)
 class RopeReshaping(Task):
-    """The rope lies straight across the robot's front, a little off and turned; half of it is to be turned.
+    """The rope is straight across the robot's front, a little off and turned; half of it is to be turned.
 
     Succeeds when the key points are within ``tolerance`` of their places, on average, at the episode's end. Metric:
     that mean distance.

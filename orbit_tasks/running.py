@@ -25,8 +25,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -35,7 +34,7 @@ from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravi
 
 
 class RunningMemory(TaskState):
-    """How far the robot has run in the episode."""
+    """State of a run: the distance in the episode."""
 
     way: Tensor = buffer()
     """(N,) m along x since the episode began."""
@@ -148,7 +147,7 @@ class RunningTerminations:
 
 @dataclass
 class RunningEvents:
-    """The robot is placed anew for each episode; masses and friction with domain randomisation."""
+    """The robot is placed for each episode; masses and friction with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(place_robot)
     masses: EventTerm | None = None
@@ -157,7 +156,7 @@ class RunningEvents:
 
 @dataclass(kw_only=True)
 class Running(Task):
-    """What both tasks share. Success: the robot has not fallen, and came along x at the task's ``least_speed`` or more
+    """Base of both tasks. Success: the robot has not fallen, and came along x at the task's ``least_speed`` or more
     on average. Metrics: that speed, and falls.
     """  # fmt: skip
 

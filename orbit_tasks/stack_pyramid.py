@@ -16,8 +16,7 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import Subtask, TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
@@ -26,25 +25,25 @@ from orbit_motion.experts import Expert, Phase, Retry
 from orbit_tasks.mdp import picking, stages, tabletop
 from orbit_tasks.pixels import ArmLabels
 
+# Of the blocks of each pyramid, by name, the first one first.
 COLORS: tuple[dict[str, Color], ...] = (
     {"red": (0.8, 0.12, 0.1, 1.0), "orange": (0.95, 0.5, 0.1, 1.0), "yellow": (0.95, 0.85, 0.15, 1.0)},
     {"blue": (0.1, 0.2, 0.8, 1.0), "turquoise": (0.1, 0.7, 0.7, 1.0), "green": (0.15, 0.55, 0.15, 1.0)},
 )
-"""Of the blocks of each pyramid, by name, the first one first."""
+# Metres, of a block's edges: every gripper of the catalogue opens that far.
 SIZE = 0.05
-"""Metres, of a block's edges: every gripper of the catalogue opens that far."""
+# Metres between the two blocks of a pyramid's base.
 GAP = 0.004
-"""Metres between the two blocks of a pyramid's base."""
+# Values of :attr:`StackPyramid.starts`.
 ANYWHERE, CORNERS = "anywhere", "corners"
-"""Values of :attr:`StackPyramid.starts`."""
+# Metres between the centres of two blocks that start anywhere: the open hand fits around one of them.
 APART = 0.12
-"""Metres between the centres of two blocks that start anywhere: the open hand fits around one of them."""
+# Places drawn for the second block. A place is too near for at most a third of them.
 _TRIES = 16
-"""Places drawn for the second block. A place is too near for at most a third of them."""
 
 
 class StackMemory(tabletop.TabletopMemory):
-    """What the terms of pyramids look up once."""
+    """State of pyramids, looked up once in a new world."""
 
     opening: common.GripperOpening
     ways: tuple[Tensor, ...]
@@ -66,7 +65,7 @@ def moved_positions(env: Environment[StackPyramid]) -> Tensor:
 
 @once_per_state
 def places(env: Environment[StackPyramid, StackMemory]) -> Tensor:
-    """(N, M, 3) where those belong: beside the first block of their pyramid along its x axis, or on top."""
+    """(N, M, 3) where those belong: next to the first block of their pyramid along its x axis, or on top."""
     first = tabletop.piece_poses(env)[:, : env.task.pyramids]
     position, turn = first[..., :3], common.turned(picking.quarter_yaw(first[..., 3:].flatten(0, 1)))
     return torch.cat([position + quat_rotate(turn, way).view_as(position) for way in env.state.ways], dim=1)
@@ -161,7 +160,7 @@ def place_pair(env: Environment[StackPyramid], env_ids: Tensor) -> None:
 
 
 def place_in_corners(env: Environment[StackPyramid], env_ids: Tensor) -> None:
-    """First blocks stand in the middle, turned by up to 0.3 rad; others, by any angle, at four places beside them."""
+    """First blocks stand in the middle, turned by up to 0.3 rad; others, by any angle, at four places next to them."""
     low, high = common.workspace(env.world)
     near, far, width = low[0], high[0] - 0.05, 0.5 * (high[1] - low[1])
     middle, height = 0.5 * (low[1] + high[1]), 0.5 * SIZE
@@ -211,7 +210,7 @@ class StackRewards:
 
 @dataclass
 class StackEvents(tabletop.ArmEvents):
-    """Robot and blocks are placed anew for each episode; masses and the like with domain randomisation."""
+    """Robot and blocks are placed for each episode; masses and the like with domain randomisation."""
 
     place_blocks: EventTerm | None = EventTerm(place_blocks)
 
@@ -228,7 +227,7 @@ class StackPremises:
 
 @dataclass(kw_only=True)
 class StackPyramid(tabletop.TabletopTask):
-    """Pyramids of coloured blocks, each built where its first block stands: a second beside it, and a third on both.
+    """Pyramids of coloured blocks, each built where its first block stands: a second next to it, and a third on both.
 
     A pyramid of two blocks has the second on the first. Succeeds when at the episode's end every block is within
     ``tolerance`` of its place and the hand has let go. Metric: the sum of the distances between blocks and places.
@@ -242,7 +241,7 @@ class StackPyramid(tabletop.TabletopTask):
         ),
     )
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {
-        "semantic": tabletop.sensed(ArmLabels, StackState)  # whose labels tell the blocks' colours
+        "semantic": tabletop.sensed(ArmLabels, StackState)  # whose labels say the blocks' colours
     }
     episode_length: float = 27.0
     pyramids: int = 2
@@ -320,7 +319,7 @@ def _block(index: int) -> TermFunction:
 
 
 def _grasp(index: int) -> TermFunction:
-    """Term: (N, 7) the hand around it, its palm beside the pyramid that was built before."""
+    """Term: (N, 7) the hand around it, its palm next to the pyramid that was built before."""
     return lambda env: picking.beside(picking.grasp_square(_block(index)(env)), places(env)[:, max(index - 1, 0)])
 
 

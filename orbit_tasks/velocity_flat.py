@@ -27,8 +27,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import means, measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformVelocityCommand

@@ -26,8 +26,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import HeadingVelocityCommand
 from orbit_core.mdp.scans import height_scan
@@ -48,8 +47,8 @@ from orbit_tasks.velocity_flat import (
 )
 
 SCAN = "height_scan"
+# Seconds in the air from which on a step is rewarded.
 _LEAST_FLIGHT = 0.5
-"""Seconds in the air from which on a step is rewarded."""
 
 
 def scanner(robot: str, trunk: str) -> RayCasterSpec:
@@ -62,7 +61,7 @@ def scanner(robot: str, trunk: str) -> RayCasterSpec:
 
 
 class RoughMemory(VelocityMemory, TerrainMemory):
-    """What is remembered of walking and of terrain."""
+    """State of walking and of terrain."""
 
     def start(self, env: Environment[VelocityRough]) -> None:
         super().start(env)
@@ -70,7 +69,7 @@ class RoughMemory(VelocityMemory, TerrainMemory):
 
 
 def flight(env: Environment[VelocityRough, RoughMemory]) -> Tensor:
-    """(N,) seconds beyond half a second that feet which touch down now were in the air, summed; 0 when told to stand.
+    """(N,) seconds beyond half a second that feet which land now were in the air, summed; 0 if commanded to stand.
 
     Rudin et al. (2021), feet air time.
     """
@@ -87,7 +86,7 @@ def bumps(env: Environment[VelocityRough, RoughMemory]) -> Tensor:
 
 @dataclass
 class RoughState(VelocityState):
-    """What Velocity-Flat shows, and the distance down to the ground around the robot."""
+    """State of Velocity-Flat, and the distance down to the ground around the robot."""
 
     height_scan: ObservationTerm | None = None
     """Set by the task, which knows the robot's trunk."""
@@ -103,7 +102,7 @@ class RoughObservations:
 
 @dataclass
 class RoughRewards(VelocityRewards):
-    """As on the plane, but tilt costs less, for the ground tilts; long steps, no knocks of other links, no falls."""
+    """Rewards of the plane, but tilt costs less, for the ground tilts; long steps, no knocks and no falls."""
 
     tilt: RewardTerm | None = RewardTerm(tilt, -0.5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.04)
@@ -142,8 +141,8 @@ class VelocityRough(VelocityFlat, OnTerrain):
     """Velocity-Flat on a grid of terrain, for any robot with feet.
 
     A velocity in the trunk's own axes and a heading are commanded for one episode; the yaw rate commanded turns the
-    robot towards the heading. Succeeds as Velocity-Flat does, within wider tolerances. Metrics: besides those of
-    Velocity-Flat, the level of the terrain.
+    robot towards the heading. Succeeds as Velocity-Flat does, within wider tolerances. Metrics: those of
+    Velocity-Flat, and, the level of the terrain.
     """
 
     state_type: ClassVar[type[TaskState]] = RoughMemory

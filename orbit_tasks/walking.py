@@ -1,4 +1,4 @@
-"""What a walking robot's policy is shown of the robot itself, and how it drives it."""
+"""Observations of walking robots' policies, and the drives that they learn with."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
 from orbit_core.scene import ActuatorConfig, RobotSpec
 
+# rad from home for one unit of action. On one leg a robot's weight takes targets far beyond where the leg goes.
 _BIPED_SCALE = 1.0
-"""rad from home for one unit of action. On one leg a robot's weight takes targets far beyond where the leg goes."""
+# rad
 _ARM_SPREAD = 0.5
-"""rad"""
+# Of joint velocities in observations.
 JOINT_SPEED_SCALE = 0.05
-"""Of joint velocities in observations."""
 COMMAND = "command"
 LAST_ACTION = "last_action"
 
@@ -60,7 +60,7 @@ def scaled(spec: RobotSpec, scale: float) -> RobotSpec:
 
 
 def carries_arm(spec: RobotSpec) -> bool:
-    """Whether a robot on more than two feet has an arm: a biped's arms swing as it walks, this one is only carried."""
+    """Return True if a robot on more than two feet has an arm, which it only carries: a biped's swing."""
     return spec.has_arm and len(spec.feet) > 2
 
 
@@ -109,6 +109,7 @@ def heading(robot: Robot) -> Tensor:
     return yaw_angle(robot.root_pose[:, 3:])
 
 
+# By the names that observations give them, except :data:`COMMAND` and :data:`LAST_ACTION`.
 READINGS: Mapping[str, Callable[[Robot], Tensor]] = {
     "linear_velocity": linear_velocity,
     "angular_velocity": angular_velocity,
@@ -116,10 +117,9 @@ READINGS: Mapping[str, Callable[[Robot], Tensor]] = {
     "joint_positions": lambda robot: robot.joint_positions - robot.home_positions,
     "joint_velocities": lambda robot: JOINT_SPEED_SCALE * robot.joint_velocities,
 }
-"""By the names that observations give them, besides :data:`COMMAND` and :data:`LAST_ACTION`."""
 
+# Those with a component for each joint.
 JOINT_READINGS = ("joint_positions", "joint_velocities")
-"""Those with a component for each joint."""
 
 
 class SpeedLimited(TaskState):

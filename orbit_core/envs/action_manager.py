@@ -52,8 +52,8 @@ class ActionManager:
         """(N, A) the action that :meth:`apply` takes; written in place."""
         parts = self.action.split_with_sizes(self._sizes, dim=1)
         self._drives = [_Drive(generator, part) for generator, part in zip(self.generators, parts, strict=True)]
+        # The agent from the action on, where a generator has a rate of its own; the others need no schedule.
         self._graph: AgentGraph | None = None
-        """The agent from the action on, where a generator has a rate of its own; the others need no schedule."""
         if any(generator.rate is not None for generator in self.generators):
             given = Port("action", (self.size,))
             self._graph = AgentGraph(self.nodes, self.edges("action"), rate=1.0 / step_dt, inputs=(given,))
@@ -106,7 +106,7 @@ class ActionManager:
         return [split, *self.generators, *self._actuators]
 
     def edges(self, source: str) -> list[Edge]:
-        """What connects :attr:`nodes` with each other, and with the output port ``source`` that gives the action."""
+        """Return the edges between :attr:`nodes`, and from the output port ``source`` that gives the action."""
         edges = [Edge(source, f"{_SPLIT}.action")]
         for generator, actuate in zip(self.generators, self._actuators, strict=True):
             edges.append(Edge(f"{_SPLIT}.{generator.name}", f"{generator.name}.command"))

@@ -83,8 +83,8 @@ class CapturableEnvironment(Protocol):
 
 
 _OFTEN = 8
+# Most phases of a schedule that is captured: each costs a trace, and where asked a compilation.
 MOST_PHASES = 64
-"""Most phases of a schedule that is captured: each costs a trace, and where asked a compilation."""
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
 
 
@@ -110,15 +110,15 @@ class CapturedStep:
         if compile:
             check_compiler(environment.device)
         self._environment = environment
+        # The last observation of all environments, for the part that renews it where episodes begin.
         self._observed: list[Tensor] = [torch.empty_like(leaf) for leaf in leaves_of(environment.observer())]
-        """The last observation of all environments, for the part that renews it where episodes begin."""
         self._leaves = len(self._observed)
         self._metrics: tuple[str, ...] = ()
         self._settles, self._renews = settles, renews
+        # Python values that the captured parts took as they were; None before the first capture.
         self._python: PythonState | None = None
-        """Python values that the captured parts took as they were; None before the first capture."""
+        # Steps at which such values had changed.
         self._captures: deque[int] = deque(maxlen=_OFTEN)
-        """Steps at which such values had changed."""
         self._steps = 0
         self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
         alone = settles or not renews
@@ -190,7 +190,7 @@ class CapturedStep:
 
     @property
     def refusal(self) -> str:
-        """Why the step cannot be repeated without Python; empty if it can, as far as is known."""
+        """Reason for which the step cannot be repeated without Python; empty if it can, as far as is known."""
         return next((part.refusal for part in self.parts if part.refusal), "")
 
     def _tree(self, leaves: Sequence[Tensor]) -> Observation:
@@ -238,7 +238,7 @@ class CapturedStep:
         return tuple(where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True))
 
     def _renew_in_python(self) -> list[Tensor]:
-        """As :meth:`_renew`, environments by index, outside of any trace."""
+        """Begin new episodes as :meth:`_renew` does, by index and outside of any trace."""
         environment, done = self._environment, self._environment.done
         environment.progress()
         environment.begin(done.nonzero().squeeze(-1))
@@ -247,7 +247,7 @@ class CapturedStep:
         return [where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True)]
 
     def _play_and_renew(self) -> tuple[Tensor, ...]:
-        """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
+        """Return the outputs of :meth:`_play` with the new observation in the place of the last, which is appended."""
         played = self._play()
         return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
 
@@ -264,10 +264,11 @@ def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
 
 
 def remembered(environment: CapturableEnvironment) -> dict[str, Tensor]:
-    """Return the tensors that state, commands and motion generators keep from step to step, by name."""
-    leaves = tree_leaves_with_path(environment.actions.node_memory)
-    nodes = {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
-    return {**environment.state.memory(), **environment.commands.memory(), **nodes}
+    """Return the tensors that the state, the commands and motion generators keep from step to step, by name."""
+    own = {**environment.state.memory(), **environment.commands.memory()}
+    # The names are those that recordings have kept their states by since before states had a class of their own.
+    memory = {type(environment.task).__name__: own, "memory": environment.actions.node_memory}
+    return {keystr(path): leaf for path, leaf in tree_leaves_with_path(memory) if isinstance(leaf, Tensor)}
 
 
 def needs_python(world: World, actions: ActionManager, decimation: int) -> str:

@@ -1,4 +1,4 @@
-"""Commands: what each environment is told to do, sampled within ranges when an episode begins and again in time."""
+"""Command manager: samples commands within ranges when an episode begins, and again in time."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.envs.term_values import check_same_names
-from orbit_core.envs.terms import CommandTerm, terms_of
+from orbit_core.envs.terms import CommandTerm, check_same_names, terms_of
 from orbit_core.interfaces import ConfigurationError, ShapeError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -53,8 +52,8 @@ class CommandManager(Mapping[str, Tensor]):
 
     def memory(self) -> dict[str, Tensor]:
         """Tensors that commands remember from step to step, by name."""
-        own = {f"command '{name}'": command.value for name, command in self._commands.items()}
-        return own | {f"timer of command '{name}'": command.left for name, command in self._commands.items()}
+        own = {name: command.value for name, command in self._commands.items()}
+        return own | {f"{name} timer": command.left for name, command in self._commands.items()}
 
     def refresh(self) -> None:
         """Take the terms that the task has now: ranges and times hold from the next sample on.
@@ -110,7 +109,7 @@ class _Command:
         self._steps = _steps(self._name, term, self._env.step_dt)
 
     def sample(self, env_ids: Tensor | None) -> None:
-        """Draw the command anew in some environments."""
+        """Draw another command in some environments."""
         with self._env.world.selector.given(env_ids) as rows:
             self._write(rows, env_ids)
 

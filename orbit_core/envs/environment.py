@@ -29,23 +29,33 @@ from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.action_terms import action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered, where_rows
 from orbit_core.envs.command_manager import CommandManager
-from orbit_core.envs.episode import EpisodeEnd, StepInfo
+from orbit_core.envs.configuration import (
+    ConfigurationWatch,
+    Modifiers,
+    check_no_backend,
+    curriculum_of,
+    modifiers_of,
+    whole_steps,
+)
+from orbit_core.envs.episode import EpisodeEnd, LostEpisodes, StepInfo
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.expert_starts import ExpertStarts
-from orbit_core.envs.live_configuration import ConfigurationWatch, Modifiers
-from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
-from orbit_core.envs.observation_check import check_finite as check_observation
-from orbit_core.envs.observation_groups import POLICY, with_sensors_of_terms
-from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_of, observation_of
+from orbit_core.envs.observation_layout import (
+    POLICY,
+    Observation,
+    leaf_shapes,
+    leaves_of,
+    observation_of,
+    with_sensors_of_terms,
+)
+from orbit_core.envs.observation_layout import check_finite as check_observation
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.premises import PremiseManager
 from orbit_core.envs.reward_manager import RewardManager
-from orbit_core.envs.settings_check import check_no_backend, curriculum_of, modifiers_of, whole_steps
 from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import per_environment
-from orbit_core.envs.terms import TerminationTerm, terms_of
+from orbit_core.envs.terms import TerminationTerm, per_environment, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.world import WorldFactory, simulate
 from orbit_core.world.lifetime import mark_closed
@@ -58,7 +68,7 @@ class Environment(Generic[TaskT, StateT]):
     """N environments of a task, stepped together, each reset as soon as its episode ends (same-step autoreset).
 
     Observations are groups by name, as :attr:`observation` says; every task has the group ``"policy"``. Actions are
-    (N, A) in [-1, 1]; what lies outside is clipped. All tensors are on ``device``.
+    (N, A) in [-1, 1]; values outside are clipped. All tensors are on ``device``.
 
     Args:
         task: copied, so that one configuration may start many environments.
@@ -163,8 +173,8 @@ class Environment(Generic[TaskT, StateT]):
         self.observation = self.observer.layouts
         """What each group of the observation is like, by name."""
         self._checks = check_finite or self.device.type == "cpu"
+        # Observation of the present state; None until it is computed, which draws its noise.
         self._seen: Observation | None = None
-        """Observation of the present state; None until it is computed, which draws its noise."""
         several = len(task.agents) > 1
         self.multi_agent = MultiAgentView(self, self.observation[POLICY]) if several else None
         """Whose each part of observation, action and reward is, where several robots act."""
@@ -173,10 +183,10 @@ class Environment(Generic[TaskT, StateT]):
         if not autoreset and num_envs > 1:
             raise ConfigurationError(f"autoreset=False is for one environment that waits for reset, not for {num_envs}")
         self._compile, self._capture, self._autoreset = compile, capture, autoreset
+        # True if the episode has ended and waits for a reset.
         self._over = False
-        """True if the episode has ended and waits for a reset."""
+        # Whether a step was made, and with it all that is made at first use, which a trace would make again each time.
         self._started = False
-        """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self.premises = PremiseManager(self, simulated=world is None)
         """What the task takes for granted of an episode's start, and how often it does not hold."""
         self.starts = ExpertStarts(self) if task.expert_starts else None
@@ -196,7 +206,7 @@ class Environment(Generic[TaskT, StateT]):
     # Gymnasium's way ------------------------------------------------------------------------------------------------
 
     def reset(self, seed: int | None = None, env_ids: Tensor | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begin new episodes in some environments; with a seed, start their random streams anew.
+        """Begin new episodes in some environments; with a seed, restart their random streams.
 
         Args:
             seed: 0 to 2^63 - 1.
@@ -273,7 +283,7 @@ class Environment(Generic[TaskT, StateT]):
         return self._observe_new(self.done), reward, terminated, truncated, {"final": final}
 
     def observe(self) -> Observation:
-        """What a policy sees of the present state: what the last reset or step returned."""
+        """Return the observation of the present state, as the last reset or step returned it."""
         with SingleThreaded():
             return self._observe()
 
@@ -424,7 +434,7 @@ class Environment(Generic[TaskT, StateT]):
         return self._never.clone() if ended is None else ended
 
     def _everyone(self, observation: Observation) -> EpisodeEnd:
-        """What all episodes would have come to, ended now."""
+        """Return the results of every environment's episode as if it ended at this step."""
         return EpisodeEnd(
             env_ids=self.all_ids,
             observation=observation,

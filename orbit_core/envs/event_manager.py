@@ -1,4 +1,4 @@
-"""When a task's events happen."""
+"""Event manager: runs a task's events when they are due."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class EventManager:
         self._memory = memory
         self._all = torch.arange(env.num_envs, device=env.device)
         self._timers: dict[str, _Timer] = {}
+        # Copies of the startup's terms, once they have happened.
         self._happened: list[EventTerm] | None = None
-        """Copies of the startup's terms, once they have happened."""
         self._read()
 
     def refresh(self) -> None:

@@ -1,4 +1,4 @@
-"""Episodes that begin on the expert's way, so that learning meets what a beginner would not come to for long.
+"""Episodes that begin on the expert's way, so that learning meets states that a beginner reaches late.
 
 Why: Nair et al., Overcoming Exploration in Reinforcement Learning with Demonstrations (2018), whose episodes begin at
 states of demonstrations; Florensa et al., Reverse Curriculum Generation for Reinforcement Learning (2017): what is
@@ -17,30 +17,30 @@ from orbit_core.dynamics.indexing import is_mask, write_rows
 from orbit_core.dynamics.linear import SingleThreaded
 from orbit_core.envs.captured_step import CapturableEnvironment
 from orbit_core.envs.episode import EXPERT_START
-from orbit_core.envs.observation_groups import POLICY
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.interfaces import ConfigurationError, Object
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
+# States that are kept at most, drawn from all that were recorded.
 MOST_STATES = 2**16
-"""States that are kept at most, drawn from all that were recorded."""
+# Steps from one state that is kept to the next.
 _STRIDE = 4
-"""Steps from one state that is kept to the next."""
+# Deviation of what is added to the expert's actions, so that states beside its way, and how it comes back to it, are
+# among those kept: Laskey et al., DART: Noise Injection for Robust Imitation Learning (2017).
 _STRAYING = 0.1
-"""Deviation of what is added to the expert's actions, so that states beside its way, and how it comes back to it, are
-among those kept: Laskey et al., DART: Noise Injection for Robust Imitation Learning (2017)."""
+# Names of what is kept of each moment beside the state.
 _SEEN, _DONE = "seen", "done"
-"""Names of what is kept of each moment beside the state."""
 
 
 class ExpertStarts:
-    """Has a share of all episodes begin where the task's expert came by in this very engine.
+    """Start of a share of all episodes at states that the task's expert passes in this very engine.
 
     The expert plays one episode in every environment once, when the environment is made. Kept are states of those
     episodes in which it reached the goal, up to there: joint and root positions and velocities, what motion generators
-    remember, the last action, and the episode's step, so that as much time is left as the expert had. What a task
-    remembers besides, and what a solver starts from, begins as in every episode.
+    remember, the last action, and the episode's step, so that as much time is left as the expert had. The rest of
+    a task's memory, and what a solver starts from, begins as in every episode.
 
     Args:
         env: whose task is learned, with :attr:`~orbit_core.envs.Task.expert_starts` above zero.
@@ -56,8 +56,8 @@ class ExpertStarts:
             raise ConfigurationError(f"expert_starts is the share of episodes, between 0 and 1, not {share:g}")
         self._env, self._world, self._task, self._share = env, world, task, share
         self._entities: list[Object] = [*world.robots.values(), *world.objects.values()]
+        # (K, ...) of each part of a state that differs between states; empty until they are recorded.
         self._states: dict[str, Tensor] = {}
-        """(K, ...) of each part of a state that differs between states; empty until they are recorded."""
         self.seen, self.done = torch.empty(0), torch.empty(0)
         """(M, O) what a policy would have seen in those episodes, to their ends, so that it also sees what is done at
         the goal, and (M, A) what the expert did; empty where the observation is a dictionary."""
@@ -163,7 +163,7 @@ class ExpertStarts:
         write_rows(self.began_there, True, rows)
 
     def _parts(self) -> dict[str, Tensor]:
-        """What makes a state, (N, ...) each: of every entity, then of the agent."""
+        """Return the state tensors, (N, ...) each: entities first, then the agent."""
         parts: dict[str, Tensor] = {}
         for thing in self._entities:
             parts[f"{thing.name} pose"] = thing.root_pose

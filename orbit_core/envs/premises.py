@@ -1,4 +1,4 @@
-"""What must hold when an episode begins, checked in the engine at hand: in starts sampled at build, and each time."""
+"""Premises: conditions of an episode's start, checked in starts that are sampled at build, and at each start."""
 
 from __future__ import annotations
 
@@ -14,22 +14,21 @@ from torch import Tensor
 from orbit_core.dynamics.arguments import MOST_STEPS
 from orbit_core.dynamics.indexing import take_rows, write_rows
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import check_same_names, per_environment
-from orbit_core.envs.terms import PremiseTerm, terms_of
+from orbit_core.envs.terms import PremiseTerm, check_same_names, per_environment, terms_of
 from orbit_core.interfaces import ConfigurationError, PremiseError
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
+# Starts in which premises are checked at build, if there are not as many environments.
 LEAST_STARTS = 8
-"""Starts in which premises are checked at build, if there are not as many environments."""
+# Before a premise's name, the name of its metric: 1 where it held when the episode began, else 0.
 METRIC = "premise_"
-"""Before a premise's name, the name of its metric: 1 where it held when the episode began, else 0."""
 
 
 @dataclass(frozen=True)
 class PremiseCheck:
-    """How a premise fared in the starts that were sampled at build."""
+    """Result of a premise in the starts that were sampled at build."""
 
     name: str
     reason: str

@@ -1,4 +1,4 @@
-"""What a step earns: the weighted sum of a task's reward terms, and what each has come to in the episode."""
+"""Reward manager: the weighted sum of a task's reward terms, and the sum of each over the episode."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.envs.observation_check import surely_finite
-from orbit_core.envs.term_values import check_same_names, per_environment, weight_of
-from orbit_core.envs.terms import RewardTerm, terms_of
+from orbit_core.envs.observation_layout import surely_finite
+from orbit_core.envs.terms import RewardTerm, check_same_names, per_environment, terms_of, weight_of
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, first_few
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import keystr, tree_leaves_with_path
 
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.envs.terms import CurriculumTerm
@@ -92,10 +91,9 @@ class TaskState:
                 write_rows(getattr(self, name), declared.initial, env_ids)
         write_rows(self.last_action, 0.0, env_ids)
 
-    def memory(self) -> dict[str, Tensor]:
-        """All tensors, by the path of their attribute."""
-        own = {name: value for name, value in vars(self).items() if name != "_declared"}
-        return {keystr(path): leaf for path, leaf in tree_leaves_with_path(own) if isinstance(leaf, Tensor)}
+    def memory(self) -> dict[str, Any]:
+        """All attributes by name, tensors or collections that hold some."""
+        return {name: value for name, value in vars(self).items() if not name.startswith("_")}
 
     def lock(self) -> None:
         """Refuse attributes that are set from now on: the tensors are there, and are written in place."""

@@ -7,13 +7,13 @@ import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, field, fields
+from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from torch import Tensor
 
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task_checks import TaskException
 from orbit_core.interfaces import ConfigurationError, Node
 from orbit_core.scene import Pose, RobotSpec, Scene, look_at
 
@@ -21,19 +21,20 @@ if TYPE_CHECKING:
     from orbit_core.actions import ActionTerm
     from orbit_core.envs.environment import Environment
 
+# Name of the robot that acts, where a task has one.
 ROBOT = "robot"
-"""Name of the robot that acts, where a task has one."""
 
+# Name of the action space of a task that has action terms of its own.
 COMPOSED = "composed"
-"""Name of the action space of a task that has action terms of its own."""
 
+# Methods that tasks had, and what takes their place.
 MOVED_METHODS = {
     "start": "TaskState.start(env)",
     "advance": "TaskState.update(env)",
     "reset": "TaskState.reset(env_ids), which resets the tensors that buffer() declares",
     "subtasks": "metadata.subtasks",
 }
-"""Methods that tasks had, and what takes their place."""
+# Fields that tasks had, and what takes their place.
 MOVED_FIELDS = {
     "ppo": "metadata.ppo",
     "view": "metadata.view",
@@ -41,7 +42,7 @@ MOVED_FIELDS = {
     "exceptions": "metadata.exceptions",
     "training": "metadata.training",
 }
-"""Fields that tasks had, and what takes their place."""
+# Attributes that running tasks had, and what takes their place.
 MOVED_STATE = {
     "num_envs": "env.num_envs",
     "device": "env.device",
@@ -54,7 +55,38 @@ MOVED_STATE = {
     "episode_step": "env.state.episode_step",
     "difficulty": "env.state.difficulty",
 }
-"""Attributes that running tasks had, and what takes their place."""
+
+
+class TaskCheck(Enum):
+    """A property of a task that ``orbit check-task`` measures."""
+
+    EXPERT_BEATS_RANDOM = "expert beats random"
+    """The expert's mean return is above that of uniformly random actions."""
+    EXPERT_BEATS_ZERO = "expert beats zero"
+    """The expert's mean return is above that of actions that are all zero."""
+    VELOCITY_LIMITS = "velocity limits"
+    """The expert's joints are within their velocity limits, but for a small share of samples."""
+    EFFORT_LIMITS = "effort limits"
+    """The efforts on the expert's joints are within their limits."""
+    START_AREA = "start area"
+    """Something begins its episodes at places that cover an area."""
+    START_YAW = "start yaw"
+    """Something begins its episodes turned by many angles about the vertical."""
+    TRIVIAL_AGENTS = "trivial agents"
+    """No agent that looks at nothing succeeds more often than a stated rate."""
+
+
+@dataclass(frozen=True)
+class TaskException:
+    """A task's declaration that it does not meet a check.
+
+    An exception that a measurement contradicts is stale, and fails as the check would; but that of velocity limits,
+    which some engines enforce themselves.
+    """
+
+    check: TaskCheck
+    reason: str
+    """A sentence for the table of checked tasks."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +149,7 @@ class Task(ABC):
     """Seconds."""
     actions: Any = None
     """Action terms in place of an action space: :class:`orbit_core.actions.ActionTerms`, or a dataclass of one's own
-    with fields of :class:`~orbit_core.actions.ActionTerm`. None takes those that ``action`` stands for."""
+    with fields of :class:`~orbit_core.actions.ActionTerm`. None takes the preset that ``action`` names."""
     observations: Any = None
     rewards: Any = None
     terminations: Any = None
@@ -180,8 +212,8 @@ class Task(ABC):
         )
 
     def preset_terms(self, spec: RobotSpec, prefix: str) -> dict[str, ActionTerm]:
-        """The action terms that the word ``action`` stands for, of one of the robots that act. Extend where a task's
-        robots are moved by more.
+        """Return the action terms of the preset that ``action`` names, for one of the robots that act. Extend where a
+        task's robots are moved by more.
 
         Args:
             spec: of the robot.
@@ -196,10 +228,10 @@ class Task(ABC):
 
     @abstractmethod
     def scene(self) -> Scene:
-        """What to simulate."""
+        """Return the scene to simulate."""
 
     def bound(self, **limits: tuple[float, float]) -> None:
-        """Hold fields to the least and the most that they may be.
+        """Check that fields are within the least and the most that they may be.
 
         Raises:
             ConfigurationError: one is not within them.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from enum import Enum
@@ -13,10 +14,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from torch import Tensor
 
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, ShapeError
 
 if TYPE_CHECKING:
     from orbit_core.scene import SensorSpec
+
 
 TermFunction = Callable[..., Tensor]
 """(env) -> (N, ...); of a term that names an agent, (env, agent) -> (N, ...)"""
@@ -74,7 +76,7 @@ class ObservationTerm(Term):
     function: TermFunction
     scale: float = 1.0
     noise_std: float = 0.0
-    """Standard deviation of white noise, drawn anew at each step."""
+    """Standard deviation of white noise, drawn at each step."""
     bias_std: float = 0.0
     """Standard deviation of a bias that each episode draws once and keeps."""
     delay: tuple[int, int] = (0, 0)
@@ -83,7 +85,7 @@ class ObservationTerm(Term):
     agent: str | None = None
     """Who sees it, where several robots act; the name is the function's second argument. None: all see it."""
     history: int | None = None
-    """Steps that are seen, the oldest first; an episode's first value stands for those before it. None: the group's."""
+    """Steps that are seen, the oldest first; an episode's first value counts as those before it. None: the group's."""
     sensors: tuple[SensorSpec, ...] = ()
     """What the function reads that the scene need not have by itself, such as a camera: added to the scene."""
     bounds: tuple[float, float] | None = None
@@ -91,7 +93,7 @@ class ObservationTerm(Term):
     camera: str | None = None
     """Name of the camera whose picture the term is: a network takes pictures of one camera as channels of one input."""
     unit: str | None = None
-    """Unit of the value before it is scaled, for whoever reads it elsewhere; None takes the function's
+    """Unit of the value before it is scaled, for readers elsewhere; None takes the function's
     (:func:`measured_in`)."""
     meaning: Meaning | None = None
     """What the numbers are; None takes the function's (:func:`means`), or the first lines of its docstring."""
@@ -131,15 +133,15 @@ class TerminationTerm(Term):
 @dataclass(unsafe_hash=True)
 class PremiseTerm(Term):
     """``function`` (N,) bool must hold when an episode begins, after the reset has settled
-    (:attr:`Task.settle_time`); what a run makes of starts in which it does not hold is worth nothing."""
+    (:attr:`Task.settle_time`); results of starts in which it does not hold are worthless."""
 
     function: TermFunction
     reason: str
-    """What is wrong with a start in which it does not hold, for whoever mends it; a clause without a full stop."""
+    """What is wrong with a start in which it does not hold, for its author; a clause without a full stop."""
 
 
 class EventTime(Enum):
-    """When an event happens."""
+    """Time of an event."""
 
     STARTUP = "startup"
     """Once, for all environments, when the world is new."""
@@ -210,7 +212,7 @@ class CommandTerm(Term):
         return drawn
 
     def expired(self, env: Any) -> Tensor | None:
-        """(N,) bool after a step: where another sample follows now, whatever the time. None: nowhere."""
+        """(N,) bool after a step: where another sample follows now, before its time. None: nowhere."""
         return None
 
     def follow(self, env: Any, command: Tensor) -> bool:
@@ -288,14 +290,14 @@ def _for_its_agent(term: Any) -> Any:
     return replace(term, function=lambda env: function(env, agent))
 
 
+# Unit of a pose (..., 7).
 POSE = "m, quaternion (w, x, y, z)"
-"""Unit of a pose (..., 7)."""
+# Frame of what is measured in the world.
 ENVIRONMENT = "environment: axes of the world, origin of the environment"
-"""Frame of what is measured in the world."""
 
 
 def measured_in(unit: str) -> Callable[[_Function], _Function]:
-    """Say in which unit a term's function measures; ``"1"`` stands for what has none."""
+    """Say in which unit a term's function measures; ``"1"`` where there is none."""
 
     def mark(function: _Function) -> _Function:
         function.unit = unit  # pyright: ignore[reportFunctionMemberAccess] - functions take attributes
@@ -351,3 +353,53 @@ def once_per_state(function: _Function) -> _Function:
         return value
 
     return cached  # pyright: ignore[reportReturnType] - as the function is called, it is called
+
+
+def per_environment(value: object, what: str, num_envs: int) -> Tensor:
+    """A term's value, where it is a tensor (N,).
+
+    Args:
+        value: that the term's function gave.
+        what: the term, for the message.
+        num_envs: N.
+
+    Raises:
+        ConfigurationError: it is no tensor.
+        ShapeError: it has another shape.
+    """
+    if not isinstance(value, Tensor):
+        raise ConfigurationError(f"{what} gives a {type(value).__name__}: its function must return a torch.Tensor")
+    if value.shape != (num_envs,):
+        raise ShapeError(
+            f"{what} has shape {tuple(value.shape)}, but must have ({num_envs},), a value for each environment"
+        )
+    return value
+
+
+def weight_of(name: str, term: RewardTerm) -> float:
+    """Return a reward term's weight.
+
+    Raises:
+        ConfigurationError: it is no finite number; names the term.
+    """
+    weight = term.weight
+    if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
+        raise ConfigurationError(f"the weight of reward term '{name}' must be a finite number, not {weight!r}")
+    return float(weight)
+
+
+def check_same_names(kind: str, before: Collection[str], now: Collection[str], remedy: str) -> None:
+    """Check that a collection has the terms that it had when the environment was made.
+
+    Raises:
+        ConfigurationError: one is missing, or new; names it.
+    """
+    if missing := [name for name in before if name not in now]:
+        raise ConfigurationError(
+            f"{kind} term '{missing[0]}' was there when the environment was made, and cannot be switched off now: "
+            f"{remedy}"
+        )
+    if new := [name for name in now if name not in before]:
+        raise ConfigurationError(
+            f"{kind} term '{new[0]}' was not there when the environment was made: give it to the task before"
+        )

@@ -31,8 +31,8 @@ from orbit_core.robots import robot
 from orbit_core.scene import Plane, Pose, RobotSpec, Shape, Workspace
 from orbit_core.scene.pose import Vector3
 
+# Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more.
 ROOM: Vector3 = (0.15, 0.3, 0.2)
-"""Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more."""
 
 
 def floor(height: float = 0.0) -> Shape:
@@ -193,7 +193,7 @@ def object_pose(name: str) -> TermFunction:
 
 
 class GripperOpening:
-    """How far the robot's gripper is open; made once, in a task's ``start``.
+    """Opening of the robot's gripper; made once, in the ``start`` of a task's state.
 
     Raises:
         ConfigurationError: the robot has no end effector, or no gripper on it.

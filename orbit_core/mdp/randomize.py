@@ -5,7 +5,7 @@ Peng et al., Sim-to-Real Transfer of Robotic Control with Dynamics Randomization
 
 Masses, friction and gains outlast resets; each draw starts from the scene's own values. At
 :attr:`~orbit_core.envs.EventTime.STARTUP` an environment keeps what it drew, at
-:attr:`~orbit_core.envs.EventTime.RESET` each episode draws anew.
+:attr:`~orbit_core.envs.EventTime.RESET` each episode draws again.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def joint_limits(
 ) -> EventFunction:
     """Shift the lower and the upper limits of joints whose names match, each by its own draw (rad or m).
 
-    Commands keep to the scene's limits; an upper limit that would lie below the lower one lies there.
+    Commands keep to the scene's limits; an upper limit below the lower one is set to it.
 
     Raises, when it happens:
         UnsupportedCapabilityError: the engine cannot; names the backends that can.

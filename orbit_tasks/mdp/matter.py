@@ -112,7 +112,7 @@ def place_deformable(
 def place_chosen(name: str, starts: Callable[[Any], Tensor], spread: tuple[float, float]) -> EventFunction:
     """Event: the deformable in one of several states (S, P, 3) around x = y = 0, turned by any angle.
 
-    It lies around its spec's pose, moved by up to ``spread`` (x, y) m.
+    It is placed around its spec's pose, moved by up to ``spread`` (x, y) m.
     """
 
     def place(env: Environment, env_ids: Tensor) -> None:

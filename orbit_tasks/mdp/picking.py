@@ -1,4 +1,4 @@
-"""What scripted experts that pick things up and put them elsewhere have in common: poses of the hand, and phases."""
+"""Poses and phases of scripted experts that pick things up and put them elsewhere."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from orbit_core.mdp import common
 from orbit_motion.experts.expert import Phase, Retry
 
 _QUARTER = 0.5 * math.pi
+# Metres from a hand's middle, along its fingers' way, across it and up, within which its palm meets another thing of a
+# few centimetres: a Franka hand's is 0.2 wide.
 _PALM = (0.135, 0.07, 0.04)
-"""Metres from a hand's middle, along its fingers' way, across it and up, within which its palm meets another thing of a
-few centimetres: a Franka hand's is 0.2 wide."""
 
 
 def quarter_yaw(orientation: Tensor) -> Tensor:
@@ -95,7 +95,7 @@ def straight_up(height: float) -> TermFunction:
 
 
 def hand_for(place: TermFunction, held: TermFunction) -> TermFunction:
-    """The hand with which what it holds comes to its place, as that sits in the hand now.
+    """The hand with which what it holds is at its place, as that sits in the hand now.
 
     Args:
         place: (N, 7) where the thing's frame shall be, and how the hand shall then be turned.
@@ -133,7 +133,7 @@ def put(
         place: (N, 7) of the hand, such as :func:`hand_for` gives.
         height: of the hand on the way, in metres in the environment's frame.
         clearance: metres above the place at which the hand arrives.
-        over: metres within which it is there before it goes down: less than what is free beside the place.
+        over: metres within which it is there before it goes down: less than what is free next to the place.
         came: what to do where the thing did not come along on the way up.
     """
     up = Phase(straight_up(height), position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0)

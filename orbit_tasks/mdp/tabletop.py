@@ -1,4 +1,4 @@
-"""What tasks of an arm at the work bench have in common: scene, groups of terms, how they are randomised."""
+"""Base of tasks of an arm at the work bench: scene, groups of terms, randomisation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from orbit_tasks.mdp import picking, premises
 
 
 class TabletopMemory(TaskState):
-    """What the terms of tasks at the bench look up once."""
+    """State of tasks at the bench, looked up once in a new world."""
 
     arm_joints: Tensor
     """(A,) indices of the joints that move the first arm's hand."""
@@ -58,7 +58,7 @@ def dropped(env: Environment[TabletopTask]) -> Tensor:
 
 
 def fine(term: TermFunction, scale: float = 0.01) -> ObservationTerm:
-    """The term in [-1, 1]: its hyperbolic tangent in units of ``scale``, for what is to be told apart near zero."""
+    """The term in [-1, 1]: its hyperbolic tangent in units of ``scale``, for values to distinguish near zero."""
     own = meaning_of(ObservationTerm(term))
     meaning = replace(own, formula=f"tanh(x / {scale:g}), where x is: {own.formula}")
     return ObservationTerm(lambda env: torch.tanh(term(env) / scale), unit="1", meaning=meaning)
@@ -95,7 +95,7 @@ def arm_velocities(env: Environment[TabletopTask, TabletopMemory]) -> Tensor:
 
 @dataclass
 class GraspState(ArmState):
-    """Without the fingers' velocities: of fingers that rest on what they hold engines tell none, or 0.13 m/s."""
+    """Without the fingers' velocities: of fingers that rest on what they hold engines report none, or 0.13 m/s."""
 
     joint_velocities: ObservationTerm | None = ObservationTerm(arm_velocities)
 
@@ -130,7 +130,7 @@ class DropTerminations:
 
 @dataclass
 class ArmEvents:
-    """The arm is placed anew for each episode; with domain randomisation friction and its gains differ between
+    """The arm is placed for each episode; with domain randomisation friction and its gains differ between
     environments. Tasks add what else is placed."""  # fmt: skip
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))

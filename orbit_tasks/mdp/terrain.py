@@ -20,8 +20,8 @@ from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.mdp import common
 
+# Multiples of the golden ratio, whole parts left out, are spread evenly however many there are.
 _GOLDEN = 0.618034
-"""Multiples of the golden ratio, whole parts left out, are spread evenly however many there are."""
 _NEAR_HOME = common.randomize_robot_start(0.05)
 
 
@@ -40,7 +40,7 @@ class OnTerrain:
 
 
 class TerrainMemory(TaskState):
-    """Where robots are on a grid of terrain. A state's ``start`` calls :meth:`start_on_terrain`."""
+    """State of robots on a grid of terrain. A state's ``start`` calls :meth:`start_on_terrain`."""
 
     cell_origins: Tensor
     """(levels, kinds, 3) where robots start, in the environment's frame."""

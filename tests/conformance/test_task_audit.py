@@ -14,7 +14,7 @@ from orbit_conformance.task_starts import coverage
 from orbit_core.cli import main
 from orbit_core.envs import Environment, EventTerm, TaskMetadata
 from orbit_core.envs.registry import task_entries
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.task import TaskCheck, TaskException
 from orbit_core.mdp import common
 from orbit_motion.experts import Expert
 from orbit_tasks.reach import Reach

@@ -15,7 +15,7 @@ import torch
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.cli import main
 from orbit_core.envs import Environment, make
-from orbit_core.envs.observation_groups import groups_of, terms_of_group
+from orbit_core.envs.observation_layout import groups_of, terms_of_group
 from orbit_core.envs.registry import task_entries
 from orbit_core.envs.terms import unit_of
 from orbit_core.interfaces import ConfigurationError

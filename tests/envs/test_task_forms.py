@@ -22,6 +22,7 @@ from orbit_core.envs import (
     buffer,
     make,
 )
+from orbit_core.envs.captured_step import remembered
 from orbit_core.envs.configuration import configure
 from orbit_core.interfaces import ConfigurationError
 from orbit_tasks.lift import Lift
@@ -170,7 +171,10 @@ def test_state_is_allocated_per_environment_and_reset_where_episodes_begin() -> 
     assert state.best.tolist() == [1.0, math_inf, 1.0]
     assert state.kept.tolist() == [4, 4, 4]
     assert state.episode_step.tolist() == [4, 0, 4]
-    assert {"['total']", "['best']", "['last_action']"} <= {*state.memory()}
+    assert {"total", "best", "last_action"} <= {*state.memory()}
+    assert {"['Summing']['total']", "['Summing']['goal']"} <= {*remembered(environment)}, (
+        "captures and recordings keep it"
+    )
     environment.close()
 
 

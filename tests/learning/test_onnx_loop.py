@@ -16,7 +16,7 @@ import torch
 from orbit_core.backends import default_backend
 from orbit_core.cli.making import make_environment
 from orbit_core.envs import Environment, make
-from orbit_core.envs.observation_groups import groups_of, terms_of_group
+from orbit_core.envs.observation_layout import groups_of, terms_of_group
 from orbit_core.envs.registry import task_entries
 from orbit_core.envs.terms import meaning_of
 from orbit_core.interfaces import World

@@ -22,7 +22,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from orbit_core.envs.observation_groups import POLICY
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.files import LOCK, FolderLock, as_path, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, Object, Robot, ShapeError, UnknownNameError, World
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out

@@ -16,7 +16,7 @@ from torch import Tensor
 from orbit_conformance.task_starts import Coverage, sample_starts
 from orbit_core.envs import Environment, Task, make
 from orbit_core.envs.actors import scripted_actor
-from orbit_core.envs.task_checks import TaskCheck
+from orbit_core.envs.task import TaskCheck
 from orbit_core.interfaces import Robot
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.rollout.estimates import Estimate, mean

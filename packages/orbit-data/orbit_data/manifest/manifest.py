@@ -12,7 +12,7 @@ import msgspec
 
 from orbit_core.actions.term import ActionTerm
 from orbit_core.backends import renderer_names, versions_of
-from orbit_core.envs.observation_groups import groups_of, terms_of_group
+from orbit_core.envs.observation_layout import groups_of, terms_of_group
 from orbit_core.envs.terms import POSE, ObservationGroup, ObservationTerm, meaning_of, unit_of
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.layout import actuator_of_joint, joint_limits
