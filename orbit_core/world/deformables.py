@@ -11,13 +11,12 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import FRICTIONS, POSITIONS, VELOCITIES, Bounds, columns_chosen
-from orbit_core.dynamics.indexing import RowSelector
 from orbit_core.dynamics.transforms import quat_rotate_inverse
-from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Engine, Object, find_name
+from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Object, find_name
 from orbit_core.interfaces.matter import PARAMETERS
 from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import Cloth, DeformableSpec, Region
-from orbit_core.world.state import Clock
+from orbit_core.world.state import WorldParts
 
 _CELLS_PER_EDGE = 6
 """Cells of the grid along a triangle's longest edge."""
@@ -78,17 +77,14 @@ class SimulatedDeformable(Deformable):
         self,
         index: int,
         spec: DeformableSpec,
-        engine: Engine,
-        selector: RowSelector,
-        clock: Clock,
+        parts: WorldParts,
         entities: Mapping[str, Object],
     ) -> None:
         self.name, self.spec = spec.name, spec
         self._entities = entities
         self._index = index
-        self._engine = engine
-        self._selector = selector
-        self._clock = clock
+        engine = self._engine = parts.engine
+        self._clock, self._selector = parts.clock, parts.selector
         self._shape = (len(spec.rest_positions), 3)
         self._boxes: dict[Region, tuple[Object | None, Tensor, Tensor, Tensor]] = {}
         most = max((len(point.particles) for point in spec.key_points), default=1)

@@ -54,7 +54,7 @@ from orbit_core.world.deformables import SimulatedDeformable
 from orbit_core.world.drawing import Painting, with_frames, with_matter
 from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
-from orbit_core.world.state import Clock, DivergenceGuard, WorldState, check_copy, settle
+from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
 
 
 class SimulatedWorld(World):
@@ -126,15 +126,15 @@ class SimulatedWorld(World):
         register_after_fork(self)
 
     def _add_entities(self) -> None:
-        parts = (self._engine, self.actuators, self.clock, self.selector)
+        parts = self._world_parts = WorldParts(self._engine, self.actuators, self.clock, self.selector)
         count = len(self.scene.robots)
-        robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
-        objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
+        robots = {e.name: SimulatedRobot(e, parts) for e in self.layout.entities[:count]}
+        objects = {e.name: SimulatedObject(e, parts) for e in self.layout.entities[count:]}
         for thing in (*robots.values(), *objects.values()):
             thing.require, thing.painting = self._require, self.painting
         self.active = ActiveModels(objects, self._engine, self.selector)
         deformables = {
-            spec.name: SimulatedDeformable(i, spec, self._engine, self.selector, self.clock, {**robots, **objects})
+            spec.name: SimulatedDeformable(i, spec, parts, {**robots, **objects})
             for i, spec in enumerate(self.scene.deformables)
         }
         self._marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)
@@ -259,7 +259,7 @@ class SimulatedWorld(World):
 
     def guard_divergence(self) -> Tensor:
         """Reset environments that diverge in a step from now on; returns the guard's ``lost`` (N,) bool."""
-        self._guard = self._guard or DivergenceGuard(self._engine, self.actuators, self.clock, self.selector)
+        self._guard = self._guard or DivergenceGuard(self._world_parts)
         return self._guard.lost
 
     @property
