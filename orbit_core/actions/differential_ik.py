@@ -24,7 +24,7 @@ from orbit_core.scene import RobotSpec
 
 @dataclass(frozen=True, kw_only=True)
 class PoseTermConfig(ActionTerm):
-    """What terms have in common whose command is the pose of a frame, or its change.
+    """Settings that terms share whose command is the pose of a frame, or its change.
 
     It is (x, y, z, rotation vector), scaled by ``position_scale`` and ``rotation_scale``.
 
@@ -89,7 +89,7 @@ class PoseTermConfig(ActionTerm):
         return frame
 
     def pose_command(self, robot: Robot) -> PoseCommand:
-        """What commands mean."""
+        """Return the meaning of commands."""
         scales, leads = (self.position_scale, self.rotation_scale), (self.position_lead, self.rotation_lead)
         return PoseCommand(robot, self.frame_of(robot), self.mode, scales, leads)
 

@@ -171,7 +171,7 @@ class GraspSynergiesConfig(ActionTerm):
 
 
 class GraspSynergies(MotionGenerator):
-    """As many commands as synergies, :class:`GraspSynergiesConfig`. Targets are clipped to the joints' limits."""
+    """Motion generator with a command for each synergy, :class:`GraspSynergiesConfig`. Targets are clipped to limits."""
 
     def __init__(self, name: str, robot: Robot, config: GraspSynergiesConfig) -> None:
         joints = config.joint_indices(robot.spec, name)

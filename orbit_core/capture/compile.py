@@ -89,8 +89,8 @@ def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callabl
     return (_launches(call, inputs) if fixed else None) or (lambda *tensors: call(list(tensors)))
 
 
+# Names in inductor's code that only make room for what its kernels write
 _OF_MEMORY = {"clear", "empty_strided_cpu", "reinterpret_tensor", "torch"}
-"""Names in inductor's code that only make room for what its kernels write."""
 
 
 def _launches(call: Any, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]] | None:

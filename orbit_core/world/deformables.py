@@ -18,10 +18,10 @@ from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import Cloth, DeformableSpec, Region
 from orbit_core.world.state import WorldParts
 
+# Cells of the grid along a triangle's longest edge
 _CELLS_PER_EDGE = 6
-"""Cells of the grid along a triangle's longest edge."""
+# By how much an edge may be longer than at rest and still be seen whole
 _STRETCH = 1.25
-"""By how much an edge may be longer than at rest and still be seen whole."""
 
 
 class CoveredArea:
@@ -34,15 +34,15 @@ class CoveredArea:
         vertices, faces = cloth.rest_positions, np.asarray(cloth.mesh.faces)
         corners = vertices[faces]
         longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max())
+        # Metres
         self._cell = longest / _CELLS_PER_EDGE
-        """Metres."""
         span = float(np.linalg.norm(vertices.max(0) - vertices.min(0))) * _STRETCH
+        # Cells along each side; the grid holds the cloth wherever its middle lies
         self._count = math.ceil(2.0 * span / self._cell)
-        """Cells along each side; the grid holds the cloth wherever its middle lies."""
         window = math.ceil(_CELLS_PER_EDGE * _STRETCH) + 1
         steps = torch.arange(window, device=device)
+        # (W, 2) cells from a triangle's lowest corner on
         self._window = torch.cartesian_prod(steps, steps)
-        """(W, 2) cells from a triangle's lowest corner on."""
         self._faces = torch.as_tensor(faces, dtype=torch.int64, device=device)
 
     def __call__(self, positions: Tensor) -> Tensor:
@@ -60,7 +60,7 @@ class CoveredArea:
 
 
 def _covered(corners: Tensor, points: Tensor) -> Tensor:
-    """Whether points (N, T, W, 2) lie in triangles (N, T, 1, 3, 2), whichever way round these go."""
+    """Return True for points (N, T, W, 2) inside triangles (N, T, 1, 3, 2) of either winding."""
     edges = torch.roll(corners, -1, dims=3) - corners
     arms = points[..., None, :] - corners
     sides = edges[..., 0] * arms[..., 1] - edges[..., 1] * arms[..., 0]
@@ -93,8 +93,8 @@ class SimulatedDeformable(Deformable):
             count = len(point.particles)
             numbers[row, :count] = torch.tensor(point.particles)
             weights[row, :count] = torch.tensor(point.weights or (1.0 / count,) * count)
+        # (K, m) particles of each key point, and (K, m, 1) their weights
         self._of_key_points, self._weights = numbers.long().to(engine.device), weights[..., None].to(engine.device)
-        """(K, m) particles of each key point, and (K, m, 1) their weights."""
 
     @property
     def positions(self) -> Tensor:
@@ -160,7 +160,7 @@ class SimulatedDeformable(Deformable):
         return (quat_rotate_inverse(turn, points - middle).abs() <= half).all(-1).float().mean(1)
 
     def _box(self, region: Region) -> tuple[Object | None, Tensor, Tensor, Tensor]:
-        """What a region stands on, its middle and orientation, and its half extents, looked at and copied once."""
+        """Return the object that carries a region, with the region's middle, orientation and half extents, copied once."""
         check_data(region, "region")
         if (region.entity is None) != (region.frame is None):
             raise ArgumentError(f"{region} is of an entity or a frame alone: give both, or neither")

@@ -157,8 +157,8 @@ class Painting:
         self._shape, self._device = (num_envs, links, 4), device
         self._colors: Tensor | None = None
         self._known: list[Texture] = []
+        # Of textures that were given together, made once, so that a captured step copies nothing to its device
         self._numbers: dict[tuple[Texture, ...], Tensor] = {}
-        """Of textures that were given together, made once, so that a captured step copies nothing to its device."""
         self._chosen: Tensor | None = None
         self.textures: LinkTextures | None = None
         """What renderers paint; None while nothing has a texture."""
@@ -248,8 +248,8 @@ class MatterRenderer(OuterRenderer):
 
 
 _OPAQUE = (0.0, 0.0, 0.0, 1.0)
+# Lengths of axes in metres: of the base, of end effectors, feet and wheels, and of finger tips
 _BASE, _LARGE, _SMALL = 0.25, 0.12, 0.04
-"""Lengths of axes in metres: of the base, of end effectors, feet and wheels, and of finger tips."""
 
 
 def frame_lengths(robot: RobotSpec) -> dict[str, float]:

@@ -68,8 +68,8 @@ class SimulatedObject(ObjectParameters):
     def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
         super().__init__(layout, parts)
         self._frames: dict[str, _FrameHandle] = {}
+        # Pose of each frame that was read, with its version of the clock
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
-        """Pose of each frame that was read, with its version of the clock."""
         self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
         links, joints = layout.links, layout.joints
         self._root_pose, self._root_velocity = _View(layout.root_link), _View(layout.root_link)
@@ -83,7 +83,7 @@ class SimulatedObject(ObjectParameters):
 
     @property
     def active_specs(self) -> tuple[ActiveModel, ...]:
-        """Its active models, as data."""
+        """Specifications of the object's active models."""
         return self.spec.active if isinstance(self.spec, ObjectSpec) else ()
 
     # Reading

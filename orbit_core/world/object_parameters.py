@@ -28,11 +28,11 @@ from orbit_core.world.state import WorldParts
 
 
 def _nothing_required(capability: Capability, culprit: str) -> None:
-    """What no world has made knows of no backend that it could name."""
+    """Default check for objects that no world has made: accept every capability."""
 
 
 class ObjectParameters(Object):
-    """What of an object in one engine is set per environment and outlasts resets."""
+    """Parameters of an object in one engine, set per environment; they outlast resets."""
 
     def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
         engine = parts.engine

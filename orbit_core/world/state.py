@@ -64,7 +64,7 @@ def check_copy(world: World, origin: World, source: int) -> None:
 
 @dataclass(frozen=True)
 class _Rest:
-    """Where n environments have come to."""
+    """State of n environments."""
 
     roots: list[tuple[int, Tensor, Tensor]]
     """Index of each entity whose base is free, and its root's pose (n, 7) and velocity (n, 6)."""
@@ -75,7 +75,7 @@ class _Rest:
 
 
 class Stateful(Protocol):
-    """What remembers something from step to step."""
+    """Part of a world with memory from step to step."""
 
     def save_state(self) -> Any:
         """A detached copy."""

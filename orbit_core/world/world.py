@@ -60,7 +60,7 @@ from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldStat
 class SimulatedWorld(World):
     """N environments of a scene in one physics engine.
 
-    What it takes and raises is told at :func:`~orbit_core.world.simulate`.
+    :func:`~orbit_core.world.simulate` documents arguments and errors.
     """
 
     # Never replaced, so that what a reader of World expects holds.
@@ -161,13 +161,13 @@ class SimulatedWorld(World):
 
     def _plan_steps(self) -> None:
         """Decide how far the engine runs at a time."""
+        # True if something computes before each physics step
         self._singly = self.actuators.explicit or bool(self._servos)
-        """True if something computes before each physics step."""
         periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
         if self._singly and self.layout.contact_queries:
             periods.append(1)  # the engine averages contact forces over each call
+        # Physics steps whose divisors the engine's stretches are, for they end where a sensor is due
         self._stretch = math.gcd(*periods) if periods else None
-        """Physics steps whose divisors the engine's stretches are, for they end where a sensor is due."""
 
     def add_servo(self, servo: Callable[[], None]) -> None:
         self._servos.append(servo)
@@ -201,7 +201,7 @@ class SimulatedWorld(World):
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        """What differs from the scene as asked: in the models first, then in the engine."""
+        """Differences from the scene that was requested: of the models first, then of the engine."""
         notes = tuple(
             Approximation(entity.name, "the source's model", note, "the catalogue's choice")
             for entity in self.scene.entities
@@ -283,7 +283,7 @@ class SimulatedWorld(World):
         self._engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        """Begin anew in some environments, by index or by mask (N,) bool.
+        """Return some environments to their start, by index or by mask (N,) bool.
 
         Raises:
             ArgumentError, ShapeError: ``env_ids`` are no environments; nothing was reset.
