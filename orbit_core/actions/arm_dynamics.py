@@ -93,11 +93,11 @@ class ArmDynamics:
         return {"poses": robot.link_poses, "positions": robot.joint_positions, "velocities": robot.joint_velocities}
 
     def state(self) -> ArmState:
-        """Of the present."""
+        """Return the present state."""
         return self.state_of(**self.measured())
 
     def state_of(self, poses: Tensor, positions: Tensor, velocities: Tensor) -> ArmState:
-        """Of link poses (N, L, 7), and positions and velocities (N, J) of all joints."""
+        """Return the state of link poses (N, L, 7), and positions and velocities (N, J) of all joints."""
         joints = self._joints
         moving = velocities.index_select(1, joints)
         at_rest = velocities.new_zeros((velocities.shape[0], 6))

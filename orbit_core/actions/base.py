@@ -44,7 +44,7 @@ class MotionGenerator(Node):
         self._columns = columns_of(self.joints, self.device)
 
     def enter(self, world: World, step_dt: float) -> None:
-        """Take up what the generator needs of the world besides its robot; called once, before the first turn.
+        """Prepare for a world: read what the generator needs beyond its robot. Called once, before the first turn.
 
         Args:
             world: of the robot.
@@ -99,7 +99,7 @@ class MotionGenerator(Node):
 
     @property
     def base_limits(self) -> Tensor | None:
-        """(3,) m/s forward, m/s to the left, rad/s that a command of 1 stands for, where a command is the velocity of
+        """(3,) m/s forward, m/s to the left, rad/s of a command of 1, if a command is the velocity of
         what carries the robot, in its own axes; None elsewhere. On two wheels the second is zero, and a command has no
         such component."""
         return None

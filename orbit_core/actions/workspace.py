@@ -65,7 +65,7 @@ class PoseFollower(MotionGenerator):
             return far & (self.velocities.abs().amax(1) < _RESTING)
 
     def reach_problem(self, env: int = 0) -> str:
-        """Return the result of :meth:`out_of_reach` for one environment as a sentence; empty if the pose can be reached."""
+        """Return the result of :meth:`out_of_reach` for one environment in words; empty if it reaches the pose."""
         metres, radians = self.out_of_reach()[env].tolist()
         if not metres and not radians:
             return ""

@@ -53,7 +53,7 @@ class NodeRunner:
         """Whether some environments were reset since the last turn."""
         self.carries = period > 1
         """Whether its outputs are read in a later step than the one that computes them; they then stay in one place."""
-        # (N,) which were reset; None before the first turn, after which there are none to tell apart
+        # (N,) which were reset; None before the first turn, after which none differ
         self._waiting: Tensor | None = None
         self._sources = [(port.name, slots[sources[node.name, port.name]]) for port in node.inputs]
         self._targets = [(port.name, slots[node.name, port.name]) for port in node.outputs]
@@ -88,7 +88,7 @@ class NodeRunner:
         own = self._values[slot]
         if not self.carries:
             self._values[slot] = value
-        elif own is None:  # what is held must not change with a buffer that the node, or an engine, writes anew
+        elif own is None:  # what is held must not change with a buffer that the node, or an engine, writes again
             self._values[slot] = value.clone()
         else:
             own.copy_(value)

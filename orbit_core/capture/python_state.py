@@ -136,8 +136,8 @@ class Holder:
 class PythonState:
     """Python values that can be reached from some objects: attributes, elements, closures, globals that they use.
 
-    Objects of ORBIT's own classes are left out but for configuration, and so are worlds and engines: they tell the
-    tracer themselves what changes.
+    Objects of ORBIT's own classes are left out but for configuration, and so are worlds and engines: they report
+    their changes to the tracer.
 
     Args:
         roots: objects by the name that messages give them.

@@ -198,7 +198,7 @@ def _fields(measured: Any) -> list[Tensor]:
 
 
 def _kept(measured: Any) -> Any:
-    """The same in memory of its own."""
+    """Return a copy."""
     if isinstance(measured, Tensor):
         return measured.clone()
     names = [f.name for f in dataclasses.fields(measured) if getattr(measured, f.name) is not None]
@@ -219,7 +219,7 @@ def _comes_from_host(taken: Any, result: Any) -> bool:
 
 
 def _without_copy(function: Any, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The arguments, with a number that is written to places given by index beside them, and not on the host.
+    """Return the arguments of an operation, a number that is written by index moved to the device of its target.
 
     Torch would copy it to the device each time. What is written by mask is given with the launch, and must stay.
     """
@@ -445,5 +445,5 @@ def _results(stage: Stage) -> list[Tensor]:
 
 
 def _address(tensor: Tensor) -> int:
-    """Address of the memory that the tensor lies in; for an empty tensor, a number of its own."""
+    """Return the address of the tensor's memory; a unique number for an empty tensor."""
     return tensor.untyped_storage().data_ptr() or -id(tensor)

@@ -78,7 +78,7 @@ def _size(count: float) -> str:
 
 FloatArray = npt.NDArray[np.float64]
 
-# Tolerances of links: metres, per metre of distance from the origin where that is more, and radians. Engines reckon in
+# Tolerances of links: metres, per metre of distance from the origin where that is more, and radians. Engines compute in
 # single precision, some of them far from the origin
 _LENGTH, _ANGLE = 2e-4, 2e-3
 # Radians or metres, of joint positions
@@ -218,7 +218,7 @@ def _positions_elsewhere(layout: SceneLayout) -> FloatArray:
 
 
 def _misplaced(engine: Engine, positions: Tensor, when: str) -> Iterator[str]:
-    """Joints that do not tell the positions (N, J) that they were given, and links that do not stand accordingly."""
+    """Yield joints whose positions differ from those (N, J) that were written, and links that do not follow them."""
     off = (engine.joint_positions - positions).abs() > _TOLD
     for env, joint in off.nonzero().tolist():
         name, entity = engine.layout.joints[joint].name, _entity_of_joint(engine.layout, joint)

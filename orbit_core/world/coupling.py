@@ -128,7 +128,7 @@ class CoupledEngine(Engine):
 
     @property
     def raises_divergence(self) -> bool:
-        """The engine's own; matter that diverges raises whatever it is."""
+        """Pass the setting to the engine; matter that diverges always raises."""
         return self._inner.raises_divergence
 
     @raises_divergence.setter

@@ -25,7 +25,7 @@ _STRETCH = 1.25
 
 
 class CoveredArea:
-    """Counts the cells of a grid, which lies around the cloth's middle, whose centres some triangle covers.
+    """Counter of the cells of a grid around the cloth's middle whose centres some triangle covers.
 
     Without a loop over environments or triangles: each triangle looks at the cells of a window that it fits into.
     """
@@ -37,7 +37,7 @@ class CoveredArea:
         # Metres
         self._cell = longest / _CELLS_PER_EDGE
         span = float(np.linalg.norm(vertices.max(0) - vertices.min(0))) * _STRETCH
-        # Cells along each side; the grid holds the cloth wherever its middle lies
+        # Cells along each side; the grid covers the cloth at any place of its middle
         self._count = math.ceil(2.0 * span / self._cell)
         window = math.ceil(_CELLS_PER_EDGE * _STRETCH) + 1
         steps = torch.arange(window, device=device)
@@ -160,7 +160,7 @@ class SimulatedDeformable(Deformable):
         return (quat_rotate_inverse(turn, points - middle).abs() <= half).all(-1).float().mean(1)
 
     def _box(self, region: Region) -> tuple[Object | None, Tensor, Tensor, Tensor]:
-        """Return the object that carries a region, with the region's middle, orientation and half extents, copied once."""
+        """Return a region's object, middle, orientation and half extents, copied once."""
         check_data(region, "region")
         if (region.entity is None) != (region.frame is None):
             raise ArgumentError(f"{region} is of an entity or a frame alone: give both, or neither")

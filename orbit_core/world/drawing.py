@@ -90,7 +90,7 @@ class TexturedRenderer(OuterRenderer):
         self._lenses: dict[tuple[CameraSpec, torch.device], Tensor] = {}
 
     def set_link_textures(self, textures: LinkTextures | None) -> None:
-        """Paint these from now on; whoever owns ``chosen`` writes it in place."""
+        """Paint these from now on; the owner of ``chosen`` writes it in place."""
         self._textures = textures
 
     def render(
@@ -221,7 +221,7 @@ def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine,
 
 
 class MatterRenderer(OuterRenderer):
-    """Draws with another renderer, depth with it, and paints deformables over what lies behind them."""
+    """Renderer that draws with another one, with depth, and paints deformables over the shapes behind them."""
 
     def __init__(self, inner: Renderer, painter: MatterPainter, engine: Engine, layout: SceneLayout) -> None:
         super().__init__(inner)

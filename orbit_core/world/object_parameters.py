@@ -200,7 +200,7 @@ class ObjectParameters(Object):
 
         Raises:
             UnsupportedCapabilityError: the engine cannot; names the backends that can.
-            ConfigurationError: a joint has no limits in the scene, or a lower one lies above the upper.
+            ConfigurationError: a joint has no limits in the scene, or a lower one is above the upper.
         """
         self.require(Capability.RANDOMIZE_LIMITS, f"joint limits of '{self.name}'")
         columns = list(self._all_columns if joints is None else self._joint_columns(joints))

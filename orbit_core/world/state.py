@@ -93,7 +93,7 @@ def settle(
 
     Engines step all environments at once. So all are stepped and put back by a snapshot, and what has come of the
     chosen ones is written to them: positions and velocities, as after a reset, without what a solver starts from. That
-    is the same whoever is settled with it, so that an environment does the same whatever their number.
+    does not depend on the environments that are settled with it, nor on their number.
 
     Args:
         engine: that is stepped.

@@ -251,7 +251,7 @@ class SimulatedWorld(World):
                 self.actuators.apply()
             if self.active:
                 self.active.apply()
-            # A traced step refuses nothing that servos make of diverged states: one look at its end will do.
+            # A traced step checks no targets that servos compute from diverged states: one look at its end suffices.
             self._engine.step(1)
             if self._guard is not None and (left == 1 or not is_tracing()):
                 self._guard.look()
