@@ -68,7 +68,7 @@ class ArmPixels(ObservationGroup):
 
 @dataclass
 class ArmLabels(ObservationGroup):
-    """Observations of an arm from its joints and a semantic camera, whose labels say which thing is which."""  # fmt: skip
+    """Observations of an arm from its joints and a semantic camera, whose labels say which thing is which."""
 
     concatenate: bool = False
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)

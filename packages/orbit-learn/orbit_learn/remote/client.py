@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.envs.observation_groups import POLICY
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_learn.remote.wire import MOST_BYTES, decode, encode
