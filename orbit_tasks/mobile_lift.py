@@ -169,7 +169,7 @@ class MobileLift(Mobile, Lift):
         )
 
     def planner(self, robot: RobotSpec, surface: float) -> BasePlannerConfig:
-        """Return the planner of paths, which keep off the table, or only its legs where a walking robot fits."""
+        """Return the planner of paths; they avoid the table, or its legs if a walking robot fits under it."""
         reach = RING[1] + 1.0
         low, high = (TABLE[0] - reach, TABLE[1] - reach), (TABLE[0] + reach, TABLE[1] + reach)
         height = surface - (0.1 if robot.feet else 0.0)

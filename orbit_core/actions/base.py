@@ -22,7 +22,7 @@ class MotionGenerator(Node):
         robot: that moves.
         joints: indices of the joints that the generator moves.
         command_size: number of components.
-        targets: what the joints are told.
+        targets: quantities that are commanded to the joints.
     """
 
     bounded: bool = False
@@ -44,7 +44,7 @@ class MotionGenerator(Node):
         self._columns = columns_of(self.joints, self.device)
 
     def enter(self, world: World, step_dt: float) -> None:
-        """Take up what the generator needs of the world besides its robot; called once, before the first turn.
+        """Prepare for a world: read what the generator needs beyond its robot. Called once, before the first turn.
 
         Args:
             world: of the robot.
@@ -69,7 +69,7 @@ class MotionGenerator(Node):
         """
 
     def encode_posture(self, positions: Tensor, pose: Tensor, gripper_open: Tensor) -> Tensor:
-        """As :meth:`encode`, where it is known as well at which positions (N, J) of all joints the pose is wanted.
+        """Return the command of :meth:`encode` for a pose that is wanted at known positions (N, J) of all joints.
 
         Spaces of poses have no use for them.
         """
@@ -99,7 +99,7 @@ class MotionGenerator(Node):
 
     @property
     def base_limits(self) -> Tensor | None:
-        """(3,) m/s forward, m/s to the left, rad/s that a command of 1 stands for, where a command is the velocity of
+        """(3,) m/s forward, m/s to the left, rad/s of a command of 1, if a command is the velocity of
         what carries the robot, in its own axes; None elsewhere. On two wheels the second is zero, and a command has no
         such component."""
         return None
@@ -134,7 +134,7 @@ def speed_limited_lead(robot: Robot, joints: Sequence[int]) -> Tensor:
 
 
 class CommandMode(Enum):
-    """What a command is added to."""
+    """Origin that a command is added to."""
 
     ABSOLUTE = "absolute"
     """Home, or zero: the same command always asks for the same."""
@@ -145,7 +145,7 @@ class CommandMode(Enum):
 
 
 class LastTargets:
-    """What was asked for last, (N, *shape); what is measured in environments that have just begun.
+    """Return the last targets (N, *shape); the measured values in environments that have just begun.
 
     The measured state is taken at the first turn and not at the reset, for events may place the joints after it.
     """
@@ -159,7 +159,7 @@ class LastTargets:
         return torch.where(self._stale, measured, self._targets)
 
     def parts(self) -> dict[str, Tensor]:
-        """What :meth:`read_of` takes, for laws that are functions of tensors."""
+        """Return the arguments of :meth:`read_of`, for laws that are functions of tensors."""
         return {"targets": self._targets, "stale": self._stale}
 
     @staticmethod
@@ -177,7 +177,7 @@ class LastTargets:
         write_rows(self._stale, True, env_ids)
 
     def memory(self) -> Mapping[str, Tensor]:
-        """For :meth:`orbit_core.interfaces.Node.memory`."""
+        """Return the tensors of :meth:`orbit_core.interfaces.Node.memory`."""
         return {"targets": self._targets, "stale": self._stale}
 
 

@@ -24,12 +24,12 @@ from orbit_core.scene import RobotSpec
 
 @dataclass(frozen=True, kw_only=True)
 class PoseTermConfig(ActionTerm):
-    """What terms have in common whose command is the pose of a frame, or its change.
+    """Settings that terms share whose command is the pose of a frame, or its change.
 
     It is (x, y, z, rotation vector), scaled by ``position_scale`` and ``rotation_scale``.
 
     Relative: a displacement of the measured pose, in world axes. Starting from the measured pose, and not from the last
-    one commanded, a command means the same whatever came before, and pushing against an obstacle winds nothing up. The
+    one commanded, a command's meaning does not depend on earlier ones, and pushing on an obstacle winds nothing up. The
     price: under a steady load that the drives' stiffness holds only by deflection, zero commands let the hand creep.
     Gravity compensation takes the arm's own weight out of that load; a closed loop (a policy, an expert) corrects the
     rest. Absolute and integrated commands do not creep.
@@ -89,7 +89,7 @@ class PoseTermConfig(ActionTerm):
         return frame
 
     def pose_command(self, robot: Robot) -> PoseCommand:
-        """What commands mean."""
+        """Return the meaning of commands."""
         scales, leads = (self.position_scale, self.rotation_scale), (self.position_lead, self.rotation_lead)
         return PoseCommand(robot, self.frame_of(robot), self.mode, scales, leads)
 
@@ -160,7 +160,7 @@ def bounded_targets(generator: MotionGenerator, delta: Tensor, max_joint_step: f
 
 @dataclass(frozen=True, kw_only=True)
 class FullIkTermConfig(PoseTermConfig):
-    """A command is a pose of the hand, to whose joint positions the joints go together, whatever way the hand takes.
+    """A command is a pose of the hand, to whose joint positions the joints go together; the hand's path is free.
 
     Levenberg and Marquardt's method from several seeds (:mod:`orbit_core.actions.full_ik`). Where no seed converges the
     joints hold still, and :attr:`FullIkTerm.missing` says by how much the pose is out of reach.

@@ -108,7 +108,7 @@ _Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Synergies:
-    """Postures (m + r)_i of a hand as sums: mean (k,), directions (n, k), and the scores that commands of 1 stand for.
+    """Postures (m + r)_i of a hand as sums: mean (k,), directions (n, k), and the scores of commands of 1.
 
     ``low`` and ``high`` (n,) are the scores of the postures that go furthest along each direction.
     """
@@ -171,7 +171,7 @@ class GraspSynergiesConfig(ActionTerm):
 
 
 class GraspSynergies(MotionGenerator):
-    """As many commands as synergies, :class:`GraspSynergiesConfig`. Targets are clipped to the joints' limits."""
+    """Motion generator with a command for each synergy, :class:`GraspSynergiesConfig`. Clips targets to limits."""
 
     def __init__(self, name: str, robot: Robot, config: GraspSynergiesConfig) -> None:
         joints = config.joint_indices(robot.spec, name)

@@ -32,7 +32,7 @@ _TOWARDS_POSE_DAMPING = 0.05
 
 
 class IkMethod(Enum):
-    """How the Jacobian is inverted."""
+    """Inversion of the Jacobian."""
 
     PSEUDO_INVERSE = "pseudo_inverse"
     """Exact and of least norm; unbounded at singularities."""
@@ -135,7 +135,7 @@ COMPONENTS = ("x", "y", "z", "about x", "about y", "about z")
 
 
 class PoseCommand:
-    """Where a command wants a frame of a robot, and the command for where it is wanted.
+    """Conversion between commands and poses of a robot's frame.
 
     Absolute: the pose in the robot's root frame, relative to the frame's pose at home, axes of the root. Relative: a
     displacement of the measured pose, in world axes. Integrated: a displacement of the last pose asked for, in world
@@ -158,8 +158,8 @@ class PoseCommand:
         self._leads = torch.tensor(leads, device=device).view(2, 1)
         self._home = _pose_at_home(robot, frame)
         self._last = LastTargets(robot.joint_positions.shape[0], (7,), device)
+        # (N, 6) m and rad of the last relative command
         self._offset = torch.zeros(robot.joint_positions.shape[0], 6, device=device)
-        """(N, 6) m and rad of the last relative command."""
 
     def displacement(self, command: Tensor, kept: Tensor | None = None) -> Tensor:
         """(N, 6) m and rad, world axes, from the measured pose to the one that a command (N, 6) asks for.
@@ -209,7 +209,7 @@ class PoseCommand:
         write_rows(self._offset, 0.0, env_ids)
 
     def memory(self) -> Mapping[str, Tensor]:
-        """For :meth:`orbit_core.interfaces.Node.memory`."""
+        """Return the tensors of :meth:`orbit_core.interfaces.Node.memory`."""
         return {"command": self._offset} if self._mode is CommandMode.RELATIVE else self._last.memory()
 
     def _led(self, displacement: Tensor) -> Tensor:

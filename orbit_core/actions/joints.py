@@ -74,7 +74,7 @@ class JointPosition(MotionGenerator):
         return self.encode_positions(self.positions + towards_pose(self.robot, self.joints, pose))
 
     def share(self, pose: Tensor) -> Tensor:
-        """As much as the slowest joint's lead lets it go of one damped least-squares step."""
+        """Return the share of one damped least-squares step that the slowest joint's lead allows."""
         if self._lead is None:
             return super().share(pose)
         step = towards_pose(self.robot, self.joints, pose).abs()
@@ -125,8 +125,8 @@ class JointPosition(MotionGenerator):
         return tuple(torch.where(span.isfinite(), span, math.pi) for span in (above, below))  # pyright: ignore
 
 
+# 1/s: the velocity that an expert asks for, over the displacement that is left
 _PURSUIT_RATE = 5.0
-"""1/s: the velocity that an expert asks for, over the displacement that is left."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,14 +190,14 @@ class JointVelocity(MotionGenerator):
         return velocities / velocities.abs().amax(-1, keepdim=True).clamp_min(self.config.scale)
 
     def _origin(self) -> Tensor | float:
-        """What commands are added to."""
+        """Return the origin that commands are added to."""
         if self.config.mode is CommandMode.ABSOLUTE:
             return 0.0
         return self.velocities if self.config.mode is CommandMode.RELATIVE else self._last.read(self.velocities)
 
 
+# rad/s: of the critically damped motion that an expert asks for
 _PURSUIT_FREQUENCY = 6.0
-"""rad/s: of the critically damped motion that an expert asks for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,7 +282,7 @@ class JointEffort(MotionGenerator):
         return self.encode_efforts(self._dynamics.against_friction(state, acceleration, state.efforts(acceleration)))
 
     def _origin(self) -> Tensor | float:
-        """What commands are added to."""
+        """Return the origin that commands are added to."""
         if self.config.mode is CommandMode.ABSOLUTE:
             return 0.0
         applied = self.robot.joint_efforts[:, self._columns]

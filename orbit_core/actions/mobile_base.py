@@ -44,7 +44,7 @@ class BaseVelocityConfig(ActionTerm):
 
     @property
     def limits(self) -> tuple[float, float, float]:
-        """What a command of 1 stands for: m/s forward, m/s to the left, rad/s."""
+        """Return the velocity of a command of 1: m/s forward, m/s to the left, rad/s."""
         return (self.max_speed, self.max_speed, self.max_yaw_rate)
 
     def default_joints(self, spec: RobotSpec) -> Sequence[str]:
@@ -135,8 +135,8 @@ def _turned(vectors: Tensor, angle: Tensor) -> Tensor:
     return torch.stack((cos * x - sin * y, sin * x + cos * y), dim=1)
 
 
+# 1/s: the velocity that an expert asks for, over the displacement that is left
 _PURSUIT_RATE = 1.0
-"""1/s: the velocity that an expert asks for, over the displacement that is left."""
 
 
 def differential_base_of(spec: RobotSpec) -> DifferentialBase:

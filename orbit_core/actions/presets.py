@@ -73,7 +73,7 @@ def _split(group: ActuatorConfig, spec: RobotSpec, unwanted: Mapping[str, tuple[
 
 @dataclass(frozen=True)
 class ActionPreset:
-    """What a word stands for: the term that moves the joints of a robot."""
+    """Preset of an action word: the term that moves the joints of a robot."""
 
     description: str
     """What one unit of action is, in one line."""

@@ -30,8 +30,8 @@ from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.layout import home_positions, match_names
 from orbit_core.scene import Pose, RobotSpec, Workspace
 
+# rad/s or m/s
 _RESTING = 0.05
-"""rad/s or m/s"""
 
 
 class PoseFollower(MotionGenerator):
@@ -65,7 +65,7 @@ class PoseFollower(MotionGenerator):
             return far & (self.velocities.abs().amax(1) < _RESTING)
 
     def reach_problem(self, env: int = 0) -> str:
-        """What :meth:`out_of_reach` says of one environment in a sentence; empty where the pose can be reached."""
+        """Return the result of :meth:`out_of_reach` for one environment in words; empty if it reaches the pose."""
         metres, radians = self.out_of_reach()[env].tolist()
         if not metres and not radians:
             return ""
@@ -80,27 +80,27 @@ class PoseFollower(MotionGenerator):
         return FullIk(tree, self.frame, self.joints, self.robot.position_limits, self.robot.home_positions)
 
 
+# Tilt and yaw in rad, the widest first
 _ROTATIONS = ((0.3, 1.0), (0.0, 1.0), (0.0, 0.0))
-"""Tilt and yaw in rad, the widest first."""
+# Of the grid along x, y and z
 _NODES = (7, 7, 6)
-"""Of the grid along x, y and z."""
+# Joint positions that show how far the grid must extend
 _SAMPLES = 32768
-"""Joint positions that show how far the grid must extend."""
+# Least cosine between the hand's approach and straight down of the samples that count
 _DOWN = math.cos(0.3)
-"""Least cosine between the hand's approach and straight down of the samples that count."""
+# Samples below which no grid is tried
 _FEWEST = 20
-"""Samples below which no grid is tried."""
+# m above the table at which a hand grasps what stands on it
 _GRASP_HEIGHT = 0.03
-"""m above the table at which a hand grasps what stands on it."""
+# Part of the arm's reach that the box keeps above the table: the hand does not touch it, tilted as it may be
 _CLEARANCE = 0.08
-"""Part of the arm's reach that the box keeps above the table: the hand does not touch it, tilted as it may be."""
+# m above the floor, of a hand on a robot that moves
 _LOWEST_ABOVE_FLOOR = 0.3
-"""m above the floor, of a hand on a robot that moves."""
+# Part of its range that each joint keeps from its limits
 _MARGIN = 0.03
-"""Part of its range that each joint keeps from its limits."""
 _SEARCH = FullIkConfig(seeds=4, iterations=40, position_tolerance=2e-3, rotation_tolerance=2e-2)
+# Nodes of the box along each axis, at least
 _LEAST = 2
-"""Nodes of the box along each axis, at least."""
 
 
 def with_workspace(spec: RobotSpec) -> RobotSpec:

@@ -53,8 +53,8 @@ class NodeRunner:
         """Whether some environments were reset since the last turn."""
         self.carries = period > 1
         """Whether its outputs are read in a later step than the one that computes them; they then stay in one place."""
+        # (N,) which were reset; None before the first turn, after which none differ
         self._waiting: Tensor | None = None
-        """(N,) which were reset; None before the first turn, after which there are none to tell apart."""
         self._sources = [(port.name, slots[sources[node.name, port.name]]) for port in node.inputs]
         self._targets = [(port.name, slots[node.name, port.name]) for port in node.outputs]
         self._ports = list(zip(node.outputs, (slot for _, slot in self._targets), strict=True))
@@ -88,7 +88,7 @@ class NodeRunner:
         own = self._values[slot]
         if not self.carries:
             self._values[slot] = value
-        elif own is None:  # what is held must not change with a buffer that the node, or an engine, writes anew
+        elif own is None:  # what is held must not change with a buffer that the node, or an engine, writes again
             self._values[slot] = value.clone()
         else:
             own.copy_(value)
@@ -132,11 +132,11 @@ class NodeRunner:
             self._none_waits()
 
     def due(self, step: int) -> bool:
-        """Whether it is the node's turn."""
+        """Return True if it is the node's turn."""
         return step % self.period == 0 and self.last_turn != step
 
     def save_state(self) -> RunnerState:
-        """What the node's next turns depend on."""
+        """Return the state that the node's next turns depend on."""
         memory = {name: tensor.clone() for name, tensor in self.node.memory().items()}
         return RunnerState(
             memory, self.last_turn, self.pending, None if self._waiting is None else self._waiting.clone()
@@ -273,14 +273,14 @@ class AgentGraph:
         return AgentGraph(nodes, edges, self.rate, self.inputs, self.outputs)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        """Make nodes forget some environments; with all of them (None) the schedule starts anew."""
+        """Make nodes forget some environments; with all of them (None) the schedule starts again."""
         if env_ids is None:
             self.step_count = 0
         for runner in self.runners:
             runner.reset(env_ids)
 
     def save_state(self) -> GraphState:
-        """What the continuation depends on: the step count, held values, and the nodes' memory."""
+        """Return the state that the continuation depends on: step count, held values and the nodes' memory."""
         values = tuple(None if value is None else value.clone() for value in self.values)
         return GraphState(self.step_count, values, tuple(runner.save_state() for runner in self.runners))
 
@@ -322,7 +322,7 @@ class AgentGraph:
         return {name: self.value(slot) for name, slot in self._outputs}
 
     def value(self, slot: int) -> Tensor:
-        """What stands in a slot of :attr:`values`, a copy where a later step writes it in place."""
+        """Return the value of a slot of :attr:`values`; a copy if a later step writes it in place."""
         value = self.values[slot]
         assert value is not None  # every slot that anything reads has been written by a source before it
         return value.clone() if slot in self._runner_of and self._runner_of[slot].carries else value
@@ -389,7 +389,7 @@ class Cut:
 
     @property
     def due(self) -> bool:
-        """Whether new outputs count for all environments at this step; a node slower than the agent holds them."""
+        """True if new outputs count for all environments at this step; a node slower than the agent holds them."""
         return self._replaced.due(self.graph.step_count)
 
     def observe(self, external: Mapping[str, Tensor] | None = None) -> dict[str, Tensor]:

@@ -18,7 +18,7 @@ Endpoint = tuple[str, str]
 
 @dataclass(frozen=True)
 class Edge:
-    """From an output port to an input port, each ``"node.port"``; a port of the graph itself is its bare name."""
+    """Edge from an output port to an input port, each ``"node.port"``; a port of the graph itself is its bare name."""
 
     source: str
     target: str

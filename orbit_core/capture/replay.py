@@ -34,16 +34,16 @@ def kernels_wanted() -> bool:
 
 
 class CapturedFunction:
-    """Runs operations as they are the first time, watching them, and from then on does the same without their Python.
+    """Operations that run in Python once, while they are traced, and are replayed without it from then on.
 
-    What they give holds until the next call: clone what is kept.
-    What they count on the host is their caller's to keep right. Where the engine makes recordings, a replay is one.
+    Results hold until the next call: clone what is kept.
+    Counters on the host are the caller's. Where the engine makes recordings, a replay is one.
 
     Args:
         world: that they work on.
-        operations: on tensors and on the world; what they give are tensors.
-        compile: whether to compile what lies between uses of the engine.
-        python: the values of plain Python that the operations read; they must not change them.
+        operations: on tensors and on the world; they return tensors.
+        compile: True to compile the stages between calls to the engine.
+        python: values of plain Python that the operations read, and must not change.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class CapturedFunction:
         self._compiles = compile
         self.replay: Callable[[], tuple[Tensor, ...]] | None = None
         self.refusal = ""
-        """Why the operations cannot be repeated without Python; empty if they can, or have not run."""
+        """Reason why the operations cannot be repeated without Python; empty if they can, or have not run."""
 
     def __call__(self) -> tuple[Tensor, ...]:
         return self._traced() if self.replay is None else self.replay()
@@ -90,7 +90,7 @@ def _as_it_is(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> fx.Gr
 def _recorded(
     operations: Callable[[], tuple[Tensor, ...]], record: Callable[[Callable[[], None]], Callable[[], None]]
 ) -> Callable[[], tuple[Tensor, ...]]:
-    """The operations as the engine's recording, if it makes one."""
+    """Return the operations as the engine's recording, if it makes one."""
     outputs: tuple[Tensor, ...] = ()
 
     def run() -> None:
@@ -122,8 +122,8 @@ class ScheduledFunction:
     def __init__(self, schedules: Sequence[Schedule], capture: Callable[[], CapturedFunction]) -> None:
         self._schedules = tuple(schedules)
         self._capture = capture
+        # Function of each key, with the key after it and the steps that each schedule counts meanwhile
         self._known: dict[_Keys, tuple[CapturedFunction, _Keys, tuple[int, ...]]] = {}
-        """Function of each key, with the key after it and the steps that each schedule counts meanwhile."""
         self.refusal = ""
         """Reason why the operations cannot be repeated without Python; empty as far as they can."""
 

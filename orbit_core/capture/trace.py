@@ -1,4 +1,4 @@
-"""What a step does, as data: tensor operations in stages, between calls to the engine.
+"""Traced steps as data: tensor operations in stages, between calls to the engine.
 
 A :class:`Tracer` notes each operation of torch and each call of an engine or renderer while a step runs, with the
 tensors that they took. A :class:`orbit_core.capture.trace.CapturedTrace` repeats them on the same memory, without the
@@ -186,7 +186,7 @@ def tensors_of(tree: Any) -> list[Tensor]:
 
 
 def by_index(call: EngineCall) -> bool:
-    """Whether environments are given by a mask that the method does not take: to find them is to look at the mask."""
+    """Return True if environments are given by a mask that the method does not take, so that the mask must be read."""
     return is_mask(call.arguments.get("env_ids")) and call.name not in call.owner.capture.takes_masks
 
 
@@ -198,7 +198,7 @@ def _fields(measured: Any) -> list[Tensor]:
 
 
 def _kept(measured: Any) -> Any:
-    """The same in memory of its own."""
+    """Return a copy."""
     if isinstance(measured, Tensor):
         return measured.clone()
     names = [f.name for f in dataclasses.fields(measured) if getattr(measured, f.name) is not None]
@@ -206,7 +206,7 @@ def _kept(measured: Any) -> Any:
 
 
 def _decides(function: Any, arguments: tuple[Any, ...]) -> bool:
-    """Whether the values of an operation's tensors decide what Python sees of it."""
+    """Return True if Python sees values of an operation's tensors, or shapes that depend on them."""
     if function is torch.ops.aten.index.Tensor:
         return any(index is not None and index.dtype == torch.bool for index in arguments[1])
     return any(tag in function.tags for tag in _DECIDING)
@@ -219,7 +219,7 @@ def _comes_from_host(taken: Any, result: Any) -> bool:
 
 
 def _without_copy(function: Any, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The arguments, with a number that is written to places given by index beside them, and not on the host.
+    """Return the arguments of an operation, a number that is written by index moved to the device of its target.
 
     Torch would copy it to the device each time. What is written by mask is given with the launch, and must stay.
     """
@@ -293,7 +293,7 @@ class _Slot:
 
 
 class _Memory:
-    """Which tensors stay when a step is over, told by the memory that they lie in."""
+    """Tensors that outlast a step, found by the memory that they occupy."""
 
     def __init__(self, stages: Sequence[Stage]) -> None:
         self._lasting: set[int] = set()
@@ -305,7 +305,7 @@ class _Memory:
                 made |= {_address(t) for t in tensors_of(operation.result)} - self._lasting
 
     def lasts(self, tensor: Tensor) -> bool:
-        """Whether the tensor lies in memory that was there before the step."""
+        """Return True if the tensor occupies memory that existed before the step."""
         return _address(tensor) in self._lasting
 
 
@@ -329,8 +329,8 @@ class _BuiltStage:
         some = stage.operations or wanted
         self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
         self._call = stage.call
+        # Arguments of the call, with slots in the place of tensors that this stage or an earlier one makes
         self._arguments: dict[str, Any] = {}
-        """Arguments of the call, with slots in the place of tensors that this stage or an earlier one makes."""
         if stage.call is not None:
             self._arguments = {
                 name: tree_map_only(Tensor, lambda t: _Slot(slots[t]) if t in slots else t, argument)
@@ -445,5 +445,5 @@ def _results(stage: Stage) -> list[Tensor]:
 
 
 def _address(tensor: Tensor) -> int:
-    """Address of the memory that the tensor lies in; for an empty tensor, a number of its own."""
+    """Return the address of the tensor's memory; a unique number for an empty tensor."""
     return tensor.untyped_storage().data_ptr() or -id(tensor)

@@ -5,9 +5,9 @@ Names load on first use, so that listing tasks does not load the tensor library.
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
 
+from orbit_core.exports import lazy_names
 from orbit_core.moved import moved_name
 
 if TYPE_CHECKING:
@@ -54,8 +54,6 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "once_per_state",
     ),
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
 __all__ = [
     "CommandTerm", "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ExpertStarts", "ModifyTerm",
     "ObservationGroup", "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Subtask", "Task", "TaskEntry",
@@ -63,8 +61,4 @@ __all__ = [
     "task_entry",
 ]  # fmt: skip
 
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
-        return moved_name(__name__, name)
-    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _MODULES, moved_name)

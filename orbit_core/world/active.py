@@ -50,14 +50,14 @@ class ActiveModels:
         device = engine.device
         self._joints = [_indices([_layout(law).joints.start + j for j in law.joints], device) for law in self._laws]
         pushed = sorted({_layout(law).links.start + link for law in self._laws for link in law.links})
+        # (k,) links of the scene that laws push
         self._pushed = _indices(pushed, device)
-        """(k,) links of the scene that laws push."""
         self._columns = [
             _indices([pushed.index(_layout(law).links.start + link) for link in law.links], device)
             for law in self._laws
         ]
+        # What callers of set_wrenches want, of all links where laws push any
         self._asked = torch.zeros(engine.num_envs, len(engine.layout.links) if pushed else 0, 6, device=device)
-        """What callers of set_wrenches want, of all links where laws push any."""
         for law in self._laws:
             if law.links:
                 _object(law).write_wrenches = self._take

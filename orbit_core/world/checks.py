@@ -17,10 +17,10 @@ from orbit_core.dynamics.transforms import quat_distance
 from orbit_core.interfaces import BuildError, BuiltModel, ConfigurationError, Engine, EntityLayout, SceneLayout
 from orbit_core.scene import CameraSpec, Channel
 
+# Bytes that an engine takes at least per link or joint of an environment: its state, the core's, and contacts
 _PER_BODY = 2048
-"""Bytes that an engine takes at least per link or joint of an environment: its state, the core's, and contacts."""
+# Bytes of a particle of matter: position, displacement, velocity, what it is held by and what it is near
 _PER_PARTICLE = 128
-"""Bytes of a particle of matter: position, displacement, velocity, what it is held by and what it is near."""
 _PER_PIXEL = {
     Channel.RGB: 3,
     Channel.DEPTH: 4,
@@ -78,18 +78,18 @@ def _size(count: float) -> str:
 
 FloatArray = npt.NDArray[np.float64]
 
+# Tolerances of links: metres, per metre of distance from the origin where that is more, and radians. Engines compute in
+# single precision, some of them far from the origin
 _LENGTH, _ANGLE = 2e-4, 2e-3
-"""Tolerances of links: metres, per metre of distance from the origin where that is more, and radians. Engines reckon in
-single precision, some of them far from the origin."""
+# Radians or metres, of joint positions
 _TOLD = 1e-4
-"""Radians or metres, of joint positions."""
+# Relative tolerance of masses, limits and armatures, and of inertias by the largest moment
 _RELATIVE = 1e-4
-"""Relative tolerance of masses, limits and armatures, and of inertias by the largest moment."""
+# Metres, of centres of mass
 _CENTER = 1e-5
-"""Metres, of centres of mass."""
 _UNLIMITED = 1e8
+# Fraction of a joint's range, up or down from home, at which kinematics are compared a second time
 _STRAY = 0.381966
-"""Fraction of a joint's range, up or down from home, at which kinematics are compared a second time."""
 
 
 def check_build(engine: Engine, backend: str) -> None:
@@ -218,7 +218,7 @@ def _positions_elsewhere(layout: SceneLayout) -> FloatArray:
 
 
 def _misplaced(engine: Engine, positions: Tensor, when: str) -> Iterator[str]:
-    """Joints that do not tell the positions (N, J) that they were given, and links that do not stand accordingly."""
+    """Yield joints whose positions differ from those (N, J) that were written, and links that do not follow them."""
     off = (engine.joint_positions - positions).abs() > _TOLD
     for env, joint in off.nonzero().tolist():
         name, entity = engine.layout.joints[joint].name, _entity_of_joint(engine.layout, joint)

@@ -11,22 +11,21 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import FRICTIONS, POSITIONS, VELOCITIES, Bounds, columns_chosen
-from orbit_core.dynamics.indexing import RowSelector
 from orbit_core.dynamics.transforms import quat_rotate_inverse
-from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Engine, Object, find_name
+from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Object, find_name
 from orbit_core.interfaces.matter import PARAMETERS
 from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import Cloth, DeformableSpec, Region
-from orbit_core.world.state import Clock
+from orbit_core.world.state import WorldParts
 
+# Cells of the grid along a triangle's longest edge
 _CELLS_PER_EDGE = 6
-"""Cells of the grid along a triangle's longest edge."""
+# By how much an edge may be longer than at rest and still be seen whole
 _STRETCH = 1.25
-"""By how much an edge may be longer than at rest and still be seen whole."""
 
 
 class CoveredArea:
-    """Counts the cells of a grid, which lies around the cloth's middle, whose centres some triangle covers.
+    """Counter of the cells of a grid around the cloth's middle whose centres some triangle covers.
 
     Without a loop over environments or triangles: each triangle looks at the cells of a window that it fits into.
     """
@@ -35,15 +34,15 @@ class CoveredArea:
         vertices, faces = cloth.rest_positions, np.asarray(cloth.mesh.faces)
         corners = vertices[faces]
         longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max())
+        # Metres
         self._cell = longest / _CELLS_PER_EDGE
-        """Metres."""
         span = float(np.linalg.norm(vertices.max(0) - vertices.min(0))) * _STRETCH
+        # Cells along each side; the grid covers the cloth at any place of its middle
         self._count = math.ceil(2.0 * span / self._cell)
-        """Cells along each side; the grid holds the cloth wherever its middle lies."""
         window = math.ceil(_CELLS_PER_EDGE * _STRETCH) + 1
         steps = torch.arange(window, device=device)
+        # (W, 2) cells from a triangle's lowest corner on
         self._window = torch.cartesian_prod(steps, steps)
-        """(W, 2) cells from a triangle's lowest corner on."""
         self._faces = torch.as_tensor(faces, dtype=torch.int64, device=device)
 
     def __call__(self, positions: Tensor) -> Tensor:
@@ -61,7 +60,7 @@ class CoveredArea:
 
 
 def _covered(corners: Tensor, points: Tensor) -> Tensor:
-    """Whether points (N, T, W, 2) lie in triangles (N, T, 1, 3, 2), whichever way round these go."""
+    """Return True for points (N, T, W, 2) inside triangles (N, T, 1, 3, 2) of either winding."""
     edges = torch.roll(corners, -1, dims=3) - corners
     arms = points[..., None, :] - corners
     sides = edges[..., 0] * arms[..., 1] - edges[..., 1] * arms[..., 0]
@@ -78,17 +77,14 @@ class SimulatedDeformable(Deformable):
         self,
         index: int,
         spec: DeformableSpec,
-        engine: Engine,
-        selector: RowSelector,
-        clock: Clock,
+        parts: WorldParts,
         entities: Mapping[str, Object],
     ) -> None:
         self.name, self.spec = spec.name, spec
         self._entities = entities
         self._index = index
-        self._engine = engine
-        self._selector = selector
-        self._clock = clock
+        engine = self._engine = parts.engine
+        self._clock, self._selector = parts.clock, parts.selector
         self._shape = (len(spec.rest_positions), 3)
         self._boxes: dict[Region, tuple[Object | None, Tensor, Tensor, Tensor]] = {}
         most = max((len(point.particles) for point in spec.key_points), default=1)
@@ -97,8 +93,8 @@ class SimulatedDeformable(Deformable):
             count = len(point.particles)
             numbers[row, :count] = torch.tensor(point.particles)
             weights[row, :count] = torch.tensor(point.weights or (1.0 / count,) * count)
+        # (K, m) particles of each key point, and (K, m, 1) their weights
         self._of_key_points, self._weights = numbers.long().to(engine.device), weights[..., None].to(engine.device)
-        """(K, m) particles of each key point, and (K, m, 1) their weights."""
 
     @property
     def positions(self) -> Tensor:
@@ -164,7 +160,7 @@ class SimulatedDeformable(Deformable):
         return (quat_rotate_inverse(turn, points - middle).abs() <= half).all(-1).float().mean(1)
 
     def _box(self, region: Region) -> tuple[Object | None, Tensor, Tensor, Tensor]:
-        """What a region stands on, its middle and orientation, and its half extents, looked at and copied once."""
+        """Return a region's object, middle, orientation and half extents, copied once."""
         check_data(region, "region")
         if (region.entity is None) != (region.frame is None):
             raise ArgumentError(f"{region} is of an entity or a frame alone: give both, or neither")

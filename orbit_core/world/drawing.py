@@ -90,7 +90,7 @@ class TexturedRenderer(OuterRenderer):
         self._lenses: dict[tuple[CameraSpec, torch.device], Tensor] = {}
 
     def set_link_textures(self, textures: LinkTextures | None) -> None:
-        """Paint these from now on; whoever owns ``chosen`` writes it in place."""
+        """Paint these from now on; the owner of ``chosen`` writes it in place."""
         self._textures = textures
 
     def render(
@@ -157,8 +157,8 @@ class Painting:
         self._shape, self._device = (num_envs, links, 4), device
         self._colors: Tensor | None = None
         self._known: list[Texture] = []
+        # Of textures that were given together, made once, so that a captured step copies nothing to its device
         self._numbers: dict[tuple[Texture, ...], Tensor] = {}
-        """Of textures that were given together, made once, so that a captured step copies nothing to its device."""
         self._chosen: Tensor | None = None
         self.textures: LinkTextures | None = None
         """What renderers paint; None while nothing has a texture."""
@@ -221,7 +221,7 @@ def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine,
 
 
 class MatterRenderer(OuterRenderer):
-    """Draws with another renderer, depth with it, and paints deformables over what lies behind them."""
+    """Renderer that draws with another one, with depth, and paints deformables over the shapes behind them."""
 
     def __init__(self, inner: Renderer, painter: MatterPainter, engine: Engine, layout: SceneLayout) -> None:
         super().__init__(inner)
@@ -248,8 +248,8 @@ class MatterRenderer(OuterRenderer):
 
 
 _OPAQUE = (0.0, 0.0, 0.0, 1.0)
+# Lengths of axes in metres: of the base, of end effectors, feet and wheels, and of finger tips
 _BASE, _LARGE, _SMALL = 0.25, 0.12, 0.04
-"""Lengths of axes in metres: of the base, of end effectors, feet and wheels, and of finger tips."""
 
 
 def frame_lengths(robot: RobotSpec) -> dict[str, float]:

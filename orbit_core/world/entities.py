@@ -9,7 +9,6 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from orbit_core.actuators import Actuators
 from orbit_core.dynamics.arguments import (
     EFFORTS,
     POSITIONS,
@@ -23,10 +22,10 @@ from orbit_core.dynamics.arguments import (
 from orbit_core.dynamics.indexing import RowSelector, columns_of, write_block, write_rows
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import ConfigurationError, Engine, EntityLayout, JointTarget, Marker, Robot, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, EntityLayout, JointTarget, Marker, Robot, UnknownNameError
 from orbit_core.scene import ActiveModel, Frame, MarkerSpec, ObjectSpec, Pose, RobotSpec
 from orbit_core.world.object_parameters import ObjectParameters
-from orbit_core.world.state import Clock
+from orbit_core.world.state import WorldParts
 
 
 class _View:
@@ -66,18 +65,17 @@ class _FrameHandle:
 class SimulatedObject(ObjectParameters):
     """An articulation in N environments of one engine."""
 
-    def __init__(
-        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, selector: RowSelector
-    ) -> None:
-        super().__init__(layout, engine, actuators, clock, selector)
+    def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
+        super().__init__(layout, parts)
         self._frames: dict[str, _FrameHandle] = {}
+        # Pose of each frame that was read, with its version of the clock
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
-        """Pose of each frame that was read, with its version of the clock."""
         self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
         links, joints = layout.links, layout.joints
         self._root_pose, self._root_velocity = _View(layout.root_link), _View(layout.root_link)
         self._link_poses, self._link_velocities = _View(links), _View(links)
         self._positions, self._velocities, self._efforts = _View(joints), _View(joints), _View(joints)
+        engine = parts.engine
         parameters = engine.layout.joint_parameters
         limits = [torch.as_tensor(array[joints]) for array in (parameters.lower_limit, parameters.upper_limit)]
         self._limits = torch.stack(limits, dim=-1).to(engine.device, torch.float32)
@@ -85,7 +83,7 @@ class SimulatedObject(ObjectParameters):
 
     @property
     def active_specs(self) -> tuple[ActiveModel, ...]:
-        """Its active models, as data."""
+        """Specifications of the object's active models."""
         return self.spec.active if isinstance(self.spec, ObjectSpec) else ()
 
     # Reading
@@ -272,17 +270,15 @@ class SimulatedRobot(SimulatedObject, Robot):
     def spec(self) -> RobotSpec:
         return self._spec
 
-    def __init__(
-        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, selector: RowSelector
-    ) -> None:
+    def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
         assert isinstance(layout.spec, RobotSpec)  # the world makes robots of robots' layouts alone
         self._spec = layout.spec
-        super().__init__(layout, engine, actuators, clock, selector)
-        parts = layout.joints, f"of '{self.name}'"
+        super().__init__(layout, parts)
+        actuators, own = parts.actuators, (layout.joints, f"of '{self.name}'")
         self._targets = {
-            JointTarget.POSITION: _Targets(actuators.position_targets, POSITIONS, "position targets", *parts),
-            JointTarget.VELOCITY: _Targets(actuators.velocity_targets, VELOCITIES, "velocity targets", *parts),
-            JointTarget.EFFORT: _Targets(actuators.effort_targets, EFFORTS, "effort targets", *parts),
+            JointTarget.POSITION: _Targets(actuators.position_targets, POSITIONS, "position targets", *own),
+            JointTarget.VELOCITY: _Targets(actuators.velocity_targets, VELOCITIES, "velocity targets", *own),
+            JointTarget.EFFORT: _Targets(actuators.effort_targets, EFFORTS, "effort targets", *own),
         }
 
     @property

@@ -12,9 +12,9 @@ from typing import Any, NoReturn, Protocol
 
 from orbit_core.interfaces import ClosedError
 
+# What may be used of a closed thing: closing it again, what Gymnasium asks to find out whether it is closed, and what a
+# forked process does with what it finds
 _STAY = frozenset({"close", "close_extras", "closed", "mark_forked", "unwrapped"})
-"""What may be used of a closed thing: closing it again, what Gymnasium asks to find out whether it is
-closed, and what a forked process does with what it finds."""
 _MARK = "_was_closed"
 
 
@@ -56,12 +56,12 @@ def _closed_class(kind: type, why: str, closes: bool = True) -> Any:
 
 
 def _is_use(member: object) -> bool:
-    """Whether a class's member is a method or a property, and no plain value."""
+    """Return True if a class's member is a method or a property."""
     return inspect.isroutine(member) or isinstance(member, property | functools.cached_property)
 
 
 class ForkAware(Protocol):
-    """What is to be given up in forked processes."""
+    """Object that must not be used in forked processes."""
 
     def mark_forked(self, parent: int) -> None:
         """Refuse every later use."""

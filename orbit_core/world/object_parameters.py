@@ -9,7 +9,6 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from orbit_core.actuators import Actuators
 from orbit_core.dynamics.arguments import (
     COLORS,
     EFFORTS,
@@ -22,31 +21,27 @@ from orbit_core.dynamics.arguments import (
     check_numbers,
     columns_chosen,
 )
-from orbit_core.dynamics.indexing import RowSelector
-from orbit_core.interfaces import Capability, ConfigurationError, Engine, EntityLayout, Object
+from orbit_core.interfaces import Capability, ConfigurationError, EntityLayout, Object
 from orbit_core.scene import ActuatorNetwork, Entity, JointType, Texture
 from orbit_core.world.drawing import Painting
-from orbit_core.world.state import Clock
+from orbit_core.world.state import WorldParts
 
 
 def _nothing_required(capability: Capability, culprit: str) -> None:
-    """What no world has made knows of no backend that it could name."""
+    """Default check for objects that no world has made: accept every capability."""
 
 
 class ObjectParameters(Object):
-    """What of an object in one engine is set per environment and outlasts resets."""
+    """Parameters of an object in one engine, set per environment; they outlast resets."""
 
-    def __init__(
-        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, selector: RowSelector
-    ) -> None:
+    def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
+        engine = parts.engine
         self.layout = layout
         self.name = layout.name
         self.link_names = layout.spec.articulation.link_names
         self.joint_names = layout.spec.articulation.joint_names
         self._engine = engine
-        self._actuators = actuators
-        self._clock = clock
-        self._selector = selector
+        self._actuators, self._clock, self._selector = parts.actuators, parts.clock, parts.selector
         self._all_columns = tuple(range(len(self.joint_names)))
         self._all_joints = torch.arange(layout.joints.start, layout.joints.stop, device=engine.device)
         self.require: Callable[[Capability, str], None] = _nothing_required
@@ -205,7 +200,7 @@ class ObjectParameters(Object):
 
         Raises:
             UnsupportedCapabilityError: the engine cannot; names the backends that can.
-            ConfigurationError: a joint has no limits in the scene, or a lower one lies above the upper.
+            ConfigurationError: a joint has no limits in the scene, or a lower one is above the upper.
         """
         self.require(Capability.RANDOMIZE_LIMITS, f"joint limits of '{self.name}'")
         columns = list(self._all_columns if joints is None else self._joint_columns(joints))

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from orbit_core.actuators import Actuators
 from orbit_core.dynamics.arguments import whole_number
+from orbit_core.dynamics.indexing import RowSelector
 from orbit_core.interfaces import ArgumentError, Engine, UnsupportedCapabilityError, World, diverged
-from orbit_core.interfaces.world import WorldClock, WorldSelector
 
 
 class Clock:
@@ -64,7 +64,7 @@ def check_copy(world: World, origin: World, source: int) -> None:
 
 @dataclass(frozen=True)
 class _Rest:
-    """Where n environments have come to."""
+    """State of n environments."""
 
     roots: list[tuple[int, Tensor, Tensor]]
     """Index of each entity whose base is free, and its root's pose (n, 7) and velocity (n, 6)."""
@@ -75,7 +75,7 @@ class _Rest:
 
 
 class Stateful(Protocol):
-    """What remembers something from step to step."""
+    """Part of a world with memory from step to step."""
 
     def save_state(self) -> Any:
         """A detached copy."""
@@ -93,7 +93,7 @@ def settle(
 
     Engines step all environments at once. So all are stepped and put back by a snapshot, and what has come of the
     chosen ones is written to them: positions and velocities, as after a reset, without what a solver starts from. That
-    is the same whoever is settled with it, so that an environment does the same whatever their number.
+    does not depend on the environments that are settled with it, nor on their number.
 
     Args:
         engine: that is stepped.
@@ -140,33 +140,41 @@ def _write(engine: Engine, rest: _Rest, rows: Tensor | None) -> None:
         engine.write_particles(index, positions, velocities, rows)
 
 
+@dataclass(frozen=True)
+class WorldParts:
+    """Parts of a simulated world that its entities read and write."""
+
+    engine: Engine
+    actuators: Actuators
+    clock: Clock
+    selector: RowSelector
+
+
 class DivergenceGuard:
-    """Looks after each stretch of the engine's steps for environments that diverged, notes them, and resets them.
+    """Reset of environments that diverge, after each stretch of the engine's steps.
 
     The engine raises no error for them from then on. What else is reset where an episode begins is its owner's to do.
     Deformables are not looked at: those that diverge raise as before.
 
     Args:
-        engine: whose environments are watched.
-        actuators: that forget what was commanded.
-        clock: of the world's state.
-        selector: of environments.
+        parts: of the world.
     """
 
-    def __init__(self, engine: Engine, actuators: Actuators, clock: WorldClock, selector: WorldSelector) -> None:
+    def __init__(self, parts: WorldParts) -> None:
+        engine = parts.engine
         engine.raises_divergence = False
-        self._engine, self._actuators, self._clock, self._selector = engine, actuators, clock, selector
+        self._parts = parts
         self.lost = torch.zeros(engine.num_envs, dtype=torch.bool, device=engine.device)
         """(N,) which environments have diverged since their owner last set it to False."""
 
     def look(self) -> None:
         """Reset the environments that diverged in the steps just taken."""
-        engine = self._engine
+        engine = self._parts.engine
         wrong = diverged(engine.link_poses, engine.link_velocities)
         wrong = wrong | diverged(engine.joint_positions, engine.joint_velocities)
         self.lost.logical_or_(wrong)
-        rows = self._selector.where(wrong)
+        rows = self._parts.selector.where(wrong)
         if rows is not None:
-            self._engine.reset(rows)
-            self._actuators.reset(rows)
-            self._clock.touch()
+            engine.reset(rows)
+            self._parts.actuators.reset(rows)
+            self._parts.clock.touch()

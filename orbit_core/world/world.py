@@ -54,13 +54,13 @@ from orbit_core.world.deformables import SimulatedDeformable
 from orbit_core.world.drawing import Painting, with_frames, with_matter
 from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
-from orbit_core.world.state import Clock, DivergenceGuard, WorldState, check_copy, settle
+from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
 
 
 class SimulatedWorld(World):
     """N environments of a scene in one physics engine.
 
-    What it takes and raises is told at :func:`~orbit_core.world.simulate`.
+    :func:`~orbit_core.world.simulate` documents arguments and errors.
     """
 
     # Never replaced, so that what a reader of World expects holds.
@@ -126,15 +126,15 @@ class SimulatedWorld(World):
         register_after_fork(self)
 
     def _add_entities(self) -> None:
-        parts = (self._engine, self.actuators, self.clock, self.selector)
+        parts = self._world_parts = WorldParts(self._engine, self.actuators, self.clock, self.selector)
         count = len(self.scene.robots)
-        robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
-        objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
+        robots = {e.name: SimulatedRobot(e, parts) for e in self.layout.entities[:count]}
+        objects = {e.name: SimulatedObject(e, parts) for e in self.layout.entities[count:]}
         for thing in (*robots.values(), *objects.values()):
             thing.require, thing.painting = self._require, self.painting
         self.active = ActiveModels(objects, self._engine, self.selector)
         deformables = {
-            spec.name: SimulatedDeformable(i, spec, self._engine, self.selector, self.clock, {**robots, **objects})
+            spec.name: SimulatedDeformable(i, spec, parts, {**robots, **objects})
             for i, spec in enumerate(self.scene.deformables)
         }
         self._marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)
@@ -161,13 +161,13 @@ class SimulatedWorld(World):
 
     def _plan_steps(self) -> None:
         """Decide how far the engine runs at a time."""
+        # True if something computes before each physics step
         self._singly = self.actuators.explicit or bool(self._servos)
-        """True if something computes before each physics step."""
         periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
         if self._singly and self.layout.contact_queries:
             periods.append(1)  # the engine averages contact forces over each call
+        # Physics steps whose divisors the engine's stretches are, for they end where a sensor is due
         self._stretch = math.gcd(*periods) if periods else None
-        """Physics steps whose divisors the engine's stretches are, for they end where a sensor is due."""
 
     def add_servo(self, servo: Callable[[], None]) -> None:
         self._servos.append(servo)
@@ -201,7 +201,7 @@ class SimulatedWorld(World):
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        """What differs from the scene as asked: in the models first, then in the engine."""
+        """Differences from the scene that was requested: of the models first, then of the engine."""
         notes = tuple(
             Approximation(entity.name, "the source's model", note, "the catalogue's choice")
             for entity in self.scene.entities
@@ -251,7 +251,7 @@ class SimulatedWorld(World):
                 self.actuators.apply()
             if self.active:
                 self.active.apply()
-            # A traced step refuses nothing that servos make of diverged states: one look at its end will do.
+            # A traced step checks no targets that servos compute from diverged states: one look at its end suffices.
             self._engine.step(1)
             if self._guard is not None and (left == 1 or not is_tracing()):
                 self._guard.look()
@@ -259,7 +259,7 @@ class SimulatedWorld(World):
 
     def guard_divergence(self) -> Tensor:
         """Reset environments that diverge in a step from now on; returns the guard's ``lost`` (N,) bool."""
-        self._guard = self._guard or DivergenceGuard(self._engine, self.actuators, self.clock, self.selector)
+        self._guard = self._guard or DivergenceGuard(self._world_parts)
         return self._guard.lost
 
     @property
@@ -283,7 +283,7 @@ class SimulatedWorld(World):
         self._engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        """Begin anew in some environments, by index or by mask (N,) bool.
+        """Return some environments to their start, by index or by mask (N,) bool.
 
         Raises:
             ArgumentError, ShapeError: ``env_ids`` are no environments; nothing was reset.

@@ -105,7 +105,7 @@ def test_a_law_adds_to_the_wrenches_that_are_set_and_remembers_by_environment(ba
 def test_snapshots_copies_and_settling_keep_what_a_law_remembers(backend: str) -> None:
     world = rockets(backend)
     thing = world.objects["rocket"]
-    memory = world.memory()["active model 'engine' of 'rocket', burnt"]
+    memory = world.active.laws["active model 'engine' of 'rocket'"].memory["burnt"]
     world.step(3)
     state = world.save_state()
     world.step(7)

@@ -17,11 +17,12 @@ from orbit_core.envs.actors import Teacher
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.pretrained import policy_path
 from orbit_learn.convolutional import PictureActor, convolutional
 from orbit_learn.description import group_parts
+from orbit_learn.memory import Remembering
 from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron
 from orbit_learn.policy import load_policy
-from orbit_learn.pretrained import policy_path
 from orbit_learn.trainer import LoopTrainer
 
 
@@ -200,6 +201,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
 
     name: ClassVar[str] = "distill"
     settings_type: ClassVar[type[Any]] = DistillSettings
+    options: ClassVar[tuple[str, ...]] = ("distillation", "teacher")
 
     def __init__(self, environment: Environment, settings: DistillSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
@@ -306,7 +308,8 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
         return lambda seen: expert.compute({})["action"]
     teacher = load_policy(policy_path(name), environment.device)
     group = teacher.description.find_group(environment)
-    return lambda seen: teacher.module(seen[group])
+    acting = Remembering(teacher.module, environment.num_envs, environment.device)
+    return lambda seen: acting.act(seen[group], environment.state.episode_step == 0)
 
 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:

@@ -42,7 +42,7 @@ class TaskResult:
 
     @property
     def shortfall(self) -> str:
-        """Why an expert has failed: the whole interval of its success lies below what it is held to; empty if not."""
+        """Reason of an expert's failure: its whole success interval is below the required rate; empty if it is not."""
         if self.success.high >= self.expert_success:
             return ""
         return f"success is {self.success.percent()}, below {self.expert_success:g}"
@@ -62,13 +62,14 @@ class _SuccessTimes(StepObserver):
         environment = self._environment
         self._step += 1
         held = environment.task.success(environment)  # of those that go on; the others' follows
+        # An episode that ended has been reset by now: its success is in the final information.
         if "final" in info:
             held = held.index_put((info["final"].env_ids,), info["final"].success)
         self.held_since.masked_fill_(self._counter.running & ~held, self._step)
 
 
 class FirstEpisodes:
-    """Runs each environment's first episode and keeps what it came to; closes the environment in the end."""
+    """Runner of each environment's first episode that keeps the results; closes the environment in the end."""
 
     def __init__(
         self,
