@@ -55,6 +55,7 @@ class CommandManager(Mapping[str, Tensor]):
 
     def memory(self) -> dict[str, Tensor]:
         """Tensors that commands remember from step to step, by name."""
+        # The names of values are those that recordings have kept goals by.
         own = {name: command.value for name, command in self._commands.items()}
         return own | {f"{name} timer": command.left for name, command in self._commands.items()}
 
@@ -83,6 +84,7 @@ class CommandManager(Mapping[str, Tensor]):
 
     def update(self) -> None:
         """Count the step, adjust commands that follow the world, and sample those whose time is over."""
+        # A list, not a generator in `any`: every command has to be updated.
         changed = [command.update() for command in self.changing]
         if any(changed):
             self._env.world.clock.touch()
@@ -100,11 +102,13 @@ class _Command:
         self.left = torch.zeros(env.num_envs, dtype=torch.int64, device=device)
         """(N,) steps to the next sample, counted where the term has a resampling time."""
         self.read(term)
+        # The shape is found without a random number, so that streams begin as they would without commands.
         drawn = self._low.expand(env.num_envs, -1)
         value = term.command(env, drawn, env.all_ids)
         if not isinstance(value, Tensor) or value.shape[:1] != (env.num_envs,):
             shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
             raise ShapeError(f"command '{name}' has shape {shape}, but needs a row for each of {env.num_envs} drawn")
+        # A copy, for the term may have returned its argument, a view of the ranges.
         self.value = value.clone()
 
     def read(self, term: CommandTerm) -> None:
@@ -131,6 +135,7 @@ class _Command:
         """Return True if the command may have changed."""
         env, due = self._env, self.term.expired(self._env)
         if self._steps is not None:
+            # A time that was set while the environment runs finds zero here, and begins with a sample.
             self.left -= 1
             due = self.left <= 0 if due is None else due | (self.left <= 0)
         if due is not None:
@@ -144,6 +149,7 @@ class _Command:
         env = self._env
         drawn = env.world.random.uniform((len(self._low),), self._low, self._high, env_ids)
         value = self.term.command(env, drawn, env_ids)
+        # Events and other commands have been drawn already: the order of draws is part of a seed's episode.
         write_rows(self.value, value, rows)
         if self._steps is not None:
             write_rows(self.left, env.world.random.integers(*self._steps, env_ids), rows)

@@ -60,6 +60,7 @@ def _check_renamed(task_type: type[Task], values: Mapping[str, Any]) -> None:
         ConfigurationError: a field has another name now; names it.
     """
     renamed = {**MOVED_FIELDS, **task_type.renamed}
+    # A table may be renamed as a whole, so every prefix of a path is looked up.
     for path in values:
         parts = path.split(".")
         for count in range(1, len(parts) + 1):

@@ -163,6 +163,7 @@ class Environment(Generic[TaskT, StateT]):
         self._action = self.actions.action
         self.state: StateT = cast(StateT, task.state_type(self))
         """Memory of the run, of the class that :attr:`Task.state_type` names."""
+        # A step's time is that of its Python calls: what a task does not override is not called.
         self._state_updates = type(self.state).update is not TaskState.update
         self.actions.attach(self.state)
         self.state.start(self)
@@ -195,6 +196,7 @@ class Environment(Generic[TaskT, StateT]):
         self._watch = ConfigurationWatch(task)
         self._closed = self._close_step()
         self._events = EventManager(self, lambda: remembered(self))
+        # Without a capture nothing is frozen, and a task may count in plain Python.
         if capture:
             self.state.lock()
         self._events.startup()
@@ -471,6 +473,7 @@ class Environment(Generic[TaskT, StateT]):
         self.actions.reset(env_ids)
         self.observer.reset(env_ids)
         self._rewards.reset(env_ids)
+        # Commands after events: a goal may depend on where things were placed.
         self._events.reset(env_ids)
         self.commands.reset(env_ids)
         self.premises.begin(env_ids)

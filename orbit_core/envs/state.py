@@ -63,18 +63,21 @@ class TaskState:
     def __init__(self, env: Environment) -> None:
         self._locked = False
         self._device = env.device
+        # From the base class on, so that a subclass may declare a tensor of a base again, with another initial value.
         self._declared = {
             name: value
             for kind in reversed(type(self).__mro__)
             for name, value in vars(kind).items()
             if isinstance(value, _Buffer)
         }
+        # One allocation for the whole run: a captured step holds these very tensors.
         for name, declared in self._declared.items():
             size = (env.num_envs, *declared.shape)
             setattr(self, name, torch.full(size, declared.initial, dtype=declared.dtype, device=env.device))
         self.last_action = torch.zeros(env.num_envs, env.action_size, device=env.device)
         self.action_before = torch.zeros_like(self.last_action)
         curriculum = () if env.task.curriculum is None else vars(env.task.curriculum).values()
+        # A ModifyTerm sets no difficulty: with it alone, episodes stay as difficult as can be.
         if env.task.curriculum_enabled and any(isinstance(term, CurriculumTerm) for term in curriculum):
             self.difficulty.zero_()
 
@@ -93,6 +96,7 @@ class TaskState:
 
     def memory(self) -> dict[str, Any]:
         """All attributes by name, tensors or collections that hold some."""
+        # Names with an underscore are the class's own bookkeeping, and hold no memory of a run.
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}
 
     def lock(self) -> None:
@@ -101,6 +105,7 @@ class TaskState:
 
     def __setattr__(self, name: str, value: object) -> None:
         before = vars(self).get(name)
+        # `state.x += 1` sets the attribute to the tensor that was written in place, which passes.
         if name in vars(self).get("_declared", ()) and not isinstance(value, Tensor):
             raise ConfigurationError(
                 f"state '{name}' of {type(self).__name__} is a tensor, and was set to {value!r:.60}: write the tensor "

@@ -182,6 +182,7 @@ class Task(ABC):
         _check_form(cls)
 
     def __setattr__(self, name: str, value: object) -> None:
+        # A trace would freeze what a term keeps here, and a copy of the task for another environment would share it.
         if name not in _field_names(type(self)):
             raise ConfigurationError(
                 f"task {type(self).__name__} has no field '{name}': a task is configuration, and its fields are "
@@ -191,6 +192,7 @@ class Task(ABC):
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
+        # Only called for attributes that are not found: the usual reads of a field cost nothing.
         moved = {**MOVED_FIELDS, **MOVED_STATE, **MOVED_METHODS}
         if name in moved:
             raise AttributeError(f"'{name}' of task {type(self).__name__} is now {moved[name]}")
@@ -278,6 +280,7 @@ def _check_form(kind: type[Task]) -> None:
     Raises:
         ConfigurationError: a method, field or signature is an old one.
     """
+    # Only what the class itself defines: a base was checked when it was made.
     own = vars(kind)
     for name, now in {**MOVED_METHODS, **MOVED_FIELDS}.items():
         if name in own or name in own.get("__annotations__", ()):

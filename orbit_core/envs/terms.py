@@ -61,6 +61,7 @@ class Term:
         super().__setattr__(name, value)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # A copy belongs to one task, and is no default any more: its fields may be set.
         fields_of = {field.name: deepcopy(getattr(self, field.name), memo) for field in fields(self)}  # pyright: ignore[reportArgumentType]
         return memo.setdefault(id(self), type(self)(**fields_of))
 
@@ -274,6 +275,7 @@ def check_arguments(term: object, what: str) -> None:
     except (TypeError, ValueError):  # of C, without a signature
         return
     try:
+        # Binding, not counting: defaults, keywords and bound methods all pass where a call would.
         signature.bind(*wanted)
     except TypeError:
         names = [name for name, each in signature.parameters.items() if each.default is each.empty]
@@ -345,6 +347,7 @@ def once_per_state(function: _Function) -> _Function:
     @wraps(function)
     def cached(env: Any, *agent: str) -> Tensor:
         key = (function, *agent)
+        # Steps, resets and events move the version; so do commands that change within a step.
         now = env.world.clock.version
         version, value = env.cache.get(key, (-1, None))
         if value is None or version != now:

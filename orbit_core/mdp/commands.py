@@ -21,6 +21,7 @@ from orbit_core.mdp import common
 def generated_command(name: str) -> TermFunction:
     """Make an observation function of the command of that name, (N, K)."""
 
+    # One function for a name: observation groups that show the same function measure it once.
     def command(env: Environment) -> Tensor:
         return env.commands[name]
 
@@ -31,6 +32,7 @@ def generated_command(name: str) -> TermFunction:
 class UniformVelocityCommand(CommandTerm):
     """Velocity (N, 3) of a base in its own axes: forward and to the left in m/s, yaw rate in rad/s."""
 
+    # `easy_share` is read where a sample is made, so that it costs another capture.
     live: ClassVar[frozenset[str]] = frozenset({"forward", "left", "yaw_rate"})
     forward: Bounds = (-1.0, 1.0)
     """m/s"""
@@ -45,6 +47,7 @@ class UniformVelocityCommand(CommandTerm):
         return {"forward": self.forward, "left": self.left, "yaw_rate": self.yaw_rate}
 
     def command(self, env: Environment, drawn: Tensor, env_ids: Tensor) -> Tensor:
+        # At difficulty 1 the factor is exactly 1, so that a task without a curriculum draws what its ranges say.
         share = self.easy_share + (1.0 - self.easy_share) * env.state.difficulty[env_ids]
         return drawn * share[:, None]
 
@@ -75,6 +78,7 @@ class HeadingVelocityCommand(CommandTerm):
         return torch.cat((drawn[:, :2], rate[:, None], drawn[:, 2:]), dim=1)
 
     def follow(self, env: Environment, command: Tensor) -> bool:
+        # The heading is the fourth component, so that it needs no memory of its own; policies see the first three.
         command[:, 2] = self._yaw_rate(command[:, 3], common.robot_of(env.world).root_pose)
         return True
 
@@ -103,6 +107,7 @@ class UniformPositionCommand(CommandTerm):
         return {"x": (low[0], high[0]), "y": (low[1], high[1]), "z": (low[2], high[2])}
 
     def ranges(self, env: Environment) -> dict[str, Bounds]:
+        # The reach is computed even where all is given: its names are those of the numbers, in order.
         return {name: getattr(self, name) or own for name, own in self.reach(env).items()}
 
     def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:

@@ -324,6 +324,7 @@ def place_object(name: str, x: Bounds, y: Bounds, z: float, yaw: Bounds = (0.0, 
 
     def place(env: Environment, env_ids: Tensor) -> None:
         low, high = (x[0], y[0], z, yaw[0]), (x[1], y[1], z, yaw[1])
+        # One draw for all numbers: an episode's stream does not depend on which of them are ranges.
         drawn = env.world.random.uniform((4,), low, high, env_ids)
         env.world.objects[name].set_root_pose(standing(drawn), env_ids)
 
