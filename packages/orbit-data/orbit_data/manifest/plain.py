@@ -22,6 +22,21 @@ _DIGITS = 16
 """Hexadecimal digits of a digest, 64 bits of SHA-256."""
 ROUNDED = "~"
 """What a digest begins with whose numbers are rounded; those of before were of every bit."""
+# Types that have moved, by the names that digests have known them by since before: a robot of a dataset or policy that
+# was recorded then is the same robot, whatever module describes its joints now.
+_FIRST_NAMES = {
+    f"orbit_core.scene.{module}.{name}": f"orbit_core.scene.{first}.{name}"
+    for module, first, names in (
+        ("articulation", "joints", ("DriveGains", "Joint", "LoopJoint", "Mimic")),
+        ("actuators", "motors", ("Transmission", "Windings")),
+        ("shapes", "materials", ("Compliance", "PhysicsMaterial")),
+        ("shapes", "textures", ("Texture",)),
+        ("entities", "active", ("ActiveModel", "MagneticSeal")),
+        ("scene", "lights", ("AmbientLight", "DirectionalLight", "Sky")),
+        ("scene", "markers", ("MarkerSpec",)),
+    )
+    for name in names
+}
 _KEPT = 9
 """Significant digits of numbers in a digest: processors and versions of Python differ in the last bits."""
 _NOTHING = 1e-12
@@ -54,7 +69,8 @@ def as_plain(value: Any, for_digest: bool = False) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         own = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
         told = {name: plain(each) for name, each in own.items() if not (for_digest and each is None)}
-        return {"type": _name(type(value)), **told}
+        name = _name(type(value))
+        return {"type": _FIRST_NAMES.get(name, name) if for_digest else name, **told}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, set | frozenset):
