@@ -147,7 +147,7 @@ class CommandMode(Enum):
     """What was asked for last, from what is measured at the beginning of an episode: nothing creeps."""
 
 
-# Kept apart from the generators, since four of them integrate commands.
+# Apart from the generators, since those of joints and of poses both integrate commands.
 class LastTargets:
     """Return the last targets (N, *shape); the measured values in environments that have just begun.
 

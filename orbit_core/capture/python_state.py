@@ -209,7 +209,7 @@ class PythonState:
             self._visit_object(path, value)
 
     def _is_walked(self, value: object) -> bool:
-        # Worlds and engines hold thousands of attributes, and report their changes by themselves.
+        # Worlds and engines report their changes to the tracer.
         if isinstance(value, World | Traceable):
             return False
         return isinstance(value, self._configuration) or _package(type(value)) not in _OTHERS

@@ -138,7 +138,7 @@ def _read(engine: Engine, rows: Tensor | slice) -> _Rest:
 def _write(engine: Engine, rest: _Rest, rows: Tensor | None) -> None:
     for entity, pose, velocity in rest.roots:
         engine.write_root_state(entity, pose, velocity, rows)
-    # A scene of free bodies has no joints, which some engines refuse to write.
+    # A scene of free bodies has no joints to write.
     if rest.joints[0].shape[1]:
         joints = torch.arange(rest.joints[0].shape[1], device=engine.device)
         engine.write_joint_state(joints, *rest.joints, rows)
