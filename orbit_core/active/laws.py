@@ -17,6 +17,7 @@ from orbit_core.registry import Registry
 from orbit_core.scene import ActiveModel, MagneticSeal
 
 NOT_NEGATIVE = Bounds(0.0, 1e9)
+GROUP = "orbit.active"
 
 
 class ActiveLaw:
@@ -54,7 +55,7 @@ class ActiveLaw:
 
     @property
     def parameters(self) -> Mapping[str, Tensor]:
-        """(N,) values of each parameter, by name."""
+        """Values (N,) of each parameter, by name."""
         return self._parameters
 
     @property
@@ -130,6 +131,7 @@ class MagneticSealLaw(ActiveLaw):
 
     def gap(self) -> Tensor:
         """Return (N,) metres of gap at the seal."""
+        # Small angles: the gap grows by the arm times the turn.
         position = self.thing.joint_positions[:, self.joints[0]]
         return (self._arm * self._way * (position - self._shut)).clamp_min(0.0)
 
@@ -137,9 +139,6 @@ class MagneticSealLaw(ActiveLaw):
         # The lower bound keeps a randomised decay of zero from dividing by zero.
         falls = 1.0 + self.gap() / self._decay.clamp_min(1e-9)
         return (-self._way * self._arm * self._force / falls.square())[:, None]
-
-
-GROUP = "orbit.active"
 
 
 @cache
@@ -171,6 +170,6 @@ def create_law(
     if not (isinstance(law, type) and issubclass(law, ActiveLaw)):
         raise ConfigurationError(
             f"{registry.origin(name)} of group {GROUP} names {law!r}, which is no subclass of "
-            "orbit_core.active.ActiveLaw: mend or uninstall it"
+            "orbit_core.active.ActiveLaw: fix or uninstall it"
         )
     return law(model, thing, num_envs, device, selector)

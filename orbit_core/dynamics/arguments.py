@@ -57,6 +57,12 @@ COLORS = Bounds(0.0, 1.0)
 def whole_number(value: object, what: str, least: int, most: int) -> int:
     """Return ``value`` if it is a whole number from ``least`` to ``most``; NumPy's count, true and false do not.
 
+    Args:
+        value: that a caller gave.
+        what: it is, for the message.
+        least: smallest that is accepted.
+        most: largest that is accepted.
+
     Raises:
         ArgumentError: it is not.
     """
@@ -96,7 +102,12 @@ def usable_device(device: object) -> torch.device:
 
 
 def columns_chosen(chosen: Iterable[int], count: int, what: str) -> tuple[int, ...]:
-    """Return indices of joints or links of an entity that has ``count`` of them.
+    """Check indices of joints or links of an entity, and return them.
+
+    Args:
+        chosen: indices that a caller gave.
+        count: joints or links of the entity.
+        what: they are, for the message.
 
     Raises:
         ArgumentError: one is no index, out of range or there twice.
@@ -165,6 +176,11 @@ def check_indices(env_ids: Tensor, num_envs: int) -> None:
 
 def as_floats(value: object, device: torch.device, what: str) -> Tensor:
     """Return numbers as float32 that carry no gradient; float64 and integers are converted.
+
+    Args:
+        value: that a caller gave.
+        device: of the world.
+        what: it is, for the message.
 
     Raises:
         ArgumentError: it is no dense tensor of real numbers on ``device``; says what to do.

@@ -72,7 +72,13 @@ class RowSelection:
         return not (self.masked or is_tracing())
 
     def values(self, value: Tensor, shape: tuple[int, ...], what: str, bounds: Bounds) -> Tensor:
-        """Return numbers (n, *shape) as an engine takes them: float32, on the device, without gradient.
+        """Return numbers (n, *shape) in the form that an engine takes: float32, on the device, without gradient.
+
+        Args:
+            value: that a caller gave.
+            shape: of one environment's values.
+            what: they are, for the message.
+            bounds: that the numbers must keep.
 
         Args:
             value: given by a caller.

@@ -64,7 +64,7 @@ class RandomStreams:
 
     @property
     def episode(self) -> Tensor:
-        """(N,) number of each environment's episode, from 0; -1 before the first."""
+        """Number (N,) of each environment's episode, from 0; -1 before the first."""
         return self._tensors[1]
 
     def begin(self, episode: Tensor) -> None:

@@ -16,11 +16,13 @@ from orbit_core.capture.compile import check_compiler
 from orbit_core.capture.python_state import REMEDY, Holder, PythonState
 from orbit_core.capture.replay import CapturedFunction, ScheduledFunction
 from orbit_core.envs.action_manager import ActionManager
+from orbit_core.envs.command_manager import CommandManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import GroupLayout, Observation, leaves_of, observation_of
 from orbit_core.envs.observation_manager import ObservationManager
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
+from orbit_core.envs.terms import CommandTerm, ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
 
 
@@ -28,8 +30,8 @@ class CapturableEnvironment(Protocol):
     """The parts of a step, which an environment runs one by one or has captured. None of them waits for the device."""
 
     world: World
-    task: Task
     actions: ActionManager
+    commands: CommandManager
     device: torch.device
     observer: ObservationManager
     observation: dict[str, GroupLayout]
@@ -44,6 +46,16 @@ class CapturableEnvironment(Protocol):
     """(N,) indices of all environments."""
     done: Tensor
     """(N,) whose episode ended in the last step."""
+
+    @property
+    def task(self) -> Task:
+        """Configuration of the environment."""
+        ...
+
+    @property
+    def state(self) -> TaskState:
+        """Memory of the run."""
+        ...
 
     def observe(self) -> Observation:
         """Return what a policy sees of the present state."""
@@ -71,8 +83,8 @@ class CapturableEnvironment(Protocol):
 
 
 _OFTEN = 8
+# Most phases of a schedule that is captured: each costs a trace, and where asked a compilation.
 MOST_PHASES = 64
-"""Most phases of a schedule that is captured: each costs a trace, and where asked a compilation."""
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
 
 
@@ -98,15 +110,15 @@ class CapturedStep:
         if compile:
             check_compiler(environment.device)
         self._environment = environment
+        # The last observation of all environments, for the part that renews it where episodes begin.
         self._observed: list[Tensor] = [torch.empty_like(leaf) for leaf in leaves_of(environment.observer())]
-        """The last observation of all environments, for the part that renews it where episodes begin."""
         self._leaves = len(self._observed)
         self._metrics: tuple[str, ...] = ()
         self._settles, self._renews = settles, renews
+        # Python values that the captured parts took as they were; None before the first capture.
         self._python: PythonState | None = None
-        """Python values that the captured parts took as they were; None before the first capture."""
+        # Steps at which such values had changed.
         self._captures: deque[int] = deque(maxlen=_OFTEN)
-        """Steps at which such values had changed."""
         self._steps = 0
         self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
         alone = settles or not renews
@@ -153,7 +165,7 @@ class CapturedStep:
         """Capture all parts again if a value of plain Python was changed between steps, other than a weight."""
         if self._python is None:
             return
-        changes = [change for change in self._python.changes() if not _is_weight(*change)]
+        changes = [change for change in self._python.changes() if not _is_live(*change)]
         if not changes:
             self._python.update()
             return
@@ -171,14 +183,14 @@ class CapturedStep:
             )
 
     def _look(self) -> PythonState:
-        task = self._environment.task
+        task, state = self._environment.task, self._environment.state
         nodes = {f"node '{generator.name}'": generator for generator in self._environment.actions.generators}
-        roots = {type(task).__name__: task, **nodes, **self._environment.world.python_laws}
-        return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
+        own = {type(task).__name__: task, type(state).__name__: state}
+        return PythonState({**own, **nodes, **self._environment.world.python_laws}, (Term, ObservationGroup))
 
     @property
     def refusal(self) -> str:
-        """Why the step cannot be repeated without Python; empty if it can, as far as is known."""
+        """Reason for which the step cannot be repeated without Python; empty if it can, as far as is known."""
         return next((part.refusal for part in self.parts if part.refusal), "")
 
     def _tree(self, leaves: Sequence[Tensor]) -> Observation:
@@ -199,7 +211,7 @@ class CapturedStep:
 
     def _play(self) -> tuple[Tensor, ...]:
         """A step before resets: observation, reward, terminated, truncated, then what :meth:`_info` needs."""
-        environment, task = self._environment, self._environment.task
+        environment = self._environment
         outcome = environment.advance()
         seen = leaves_of(environment.observer())
         for observed, leaf in zip(self._observed, seen, strict=True):
@@ -207,7 +219,13 @@ class CapturedStep:
         metrics = environment.metrics()
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
-        end = (environment.done, environment.success(), task.episode_step, environment.reward_sums, *metrics.values())
+        end = (
+            environment.done,
+            environment.success(),
+            environment.state.episode_step,
+            environment.reward_sums,
+            *metrics.values(),
+        )
         return (*self._observed, *outcome, *(tensor.clone() for tensor in end))
 
     def _renew(self) -> tuple[Tensor, ...]:
@@ -220,7 +238,7 @@ class CapturedStep:
         return tuple(where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True))
 
     def _renew_in_python(self) -> list[Tensor]:
-        """As :meth:`_renew`, environments by index, outside of any trace."""
+        """Begin new episodes as :meth:`_renew` does, by index and outside of any trace."""
         environment, done = self._environment, self._environment.done
         environment.progress()
         environment.begin(done.nonzero().squeeze(-1))
@@ -229,13 +247,15 @@ class CapturedStep:
         return [where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True)]
 
     def _play_and_renew(self) -> tuple[Tensor, ...]:
-        """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
+        """Return the outputs of :meth:`_play` with the new observation in the place of the last, which is appended."""
         played = self._play()
         return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
 
 
-def _is_weight(holder: Holder, key: object) -> bool:
-    return isinstance(holder.owner, RewardTerm) and key == "weight"  # a tensor of the reward manager's holds it
+def _is_live(holder: Holder, key: object) -> bool:
+    """Return True for configuration that managers hold in a tensor: weights of rewards, ranges of commands."""
+    owner = holder.owner
+    return (isinstance(owner, RewardTerm) and key == "weight") or (isinstance(owner, CommandTerm) and key in owner.live)
 
 
 def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
@@ -243,11 +263,12 @@ def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
     return torch.where(mask.view(-1, *(1 for _ in values.shape[1:])), values, otherwise)
 
 
-def remembered(task: Task, actions: ActionManager) -> dict[str, Tensor]:
-    """Return the tensors that a task and its motion generators keep from step to step, by name."""
-    own = {name: value for name, value in vars(task).items() if name != "cache"}
-    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": actions.node_memory})
-    return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
+def remembered(environment: CapturableEnvironment) -> dict[str, Tensor]:
+    """Return the tensors that the state, the commands and motion generators keep from step to step, by name."""
+    own = {**environment.state.memory(), **environment.commands.memory()}
+    # The names are those that recordings have kept their states by since before states had a class of their own.
+    memory = {type(environment.task).__name__: own, "memory": environment.actions.node_memory}
+    return {keystr(path): leaf for path, leaf in tree_leaves_with_path(memory) if isinstance(leaf, Tensor)}
 
 
 def needs_python(world: World, actions: ActionManager, decimation: int) -> str:

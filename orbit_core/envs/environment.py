@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Hashable, Mapping
+from typing import Any, Generic, cast
 
 import torch
 from torch import Tensor
+from typing_extensions import TypeVar
 
 from orbit_core.agent import AgentGraph, Edge, FunctionNode
 from orbit_core.backends import default_backend
@@ -27,32 +28,47 @@ from orbit_core.dynamics.linear import SingleThreaded
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.action_terms import action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered, where_rows
-from orbit_core.envs.episode import EpisodeEnd, StepInfo
+from orbit_core.envs.command_manager import CommandManager
+from orbit_core.envs.configuration import (
+    ConfigurationWatch,
+    Modifiers,
+    check_no_backend,
+    curriculum_of,
+    modifiers_of,
+    whole_steps,
+)
+from orbit_core.envs.episode import EpisodeEnd, LostEpisodes, StepInfo
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.expert_starts import ExpertStarts
-from orbit_core.envs.live_configuration import ConfigurationWatch, Modifiers
-from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
-from orbit_core.envs.observation_check import check_finite as check_observation
-from orbit_core.envs.observation_groups import POLICY, with_sensors_of_terms
-from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_of, observation_of
+from orbit_core.envs.observation_layout import (
+    POLICY,
+    Observation,
+    leaf_shapes,
+    leaves_of,
+    observation_of,
+    with_sensors_of_terms,
+)
+from orbit_core.envs.observation_layout import check_finite as check_observation
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.premises import PremiseManager
 from orbit_core.envs.reward_manager import RewardManager
-from orbit_core.envs.settings_check import check_no_backend, curriculum_of, modifiers_of, whole_steps
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import per_environment
-from orbit_core.envs.terms import TerminationTerm, terms_of
+from orbit_core.envs.terms import TerminationTerm, per_environment, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.world import WorldFactory, simulate
 from orbit_core.world.lifetime import mark_closed
 
+TaskT = TypeVar("TaskT", bound=Task, covariant=True, default=Any)
+StateT = TypeVar("StateT", bound=TaskState, covariant=True, default=Any)
 
-class Environment:
+
+class Environment(Generic[TaskT, StateT]):
     """N environments of a task, stepped together, each reset as soon as its episode ends (same-step autoreset).
 
     Observations are groups by name, as :attr:`observation` says; every task has the group ``"policy"``. Actions are
-    (N, A) in [-1, 1]; what lies outside is clipped. All tensors are on ``device``.
+    (N, A) in [-1, 1]; values outside are clipped. All tensors are on ``device``.
 
     Args:
         task: copied, so that one configuration may start many environments.
@@ -85,7 +101,7 @@ class Environment:
 
     def __init__(
         self,
-        task: Task,
+        task: TaskT,
         num_envs: int,
         backend: str | None = None,
         device: str | torch.device = "cpu",
@@ -127,8 +143,8 @@ class Environment:
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
         check_owners(task)
-        self._rewards = RewardManager(self.world, task, self.step_dt)
-        self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
+        self.cache: dict[Hashable, tuple[int, Tensor]] = {}
+        """Values of terms that are computed once per state of the world (:func:`once_per_state`)."""
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
         self._curriculum = curriculum_of(task)
         self._modifiers = Modifiers(task, modifiers_of(task))
@@ -145,32 +161,41 @@ class Environment:
         self.actions = ActionManager(self.world, task, terms, self.step_dt)
         self.action_size = self.actions.size
         self._action = self.actions.action
-        task.start(self.world)
-        self.observer = ObservationManager(self.world, task)
+        self.state: StateT = cast(StateT, task.state_type(self))
+        """Memory of the run, of the class that :attr:`Task.state_type` names."""
+        self.actions.attach(self.state)
+        self.state.start(self)
+        self.commands = CommandManager(self)
+        """What each environment is told to do: ``env.commands["goal"]``, (N, K)."""
+        self._rewards = RewardManager(self)
+        self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
+        self.observer = ObservationManager(self)
         self.observation = self.observer.layouts
         """What each group of the observation is like, by name."""
         self._checks = check_finite or self.device.type == "cpu"
+        # Observation of the present state; None until it is computed, which draws its noise.
         self._seen: Observation | None = None
-        """Observation of the present state; None until it is computed, which draws its noise."""
         several = len(task.agents) > 1
-        self.multi_agent = MultiAgentView(task, self.observation[POLICY], self.step_dt) if several else None
+        self.multi_agent = MultiAgentView(self, self.observation[POLICY]) if several else None
         """Whose each part of observation, action and reward is, where several robots act."""
         if compile and not capture:
             raise ConfigurationError("compile=True needs the step to be captured: leave capture=False out, or compile")
         if not autoreset and num_envs > 1:
             raise ConfigurationError(f"autoreset=False is for one environment that waits for reset, not for {num_envs}")
         self._compile, self._capture, self._autoreset = compile, capture, autoreset
+        # True if the episode has ended and waits for a reset.
         self._over = False
-        """True if the episode has ended and waits for a reset."""
+        # Whether a step was made, and with it all that is made at first use, which a trace would make again each time.
         self._started = False
-        """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
-        self.premises = PremiseManager(self.world, task, simulated=world is None)
+        self.premises = PremiseManager(self, simulated=world is None)
         """What the task takes for granted of an episode's start, and how often it does not hold."""
-        self.starts = ExpertStarts(self.world, task) if task.expert_starts else None
+        self.starts = ExpertStarts(self) if task.expert_starts else None
         """Which episodes begin on the expert's way, where the task asks for such."""
         self._watch = ConfigurationWatch(task)
         self._closed = self._close_step()
-        self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.actions))
+        self._events = EventManager(self, lambda: remembered(self))
+        if capture:
+            self.state.lock()
         self._events.startup()
         self.premises.sample(self.begin)
         if self.starts is not None:
@@ -181,7 +206,7 @@ class Environment:
     # Gymnasium's way ------------------------------------------------------------------------------------------------
 
     def reset(self, seed: int | None = None, env_ids: Tensor | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begin new episodes in some environments; with a seed, start their random streams anew.
+        """Begin new episodes in some environments; with a seed, restart their random streams.
 
         Args:
             seed: 0 to 2^63 - 1.
@@ -258,7 +283,7 @@ class Environment:
         return self._observe_new(self.done), reward, terminated, truncated, {"final": final}
 
     def observe(self) -> Observation:
-        """What a policy sees of the present state: what the last reset or step returned."""
+        """Return the observation of the present state, as the last reset or step returned it."""
         with SingleThreaded():
             return self._observe()
 
@@ -287,7 +312,7 @@ class Environment:
 
     def expert(self) -> Node:
         """The task's scripted policy: call its ``compute({})`` for an action."""
-        return self.task.expert(self.world)
+        return self.task.expert(self)
 
     def close(self) -> None:
         """Free what the world holds; idempotent. Every later use raises a ClosedError."""
@@ -303,6 +328,7 @@ class Environment:
         self.termination_terms = terms_of(self.task.terminations, TerminationTerm)
         self._curriculum = curriculum_of(self.task)
         self._modifiers = Modifiers(self.task, modifiers_of(self.task))
+        self.commands.refresh()
         self._events.refresh()
         self.premises.refresh()
         self.observer.refresh()
@@ -343,19 +369,21 @@ class Environment:
         self._seen = None
         self.actions.apply()
         self.world.step(task.decimation)
-        task.episode_step += 1
-        task.advance(self.world)
+        state = self.state
+        state.episode_step += 1
+        state.update(self)
         reward = self._reward()
         terminated = self._terminated()
-        late = task.episode_step >= self.max_episode_steps
+        late = state.episode_step >= self.max_episode_steps
         if self.lost is not None:
             reward, terminated, late = self.lost.end(reward, terminated, late)
         torch.logical_or(late, terminated, out=self.done)
+        self.commands.update()  # after rewards, which judge the step by the command that it was taken under
         return reward, terminated, late & ~terminated
 
     def success(self) -> Tensor:
         """(N,) bool: whether episodes that end now reach the goal."""
-        reached = self.task.success(self.world)
+        reached = self.task.success(self)
         return reached if self.lost is None else reached & ~self.lost.now
 
     def _checked(self, action: Tensor) -> Tensor:
@@ -399,48 +427,49 @@ class Environment:
     def _terminated(self) -> Tensor:
         ended: Tensor | None = None
         for name, term in self.termination_terms.items():
-            value = term.function(self.world, self.task)
+            value = term.function(self)
             if type(value) is not Tensor or value.dtype is not torch.bool or value.shape != self.done.shape:
                 value = _checked_end(value, f"termination term '{name}'", self.num_envs)
             ended = value if ended is None else torch.logical_or(ended, value)
         return self._never.clone() if ended is None else ended
 
     def _everyone(self, observation: Observation) -> EpisodeEnd:
-        """What all episodes would have come to, ended now."""
+        """Return the results of every environment's episode as if it ended at this step."""
         return EpisodeEnd(
             env_ids=self.all_ids,
             observation=observation,
             success=self.success(),
             metrics=self.metrics(),
             rewards=dict(zip(self.reward_terms, self.reward_sums.unbind(), strict=True)),
-            steps=self.task.episode_step,
+            steps=self.state.episode_step,
         )
 
     def metrics(self) -> dict[str, Tensor]:
         """The task's, which premises held at the episode's start, and the difficulty where a curriculum sets it."""
-        metrics = {**self.task.metrics(self.world), **self.premises.metrics()}
+        metrics = {**self.task.metrics(self), **self.premises.metrics()}
         if self.starts is not None:
             metrics |= self.starts.metrics()
-        return {**metrics, "difficulty": self.task.difficulty} if self._curriculum else metrics
+        return {**metrics, "difficulty": self.state.difficulty} if self._curriculum else metrics
 
     def progress(self) -> None:
         """Let episodes that have just ended decide how difficult the next will be."""
         if self._curriculum:
-            changes = [term.function(self.world, self.task) for term in self._curriculum.values()]
-            following = torch.stack([self.task.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
+            changes = [term.function(self) for term in self._curriculum.values()]
+            following = torch.stack([self.state.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
             counted = self.done if self.lost is None else self.done & ~self.lost.now
-            write_rows(self.task.difficulty, following, counted)
+            write_rows(self.state.difficulty, following, counted)
 
     def begin(self, env_ids: Tensor | None) -> None:
         """New episodes in some environments, by index, or by mask where the step is traced."""
         if env_ids is None:
             self._seen = None
         self.world.reset(env_ids)
-        self.task.reset(env_ids)
+        self.state.reset(env_ids)
         self.actions.reset(env_ids)
         self.observer.reset(env_ids)
         self._rewards.reset(env_ids)
         self._events.reset(env_ids)
+        self.commands.reset(env_ids)
         self.premises.begin(env_ids)
         if self.starts is not None:
             self.starts.begin(env_ids)

@@ -1,42 +1,42 @@
-"""When a task's events happen."""
+"""Event manager: runs a task's events when they are due."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import is_mask, write_rows
-from orbit_core.envs.task import Task
 from orbit_core.envs.terms import EventTerm, EventTime, terms_of
 from orbit_core.interfaces import ConfigurationError, World
 
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+
 
 class EventManager:
-    """Runs the events of a task over a world.
+    """Runs the events of a task.
 
     Args:
-        world: that they change.
-        task: whose they are.
-        step_dt: seconds in a step of the environment.
-        memory: what the task and its agent remember, by name; events write it.
+        env: whose task has the terms.
+        memory: gives the tensors that the state and the agent remember, by name; events write them.
 
     Raises:
         ConfigurationError: an interval cannot be.
     """
 
-    def __init__(self, world: World, task: Task, step_dt: float, memory: Callable[[], Mapping[str, Tensor]]) -> None:
-        self._world = world
-        self._task = task
+    def __init__(self, env: Environment, memory: Callable[[], Mapping[str, Tensor]]) -> None:
+        self._env = env
+        self._world = env.world
         self._memory = memory
-        self._all = torch.arange(world.num_envs, device=world.device)
-        self._step_dt = step_dt
+        self._all = torch.arange(env.num_envs, device=env.device)
         self._timers: dict[str, _Timer] = {}
+        # Copies of the startup's terms, once they have happened.
         self._happened: list[EventTerm] | None = None
-        """Copies of the startup's terms, once they have happened."""
         self._read()
 
     def refresh(self) -> None:
@@ -56,11 +56,11 @@ class EventManager:
             self._timers[name].draw(None)
 
     def _read(self) -> None:
-        terms = terms_of(self._task.events, EventTerm)
+        terms = terms_of(self._env.task.events, EventTerm)
         self._at = {time: [term for term in terms.values() if term.time is time] for time in EventTime}
         known = self._timers
         self._timers = {
-            name: _Timer(name, term, self._step_dt, self._world)
+            name: _Timer(name, term, self._env.step_dt, self._world)
             for name, term in terms.items()
             if term.time is EventTime.INTERVAL
         }
@@ -71,7 +71,7 @@ class EventManager:
         """Once, before the first episode."""
         self._happened = [replace(term) for term in self._at[EventTime.STARTUP]]
         for term in self._happened:
-            term.function(self._world, self._task, self._all)
+            term.function(self._env, self._all)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Run the events of an episode's beginning, in environments by index or mask."""
@@ -92,7 +92,7 @@ class EventManager:
         """Run events of some environments, by index or mask, and undo what they did to the memory of others."""
         with self._kept_elsewhere(env_ids), self._world.selector.given(env_ids) as rows:
             for term in terms:
-                term.function(self._world, self._task, rows)
+                term.function(self._env, rows)
             self._world.clock.touch()  # an event may have changed what a cached term depends on
 
     @contextmanager

@@ -5,8 +5,9 @@ Names load on first use, so that reading a backend's declaration does not load t
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
+
+from orbit_core.exports import lazy_names
 
 # Type checkers see every name; at run time a name's module is imported when the name is used.
 if TYPE_CHECKING:
@@ -92,8 +93,6 @@ _MODULES = {
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
     "world": ("Sensor", "World", "WorldClock", "WorldSelector", "WorldRandom"),
 }  # fmt: skip
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
 __all__ = [
     "BACKGROUND",
     "EXACT",
@@ -164,8 +163,4 @@ __all__ = [
     "unsupported",
 ]  # fmt: skip
 
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _MODULES)

@@ -22,7 +22,7 @@ class ActivePart(Protocol):
 
     @property
     def parameters(self) -> Mapping[str, Tensor]:
-        """(N,) values of each parameter, by name."""
+        """Values (N,) of each parameter, by name."""
         ...
 
     @property
@@ -56,37 +56,37 @@ class Object(ABC):
     @property
     @abstractmethod
     def root_pose(self) -> Tensor:
-        """(N, 7)"""
+        """Pose (N, 7) of the root link."""
 
     @property
     @abstractmethod
     def root_velocity(self) -> Tensor:
-        """(N, 6)"""
+        """Velocity (N, 6) of the root link."""
 
     @property
     @abstractmethod
     def link_poses(self) -> Tensor:
-        """(N, links, 7)"""
+        """Link poses (N, links, 7)."""
 
     @property
     @abstractmethod
     def link_velocities(self) -> Tensor:
-        """(N, links, 6)"""
+        """Link velocities (N, links, 6)."""
 
     @property
     @abstractmethod
     def joint_positions(self) -> Tensor:
-        """(N, joints)"""
+        """Joint positions (N, joints), rad or m."""
 
     @property
     @abstractmethod
     def joint_velocities(self) -> Tensor:
-        """(N, joints)"""
+        """Joint velocities (N, joints), rad/s or m/s."""
 
     @property
     @abstractmethod
     def joint_efforts(self) -> Tensor:
-        """(N, joints) efforts that drives and commands applied over the last physics step, N m or N, after limits."""
+        """Efforts (N, joints) of drives and commands over the last physics step after limits, N m or N."""
 
     @abstractmethod
     def frame_pose(self, name: str) -> Tensor:
@@ -127,12 +127,12 @@ class Object(ABC):
     @property
     @abstractmethod
     def home_positions(self) -> Tensor:
-        """(joints,) positions at reset."""
+        """Joint positions (joints,) at reset, rad or m."""
 
     @property
     @abstractmethod
     def position_limits(self) -> Tensor:
-        """(joints, 2) lower, upper."""
+        """Lower and upper position limits (joints, 2), rad or m."""
 
     # Writing state
 
@@ -162,7 +162,7 @@ class Object(ABC):
 
     @cached_property
     def nominal_masses(self) -> Tensor:
-        """(N, links) in kg, of the scene; what :meth:`set_masses` sets does not change them.
+        """Masses (N, links) of the scene in kg; :meth:`set_masses` does not change them.
 
         Raises:
             UnsupportedCapabilityError: as all parameters do where there are none to set.
@@ -200,7 +200,16 @@ class Object(ABC):
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Set damping, Coulomb friction, armature and spring stiffness (n, k) of some joints; None changes nothing."""
+        """Set parameters of the mechanism of joints; None leaves one as it is.
+
+        Args:
+            damping: (n, k) N s/m or N m s/rad.
+            friction: (n, k) Coulomb friction, N or N m.
+            armature: (n, k) kg or kg m^2.
+            stiffness: (n, k) of springs, N/m or N m/rad.
+            joints: (k,) indices; all movable joints if None.
+            env_ids: indices (n,) or a mask (N,) bool; all if None.
+        """
         raise self._unsupported("joint parameters to set")
 
     def set_joint_limits(
@@ -256,10 +265,10 @@ class Robot(Object):
 
     @property
     def motor_temperatures(self) -> Tensor:
-        """(N, J) degrees Celsius of the windings of the joints' motors, 25 where a motor's are not described.
+        """Temperatures (N, J) of the motors' windings in degrees Celsius, 25 for motors without windings.
 
         Raises:
-            ConfigurationError: no motor's are.
+            ConfigurationError: no motor has windings.
         """
         raise self._unsupported("motor temperatures")
 
@@ -308,12 +317,12 @@ class Deformable(ABC):
     @property
     @abstractmethod
     def positions(self) -> Tensor:
-        """(N, P, 3) in m, in the environment's world frame."""
+        """Positions (N, P, 3) in m, in the environment's world frame."""
 
     @property
     @abstractmethod
     def velocities(self) -> Tensor:
-        """(N, P, 3) in m/s."""
+        """Velocities (N, P, 3) in m/s."""
 
     @abstractmethod
     def set_state(self, positions: Tensor, velocities: Tensor | None = None, env_ids: Tensor | None = None) -> None:
@@ -349,7 +358,7 @@ class Deformable(ABC):
 
     @property
     def key_points(self) -> Tensor:
-        """(N, K, 3) of the spec's key points, in its order."""
+        """Positions (N, K, 3) of the spec's key points, in its order."""
         # Derived quantities have no default: a solver may compute them more cheaply than from positions.
         raise self._unsupported("key points")
 
@@ -363,7 +372,7 @@ class Deformable(ABC):
 
     @property
     def covered_area(self) -> Tensor:
-        """(N,) m^2 that a cloth covers seen from above, layers counted once."""
+        """Area (N,) in m^2 that a cloth covers seen from above, layers counted once."""
         raise self._unsupported("covered area")
 
     def share_inside(self, region: Region) -> Tensor:
@@ -408,8 +417,8 @@ class Marker(ABC):
     @property
     @abstractmethod
     def pose(self) -> Tensor:
-        """(N, 7)"""
+        """Pose (N, 7) of the marker."""
 
     @abstractmethod
     def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        """Set (n, 7)"""
+        """Set the pose (n, 7)."""

@@ -45,6 +45,7 @@ _FIELDS = {
 class Renderer(Traceable, ABC):
     """Draws visual shapes (collision shapes where a link has none), terrain and markers."""
 
+    # None costs nothing; a table of all links would be looked up for every pixel.
     link_colors: Tensor | None = None
     """(N, L, 4) each link's red, green and blue in [0, 1] in each environment, in the place of its shapes' own where
     the fourth number is above zero; None: all have their own. Opacity is the shapes' own. Its owner writes in place."""

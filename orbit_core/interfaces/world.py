@@ -96,7 +96,7 @@ class WorldRandom(Protocol):
 
     @property
     def episode(self) -> Tensor:
-        """(N,) number of each environment's episode, from 0; -1 before the first."""
+        """Number (N,) of each environment's episode, from 0; -1 before the first."""
         ...
 
     def begin(self, episode: Tensor) -> None:
@@ -181,7 +181,7 @@ class World(ABC):
             SimulationError: the engine diverged.
             UnsupportedCapabilityError: nothing is simulated, or the engine has no snapshots of this scene.
         """
-        raise self._unsupported("time of its own to let pass")
+        raise self._unsupported("physics to run on for a while")
 
     def save_state(self) -> Any:
         """Return everything that the continuation depends on."""
@@ -214,7 +214,7 @@ class World(ABC):
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, L, 7) of every link of the scene, in the layout's order."""
+        """Link poses (N, L, 7) of every link of the scene, in the layout's order."""
         # Robots come first, as in the layout, whose link indices these rows match.
         entities = (*self.robots.values(), *self.objects.values())
         poses = [entity.link_poses for entity in entities]
@@ -222,7 +222,7 @@ class World(ABC):
 
     @property
     def marker_poses(self) -> Tensor:
-        """(N, M, 7) of every marker, in the scene's order."""
+        """Marker poses (N, M, 7) of every marker, in the scene's order."""
         poses = [marker.pose for marker in self.markers.values()]
         return torch.stack(poses, 1) if poses else torch.zeros(self.num_envs, 0, 7, device=self.device)
 

@@ -155,7 +155,9 @@ class Spectator:
         """(N, 480, 640, 3) of all environments; None without a render mode."""
         if self._render_mode is None:
             return None
-        self._camera = self._camera or OverviewCamera(self._environment.world, 640, 480, self._environment.task.view)
+        self._camera = self._camera or OverviewCamera(
+            self._environment.world, 640, 480, self._environment.task.metadata.view
+        )
         return self._camera.pictures().numpy()
 
     def close(self) -> None:

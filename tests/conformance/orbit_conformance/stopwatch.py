@@ -1,4 +1,4 @@
-"""Where an environment's time goes: a stopwatch around its parts, each part's own time without the parts inside it."""
+"""Stopwatch around the parts of an environment's step: each part's time without the parts inside it."""
 
 from __future__ import annotations
 
