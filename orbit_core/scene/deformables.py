@@ -140,7 +140,12 @@ class SoftBody:
     youngs_modulus: float = 1e5
     """Pa."""
     poissons_ratio: float = 0.4
+    damping: float = 0.002
+    """Seconds by which its strain lags behind its stress: of a material that resists strain ``e`` and its rate with
+    ``E (e + damping de/dt)``."""
     friction: float = 0.5
+    resolution: float | None = None
+    """Metres of the largest element that a solver may compute it with; None takes what the solver thinks fit."""
     color: Color = (0.3, 0.8, 0.4, 1.0)
     semantic_label: str = "soft"
     attachments: tuple[Attachment, ...] = ()

@@ -27,7 +27,7 @@ _DECLARED = {
         "folds loses energy: with a bob let go at 90 degrees 4 % in 3 s where the rope weighs a twentieth of it, up to "
         "half where it weighs more"
     ),
-    Capability.SOFT_BODIES: unsupported("solids are not simulated by it"),
+    Capability.SOFT_BODIES: approximate("TODO"),
     Capability.FLUIDS: unsupported("fluids are not simulated by it"),
     Capability.GPU: EXACT,
     Capability.SNAPSHOTS: EXACT,

@@ -1,0 +1,244 @@
+"""Launches on any device: of single cells, sites and nodes, each gathering what the others have done to it."""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportInvalidTypeForm=false
+# ruff: noqa: UP018 - float() and int() make variables that a kernel's loops may change.
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+from orbit_matter.contact import Felt
+from orbit_matter.kernels import Links, Particles
+from orbit_matter.solids import kernels as k
+from orbit_matter.solids.kernels import MIDDLE, NODES, Sites, Solids, Solve
+from orbit_matter.surfaces import Shapes
+
+
+@wp.struct
+class Gather:
+    """Who acts on a node: cells, each at one of its nodes, and the sites in each cell."""
+
+    first: wp.array[int]
+    """(n + 1,) of each node in ``cell`` and ``local``."""
+    cell: wp.array[int]
+    local: wp.array[int]
+    first_site: wp.array[int]
+    """(C + 1,) of each cell in ``site``."""
+    site: wp.array[int]
+    pull: wp.array2d[wp.vec3]
+    """(N, 27 C) what each cell does to each of its nodes."""
+
+
+@wp.kernel(enable_backward=False)
+def orient(s: Solids, chosen: wp.array[bool]):
+    """Rotations from scratch, in chosen environments."""
+    env, b = wp.tid()
+    if chosen[env]:
+        s.body_turn[env, b] = k.first_rotation(k.mean_stretch(s, env, b, 0.0))
+        for c in range(s.first_cell[b], s.first_cell[b + 1]):
+            s.turn[env, c] = k.first_rotation(k.stretched(s, env, c, 0.0))
+
+
+@wp.kernel(enable_backward=False)
+def show(s: Solids, t: Sites):
+    """Put sites where their nodes are."""
+    env, site = wp.tid()
+    k.show(s, t, env, site)
+
+
+@wp.kernel(enable_backward=False)
+def turn(s: Solids):
+    """Rotations of cells."""
+    env, c = wp.tid()
+    k.turn_cell(s, env, c)
+
+
+@wp.kernel(enable_backward=False)
+def turn_bodies(s: Solids):
+    """Rotations of solids."""
+    env, b = wp.tid()
+    k.turn_body(s, env, b)
+
+
+@wp.kernel(enable_backward=False)
+def strain(s: Solids, g: Gather, h: float):
+    """What cells do to their nodes at the point of linearisation."""
+    env, number = wp.tid()
+    c, i = number / NODES, number % NODES
+    axes, found, kind = wp.quat_to_matrix(s.turn[env, c]), wp.vec3(), s.kind[c]
+    for j in range(NODES):
+        off = k.strain_node(s, env, c, j, axes, h)
+        for row in range(3):
+            for column in range(3):
+                found[row] = found[row] + s.flat[kind, 3 * j + column, 3 * i + row] * off[column]
+    g.pull[env, number] = axes * found * -k.stiffness_of(s, env, s.cell_body[c])
+
+
+@wp.kernel(enable_backward=False)
+def bend(s: Solids, solve: Solve, g: Gather, h: float):
+    """Stiffness of cells times the direction p."""
+    env, number = wp.tid()
+    c, i = number / NODES, number % NODES
+    axes, found, kind = wp.quat_to_matrix(s.turn[env, c]), wp.vec3(), s.kind[c]
+    middle, b = solve.p[env, s.cells[c, MIDDLE]], s.cell_body[c]
+    for j in range(NODES):
+        moved = (solve.p[env, s.cells[c, j]] - middle) @ axes
+        for row in range(3):
+            for column in range(3):
+                found[row] = found[row] + s.flat[kind, 3 * j + column, 3 * i + row] * moved[column]
+    g.pull[env, number] = axes * found * (k.stiffness_of(s, env, b) * k.damped(s, b, h))
+
+
+@wp.kernel(enable_backward=False)
+def meet(s: Solids, t: Sites, held: Particles, links: Links, shapes: Shapes, felt: Felt):
+    """Contacts and attachments, at the point of linearisation."""
+    env, site = wp.tid()
+    if site < t.contacts:
+        k.touch(s, t, links, shapes, felt, s.parameters, env, site)
+    else:
+        k.grip(s, t, held, links, env, site)
+
+
+@wp.kernel(enable_backward=False)
+def choose(s: Solids, t: Sites, solve: Solve, held: Particles):
+    """Which preconditioner each solid takes."""
+    env, b = wp.tid()
+    solve.preset[env, b] = k.is_preset(t, held, s, env, b)
+
+
+@wp.kernel(enable_backward=False)
+def resist(s: Solids, t: Sites, solve: Solve):
+    """Forces of sites against the direction p; those that press on nothing have none."""
+    env, site = wp.tid()
+    if t.link[env, site] != k.NONE:
+        t.pull[env, site] = k.resist(t, env, site, k.of_nodes(s, t, solve.p, env, site))
+
+
+@wp.func
+def gathered(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: int) -> wp.vec3:
+    """What cells and sites do to a node."""
+    found = wp.vec3()
+    for n in range(g.first[node], g.first[node + 1]):
+        c, i = g.cell[n], g.local[n]
+        found += g.pull[env, c * NODES + i]
+    return found + of_sites(g, t, forces, env, node)
+
+
+@wp.func
+def of_sites(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: int) -> wp.vec3:
+    """What sites do to a node."""
+    found = wp.vec3()
+    for n in range(g.first[node], g.first[node + 1]):
+        c, i = g.cell[n], g.local[n]
+        for m in range(g.first_site[c], g.first_site[c + 1]):
+            site = g.site[m]
+            if t.link[env, site] != k.NONE:
+                found += forces[env, site] * t.weights[site, i]
+    return found
+
+
+@wp.kernel(enable_backward=False)
+def begin(s: Solids, t: Sites, solve: Solve, g: Gather, gravity: wp.array[wp.vec3], h: float):
+    """The residual at the point of linearisation."""
+    env, i = wp.tid()
+    solve.r[env, i] = k.own_force(s, gravity, env, i, h) + gathered(g, t, t.force, env, i)
+    solve.delta[env, i] = wp.vec3()
+    k.to_rows(s, solve, env, i)
+
+
+@wp.kernel(enable_backward=False)
+def apply(s: Solids, t: Sites, solve: Solve, g: Gather, h: float):
+    """The matrix times the direction p, as q."""
+    env, i = wp.tid()
+    solve.q[env, i] = solve.p[env, i] * k.inertia_of(s, env, i, h) + gathered(g, t, t.pull, env, i)
+
+
+@wp.kernel(enable_backward=False)
+def precondition(s: Solids, solve: Solve):
+    """One row of the preconditioner."""
+    env, row = wp.tid()
+    b = int(0)
+    while row >= s.first_row[b + 1]:
+        b += 1
+    first = s.first_row[b]
+    count = 3 * (s.first_node[b + 1] - s.first_node[b])
+    at = s.inverse_at[b, solve.preset[env, b]] + (row - first) / k.LANES * count
+    found, lane = float(0.0), (row - first) % k.LANES
+    for j in range(count):
+        found += s.flat_inverse[at + j, lane] * solve.rows[env, first + j]
+    solve.out[env, row] = found
+
+
+@wp.kernel(enable_backward=False)
+def aim(s: Solids, solve: Solve, first: int):
+    """The product of residual and direction, and how much of the last direction the new one keeps."""
+    env = wp.tid()
+    rz, old = float(0.0), solve.rz[env]
+    for i in range(s.x.shape[1]):
+        k.from_rows(s, solve, env, i)
+        rz += wp.dot(solve.r[env, i], solve.z[env, i])
+    solve.rz[env] = rz
+    turned = float(0.0)
+    if first == 0 and old > 0.0:
+        turned = rz / old
+    solve.turned[env] = turned
+
+
+@wp.kernel(enable_backward=False)
+def direct(solve: Solve):
+    """The new direction of search."""
+    env, i = wp.tid()
+    found, turned = wp.vec3(solve.z[env, i]), solve.turned[env]
+    if turned != 0.0:  # the first one takes nothing of the step before, not even if it was not finite
+        found += solve.p[env, i] * turned
+    solve.p[env, i] = found
+
+
+@wp.kernel(enable_backward=False)
+def measure(solve: Solve):
+    """How far to go along the direction."""
+    env = wp.tid()
+    pq = float(0.0)
+    for i in range(solve.p.shape[1]):
+        pq += wp.dot(solve.p[env, i], solve.q[env, i])
+    step = float(0.0)
+    if pq > 0.0:
+        step = solve.rz[env] / pq
+    solve.step[env] = step
+
+
+@wp.kernel(enable_backward=False)
+def advance(s: Solids, solve: Solve):
+    """Go along the direction."""
+    env, i = wp.tid()
+    step = solve.step[env]
+    solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
+    solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
+    k.to_rows(s, solve, env, i)
+
+
+@wp.kernel(enable_backward=False)
+def let_slip(s: Solids, t: Sites, links: Links, solve: Solve):
+    """Forces at the end of the step."""
+    env, site = wp.tid()
+    if t.link[env, site] != k.NONE:
+        k.let_slip(s, t, links, solve, env, site)
+
+
+@wp.kernel(enable_backward=False)
+def conclude(s: Solids, solve: Solve, h: float):
+    """Take nodes to the end of the step."""
+    env, i = wp.tid()
+    k.conclude_node(s, solve, env, i, h)
+
+
+@wp.kernel(enable_backward=False)
+def press(t: Sites, felt: Felt, links: Links, share: float):
+    """What each link feels, one site after another: sums in order repeat."""
+    env, link = wp.tid()
+    for site in range(t.x.shape[1]):
+        if t.link[env, site] == link:
+            k.press(t, felt, links, env, site, share)
