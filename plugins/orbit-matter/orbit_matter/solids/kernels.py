@@ -100,11 +100,12 @@ class Solve:
     out: wp.array2d[float]
     out_lanes: wp.array2d[Lanes]
     """The same memory as ``out``."""
-    rz: wp.array[float]
-    step: wp.array[float]
-    """(N,) along the direction of search."""
-    turned: wp.array[float]
-    """(N,) part of the last direction in the new one."""
+    rz: wp.array2d[float]
+    """(N, B) product of each solid's residual and what the preconditioner makes of it."""
+    step: wp.array2d[float]
+    """(N, B) along the direction of search: each solid has its own, so that no other's contacts slow it down."""
+    turned: wp.array2d[float]
+    """(N, B) part of the last direction in the new one."""
     preset: wp.array2d[int]
     """(N, B) 1 where a solid is attached as its scene says, which its second preconditioner is for."""
 
@@ -394,6 +395,14 @@ def from_rows(s: Solids, solve: Solve, env: int, i: int):
     first = s.first_row[b] + 3 * (i - s.first_node[b])
     local = wp.vec3(solve.out[env, first], solve.out[env, first + 1], solve.out[env, first + 2])
     solve.z[env, i] = wp.quat_rotate(s.body_turn[env, b], local)
+
+
+@wp.func
+def quotient(a: float, b: float) -> float:
+    """Return a / b, or 0 where b is not above it: what has converged stays."""
+    if b > 0.0:
+        return a / b
+    return 0.0
 
 
 @wp.func

@@ -175,46 +175,40 @@ def precondition(s: Solids, solve: Solve):
 @wp.kernel(enable_backward=False)
 def aim(s: Solids, solve: Solve, first: int):
     """The product of residual and direction, and how much of the last direction the new one keeps."""
-    env = wp.tid()
-    rz, old = float(0.0), solve.rz[env]
-    for i in range(s.x.shape[1]):
+    env, b = wp.tid()
+    rz, old = float(0.0), float(solve.rz[env, b])
+    for i in range(s.first_node[b], s.first_node[b + 1]):
         k.from_rows(s, solve, env, i)
         rz += wp.dot(solve.r[env, i], solve.z[env, i])
-    solve.rz[env] = rz
-    turned = float(0.0)
-    if first == 0 and old > 0.0:
-        turned = rz / old
-    solve.turned[env] = turned
+    solve.rz[env, b] = rz
+    solve.turned[env, b] = wp.where(first == 1, 0.0, k.quotient(rz, old))
 
 
 @wp.kernel(enable_backward=False)
-def direct(solve: Solve):
+def direct(s: Solids, solve: Solve):
     """The new direction of search."""
     env, i = wp.tid()
-    found, turned = wp.vec3(solve.z[env, i]), solve.turned[env]
+    found, turned = wp.vec3(solve.z[env, i]), solve.turned[env, s.body[i]]
     if turned != 0.0:  # the first one takes nothing of the step before, not even if it was not finite
         found += solve.p[env, i] * turned
     solve.p[env, i] = found
 
 
 @wp.kernel(enable_backward=False)
-def measure(solve: Solve):
+def measure(s: Solids, solve: Solve):
     """How far to go along the direction."""
-    env = wp.tid()
+    env, b = wp.tid()
     pq = float(0.0)
-    for i in range(solve.p.shape[1]):
+    for i in range(s.first_node[b], s.first_node[b + 1]):
         pq += wp.dot(solve.p[env, i], solve.q[env, i])
-    step = float(0.0)
-    if pq > 0.0:
-        step = solve.rz[env] / pq
-    solve.step[env] = step
+    solve.step[env, b] = k.quotient(solve.rz[env, b], pq)
 
 
 @wp.kernel(enable_backward=False)
 def advance(s: Solids, solve: Solve):
     """Go along the direction."""
     env, i = wp.tid()
-    step = solve.step[env]
+    step = solve.step[env, s.body[i]]
     solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
     solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
     k.to_rows(s, solve, env, i)

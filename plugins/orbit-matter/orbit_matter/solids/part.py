@@ -77,7 +77,7 @@ class SolidPart:
             ptr=blocks.ptr, dtype=kernels.Lanes, shape=(self._n, count // LANES), device=blocks.device
         )
         for name in ("rz", "step", "turned"):
-            setattr(made, name, wp.zeros(self._n, dtype=float))
+            setattr(made, name, wp.zeros((self._n, self._bodies), dtype=float))
         made.preset = wp.zeros((self._n, self._bodies), dtype=int)
         return made
 
@@ -184,12 +184,12 @@ class SolidPart:
         wp.launch(launches.begin, (n, nodes), inputs=[s, t, solve, g, gravity, h])
         for iteration in range(self._iterations):
             wp.launch(launches.precondition, (n, int(self._model.first_row[-1])), inputs=[s, solve])
-            wp.launch(launches.aim, n, inputs=[s, solve, int(iteration == 0)])
-            wp.launch(launches.direct, (n, nodes), inputs=[solve])
+            wp.launch(launches.aim, (n, self._bodies), inputs=[s, solve, int(iteration == 0)])
+            wp.launch(launches.direct, (n, nodes), inputs=[s, solve])
             wp.launch(launches.bend, (n, 27 * cells), inputs=[s, solve, g, h])
             wp.launch(launches.resist, (n, sites), inputs=[s, t, solve])
             wp.launch(launches.apply, (n, nodes), inputs=[s, t, solve, g, h])
-            wp.launch(launches.measure, n, inputs=[solve])
+            wp.launch(launches.measure, (n, self._bodies), inputs=[s, solve])
             wp.launch(launches.advance, (n, nodes), inputs=[s, solve])
         wp.launch(launches.let_slip, (n, sites), inputs=[s, t, links, solve])
         wp.launch(launches.conclude, (n, nodes), inputs=[s, solve, h])

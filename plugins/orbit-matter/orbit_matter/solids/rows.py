@@ -83,28 +83,27 @@ def meet(s: Solids, t: Sites, solve: Solve, held: Particles, links: Links, shape
 
 
 @wp.func
-def precondition(s: Solids, solve: Solve, env: int) -> float:
-    """Turn the residual r into a direction z; their product."""
-    for i in range(s.x.shape[1]):
+def precondition(s: Solids, solve: Solve, env: int, b: int) -> float:
+    """Turn the residual r of a solid into a direction z; their product."""
+    begin, end, first = s.first_node[b], s.first_node[b + 1], s.first_row[b]
+    for i in range(begin, end):
         k.to_rows(s, solve, env, i)
-    for b in range(s.owner.shape[0]):
-        first, begun = s.first_row[b], s.inverse_at[b, solve.preset[env, b]]
-        count = 3 * (s.first_node[b + 1] - s.first_node[b])
-        for block in range((s.first_row[b + 1] - first) / k.LANES):
-            found, at = Lanes(), begun + block * count
-            for j in range(count):
-                found += s.inverse[at + j] * solve.rows[env, first + j]
-            solve.out_lanes[env, first / k.LANES + block] = found
+    begun, count = s.inverse_at[b, solve.preset[env, b]], 3 * (end - begin)
+    for block in range((s.first_row[b + 1] - first) / k.LANES):
+        found, at = Lanes(), begun + block * count
+        for j in range(count):
+            found += s.inverse[at + j] * solve.rows[env, first + j]
+        solve.out_lanes[env, first / k.LANES + block] = found
     rz = float(0.0)
-    for i in range(s.x.shape[1]):
+    for i in range(begin, end):
         k.from_rows(s, solve, env, i)
         rz += wp.dot(solve.r[env, i], solve.z[env, i])
     return rz
 
 
 @wp.func
-def apply(s: Solids, t: Sites, solve: Solve, h: float, env: int) -> float:
-    """The matrix times the direction p, as q; their product."""
+def apply(s: Solids, t: Sites, solve: Solve, h: float, env: int):
+    """The matrix times the direction p, as q."""
     for i in range(s.x.shape[1]):
         solve.q[env, i] = solve.p[env, i] * k.inertia_of(s, env, i, h)
     for c in range(s.cells.shape[0]):
@@ -119,36 +118,34 @@ def apply(s: Solids, t: Sites, solve: Solve, h: float, env: int) -> float:
         site = t.active[env, n]
         moved = k.of_nodes(s, t, solve.p, env, site)
         scatter_site(s, t, solve.q, env, site, k.resist(t, env, site, moved))
-    pq = float(0.0)
-    for i in range(s.x.shape[1]):
-        pq += wp.dot(solve.p[env, i], solve.q[env, i])
-    return pq
 
 
 @wp.kernel(enable_backward=False)
 def solve_all(s: Solids, t: Sites, solve: Solve, h: float, iterations: int):
     """Conjugate gradients, as many iterations as are given."""
     env = wp.tid()
-    count = s.x.shape[1]
-    rz = precondition(s, solve, env)
-    for i in range(count):
-        solve.p[env, i] = solve.z[env, i]
+    solids = s.owner.shape[0]
+    for b in range(solids):
+        solve.rz[env, b] = precondition(s, solve, env, b)
+        for i in range(s.first_node[b], s.first_node[b + 1]):
+            solve.p[env, i] = solve.z[env, i]
     for iteration in range(iterations):
-        pq = apply(s, t, solve, h, env)
-        step = float(0.0)
-        if pq > 0.0:
-            step = rz / pq
-        for i in range(count):
-            solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
-            solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
-        if iteration + 1 < iterations:
-            old = rz
-            rz = precondition(s, solve, env)
-            turned = float(0.0)
-            if old > 0.0:
-                turned = rz / old
-            for i in range(count):
-                solve.p[env, i] = solve.z[env, i] + solve.p[env, i] * turned
+        apply(s, t, solve, h, env)
+        for b in range(solids):
+            begin, end, old = s.first_node[b], s.first_node[b + 1], solve.rz[env, b]
+            pq = float(0.0)
+            for i in range(begin, end):
+                pq += wp.dot(solve.p[env, i], solve.q[env, i])
+            step = k.quotient(old, pq)
+            for i in range(begin, end):
+                solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
+                solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
+            if iteration + 1 < iterations:
+                rz = precondition(s, solve, env, b)
+                turned = k.quotient(rz, old)
+                solve.rz[env, b] = rz
+                for i in range(begin, end):
+                    solve.p[env, i] = solve.z[env, i] + solve.p[env, i] * turned
 
 
 @wp.kernel(enable_backward=False)
