@@ -90,7 +90,8 @@ class Part:
         if not solids.model.deformables:
             return None
         damping = np.array(solids.damping, np.float32)
-        return SolidPart(memory, solids.model, self._felt, damping, solids.h, self._stepping.solid_iterations)
+        iterations = self._stepping.solid_iterations
+        return SolidPart(memory, solids.model, self._felt, self._bodies, damping, solids.h, iterations)
 
     def _make_particles(self, memory: Mapping[str, Tensor]) -> Any:
         made, model, shape = kernels.Particles(), self._model, (self._n, self._p)
@@ -216,7 +217,8 @@ class Part:
         wp.launch(contact.bound, (self._n, self._colliders.count), inputs=[self._links, self._colliders.shapes])
         near = [self._particles, self._links, self._colliders.shapes, self._felt, self._stepping.physics_dt]
         if self._solids is not None:
-            self._solids.launch_near(self._links, self._colliders.shapes, self._stepping.physics_dt)
+            dt = self._stepping.physics_dt
+            self._solids.launch_near(self._links, self._colliders.shapes, self._gravity, dt)
         if self.takes_rows and self._p:
             wp.launch(rows.find_near, self._n, inputs=near)
         else:
@@ -233,10 +235,11 @@ class Part:
             inputs = [self._attached, self._bodies, self._felt, self._gravity, self._stepping.physics_dt]
             wp.launch(attached.conclude, (self._n, self._free), inputs=inputs)
 
-    def _place(self, share: float, first: int, moving: bool = False) -> None:
+    def _place(self, share: float, first: int, moving: bool = False, pushed: bool = False) -> None:
         """Put links and shapes where they are after a share of the step, the first time or again.
 
-        Free bodies respond to what they felt, where they are ``moving``.
+        Free bodies respond to what they felt, where they are ``moving``; where they are ``pushed``, to solids as well,
+        which are taken to do what they did last.
         """
         wp.launch(kernels.place_links, (self._n, self._count + 1), inputs=[self._links, self._count, share])
         if self._free and moving:
@@ -245,6 +248,8 @@ class Part:
             wp.launch(bodies.respond, shape, inputs=inputs)
             inputs = [self._attached, self._bodies, self._links, self._particles, self._felt, dt, h]
             wp.launch(attached.predict, shape, inputs=inputs)
+            if pushed and self._solids is not None:
+                self._solids.launch_push(self._links, lasting=False)
         shapes = [self._links, self._colliders.shapes, first]
         wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=shapes)
 
@@ -256,9 +261,12 @@ class Part:
 
     def _launch_substep(self, number: int) -> None:
         steps = self._stepping.solid_steps
-        self._place(number / self._stepping.substeps, 0, moving=True)
-        if self._solids is not None and number * steps % self._stepping.substeps == 0:
+        due = number * steps % self._stepping.substeps == 0
+        self._place(number / self._stepping.substeps, 0, moving=True, pushed=due)
+        if self._solids is not None and due:
             self._solids.launch_step(self._links, self._colliders.shapes, self._gravity, 1.0 / steps)
+            if self._free:
+                self._solids.launch_push(self._links, lasting=True)
         if not self._p:
             return
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]

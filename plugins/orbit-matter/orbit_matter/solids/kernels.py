@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from orbit_matter.bodies import Bodies, turn_by
 from orbit_matter.contact import NEAREST, Felt, surface
 from orbit_matter.kernels import FREE, Links, Particles, target
 from orbit_matter.surfaces import Shapes
@@ -123,12 +124,14 @@ class Sites:
     owner: wp.array[int]
     contacts: int
     link: wp.array2d[int]
-    """(N, S) link that it presses on or is held by in this step, or NONE."""
+    """(N, S) link that it presses on or is held by, or NONE; of the last step until it is found again."""
     normal: wp.array2d[wp.vec3]
     firm: wp.array2d[wp.vec2]
     """N/m along the normal and across it, in this step."""
     force: wp.array2d[wp.vec3]
     """On the solid: where the step is linearised, and at its end."""
+    last: wp.array2d[wp.vec3]
+    """On the solid in the step before, from the same link."""
     pull: wp.array2d[wp.vec3]
     """Against a direction of search."""
     limit: wp.array2d[float]
@@ -137,6 +140,8 @@ class Sites:
     """(N, contacts) link on which a point sticks, from step to step, or NONE."""
     place: wp.array2d[wp.vec3]
     """Where it sticks, in the frame of that link."""
+    blocked: wp.array2d[float]
+    """(N, F) part in which the engine holds each free body, between fingers or on a floor."""
     set: wp.array[int]
     """(S,) 1 for vertices that the scene attaches."""
     active: wp.array2d[int]
@@ -266,8 +271,69 @@ def of_nodes(s: Solids, t: Sites, field: wp.array2d[wp.vec3], env: int, k: int) 
 @wp.func
 def resist(t: Sites, env: int, k: int, moved: wp.vec3) -> wp.vec3:
     """Force against a displacement of a site."""
-    n, firm = t.normal[env, k], t.firm[env, k]
-    return moved * firm[1] + n * ((firm[0] - firm[1]) * wp.dot(n, moved))
+    return parted(t.normal[env, k], moved, t.firm[env, k])
+
+
+@wp.func
+def parted(n: wp.vec3, v: wp.vec3, by: wp.vec2) -> wp.vec3:
+    """A vector times one number along n, and times another across it."""
+    return v * by[1] + n * ((by[0] - by[1]) * wp.dot(n, v))
+
+
+@wp.func
+def remembered(t: Sites, env: int, k: int, link: int) -> wp.vec3:
+    """Force of the last step at a site, if it was from the same link."""
+    if t.link[env, k] == link:
+        return t.force[env, k]
+    return wp.vec3()
+
+
+@wp.func
+def yielding(b: Bodies, env: int, i: int, x: wp.vec3, h: float) -> float:
+    """Metres that a free body gives way at x, at most, to 1 N in a step of h seconds."""
+    axes = b.turning[env, i]
+    most = wp.max(axes[0, 0], wp.max(axes[1, 1], axes[2, 2]))
+    return h * h * (1.0 / b.mass[env, i] + wp.length_sq(x) * most)
+
+
+@wp.func
+def soften(t: Sites, b: Bodies, links: Links, env: int, i: int, k: int, firm: float, h: float):
+    """Let a free body give way to what presses on it, at a site of it.
+
+    Each site has a share of the body to itself, as large as its share of all firmness (Tonge et al. 2012): where all
+    press alike this is exact, and elsewhere it is softer than the body, which is stable for bodies however light. What
+    sites did in the last step the body has followed already.
+    """
+    link = b.link[env, i]
+    origin = wp.transform_point(links.link[env, link], b.center[env, i])
+    off = yielding(b, env, i, t.x[env, k] - origin, h) * firm / t.stiffness[k] * (1.0 - t.blocked[env, i])
+    way = t.firm[env, k]
+    by = wp.vec2(1.0 / (1.0 + way[0] * off), 1.0 / (1.0 + way[1] * off))
+    last = t.last[env, k]
+    t.force[env, k] = last + parted(t.normal[env, k], t.force[env, k] - last, by)
+    t.firm[env, k] = wp.vec2(way[0] * by[0], way[1] * by[1])
+
+
+@wp.func
+def moved_by(b: Bodies, links: Links, env: int, i: int, shift: wp.vec3, turn: wp.vec3):
+    """Move the link of a free body by metres and a rotation vector about its centre of mass."""
+    link = b.link[env, i]
+    pose = links.link[env, link]
+    q = wp.transform_get_rotation(pose)
+    center = wp.transform_point(pose, b.center[env, i]) + shift
+    q = turn_by(turn) * q
+    links.link[env, link] = wp.transform(center - wp.quat_rotate(q, b.center[env, i]), q)
+
+
+@wp.func
+def blocked(b: Bodies, gravity: wp.vec3, env: int, i: int) -> float:
+    """Part of what gravity and matter would have given a free body in the engine's last step that did not happen."""
+    link = b.link[env, i]
+    asked = wp.vec3(b.wrenches[env, link, 0], b.wrenches[env, link, 1], b.wrenches[env, link, 2]) / b.mass[env, i]
+    asked += gravity
+    least = 0.1 * wp.length_sq(gravity)
+    missing = wp.dot(gravity - b.pull[env, i], asked) / (wp.length_sq(asked) + least + 1.0e-9)
+    return wp.clamp(missing * 1.1, 0.0, 1.0)
 
 
 @wp.func
@@ -295,11 +361,12 @@ def touch(
                 deepest = way[3]
                 shape = found
                 n = wp.vec3(way[0], way[1], way[2])
-    t.link[env, k] = NONE
     if shape < 0:
+        t.link[env, k] = NONE
         t.stuck[env, k] = NONE
         return False
     link = shapes.link[kind, shape]
+    t.last[env, k] = remembered(t, env, k, link)
     pose, firm = links.link[env, link], t.stiffness[k]
     if t.stuck[env, k] != link:
         t.stuck[env, k] = link
@@ -323,13 +390,15 @@ def grip(s: Solids, t: Sites, held: Particles, links: Links, env: int, k: int) -
     """Linearise what holds a vertex; True if it is held."""
     vertex = k - t.contacts
     link = held.anchor[env, vertex]
-    t.link[env, k] = NONE
     if link == FREE:
+        t.link[env, k] = NONE
         return False
     x, firm = t.x[env, k] + of_nodes(s, t, s.d, env, k), t.stiffness[k]
-    t.link[env, k] = link
+    felt = int(link)
     if link < 0:
-        t.link[env, k] = links.link.shape[1] - 1  # the world stands still, as terrain does
+        felt = links.link.shape[1] - 1  # the world stands still, as terrain does
+    t.last[env, k] = remembered(t, env, k, felt)
+    t.link[env, k] = felt
     t.normal[env, k] = wp.vec3(0.0, 0.0, 1.0)
     t.firm[env, k] = wp.vec2(firm, firm)
     t.force[env, k] = (target(held, links, env, vertex) - x) * firm

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from orbit_matter.bodies import Bodies
 from orbit_matter.contact import Felt
 from orbit_matter.kernels import Links, Particles
 from orbit_matter.solids import kernels as k
@@ -100,6 +101,47 @@ def meet(s: Solids, t: Sites, held: Particles, links: Links, shapes: Shapes, fel
         k.touch(s, t, links, shapes, felt, s.parameters, env, site)
     else:
         k.grip(s, t, held, links, env, site)
+
+
+@wp.kernel(enable_backward=False)
+def block(t: Sites, b: Bodies, gravity: wp.array[wp.vec3]):
+    """Find how far the engine holds free bodies."""
+    env, i = wp.tid()
+    t.blocked[env, i] = k.blocked(b, gravity[env], env, i)
+
+
+@wp.kernel(enable_backward=False)
+def push(t: Sites, b: Bodies, links: Links, way: float, lasting: int):
+    """Move free bodies by what solids do to them, in ``way`` s^2: the link alone, or ``lasting`` beyond this substep."""
+    env, i = wp.tid()
+    link = b.link[env, i]
+    origin = wp.transform_point(links.link[env, link], b.center[env, i])
+    force, torque = wp.vec3(), wp.vec3()
+    for site in range(t.x.shape[1]):
+        if t.link[env, site] == link:
+            force -= t.force[env, site]
+            torque -= wp.cross(t.x[env, site] - origin, t.force[env, site])
+    if lasting == 1:
+        b.shift[env, i] = b.shift[env, i] + force * (way / b.mass[env, i])
+        b.turned[env, i] = b.turned[env, i] + b.turning[env, i] * torque * way
+    else:
+        # What the engine holds stays where the engine has it: what held it in the last step is not known beforehand.
+        free = 1.0 - t.blocked[env, i]
+        shift, turn = force * (way / b.mass[env, i]), b.turning[env, i] * torque * way
+        k.moved_by(b, links, env, i, shift * free - b.shift[env, i] * (1.0 - free), turn * free - b.turned[env, i] * (1.0 - free))
+
+
+@wp.kernel(enable_backward=False)
+def soften(t: Sites, b: Bodies, links: Links, h: float):
+    """Let free bodies give way to what presses on them."""
+    env, i = wp.tid()
+    firm = float(0.0)
+    for site in range(t.x.shape[1]):
+        if t.link[env, site] == b.link[env, i]:
+            firm += t.stiffness[site]
+    for site in range(t.x.shape[1]):
+        if t.link[env, site] == b.link[env, i]:
+            k.soften(t, b, links, env, i, site, firm, h)
 
 
 @wp.kernel(enable_backward=False)

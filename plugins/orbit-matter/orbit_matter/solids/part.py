@@ -30,14 +30,22 @@ class SolidPart:
         memory: state of these environments by name, as of :func:`orbit_matter.solids.solids.state`, and of all matter.
         model: of every environment.
         felt: what links of these environments feel from all matter.
+        bodies: free bodies of these environments.
         h: seconds of a step.
         iterations: of conjugate gradients in a step.
     """
 
     def __init__(
-        self, memory: Mapping[str, Tensor], model: SolidModel, felt: Any, damping: np.ndarray, h: float, iterations: int
+        self,
+        memory: Mapping[str, Tensor],
+        model: SolidModel,
+        felt: Any,
+        bodies: Any,
+        damping: np.ndarray,
+        h: float,
+        iterations: int,
     ) -> None:
-        self._model, self._h, self._iterations = model, h, iterations
+        self._model, self._h, self._iterations, self._free = model, h, iterations, bodies
         self._n, self._bodies = len(memory["solid_x"]), len(model.deformables)
         self._device = memory["solid_x"].device
         self._solids = self._make_solids(memory, damping)
@@ -89,8 +97,10 @@ class SolidPart:
         made.stiffness, made.set = wp.array(model.firmness, dtype=float), _ints(model.attached)
         cell_body = np.repeat(model.deformables, np.diff(model.first_cell))
         made.owner, made.contacts = _ints(cell_body[model.site_cells]), model.contacts
-        made.link, made.active = (wp.full(shape, -1, dtype=int) for _ in range(2))
-        made.normal, made.force, made.pull = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
+        made.blocked = wp.zeros(self._free.link.shape, dtype=float)
+        made.active = wp.full(shape, -1, dtype=int)
+        made.link, made.force = wp.from_torch(memory["site_link"]), wp.from_torch(memory["site_force"], wp.vec3)
+        made.normal, made.last, made.pull = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
         made.firm, made.limit = wp.zeros(shape, dtype=wp.vec2), wp.zeros(shape, dtype=float)
         made.stuck, made.place = wp.from_torch(memory["site_stuck"]), wp.from_torch(memory["site_place"], wp.vec3)
         made.count = wp.zeros(self._n, dtype=int)
@@ -151,13 +161,19 @@ class SolidPart:
         wp.launch(launches.orient, (self._n, self._bodies), inputs=[self._solids, mine])
         wp.launch(launches.show, (self._n, len(self._model.site_cells)), inputs=[self._solids, self._sites])
 
-    def launch_near(self, links: Any, shapes: Any, physics_dt: float) -> None:
-        """Find the shapes that points may meet in a physics step."""
+    def launch_near(self, links: Any, shapes: Any, gravity: Any, physics_dt: float) -> None:
+        """Find the shapes that points may meet in a physics step, and which free bodies the engine holds."""
+        wp.launch(launches.block, self._free.link.shape, inputs=[self._sites, self._free, gravity])
         inputs = [self._points, links, shapes, self._felt, physics_dt]
         if self.takes_rows:
             wp.launch(particle_rows.find_near, self._n, inputs=inputs)
         else:
             wp.launch(contact.find_near, (self._n, self._points.x.shape[1]), inputs=inputs)
+
+    def launch_push(self, links: Any, lasting: bool) -> None:
+        """Move free bodies by what solids did to them last: before a step for as long as it takes, or after it."""
+        inputs = [self._sites, self._free, links, self._h**2, int(lasting)]
+        wp.launch(launches.push, self._free.link.shape, inputs=inputs)
 
     def launch_step(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
         """Advance by one step of the solids, a ``share`` of a physics step, against links where it ends."""
@@ -169,7 +185,8 @@ class SolidPart:
     def _launch_rows(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
         s, t, solve, h = self._solids, self._sites, self._solve, self._h
         wp.launch(rows.begin, self._n, inputs=[s, solve, gravity, h])
-        wp.launch(rows.meet, self._n, inputs=[s, t, solve, self._held, links, shapes, self._felt])
+        inputs = [s, t, solve, self._held, links, shapes, self._felt, self._free, h]
+        wp.launch(rows.meet, self._n, inputs=inputs)
         wp.launch(rows.solve_all, self._n, inputs=[s, t, solve, h, self._iterations])
         wp.launch(rows.conclude, self._n, inputs=[s, t, solve, links, self._felt, h, share])
 
@@ -180,6 +197,7 @@ class SolidPart:
         wp.launch(launches.turn, (n, cells), inputs=[s])
         wp.launch(launches.strain, (n, 27 * cells), inputs=[s, g, h])
         wp.launch(launches.meet, (n, sites), inputs=[s, t, self._held, links, shapes, self._felt])
+        wp.launch(launches.soften, self._free.link.shape, inputs=[t, self._free, links, h])
         wp.launch(launches.choose, (n, self._bodies), inputs=[s, t, solve, self._held])
         wp.launch(launches.begin, (n, nodes), inputs=[s, t, solve, g, gravity, h])
         for iteration in range(self._iterations):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from orbit_matter.bodies import Bodies
 from orbit_matter.contact import Felt
 from orbit_matter.kernels import Links, Particles
 from orbit_matter.solids import kernels as k
@@ -63,7 +64,9 @@ def begin(s: Solids, solve: Solve, gravity: wp.array[wp.vec3], h: float):
 
 
 @wp.kernel(enable_backward=False)
-def meet(s: Solids, t: Sites, solve: Solve, held: Particles, links: Links, shapes: Shapes, felt: Felt):
+def meet(
+    s: Solids, t: Sites, solve: Solve, held: Particles, links: Links, shapes: Shapes, felt: Felt, b: Bodies, h: float
+):
     """Contacts and attachments, at the point of linearisation."""
     env = wp.tid()
     count = int(0)
@@ -76,10 +79,19 @@ def meet(s: Solids, t: Sites, solve: Solve, held: Particles, links: Links, shape
         if found:
             t.active[env, count] = site
             count += 1
-            scatter_site(s, t, solve.r, env, site, t.force[env, site])
     t.count[env] = count
-    for b in range(s.owner.shape[0]):
-        solve.preset[env, b] = k.is_preset(t, held, s, env, b)
+    for i in range(b.link.shape[1]):
+        firm = float(0.0)
+        for n in range(count):
+            if t.link[env, t.active[env, n]] == b.link[env, i]:
+                firm += t.stiffness[t.active[env, n]]
+        for n in range(count):
+            if t.link[env, t.active[env, n]] == b.link[env, i]:
+                k.soften(t, b, links, env, i, t.active[env, n], firm, h)
+    for n in range(count):
+        scatter_site(s, t, solve.r, env, t.active[env, n], t.force[env, t.active[env, n]])
+    for solid in range(s.owner.shape[0]):
+        solve.preset[env, solid] = k.is_preset(t, held, s, env, solid)
 
 
 @wp.func

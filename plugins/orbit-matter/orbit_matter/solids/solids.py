@@ -53,6 +53,8 @@ class Solids:
             "solid_body_turn": bodies,
             "site_x": vertices,
             "site_v": torch.zeros(sites, 3, **make),
+            "site_link": torch.full((sites,), _NONE, dtype=torch.int32, device=device),
+            "site_force": torch.zeros(sites, 3, **make),
             "site_stuck": torch.full((self.model.contacts,), _NONE, dtype=torch.int32, device=device),
         }
         self.tensors = {name: rest.repeat(n, *[1] * rest.dim()) for name, rest in self._rest.items()}
@@ -92,7 +94,8 @@ class Solids:
         write_rows(self.tensors["solid_x"][:, nodes], self._fits[number] @ positions, env_ids)
         for name, value in (("solid_v", moving), ("solid_before", moving), ("solid_d", self.h * moving)):
             write_rows(self.tensors[name][:, nodes], value, env_ids)
-        write_rows(self.tensors["site_stuck"], _NONE, env_ids)
+        for name in ("site_stuck", "site_link"):
+            write_rows(self.tensors[name], _NONE, env_ids)
         self.orient(self._chosen(env_ids))
 
     def set_anchors(self, deformable: int, particles: Tensor, link: int, env_ids: Tensor | None) -> None:
