@@ -4,7 +4,8 @@ With x0 the nodes at its beginning and d what they move, a step of h seconds sol
 BDF2: ``s = 9 / (4 h^2)``, ``d' = dp / 3 + (2 h / 3) (4 v0 - v_1) / 3``, where dp is what the step before moved and v_1
 the velocity before it; the new velocity is ``3 (d - dp / 3) / (2 h)``. Forces are linearised once, at d = dp, where a
 solid that rests or moves evenly is when the step ends, so that its contacts are known. Euler's method, which is of
-first order, would take 90 % of a beam's swing in 1.5 s at 2 ms; this takes 1 %.
+first order, would take 90 % of a beam's swing in 1.5 s at 2 ms; this takes 1 %. The first step after a state was
+written is Euler's, ``s = 1 / h^2``, for it has no step before it.
 
 Elasticity is corotational: each cell has one rotation R, from its deformation at the middle (Muller et al., "A robust
 method to extract the rotational part of deformations", 2016), and pulls its nodes with ``-R K (R^T y - X)``. With R
@@ -50,6 +51,8 @@ class Solids:
     """Velocity before the last step."""
     d: wp.array2d[wp.vec3]
     """What the last step moved."""
+    fresh: wp.array2d[int]
+    """(N, B) 1 where no step came before the next one."""
     turn: wp.array2d[wp.quat]
     """(N, C) rotation of each cell, from the axes of its mesh."""
     body_turn: wp.array2d[wp.quat]
@@ -226,9 +229,15 @@ def stiffness_of(s: Solids, env: int, b: int) -> float:
 
 
 @wp.func
-def damped(s: Solids, b: int, h: float) -> float:
+def rate(s: Solids, env: int, b: int, h: float) -> float:
+    """Velocity at the end of a step by the displacement in it, 1/s."""
+    return wp.where(s.fresh[env, b] == 1, 1.0, 1.5) / h
+
+
+@wp.func
+def damped(s: Solids, env: int, b: int, h: float) -> float:
     """Times its stiffness that a solid resists a displacement in a step with, by its damping too."""
-    return 1.0 + 1.5 * s.damping[b] / h
+    return 1.0 + rate(s, env, b, h) * s.damping[b]
 
 
 @wp.func
@@ -245,15 +254,18 @@ def strain_node(s: Solids, env: int, c: int, i: int, axes: wp.mat33, h: float) -
 @wp.func
 def inertia_of(s: Solids, env: int, i: int, h: float) -> float:
     """s M of a node."""
-    return 2.25 / (h * h) * s.mass[i] * s.parameters[env, s.owner[s.body[i]], 0]
+    by = rate(s, env, s.body[i], h)
+    return by * by * s.mass[i] * s.parameters[env, s.owner[s.body[i]], 0]
 
 
 @wp.func
 def own_force(s: Solids, gravity: wp.array[wp.vec3], env: int, i: int, h: float) -> wp.vec3:
     """Inertia and gravity of a node at the point of linearisation."""
-    inertia = inertia_of(s, env, i, h)
-    free = s.d[env, i] / 3.0 + (s.v[env, i] * 4.0 - s.before[env, i]) * (2.0 * h / 9.0)
-    return (free - s.d[env, i]) * inertia + gravity[env] * (inertia * h * h / 2.25)
+    inertia, by = inertia_of(s, env, i, h), rate(s, env, s.body[i], h)
+    free = s.v[env, i] * h
+    if s.fresh[env, s.body[i]] == 0:
+        free = s.d[env, i] / 3.0 + (s.v[env, i] * 4.0 - s.before[env, i]) * (2.0 * h / 9.0)
+    return (free - s.d[env, i]) * inertia + gravity[env] * (inertia / (by * by))
 
 
 # Sites -------------------------------------------------------------------------------------------------------------
@@ -477,10 +489,11 @@ def quotient(a: float, b: float) -> float:
 @wp.func
 def conclude_node(s: Solids, solve: Solve, env: int, i: int, h: float):
     """Take a node to the end of the step."""
-    d = s.d[env, i] + solve.delta[env, i]
-    v = s.v[env, i]
-    s.v[env, i] = (d - s.d[env, i] / 3.0) * (1.5 / h)
-    s.before[env, i] = v
+    d, before = s.d[env, i] + solve.delta[env, i], s.d[env, i] / 3.0
+    if s.fresh[env, s.body[i]] == 1:
+        before = wp.vec3()
+    s.before[env, i] = s.v[env, i]
+    s.v[env, i] = (d - before) * rate(s, env, s.body[i], h)
     s.d[env, i] = d
     s.x[env, i] = s.x[env, i] + d
 

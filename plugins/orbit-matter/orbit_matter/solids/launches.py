@@ -90,7 +90,7 @@ def bend(s: Solids, solve: Solve, g: Gather, h: float):
         for row in range(3):
             for column in range(3):
                 found[row] = found[row] + s.flat[kind, 3 * j + column, 3 * i + row] * moved[column]
-    g.pull[env, number] = axes * found * (k.stiffness_of(s, env, b) * k.damped(s, b, h))
+    g.pull[env, number] = axes * found * (k.stiffness_of(s, env, b) * k.damped(s, env, b, h))
 
 
 @wp.kernel(enable_backward=False)
@@ -269,6 +269,13 @@ def conclude(s: Solids, solve: Solve, h: float):
     """Take nodes to the end of the step."""
     env, i = wp.tid()
     k.conclude_node(s, solve, env, i, h)
+
+
+@wp.kernel(enable_backward=False)
+def age(s: Solids):
+    """Note that a step has been made."""
+    env, b = wp.tid()
+    s.fresh[env, b] = 0
 
 
 @wp.kernel(enable_backward=False)

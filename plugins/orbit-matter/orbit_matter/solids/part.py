@@ -60,6 +60,7 @@ class SolidPart:
         for name, field in (("x", "x"), ("v", "v"), ("before", "before"), ("d", "d")):
             setattr(made, field, wp.from_torch(memory[f"solid_{name}"], wp.vec3))
         made.turn, made.body_turn = (wp.from_torch(memory[f"solid_{name}"], wp.quat) for name in ("turn", "body_turn"))
+        made.fresh = wp.from_torch(memory["solid_fresh"])
         made.parameters = wp.from_torch(memory["parameters"])
         made.mass = wp.array(model.masses)
         made.owner, made.damping = _ints(model.deformables), wp.array(damping, dtype=float)
@@ -211,6 +212,7 @@ class SolidPart:
             wp.launch(launches.advance, (n, nodes), inputs=[s, solve])
         wp.launch(launches.let_slip, (n, sites), inputs=[s, t, links, solve])
         wp.launch(launches.conclude, (n, nodes), inputs=[s, solve, h])
+        wp.launch(launches.age, (n, self._bodies), inputs=[s])
         wp.launch(launches.show, (n, sites), inputs=[s, t])
         wp.launch(launches.press, (n, self._felt.torques.shape[1]), inputs=[t, self._felt, links, share])
 

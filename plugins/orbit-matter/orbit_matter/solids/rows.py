@@ -125,7 +125,7 @@ def apply(s: Solids, t: Sites, solve: Solve, h: float, env: int):
             for axis in range(3):
                 local[3 * i + axis] = moved[axis]
         b = s.cell_body[c]
-        scatter(s, solve.q, env, c, axes, pull(s, c, local), k.stiffness_of(s, env, b) * k.damped(s, b, h))
+        scatter(s, solve.q, env, c, axes, pull(s, c, local), k.stiffness_of(s, env, b) * k.damped(s, env, b, h))
     for n in range(t.count[env]):
         site = t.active[env, n]
         moved = k.of_nodes(s, t, solve.p, env, site)
@@ -168,6 +168,8 @@ def conclude(s: Solids, t: Sites, solve: Solve, links: Links, felt: Felt, h: flo
         k.let_slip(s, t, links, solve, env, t.active[env, n])
     for i in range(s.x.shape[1]):
         k.conclude_node(s, solve, env, i, h)
+    for b in range(s.owner.shape[0]):
+        s.fresh[env, b] = 0
     for site in range(t.x.shape[1]):
         k.show(s, t, env, site)
     for n in range(t.count[env]):

@@ -49,6 +49,7 @@ class Solids:
             "solid_v": torch.zeros(nodes, 3, **make),
             "solid_before": torch.zeros(nodes, 3, **make),
             "solid_d": torch.zeros(nodes, 3, **make),
+            "solid_fresh": torch.ones(len(specs), dtype=torch.int32, device=device),
             "solid_turn": bodies.repeat_interleave(counts.to(device), dim=0),
             "solid_body_turn": bodies,
             "site_x": vertices,
@@ -94,6 +95,7 @@ class Solids:
         write_rows(self.tensors["solid_x"][:, nodes], self._fits[number] @ positions, env_ids)
         for name, value in (("solid_v", moving), ("solid_before", moving), ("solid_d", self.h * moving)):
             write_rows(self.tensors[name][:, nodes], value, env_ids)
+        write_rows(self.tensors["solid_fresh"][:, number], 1, env_ids)
         for name in ("site_stuck", "site_link"):
             write_rows(self.tensors[name], _NONE, env_ids)
         self.orient(self._chosen(env_ids))
