@@ -21,7 +21,7 @@ _POSITIVE = {
 _NOT_NEGATIVE = {
     Cloth: ("bending_stiffness", "damping", "friction"),
     Rope: ("bending_stiffness", "damping", "friction"),
-    SoftBody: ("friction",),
+    SoftBody: ("damping", "friction"),
     Fluid: ("viscosity",),
 }
 _LARGEST = 1e12
@@ -30,6 +30,8 @@ _SOFTEST = 1e-3
 _MOST_PARTICLES = 1_000_000
 _LEAST_AREA = 1e-6
 """Of a triangle, over the mean of its mesh."""
+_LEAST_VOLUME = 1e-4
+"""Of a solid, over that of the box around it."""
 
 
 def check_deformable(spec: DeformableSpec, where: str) -> None:
@@ -68,6 +70,8 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
         raise ArgumentError(
             f"{where}.mesh lies in a plane and has no volume: give it a closed surface, or make it a Cloth"
         )
+    if isinstance(spec, SoftBody):
+        _check_solid(spec, where)
     _check_particles(spec, count)
 
 
@@ -124,6 +128,32 @@ def _check_triangles(thing: Cloth | SoftBody, where: str) -> None:
     held[faces] = True
     if not held.all():
         raise ArgumentError(f"particle {int(held.argmin())} of {where}.mesh is in no triangle: leave it out")
+
+
+def _check_solid(solid: SoftBody, where: str) -> None:
+    """Refuse a surface that is not closed or inside out, and elements that are longer than none."""
+    resolution = solid.resolution
+    if resolution is not None and not 1e-6 <= resolution <= MAX_DISTANCE:
+        raise wrong(f"{where}.resolution", resolution, f"1e-06 to {MAX_DISTANCE:g} m, or None")
+    points, faces = solid.rest_positions, np.asarray(solid.mesh.faces)
+    edges = np.stack((faces, np.roll(faces, -1, axis=1)), -1).reshape(-1, 2)
+    forth = {(a, b) for a, b in edges.tolist()}
+    loose = next(((a, b) for a, b in edges.tolist() if (b, a) not in forth), None)
+    if loose is None and len(forth) < len(edges):
+        pairs, counts = np.unique(edges, axis=0, return_counts=True)
+        loose = tuple(pairs[counts.argmax()].tolist())
+    if loose is not None:
+        raise ArgumentError(
+            f"{where}.mesh is not closed at the edge of vertices {loose[0]} and {loose[1]}, which is not that of two "
+            "triangles that wind the same way: close it, merge vertices at one place, or turn triangles over"
+        )
+    a, b, c = (points[faces[:, corner]] - points.mean(axis=0) for corner in range(3))
+    share = float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0 / np.prod(np.ptp(points, axis=0)))
+    if share < _LEAST_VOLUME:
+        fault = "is inside out" if share < -_LEAST_VOLUME else "encloses hardly any volume"
+        raise ArgumentError(
+            f"{where}.mesh {fault}: have its triangles wind counter-clockwise as seen from outside, or make it a Cloth"
+        )
 
 
 def _check_size(spec: Cloth | Rope, where: str) -> None:

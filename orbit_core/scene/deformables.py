@@ -156,6 +156,18 @@ class SoftBody:
         """(P, 3) m, in the frame of ``pose``."""
         return np.asarray(self.mesh.vertices, dtype=np.float64)
 
+    @property
+    def volume(self) -> float:
+        """Cubic metres within the surface."""
+        points = self.rest_positions - self.rest_positions.mean(axis=0)
+        a, b, c = (points[np.asarray(self.mesh.faces)[:, k]] for k in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+    @property
+    def mass(self) -> float:
+        """Kilograms."""
+        return self.density * self.volume
+
 
 @dataclass(frozen=True)
 class Fluid:

@@ -14,7 +14,7 @@ from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Engine, Object, find_name
 from orbit_core.interfaces.matter import PARAMETERS
 from orbit_core.preparation.scene_data import check_data
-from orbit_core.scene import Cloth, DeformableSpec, Region
+from orbit_core.scene import Cloth, DeformableSpec, Region, SoftBody
 from orbit_core.world.clock import Clock
 from orbit_core.world.covered_area import CoveredArea
 
@@ -131,6 +131,8 @@ class SimulatedDeformable(Deformable):
 
     def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
         find_name(name, PARAMETERS, "parameter", f"'{self.name}'")
+        if name == "bending" and isinstance(self.spec, SoftBody):
+            raise ArgumentError(f"soft body '{self.name}' bends as its stiffness says: set its 'stiffness'")
         chosen = self._masking.choose(env_ids)
         bounds = FRICTIONS if name == "friction" else _SCALES
         values = chosen.values(values, (), f"{name} of '{self.name}'", bounds)

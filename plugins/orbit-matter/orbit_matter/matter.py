@@ -25,6 +25,7 @@ from orbit_matter.model import build
 from orbit_matter.part import Part, Stepping
 from orbit_matter.solids import kernels as solid_kernels
 from orbit_matter.solids import launches as solid_launches
+from orbit_matter.solids import limits
 from orbit_matter.solids import rows as solid_rows
 from orbit_matter.solids.solids import Solids
 from orbit_warpkit.graphs import Graphs
@@ -58,6 +59,7 @@ class ParticleMatter(Matter):
         self._stepping = Stepping(
             layout.scene.physics_dt, count, sweeps, config.contact_stiffness, solid, config.solid_iterations
         )
+        limits.check_stiffness(layout, solid)
         self._solids = Solids(layout, num_envs, device, layout.scene.physics_dt / solid)
         self._graphs = Graphs(device, config.capture)
         by_rows = (rows,) if device.type == "cpu" else ()
@@ -271,7 +273,9 @@ class ParticleMatter(Matter):
     def build_report(self) -> tuple[Approximation, ...]:
         of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
-        return of_substeps + of_contacts + stability.late_links(self._layout) + stability.folding(self._layout)
+        of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
+        of_solids = limits.light_bodies(self._layout) + limits.apart(self._layout)
+        return of_substeps + of_contacts + of_ropes + of_solids
 
     @property
     def wrenches(self) -> Tensor:

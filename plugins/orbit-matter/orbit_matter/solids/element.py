@@ -62,8 +62,8 @@ def quadrature(fills: FloatArray | None = None) -> tuple[FloatArray, FloatArray]
     # A point on an axis is in the middle of four octants.
     near = np.array([fills[(signs @ axis) > 0.0].mean() for axis in axes])
     points = np.concatenate((signs / math.sqrt(3.0), math.sqrt(19.0 / 30.0) * axes, math.sqrt(19.0 / 33.0) * signs))
-    reduced, full = (1.0 - FULL_SHARE) * fills, FULL_SHARE * np.concatenate((320.0 / 361.0 * near, 121.0 / 361.0 * fills))
-    return points, np.concatenate((reduced, full))
+    full = np.concatenate((320.0 / 361.0 * near, 121.0 / 361.0 * fills))
+    return points, np.concatenate(((1.0 - FULL_SHARE) * fills, FULL_SHARE * full))
 
 
 def elasticity(youngs_modulus: float, poissons_ratio: float) -> FloatArray:

@@ -57,8 +57,6 @@ class Embedding:
     """(n,) kg"""
     contacts: Sites
     vertices: Sites
-    volume: float
-    """m^3 within the surface."""
 
     def assembled(self) -> FloatArray:
         """Return the stiffness matrix of the whole solid, (3 n, 3 n), N/m."""
@@ -80,10 +78,9 @@ def embed(spec: SoftBody) -> Embedding:
     """Embed a solid in a grid along the axes of its mesh.
 
     Raises:
-        ConfigurationError: its surface is not closed or inside out, or the grid has too many nodes.
+        ConfigurationError: the grid has too many nodes.
     """
     vertices, faces = spec.rest_positions, np.asarray(spec.mesh.faces, dtype=np.int64)
-    volume = check_closed(spec, vertices, faces)
     low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
     counts = cell_counts(extent, spec.resolution)
     _check_count(spec, counts, extent)
@@ -100,13 +97,13 @@ def embed(spec: SoftBody) -> Embedding:
     numbers[tuple(chosen.T)] = np.arange(len(chosen))
     cells, nodes = _numbered(chosen, counts, low, size)
     kinds, stiffness, masses = _properties(spec, size, cells, len(nodes), inside[tuple(chosen.T)])
-    masses *= spec.density * volume / masses.sum()
+    masses *= spec.mass / masses.sum()
     local = 2.0 * ((places - low) / size - index) - 1.0
     weights, owners = element.shape_functions(local), numbers[tuple(index.T)]
     count = len(surface.points)
     contacts = Sites(owners[:count], weights[:count], surface.areas)
     held = Sites(owners[count:], weights[count:], np.zeros(len(vertices)))
-    return Embedding(size, cells, kinds, stiffness, nodes, masses, contacts, held, volume)
+    return Embedding(size, cells, kinds, stiffness, nodes, masses, contacts, held)
 
 
 def cell_counts(extent: FloatArray, resolution: float | None) -> npt.NDArray[np.int64]:
@@ -121,31 +118,6 @@ def cell_counts(extent: FloatArray, resolution: float | None) -> npt.NDArray[np.
         longest = max(0.5 * float(extent.min()), 0.25 * float(extent.max()))
         return np.maximum(1, np.round(extent / longest - 1e-6)).astype(np.int64)
     return np.maximum(1, np.ceil(extent / resolution - 1e-6)).astype(np.int64)
-
-
-def check_closed(spec: SoftBody, vertices: FloatArray, faces: npt.NDArray[np.int64]) -> float:
-    """Return the volume within a surface, in m^3.
-
-    Raises:
-        ConfigurationError: the surface is not closed, or its triangles face inwards.
-    """
-    edges = np.stack((faces, np.roll(faces, -1, axis=1)), -1).reshape(-1, 2)
-    there = {(a, b) for a, b in edges.tolist()}
-    if loose := next(((a, b) for a, b in sorted(there) if (b, a) not in there), None):
-        raise ConfigurationError(
-            f"the surface of soft body '{spec.name}' is not closed at the edge of vertices {loose[0]} and {loose[1]}: "
-            "close it, merge vertices at one place, and have all triangles wind the same way"
-        )
-    a, b, c = (vertices[faces[:, corner]] - vertices.mean(axis=0) for corner in range(3))
-    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
-    box = float(np.prod(np.ptp(vertices, axis=0)))
-    if volume <= 1e-4 * box:
-        fault = "faces inwards" if volume < -1e-4 * box else "encloses hardly any volume"
-        raise ConfigurationError(
-            f"the surface of soft body '{spec.name}' {fault}: have its triangles wind counter-clockwise as seen from "
-            "outside, or make it a Cloth"
-        )
-    return volume
 
 
 def _check_count(spec: SoftBody, counts: npt.NDArray[np.int64], extent: FloatArray) -> None:

@@ -35,7 +35,7 @@ FIRST_TURNS = wp.constant(30)
 """The same, from scratch."""
 NONE = wp.constant(-1)
 LANES = 32
-"""Rows of the preconditioner that a CPU computes at a time."""
+"""Rows of the preconditioner that a CPU computes at a time; solids begin at multiples of it."""
 
 Column = wp.types.vector(length=81, dtype=float)
 Lanes = wp.types.vector(length=LANES, dtype=float)
@@ -83,7 +83,7 @@ class Solids:
     first_row: wp.array[int]
     """(B + 1,) of each solid in ``rows``, which begin at multiples of LANES."""
     inverse: wp.array[Lanes]
-    """Preconditioners, each block of LANES rows column after column: of the free solid, and as its scene attaches it."""
+    """Preconditioners of free solids and of those that the scene attaches: blocks of LANES rows, column by column."""
     flat_inverse: wp.array2d[float]
     """The same memory, LANES to a row."""
     inverse_at: wp.array2d[int]
@@ -242,7 +242,7 @@ def damped(s: Solids, env: int, b: int, h: float) -> float:
 
 @wp.func
 def strain_node(s: Solids, env: int, c: int, i: int, axes: wp.mat33, h: float) -> wp.vec3:
-    """What a node of a cell is off its place at the point of linearisation, and what damping adds, in the cell's axes."""
+    """Displacement of a node in its cell's axes where the step is linearised, with what damping adds."""
     node, middle, b = s.cells[c, i], s.cells[c, MIDDLE], s.cell_body[c]
     moved = s.d[env, node] - s.d[env, middle]
     arm = s.x[env, node] - s.x[env, middle] + moved
@@ -357,8 +357,8 @@ def touch(
     Friction is a bristle: it sticks to a place on the link, as firm as the contact, up to Coulomb's limit, and the
     place is dragged along beyond it. A point that holds does not creep.
     """
-    deepest, shape, n = float(0.0), int(-1), wp.vec3()
-    near, x = int(0), wp.vec3()
+    deepest, shape, n = float(0.0), (-1), wp.vec3()
+    near, x = 0, wp.vec3()
     kind = env % shapes.kind.shape[0]
     while near < NEAREST:
         found = felt.near[env, k, near]
@@ -501,7 +501,7 @@ def conclude_node(s: Solids, solve: Solve, env: int, i: int, h: float):
 @wp.func
 def is_preset(t: Sites, held: Particles, s: Solids, env: int, b: int) -> int:
     """1 if all vertices of a solid that the scene attaches are held, and there are any."""
-    found, missing = int(0), int(0)
+    found, missing = 0, 0
     for vertex in range(held.x.shape[1]):
         k = t.contacts + vertex
         if t.set[k] == 1 and t.owner[k] == s.owner[b]:

@@ -112,7 +112,7 @@ def block(t: Sites, b: Bodies, gravity: wp.array[wp.vec3]):
 
 @wp.kernel(enable_backward=False)
 def push(t: Sites, b: Bodies, links: Links, way: float, lasting: int):
-    """Move free bodies by what solids do to them, in ``way`` s^2: the link alone, or ``lasting`` beyond this substep."""
+    """Move free bodies by what solids did to them, in ``way`` s^2: ``lasting`` beyond this substep or not."""
     env, i = wp.tid()
     link = b.link[env, i]
     origin = wp.transform_point(links.link[env, link], b.center[env, i])
@@ -127,8 +127,9 @@ def push(t: Sites, b: Bodies, links: Links, way: float, lasting: int):
     else:
         # What the engine holds stays where the engine has it: what held it in the last step is not known beforehand.
         free = 1.0 - t.blocked[env, i]
-        shift, turn = force * (way / b.mass[env, i]), b.turning[env, i] * torque * way
-        k.moved_by(b, links, env, i, shift * free - b.shift[env, i] * (1.0 - free), turn * free - b.turned[env, i] * (1.0 - free))
+        shift = force * (way * free / b.mass[env, i]) - b.shift[env, i] * (1.0 - free)
+        turn = b.turning[env, i] * torque * (way * free) - b.turned[env, i] * (1.0 - free)
+        k.moved_by(b, links, env, i, shift, turn)
 
 
 @wp.kernel(enable_backward=False)
@@ -202,7 +203,7 @@ def apply(s: Solids, t: Sites, solve: Solve, g: Gather, h: float):
 def precondition(s: Solids, solve: Solve):
     """One row of the preconditioner."""
     env, row = wp.tid()
-    b = int(0)
+    b = 0
     while row >= s.first_row[b + 1]:
         b += 1
     first = s.first_row[b]

@@ -12,9 +12,8 @@ import numpy.typing as npt
 from orbit_core.scene import Scene, SoftBody
 from orbit_matter.solids.element import FloatArray
 from orbit_matter.solids.grid import Embedding, IntArray, embed
+from orbit_matter.solids.kernels import LANES
 
-LANES = 32
-"""Rows of the preconditioner that a CPU computes at a time; solids begin at multiples of it."""
 CONTACT_SHARE = 15.0
 """Inertias ``m / h^2`` of what moves with it that a contact is firm. Up to this share one linearisation of the contacts
 is enough; at 61 they flicker, and a grasped block weighs 6 to 26 % too much."""
@@ -67,7 +66,7 @@ def build(scene: Scene, h: float) -> SolidModel:
     """Assemble the solids of a scene for steps of ``h`` seconds.
 
     Raises:
-        ConfigurationError: the surface of a solid is not closed, or its grid too fine.
+        ConfigurationError: the grid of a solid is too fine.
     """
     found = [(n, spec) for n, spec in enumerate(scene.deformables) if isinstance(spec, SoftBody)]
     parts = [_embedded(_Key(spec)) for _, spec in found]
@@ -83,7 +82,7 @@ def build(scene: Scene, h: float) -> SolidModel:
     for number, (_, spec) in enumerate(found):
         for held in spec.attachments:
             attached[site_starts[len(parts) + number] + np.array(held.particles, np.int64)] = 1
-    inverses, places = _preconditioners([spec for _, spec in found], parts, h)
+    inverses, places = _preconditioners([spec for _, spec in found], h)
     return SolidModel(
         deformables=tuple(n for n, _ in found),
         embeddings=tuple(parts),
@@ -145,7 +144,7 @@ def _shifted(parts: list[IntArray], starts: IntArray, shape: tuple[int, ...]) ->
 
 def _contact_firmness(spec: SoftBody, part: Embedding, h: float) -> FloatArray:
     areas = part.contacts.areas
-    return CONTACT_SHARE * spec.density * part.volume / (h * h) * areas / areas.sum()
+    return CONTACT_SHARE * spec.mass / (h * h) * areas / areas.sum()
 
 
 def _hold(spec: SoftBody, part: Embedding) -> float:
@@ -155,12 +154,10 @@ def _hold(spec: SoftBody, part: Embedding) -> float:
 # Preconditioners -----------------------------------------------------------------------------------------------------
 
 
-def _preconditioners(
-    specs: list[SoftBody], parts: list[Embedding], h: float
-) -> tuple[npt.NDArray[np.float32], IntArray]:
+def _preconditioners(specs: list[SoftBody], h: float) -> tuple[npt.NDArray[np.float32], IntArray]:
     """Return the inverses of all solids' matrices at rest without contacts, and where each begins."""
-    blocks, places, begin = [np.zeros((0, LANES), np.float32)], np.zeros((len(parts), 2), np.int32), 0
-    for number, (spec, part) in enumerate(zip(specs, parts, strict=True)):
+    blocks, places, begin = [np.zeros((0, LANES), np.float32)], np.zeros((len(specs), 2), np.int32), 0
+    for number, spec in enumerate(specs):
         held = sorted({particle for attachment in spec.attachments for particle in attachment.particles})
         for kind, particles in enumerate(([], held)):
             if kind and not particles:

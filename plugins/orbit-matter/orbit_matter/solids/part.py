@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import torch
 import warp as wp
 from torch import Tensor
 
@@ -17,7 +16,8 @@ from orbit_matter import contact
 from orbit_matter import kernels as particles
 from orbit_matter import rows as particle_rows
 from orbit_matter.solids import kernels, launches, rows
-from orbit_matter.solids.model import LANES, SolidModel
+from orbit_matter.solids.kernels import LANES
+from orbit_matter.solids.model import SolidModel
 
 SKIN = 5e-4
 """Metres within a link's surface up to which a point of a solid that is attached there does not collide with it."""

@@ -69,7 +69,7 @@ def meet(
 ):
     """Contacts and attachments, at the point of linearisation."""
     env = wp.tid()
-    count = int(0)
+    count = 0
     for site in range(t.x.shape[1]):
         found = bool(False)
         if site < t.contacts:

@@ -37,6 +37,8 @@ from orbit_conformance.scenarios import (
     screws,
     seals,
     sensing,
+    solid_contact,
+    solids,
     springs,
     stacks,
     stops,
@@ -89,4 +91,6 @@ SCENARIOS: tuple[Scenario, ...] = (
     *ropes.SCENARIOS,
     *cloths.SCENARIOS,
     *matter_contact.SCENARIOS,
+    *solids.SCENARIOS,
+    *solid_contact.SCENARIOS,
 )
