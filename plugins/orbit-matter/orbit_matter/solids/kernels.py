@@ -15,7 +15,7 @@ held fixed in its derivative the matrix is symmetric and never indefinite, and r
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 # pyright: reportReturnType=false, reportInvalidTypeForm=false
-# ruff: noqa: UP018 - float() and int() make variables that a kernel's loops may change.
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
@@ -357,8 +357,8 @@ def touch(
     Friction is a bristle: it sticks to a place on the link, as firm as the contact, up to Coulomb's limit, and the
     place is dragged along beyond it. A point that holds does not creep.
     """
-    deepest, shape, n = float(0.0), (-1), wp.vec3()
-    near, x = 0, wp.vec3()
+    deepest, shape, n = float(0.0), int(-1), wp.vec3()
+    near, x = int(0), wp.vec3()
     kind = env % shapes.kind.shape[0]
     while near < NEAREST:
         found = felt.near[env, k, near]
@@ -501,7 +501,7 @@ def conclude_node(s: Solids, solve: Solve, env: int, i: int, h: float):
 @wp.func
 def is_preset(t: Sites, held: Particles, s: Solids, env: int, b: int) -> int:
     """1 if all vertices of a solid that the scene attaches are held, and there are any."""
-    found, missing = 0, 0
+    found, missing = int(0), int(0)
     for vertex in range(held.x.shape[1]):
         k = t.contacts + vertex
         if t.set[k] == 1 and t.owner[k] == s.owner[b]:

@@ -3,7 +3,7 @@
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 # pyright: reportReturnType=false, reportInvalidTypeForm=false
-# ruff: noqa: UP018 - float() and int() make variables that a kernel's loops may change.
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ def apply(s: Solids, t: Sites, solve: Solve, g: Gather, h: float):
 def precondition(s: Solids, solve: Solve):
     """One row of the preconditioner."""
     env, row = wp.tid()
-    b = 0
+    b = int(0)
     while row >= s.first_row[b + 1]:
         b += 1
     first = s.first_row[b]

@@ -3,7 +3,7 @@
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 # pyright: reportReturnType=false, reportInvalidTypeForm=false
-# ruff: noqa: UP018 - float() and int() make variables that a kernel's loops may change.
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def meet(
 ):
     """Contacts and attachments, at the point of linearisation."""
     env = wp.tid()
-    count = 0
+    count = int(0)
     for site in range(t.x.shape[1]):
         found = bool(False)
         if site < t.contacts:
