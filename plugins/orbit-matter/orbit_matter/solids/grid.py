@@ -36,7 +36,7 @@ class Sites:
     weights: FloatArray
     """(S, 27) of the cell's nodes."""
     areas: FloatArray
-    """(S,) m^2 of the surface around each."""
+    """(S, 3, 3) m^2 of the surface around each, as of :class:`~orbit_matter.solids.skin.Skin`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def embed(spec: SoftBody) -> Embedding:
     weights, owners = element.shape_functions(local), numbers[tuple(index.T)]
     count = len(surface.points)
     contacts = Sites(owners[:count], weights[:count], surface.areas)
-    held = Sites(owners[count:], weights[count:], np.zeros(len(vertices)))
+    held = Sites(owners[count:], weights[count:], np.zeros((len(vertices), 3, 3)))
     return Embedding(size, cells, kinds, stiffness, nodes, masses, contacts, held)
 
 

@@ -122,8 +122,12 @@ class Sites:
     v: wp.array2d[wp.vec3]
     cell: wp.array[int]
     weights: wp.array2d[float]
-    stiffness: wp.array[float]
-    """N/m of its contact, or of what holds it."""
+    stiffness: wp.array[wp.mat33]
+    """(contacts,) N/m: ``n^T stiffness n`` along a normal n, in the axes of the mesh."""
+    hold: wp.array[float]
+    """(V,) N/m of what holds vertices."""
+    whole: wp.array2d[float]
+    """(N, S) N/m of its contact or hold in this step, before anything gives way."""
     owner: wp.array[int]
     contacts: int
     link: wp.array2d[int]
@@ -318,7 +322,12 @@ def soften(t: Sites, b: Bodies, links: Links, env: int, i: int, k: int, firm: fl
     """
     link = b.link[env, i]
     origin = wp.transform_point(links.link[env, link], b.center[env, i])
-    off = yielding(b, env, i, t.x[env, k] - origin, h) * firm / t.stiffness[k] * (1.0 - t.blocked[env, i])
+    off = (
+        yielding(b, env, i, t.x[env, k] - origin, h)
+        * firm
+        / wp.max(t.whole[env, k], 1.0e-9)
+        * (1.0 - t.blocked[env, i])
+    )
     way = t.firm[env, k]
     by = wp.vec2(1.0 / (1.0 + way[0] * off), 1.0 / (1.0 + way[1] * off))
     last = t.last[env, k]
@@ -379,14 +388,18 @@ def touch(
         return False
     link = shapes.link[kind, shape]
     t.last[env, k] = remembered(t, env, k, link)
-    pose, firm = links.link[env, link], t.stiffness[k]
+    pose = links.link[env, link]
+    facing = wp.quat_rotate_inv(s.turn[env, t.cell[k]], n)
+    firm = wp.dot(facing, t.stiffness[k] * facing)
+    t.whole[env, k] = firm
     if t.stuck[env, k] != link:
         t.stuck[env, k] = link
         t.place[env, k] = wp.transform_point(wp.transform_inverse(pose), x)
     slip = x - wp.transform_point(pose, t.place[env, k])
     slip = slip - n * wp.dot(n, slip)
     friction = wp.max(parameters[env, t.owner[k], 3], felt.friction[env, shape])
-    most, across = friction * firm * deepest, float(firm)
+    # What presses now is not known before the solution, where points at an edge may let go; it is as in the last step.
+    most, across = friction * wp.max(wp.dot(n, t.last[env, k]), 0.0), float(firm)
     if firm * wp.length(slip) > most:
         across = most / wp.length(slip)
     t.link[env, k] = link
@@ -405,7 +418,8 @@ def grip(s: Solids, t: Sites, held: Particles, links: Links, env: int, k: int) -
     if link == FREE:
         t.link[env, k] = NONE
         return False
-    x, firm = t.x[env, k] + of_nodes(s, t, s.d, env, k), t.stiffness[k]
+    x, firm = t.x[env, k] + of_nodes(s, t, s.d, env, k), t.hold[vertex]
+    t.whole[env, k] = firm
     felt = int(link)
     if link < 0:
         felt = links.link.shape[1] - 1  # the world stands still, as terrain does
@@ -425,7 +439,7 @@ def let_slip(s: Solids, t: Sites, links: Links, solve: Solve, env: int, k: int):
     t.force[env, k] = force
     if k >= t.contacts:
         return
-    n, firm = t.normal[env, k], t.stiffness[k]
+    n, firm = t.normal[env, k], wp.max(t.whole[env, k], 1.0e-9)
     pose = links.link[env, t.link[env, k]]
     x = t.x[env, k] + of_nodes(s, t, s.d, env, k) + moved
     stuck = wp.transform_point(pose, t.place[env, k])

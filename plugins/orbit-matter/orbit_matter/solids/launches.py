@@ -139,7 +139,7 @@ def soften(t: Sites, b: Bodies, links: Links, h: float):
     firm = float(0.0)
     for site in range(t.x.shape[1]):
         if t.link[env, site] == b.link[env, i]:
-            firm += t.stiffness[site]
+            firm += t.whole[env, site]
     for site in range(t.x.shape[1]):
         if t.link[env, site] == b.link[env, i]:
             k.soften(t, b, links, env, i, site, firm, h)

@@ -51,7 +51,9 @@ class SolidModel:
     weights: npt.NDArray[np.float32]
     """(S, 27)"""
     firmness: npt.NDArray[np.float32]
-    """(S,) N/m of contacts, and of what holds vertices."""
+    """(contacts, 3, 3) N/m of contacts: ``n^T firmness n`` along a normal n."""
+    holds: npt.NDArray[np.float32]
+    """(V,) N/m of what holds vertices."""
     attached: IntArray
     """(S,) 1 for vertices that the scene attaches."""
     inverses: npt.NDArray[np.float32]
@@ -76,7 +78,7 @@ def build(scene: Scene, h: float) -> SolidModel:
     site_starts = _starts([len(each.cells) for each in sites])
     owners = [*range(len(parts)), *range(len(parts))]
     firm = [_contact_firmness(spec, part, h) for (_, spec), part in zip(found, parts, strict=True)]
-    firm += [np.full(len(part.vertices.cells), _hold(spec, part)) for (_, spec), part in zip(found, parts, strict=True)]
+    holds = [np.full(len(part.vertices.cells), _hold(spec, part)) for (_, spec), part in zip(found, parts, strict=True)]
     contacts = int(site_starts[len(parts)]) if parts else 0
     attached = np.zeros(int(site_starts[-1]), np.int32)
     for number, (_, spec) in enumerate(found):
@@ -98,7 +100,8 @@ def build(scene: Scene, h: float) -> SolidModel:
         stiffness=_joined([part.stiffness for part in parts], (81, 81)),
         site_cells=_shifted([each.cells for each in sites], counts["cells"][owners] if parts else rows, ()),
         weights=_joined([each.weights for each in sites], (27,)),
-        firmness=_joined(firm, ()),
+        firmness=_joined(firm, (3, 3)),
+        holds=_joined(holds, ()),
         attached=attached,
         inverses=inverses,
         inverse_at=places,
@@ -144,7 +147,7 @@ def _shifted(parts: list[IntArray], starts: IntArray, shape: tuple[int, ...]) ->
 
 def _contact_firmness(spec: SoftBody, part: Embedding, h: float) -> FloatArray:
     areas = part.contacts.areas
-    return CONTACT_SHARE * spec.mass / (h * h) * areas / areas.sum()
+    return CONTACT_SHARE * spec.mass / (h * h) * areas / np.einsum("pii->", areas)
 
 
 def _hold(spec: SoftBody, part: Embedding) -> float:

@@ -95,7 +95,8 @@ class SolidPart:
         shape = (self._n, len(model.site_cells))
         made.x, made.v = (wp.from_torch(memory[f"site_{name}"], wp.vec3) for name in "xv")
         made.cell, made.weights = _ints(model.site_cells), wp.array(model.weights, dtype=float)
-        made.stiffness, made.set = wp.array(model.firmness, dtype=float), _ints(model.attached)
+        made.stiffness, made.hold = wp.array(model.firmness, dtype=wp.mat33), wp.array(model.holds, dtype=float)
+        made.set, made.whole = _ints(model.attached), wp.zeros(shape, dtype=float)
         cell_body = np.repeat(model.deformables, np.diff(model.first_cell))
         made.owner, made.contacts = _ints(cell_body[model.site_cells]), model.contacts
         made.blocked = wp.zeros(self._free.link.shape, dtype=float)

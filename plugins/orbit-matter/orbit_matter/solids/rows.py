@@ -84,7 +84,7 @@ def meet(
         firm = float(0.0)
         for n in range(count):
             if t.link[env, t.active[env, n]] == b.link[env, i]:
-                firm += t.stiffness[t.active[env, n]]
+                firm += t.whole[env, t.active[env, n]]
         for n in range(count):
             if t.link[env, t.active[env, n]] == b.link[env, i]:
                 k.soften(t, b, links, env, i, t.active[env, n], firm, h)

@@ -20,7 +20,8 @@ class Skin:
     points: FloatArray
     """(P, 3) m."""
     areas: FloatArray
-    """(P,) m^2, whose sum is the surface's."""
+    """(P, 3, 3) m^2: sum of ``area n n^T`` of the faces around each, so that ``n^T areas n`` is what faces along n. The
+    area that meets a plate at an edge is that of one side only."""
 
 
 def sampled(vertices: FloatArray, faces: npt.NDArray[np.int64], spacing: float) -> Skin:
@@ -36,9 +37,13 @@ def sampled(vertices: FloatArray, faces: npt.NDArray[np.int64], spacing: float) 
         if not divided:
             break
     a, b, c = (points[triangles[:, corner]] for corner in range(3))
-    areas = np.zeros(len(points))
-    np.add.at(areas, triangles, 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)[:, None] / 3.0)
-    if len(points) > _DENSER * areas.sum() / spacing**2:
+    across = np.cross(b - a, c - a)
+    twice = np.linalg.norm(across, axis=1)[:, None, None]
+    shares = across[:, :, None] * across[:, None, :] / (6.0 * np.maximum(twice, 1e-300))
+    areas = np.zeros((len(points), 3, 3))
+    for corner in range(3):
+        np.add.at(areas, triangles[:, corner], shares)
+    if len(points) > _DENSER * np.einsum("pii->", areas) / spacing**2:
         points, areas = _thinned(points, areas, spacing)
     return Skin(points, areas)
 
@@ -93,8 +98,10 @@ def _thinned(points: FloatArray, areas: FloatArray, spacing: float) -> tuple[Flo
     _, owner = np.unique(keys, axis=0, return_inverse=True)
     owner = owner.ravel()
     count = int(owner.max()) + 1
-    total = np.bincount(owner, areas, count)
-    means = np.stack([np.bincount(owner, points[:, axis] * areas, count) / total for axis in range(3)], axis=-1)
+    total, weights = np.zeros((count, 3, 3)), np.einsum("pii->p", areas)
+    np.add.at(total, owner, areas)
+    whole = np.bincount(owner, weights, count)
+    means = np.stack([np.bincount(owner, points[:, axis] * weights, count) / whole for axis in range(3)], axis=-1)
     order = np.lexsort((np.linalg.norm(points - means[owner], axis=1), owner))
     chosen = order[np.concatenate(([True], np.diff(owner[order]) > 0))]
     return points[chosen], total[owner[chosen]]
