@@ -36,6 +36,7 @@ def middle(world: World, task: SoftLifting) -> Tensor:
 @once_per_state
 def yaw(world: World, task: SoftLifting) -> Tensor:
     """(N,) rad that the block is turned about the vertical, by the way from its middle to its front."""
+    # From the middle and not from the other side: a block that is squeezed aslant still faces forwards.
     way = world.deformables[BLOCK].key_point("front") - middle(world, task)
     return torch.atan2(way[:, 1], way[:, 0])
 
@@ -51,6 +52,7 @@ def squeeze(world: World, task: SoftLifting) -> Tensor:
     """(N,) part of its width that the block is narrower by, between its two sides that are nearer to each other."""
     points = world.deformables[BLOCK].key_points
     names = [point.name for point in world.deformables[BLOCK].spec.key_points]
+    # The hand takes it by either pair of sides, and the one that it takes is the narrower.
     ends = [vector_norm(points[:, names.index(a)] - points[:, names.index(b)], dim=1) for a, b in PAIRS]
     return 1.0 - torch.minimum(*ends) / task.size
 
@@ -78,6 +80,7 @@ def tracking(world: World, task: SoftLifting, scale: float) -> Tensor:
 
 def sample_goal(world: World, task: SoftLifting, env_ids: Tensor) -> None:
     """Sample the goal 15 to 35 cm above the table, within 10 cm and 20 cm of the block's place in x and y."""
+    # Above the patch where blocks start, so that every goal is in reach of every arm that reaches the block.
     x = world.scene.deformables[0].pose.position[0]
     task.goal[env_ids] = world.random.uniform((3,), (x - 0.1, -0.2, 0.15), (x + 0.1, 0.2, 0.35), env_ids)
     common.place_markers(world, ("goal",), task.goal[env_ids][:, None], env_ids)
@@ -90,7 +93,7 @@ def at_block(world: World, task: SoftLifting) -> Tensor:
 
 
 def at_goal(world: World, task: SoftLifting) -> Tensor:
-    """(N, 7) the hand where the block's middle comes to the goal, as it hangs in the hand now."""
+    """(N, 7) the hand that brings the block's middle to the goal, as it hangs in the hand now."""
     return common.pointing_down(task.goal + common.hand_pose(world, task)[:, :3] - middle(world, task))
 
 
@@ -100,6 +103,7 @@ PAIRS = (("front", "back"), ("left", "right"))
 
 def key_points() -> tuple[KeyPoint, ...]:
     """Key points of the block: the middles of its sides, and the mean of these."""
+    # Vertices are numbered alike at every size, so a block of 2 m has its sides at 1.
     points = cuboid((2.0, 2.0, 2.0), COUNTS).vertices
     sides = {"front": (1, 0, 0), "back": (-1, 0, 0), "left": (0, 1, 0), "right": (0, -1, 0)}
     found = {name: int(abs(points - side).sum(axis=1).argmin()) for name, side in sides.items()}
@@ -174,6 +178,7 @@ class SoftLifting(Task):
     ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
     size: float = 0.05
     """Metres of the block's edges."""
+    # Foam rubber: light enough for 5 N of grip, and soft enough to be seen to yield.
     density: float = 500.0
     """kg/m^3 of the block."""
     youngs_modulus: float = 1e5
@@ -221,6 +226,7 @@ class SoftLifting(Task):
         return {"goal_distance_m": goal_distance(world, self), "squeeze": squeeze(world, self)}
 
     def expert(self, world: World) -> Expert:
+        # Longer than a rigid cube takes: the block yields before the fingers hold it.
         closing = max(0.6, common.closing_time(world))
         return Expert(
             world,

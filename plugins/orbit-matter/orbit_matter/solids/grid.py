@@ -90,6 +90,7 @@ def embed(spec: SoftBody) -> Embedding:
     fills = inside.mean(axis=(3, 4, 5))
     places = np.concatenate((surface.points, vertices))
     index = np.clip(np.floor((places - low) / size).astype(np.int64), 0, counts - 1)
+    # A cell that holds a vertex is kept even where none of its samples is inside.
     needed = np.zeros(counts, dtype=bool)
     needed[tuple(index.T)] = True
     chosen = np.argwhere((fills > 0.0) | needed)
@@ -97,6 +98,7 @@ def embed(spec: SoftBody) -> Embedding:
     numbers[tuple(chosen.T)] = np.arange(len(chosen))
     cells, nodes = _numbered(chosen, counts, low, size)
     kinds, stiffness, masses = _properties(spec, size, cells, len(nodes), inside[tuple(chosen.T)])
+    # Samples and the least fill are off by a few per cent; the weight is not.
     masses *= spec.mass / masses.sum()
     local = 2.0 * ((places - low) / size - index) - 1.0
     weights, owners = element.shape_functions(local), numbers[tuple(index.T)]
@@ -140,6 +142,7 @@ def _inside(
     steps = SAMPLES * counts
     axes = [low[a] + size[a] / SAMPLES * (np.arange(steps[a]) + 0.5) for a in range(3)]
     off = _OFF_EDGES * np.ptp(vertices, axis=0)[:2]
+    # Triangles that are seen edge-on cover no line of samples.
     found = np.zeros(steps, dtype=np.int64)
     flat = vertices[faces][..., :2]
     a, ab, ac = flat[:, 0], flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
@@ -184,6 +187,7 @@ def _properties(
     matrices, kinds, masses = [whole], np.zeros(len(cells), np.int32), np.zeros(count)
     for number, within in enumerate(inside):
         fill = float(within.mean())
+        # Of an emptier cell the samples are too few to say where its mass is.
         shares = even
         if fill < 1.0:
             halves = within.reshape(2, SAMPLES // 2, 2, SAMPLES // 2, 2, SAMPLES // 2).mean(axis=(1, 3, 5))

@@ -168,7 +168,7 @@ def across(s: Solids, env: int, c: int, stride: int, ahead: float) -> wp.vec3:
 
 @wp.func
 def stretched(s: Solids, env: int, c: int, ahead: float) -> wp.mat33:
-    """Deformation at the middle of a cell."""
+    """Return the deformation at the middle of a cell."""
     size = s.size[s.cell_body[c]]
     x, y, z = across(s, env, c, 1, ahead), across(s, env, c, 3, ahead), across(s, env, c, 9, ahead)
     return wp.matrix_from_cols(x / size[0], y / size[1], z / size[2])
@@ -176,7 +176,8 @@ def stretched(s: Solids, env: int, c: int, ahead: float) -> wp.mat33:
 
 @wp.func
 def rotation(f: wp.mat33, q: wp.quat, turns: int) -> wp.quat:
-    """Turn q towards the rotation in f."""
+    """Return q turned towards the rotation in f."""
+    # The step of each turn shrinks as it nears the rotation: four from the last step's are exact to 1e-6.
     for _turn in range(turns):
         r = wp.quat_to_matrix(q)
         spin, scale = wp.vec3(), float(0.0)
@@ -184,6 +185,7 @@ def rotation(f: wp.mat33, q: wp.quat, turns: int) -> wp.quat:
             a, b = wp.vec3(r[0, axis], r[1, axis], r[2, axis]), wp.vec3(f[0, axis], f[1, axis], f[2, axis])
             spin += wp.cross(a, b)
             scale += wp.dot(a, b)
+        # Where the cell is flat the scale is nearly zero, and the small number keeps the turn finite.
         spin = spin / (wp.abs(scale) + 1.0e-9)
         angle = wp.length(spin)
         if angle > 1.0e-9:
@@ -247,6 +249,7 @@ def damped(s: Solids, env: int, b: int, h: float) -> float:
 @wp.func
 def strain_node(s: Solids, env: int, c: int, i: int, axes: wp.mat33, h: float) -> wp.vec3:
     """Displacement of a node in its cell's axes where the step is linearised, with what damping adds."""
+    # Differences to the cell's middle keep their digits however far from the origin the solid is.
     node, middle, b = s.cells[c, i], s.cells[c, MIDDLE], s.cell_body[c]
     moved = s.d[env, node] - s.d[env, middle]
     arm = s.x[env, node] - s.x[env, middle] + moved
@@ -265,6 +268,7 @@ def inertia_of(s: Solids, env: int, i: int, h: float) -> float:
 @wp.func
 def own_force(s: Solids, gravity: wp.array[wp.vec3], env: int, i: int, h: float) -> wp.vec3:
     """Inertia and gravity of a node at the point of linearisation."""
+    # By the rate's square the inertia is the mass again, scaled in this environment.
     inertia, by = inertia_of(s, env, i, h), rate(s, env, s.body[i], h)
     free = s.v[env, i] * h
     if s.fresh[env, s.body[i]] == 0:
@@ -352,6 +356,7 @@ def blocked(b: Bodies, gravity: wp.vec3, env: int, i: int) -> float:
     link = b.link[env, i]
     asked = wp.vec3(b.wrenches[env, link, 0], b.wrenches[env, link, 1], b.wrenches[env, link, 2]) / b.mass[env, i]
     asked += gravity
+    # A body that floats on matter is asked for nothing, and noise over nothing would look like a hold.
     least = 0.1 * wp.length_sq(gravity)
     missing = wp.dot(gravity - b.pull[env, i], asked) / (wp.length_sq(asked) + least + 1.0e-9)
     return wp.clamp(missing * 1.1, 0.0, 1.0)
@@ -366,6 +371,7 @@ def touch(
     Friction is a bristle: it sticks to a place on the link, as firm as the contact, up to Coulomb's limit, and the
     place is dragged along beyond it. A point that holds does not creep.
     """
+    # One surface only: what two fingers hold has its two sides at other points.
     deepest, shape, n = float(0.0), int(-1), wp.vec3()
     near, x = int(0), wp.vec3()
     kind = env % shapes.kind.shape[0]
@@ -389,6 +395,7 @@ def touch(
     link = shapes.link[kind, shape]
     t.last[env, k] = remembered(t, env, k, link)
     pose = links.link[env, link]
+    # Firmness is that of the area that faces the surface: a point at an edge also has the area of its other side.
     facing = wp.quat_rotate_inv(s.turn[env, t.cell[k]], n)
     firm = wp.dot(facing, t.stiffness[k] * facing)
     t.whole[env, k] = firm
@@ -413,6 +420,7 @@ def touch(
 @wp.func
 def grip(s: Solids, t: Sites, held: Particles, links: Links, env: int, k: int) -> bool:
     """Linearise what holds a vertex; True if it is held."""
+    # Vertices come after all points of contact.
     vertex = k - t.contacts
     link = held.anchor[env, vertex]
     if link == FREE:
@@ -437,6 +445,7 @@ def let_slip(s: Solids, t: Sites, links: Links, solve: Solve, env: int, k: int):
     moved = of_nodes(s, t, solve.delta, env, k)
     force = t.force[env, k] - resist(t, env, k, moved)
     t.force[env, k] = force
+    # Held vertices neither slide nor let go.
     if k >= t.contacts:
         return
     n, firm = t.normal[env, k], wp.max(t.whole[env, k], 1.0e-9)
@@ -454,8 +463,9 @@ def let_slip(s: Solids, t: Sites, links: Links, solve: Solve, env: int, k: int):
 
 @wp.func
 def press(t: Sites, felt: Felt, links: Links, env: int, k: int, share: float):
-    """Add what a site does to its link, which nothing else adds to at the same time."""
+    """Add what a site does to its link, which one thread adds to at a time."""
     link = t.link[env, k]
+    # Terrain has the number after all links, and feels nothing.
     if link < felt.torques.shape[1]:
         force, x = t.force[env, k] * -share, t.x[env, k]
         felt.forces[env, t.owner[k], link] = felt.forces[env, t.owner[k], link] + force

@@ -20,7 +20,7 @@ from orbit_matter.surfaces import Shapes
 
 @wp.struct
 class Gather:
-    """Who acts on a node: cells, each at one of its nodes, and the sites in each cell."""
+    """Cells that act on each node, the number of the node in each, and the sites in each cell."""
 
     first: wp.array[int]
     """(n + 1,) of each node in ``cell`` and ``local``."""
@@ -35,7 +35,7 @@ class Gather:
 
 @wp.kernel(enable_backward=False)
 def orient(s: Solids, chosen: wp.array[bool]):
-    """Rotations from scratch, in chosen environments."""
+    """Find rotations from scratch, in chosen environments."""
     env, b = wp.tid()
     if chosen[env]:
         s.body_turn[env, b] = k.first_rotation(k.mean_stretch(s, env, b, 0.0))
@@ -52,21 +52,21 @@ def show(s: Solids, t: Sites):
 
 @wp.kernel(enable_backward=False)
 def turn(s: Solids):
-    """Rotations of cells."""
+    """Update the rotations of cells."""
     env, c = wp.tid()
     k.turn_cell(s, env, c)
 
 
 @wp.kernel(enable_backward=False)
 def turn_bodies(s: Solids):
-    """Rotations of solids."""
+    """Update the mean rotations of solids."""
     env, b = wp.tid()
     k.turn_body(s, env, b)
 
 
 @wp.kernel(enable_backward=False)
 def strain(s: Solids, g: Gather, h: float):
-    """What cells do to their nodes at the point of linearisation."""
+    """Compute the forces of cells on their nodes at the point of linearisation."""
     env, number = wp.tid()
     c, i = number / NODES, number % NODES
     axes, found, kind = wp.quat_to_matrix(s.turn[env, c]), wp.vec3(), s.kind[c]
@@ -80,7 +80,7 @@ def strain(s: Solids, g: Gather, h: float):
 
 @wp.kernel(enable_backward=False)
 def bend(s: Solids, solve: Solve, g: Gather, h: float):
-    """Stiffness of cells times the direction p."""
+    """Multiply the stiffness of cells and the direction p."""
     env, number = wp.tid()
     c, i = number / NODES, number % NODES
     axes, found, kind = wp.quat_to_matrix(s.turn[env, c]), wp.vec3(), s.kind[c]
@@ -95,7 +95,7 @@ def bend(s: Solids, solve: Solve, g: Gather, h: float):
 
 @wp.kernel(enable_backward=False)
 def meet(s: Solids, t: Sites, held: Particles, links: Links, shapes: Shapes, felt: Felt):
-    """Contacts and attachments, at the point of linearisation."""
+    """Linearise contacts and attachments."""
     env, site = wp.tid()
     if site < t.contacts:
         k.touch(s, t, links, shapes, felt, s.parameters, env, site)
@@ -114,6 +114,7 @@ def block(t: Sites, b: Bodies, gravity: wp.array[wp.vec3]):
 def push(t: Sites, b: Bodies, links: Links, way: float, lasting: int):
     """Move free bodies by what solids did to them, in ``way`` s^2: ``lasting`` beyond this substep or not."""
     env, i = wp.tid()
+    # All sites are searched: no list of those on a body is kept, for bodies are few and lists would need sorting.
     link = b.link[env, i]
     origin = wp.transform_point(links.link[env, link], b.center[env, i])
     force, torque = wp.vec3(), wp.vec3()
@@ -147,14 +148,14 @@ def soften(t: Sites, b: Bodies, links: Links, h: float):
 
 @wp.kernel(enable_backward=False)
 def choose(s: Solids, t: Sites, solve: Solve, held: Particles):
-    """Which preconditioner each solid takes."""
+    """Choose the preconditioner of each solid."""
     env, b = wp.tid()
     solve.preset[env, b] = k.is_preset(t, held, s, env, b)
 
 
 @wp.kernel(enable_backward=False)
 def resist(s: Solids, t: Sites, solve: Solve):
-    """Forces of sites against the direction p; those that press on nothing have none."""
+    """Compute the forces of sites against the direction p."""
     env, site = wp.tid()
     if t.link[env, site] != k.NONE:
         t.pull[env, site] = k.resist(t, env, site, k.of_nodes(s, t, solve.p, env, site))
@@ -162,7 +163,7 @@ def resist(s: Solids, t: Sites, solve: Solve):
 
 @wp.func
 def gathered(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: int) -> wp.vec3:
-    """What cells and sites do to a node."""
+    """Return the force of cells and sites on a node."""
     found = wp.vec3()
     for n in range(g.first[node], g.first[node + 1]):
         c, i = g.cell[n], g.local[n]
@@ -172,8 +173,9 @@ def gathered(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: i
 
 @wp.func
 def of_sites(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: int) -> wp.vec3:
-    """What sites do to a node."""
+    """Return the force of sites on a node."""
     found = wp.vec3()
+    # A site is in one cell, of which the node is one corner at most: none is counted twice.
     for n in range(g.first[node], g.first[node + 1]):
         c, i = g.cell[n], g.local[n]
         for m in range(g.first_site[c], g.first_site[c + 1]):
@@ -185,7 +187,7 @@ def of_sites(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: i
 
 @wp.kernel(enable_backward=False)
 def begin(s: Solids, t: Sites, solve: Solve, g: Gather, gravity: wp.array[wp.vec3], h: float):
-    """The residual at the point of linearisation."""
+    """Compute the residual at the point of linearisation."""
     env, i = wp.tid()
     solve.r[env, i] = k.own_force(s, gravity, env, i, h) + gathered(g, t, t.force, env, i)
     solve.delta[env, i] = wp.vec3()
@@ -194,19 +196,20 @@ def begin(s: Solids, t: Sites, solve: Solve, g: Gather, gravity: wp.array[wp.vec
 
 @wp.kernel(enable_backward=False)
 def apply(s: Solids, t: Sites, solve: Solve, g: Gather, h: float):
-    """The matrix times the direction p, as q."""
+    """Multiply the matrix and the direction p, as q."""
     env, i = wp.tid()
     solve.q[env, i] = solve.p[env, i] * k.inertia_of(s, env, i, h) + gathered(g, t, t.pull, env, i)
 
 
 @wp.kernel(enable_backward=False)
 def precondition(s: Solids, solve: Solve):
-    """One row of the preconditioner."""
+    """Apply one row of the preconditioner."""
     env, row = wp.tid()
     b = int(0)
     while row >= s.first_row[b + 1]:
         b += 1
     first = s.first_row[b]
+    # Neighbouring threads read neighbouring numbers: those of a block of rows in one column.
     count = 3 * (s.first_node[b + 1] - s.first_node[b])
     at = s.inverse_at[b, solve.preset[env, b]] + (row - first) / k.LANES * count
     found, lane = float(0.0), (row - first) % k.LANES
@@ -217,7 +220,7 @@ def precondition(s: Solids, solve: Solve):
 
 @wp.kernel(enable_backward=False)
 def aim(s: Solids, solve: Solve, first: int):
-    """The product of residual and direction, and how much of the last direction the new one keeps."""
+    """Compute the product of residual and direction, and how much of the last direction the new one keeps."""
     env, b = wp.tid()
     rz, old = float(0.0), float(solve.rz[env, b])
     for i in range(s.first_node[b], s.first_node[b + 1]):
@@ -229,7 +232,7 @@ def aim(s: Solids, solve: Solve, first: int):
 
 @wp.kernel(enable_backward=False)
 def direct(s: Solids, solve: Solve):
-    """The new direction of search."""
+    """Compute the new direction of search."""
     env, i = wp.tid()
     found, turned = wp.vec3(solve.z[env, i]), solve.turned[env, s.body[i]]
     if turned != 0.0:  # the first one takes nothing of the step before, not even if it was not finite
@@ -239,7 +242,7 @@ def direct(s: Solids, solve: Solve):
 
 @wp.kernel(enable_backward=False)
 def measure(s: Solids, solve: Solve):
-    """How far to go along the direction."""
+    """Compute how far to go along the direction."""
     env, b = wp.tid()
     pq = float(0.0)
     for i in range(s.first_node[b], s.first_node[b + 1]):
@@ -249,7 +252,7 @@ def measure(s: Solids, solve: Solve):
 
 @wp.kernel(enable_backward=False)
 def advance(s: Solids, solve: Solve):
-    """Go along the direction."""
+    """Step along the direction."""
     env, i = wp.tid()
     step = solve.step[env, s.body[i]]
     solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
@@ -259,7 +262,7 @@ def advance(s: Solids, solve: Solve):
 
 @wp.kernel(enable_backward=False)
 def let_slip(s: Solids, t: Sites, links: Links, solve: Solve):
-    """Forces at the end of the step."""
+    """Compute the forces at the end of the step."""
     env, site = wp.tid()
     if t.link[env, site] != k.NONE:
         k.let_slip(s, t, links, solve, env, site)
@@ -281,8 +284,9 @@ def age(s: Solids):
 
 @wp.kernel(enable_backward=False)
 def press(t: Sites, felt: Felt, links: Links, share: float):
-    """What each link feels, one site after another: sums in order repeat."""
+    """Add up the forces on each link, one site after another, so that sums repeat."""
     env, link = wp.tid()
+    # Each thread owns a link, so that no two add to one sum at a time and its order is that of the sites.
     for site in range(t.x.shape[1]):
         if t.link[env, site] == link:
             k.press(t, felt, links, env, site, share)

@@ -28,6 +28,7 @@ def check_stiffness(layout: SceneLayout, steps: int) -> None:
     Raises:
         ConfigurationError: names the solid, and the ``physics_dt`` that would do.
     """
+    # Only the shortest edge counts: along it waves cross a cell soonest.
     h = layout.scene.physics_dt / steps
     for spec in _solids(layout):
         extent = np.ptp(spec.rest_positions, axis=0)

@@ -179,6 +179,7 @@ def _inverse(key: _Key, damping: float, h: float, held: tuple[int, ...]) -> Floa
     spec, part = key.spec, _embedded(key)
     matrix = part.assembled() * (1.0 + 1.5 * damping / h)
     matrix[np.diag_indices(len(matrix))] += np.repeat(2.25 / (h * h) * part.masses, 3)
+    # Held vertices resist alike in all directions, so that the matrix may be turned with the body.
     if held:
         weights = part.weights_of(part.vertices)[list(held)]
         firm = _hold(spec, part) * weights.T @ weights
@@ -191,6 +192,7 @@ def _packed(matrix: FloatArray) -> npt.NDArray[np.float32]:
     """Return blocks of LANES rows, column after column, (blocks x columns, LANES)."""
     count = len(matrix)
     blocks = -(-count // LANES)
+    # Rows beyond the last are zero, and so is what they give.
     padded = np.zeros((blocks * LANES, count))
     padded[:count] = matrix
     return padded.reshape(blocks, LANES, count).transpose(0, 2, 1).reshape(-1, LANES).astype(np.float32)
@@ -205,11 +207,12 @@ _SMOOTH = 1e-4
 def _fit(part: Embedding) -> FloatArray:
     """Return the matrix (n, V) that turns vertices into nodes.
 
-    It is exact for whatever moves, turns or stretches as a whole; the rest is fitted to the vertices by least squares,
+    It is exact for what moves, turns or stretches as a whole; the rest is fitted to the vertices by least squares,
     as smooth as it can be in between.
     """
     weights = part.weights_of(part.vertices)
     vertices = weights @ part.nodes
+    # What is uniform goes through the mean deformation, and only the rest through the smooth fit.
     even = np.column_stack((np.ones(len(vertices)), vertices))
     whole = np.linalg.pinv(even)
     rough = np.zeros((len(part.nodes), len(part.nodes)))

@@ -81,6 +81,7 @@ class SolidPart:
             setattr(made, name, wp.zeros((self._n, nodes), dtype=wp.vec3))
         count = int(self._model.first_row[-1])
         made.rows, made.out = (wp.zeros((self._n, count), dtype=float) for _ in range(2))
+        # A CPU writes LANES numbers at a time and reads them one by one.
         blocks = made.out.reshape((self._n, count // LANES, LANES))
         made.out_lanes = wp.array(
             ptr=blocks.ptr, dtype=kernels.Lanes, shape=(self._n, count // LANES), device=blocks.device
@@ -111,6 +112,7 @@ class SolidPart:
     def _make_gather(self) -> Any:
         made, model = launches.Gather(), self._model
         flat = model.cells.ravel()
+        # Stable orders make sums over cells and sites the same in every run.
         order = np.argsort(flat, kind="stable")
         made.first = _ints(np.searchsorted(flat[order], np.arange(len(model.nodes) + 1)))
         made.cell, made.local = _ints(order // 27), _ints(order % 27)
@@ -145,7 +147,7 @@ class SolidPart:
 
     @property
     def takes_rows(self) -> bool:
-        """Whether one launch thread takes an environment, and not a cell, a site or a node."""
+        """Return True if one launch thread takes an environment, and not a cell, a site or a node."""
         return self._device.type == "cpu"
 
     def hold(self, links: Any, shapes: Any, mine: Any) -> None:

@@ -31,6 +31,7 @@ def sampled(vertices: FloatArray, faces: npt.NDArray[np.int64], spacing: float) 
     cube of that size stays, with the area of the others.
     """
     points, triangles = vertices, faces
+    # A little more than the diagonal, so that rounding divides no square once too often.
     longest = 1.01 * np.sqrt(2.0) * spacing
     while True:
         points, triangles, divided = _halved(points, triangles, longest)
@@ -41,6 +42,7 @@ def sampled(vertices: FloatArray, faces: npt.NDArray[np.int64], spacing: float) 
     twice = np.linalg.norm(across, axis=1)[:, None, None]
     shares = across[:, :, None] * across[:, None, :] / (6.0 * np.maximum(twice, 1e-300))
     areas = np.zeros((len(points), 3, 3))
+    # A third of each triangle to each of its corners integrates what is linear over it exactly.
     for corner in range(3):
         np.add.at(areas, triangles[:, corner], shares)
     if len(points) > _DENSER * np.einsum("pii->", areas) / spacing**2:
@@ -53,7 +55,7 @@ def _halved(
 ) -> tuple[FloatArray, npt.NDArray[np.int64], bool]:
     """Divide each triangle that has an edge that is too long at its longest edge, together with the one across it.
 
-    Longest edges are halved in both triangles that share them, so that no vertex lies on another triangle's edge.
+    Longest edges are halved in both triangles that share them, so that no vertex is on another triangle's edge.
     """
     pairs = np.sort(np.stack((triangles, np.roll(triangles, -1, axis=1)), -1), axis=-1)
     lengths = np.linalg.norm(points[pairs[..., 0]] - points[pairs[..., 1]], axis=-1)

@@ -35,6 +35,7 @@ class Solids:
         self.h = h
         specs = [spec for spec in scene.deformables if isinstance(spec, SoftBody)]
         self.damping = [spec.damping for spec in specs]
+        # Tensors of state are replaced by none: kernels hold their memory, and graphs its addresses.
         self._device, self._num_envs = device, num_envs
         self._index = {deformable: number for number, deformable in enumerate(self.model.deformables)}
         make = {"dtype": torch.float32, "device": device}
@@ -91,6 +92,7 @@ class Solids:
         """Put the vertices of a solid somewhere: (n, P, 3) m and m/s. Nodes follow as smoothly as they can."""
         number = self._index[deformable]
         nodes = slice(int(self.model.first_node[number]), int(self.model.first_node[number + 1]))
+        # As if the last step had moved it so, and the next one knows of no step before.
         moving = self._fits[number] @ velocities
         write_rows(self.tensors["solid_x"][:, nodes], self._fits[number] @ positions, env_ids)
         for name, value in (("solid_v", moving), ("solid_before", moving), ("solid_d", self.h * moving)):
@@ -116,7 +118,7 @@ class Solids:
         """(N,) bool: nodes that are not within the bounds of :mod:`orbit_core.interfaces.divergence`."""
         number = self._index[deformable]
         nodes = slice(int(self.model.first_node[number]), int(self.model.first_node[number + 1]))
-        # A comparison with NaN is false, so what is not within the bounds is found, whatever it is.
+        # A comparison with NaN is false, so that all that is not within the bounds is found.
         near = (self.tensors["solid_x"][:, nodes].abs() <= MAX_DISTANCE).all(-1).all(-1)
         slow = (self.tensors["solid_v"][:, nodes].abs() <= MAX_SPEED).all(-1).all(-1)
         return ~(near & slow)

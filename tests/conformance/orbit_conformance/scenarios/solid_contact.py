@@ -1,4 +1,4 @@
-"""Elastic solids on rigid ones: they hold and slide on a slope, are held by two fingers, and bear what lies on them."""
+"""Elastic solids on rigid ones: they hold and slide on a slope, are held by two fingers, and bear what is on them."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ def _slid(trial: Trial, tangent: float) -> tuple[float, float]:
     ground = slope(angle, PhysicsMaterial(FRICTION, FRICTION))
     world = trial.world(Scene(deformables=(_block(on_slope(angle, HALF)),), terrain=(ground,)))
     body = world.deformables["block"]
+    # Until it has slid into the shape that it keeps.
     trial.step(world, trial.steps(0.3))
     before, speed = body.positions[0].mean(0).clone(), body.velocities[0].mean(0).norm().clone()
     trial.step(world, trial.steps(duration))
@@ -55,6 +56,7 @@ def _grasp(trial: Trial) -> Mapping[str, float]:
     )
     robot, body = world.robots["gripper"], world.deformables["block"]
     robot.set_effort_targets(torch.full((1, 2), 5.0, device=world.device), [1, 2])
+    # Until the fingers have closed over the gap and squeezed the block.
     trial.step(world, trial.steps(0.4))
     for time in trial.advance(world, 0.5):
         robot.set_position_targets(torch.full((1, 1), 0.2 * time, device=world.device), [0])
@@ -72,6 +74,7 @@ def _load(trial: Trial) -> Mapping[str, float]:
     mass, half = DENSITY * SIDE**3, 0.025
     box = cube("box", half, mass, Pose((0.0, 0.0, SIDE + half + 0.005)))
     world = trial.world(Scene(objects=(box,), deformables=(_block(Pose((0.0, 0.0, HALF))),)))
+    # A fall of 5 mm has been damped by then.
     trial.step(world, trial.steps(1.0))
     felt, speed, count = 0.0, 0.0, trial.steps(0.3)
     for _ in range(count):
@@ -143,7 +146,7 @@ SCENARIOS = (
     Scenario(
         name="solid_load",
         group=GROUP,
-        question="Does a box that falls on a soft block of its own weight come to rest on it?",
+        question="Does a box that falls on a soft block of its own weight stay at rest on it?",
         truth="m g up, and no speed, after 1 s",
         source="equilibrium of forces",
         needs=(Capability.SOFT_BODIES,),

@@ -99,6 +99,7 @@ def _swing(trial: Trial, damping: float, seconds: float) -> tuple[float, float]:
     for time in trial.advance(world, seconds):
         times.append(time)
         heights.append(float(_tip(world)) - 1.0)
+    # Zeros between samples by straight lines, which at 30 samples a period is exact enough.
     swing = np.array(heights)
     trial.trace(f"tip, damping {damping:g} s", "m", times, heights, [0.0] * len(times))
     before = np.flatnonzero((swing[:-1] > 0.0) != (swing[1:] > 0.0))
@@ -112,6 +113,7 @@ def _swing(trial: Trial, damping: float, seconds: float) -> tuple[float, float]:
 def _bent(points: Tensor, height: float) -> Tensor:
     """Points (V, 3) of the beam, in the shape of the first mode with its tip that high."""
     x = CLAMPED * points[:, 0].double() / LENGTH
+    # Ends without moment and force fix the share of the second pair of functions.
     share = (math.cosh(CLAMPED) + math.cos(CLAMPED)) / (math.sinh(CLAMPED) + math.sin(CLAMPED))
     mode = torch.cosh(x) - torch.cos(x) - share * (torch.sinh(x) - torch.sin(x))
     slope = torch.sinh(x) + torch.sin(x) - share * (torch.cosh(x) - torch.cos(x))
@@ -142,7 +144,7 @@ def _press(height: float) -> RobotSpec:
 
 
 def _pressed(trial: Trial, body: SoftBody, height: float, force: float, seconds: float) -> World:
-    """A solid under the press, when it has come to rest."""
+    """A solid under the press, when it is at rest."""
     ground = Shape(Plane(), material=SMOOTH)
     world = trial.world(Scene(robots=(_press(height),), deformables=(body,), terrain=(ground,), gravity=WEIGHTLESS))
     world.robots["press"].set_effort_targets(torch.full((1, 1), force, device=world.device))
@@ -171,6 +173,7 @@ def _hertz(trial: Trial) -> Mapping[str, float]:
         "ball", ball(radius, 4), DENSITY, Pose((0.0, 0.0, radius)), modulus, RATIO, 0.02, friction=0.0, resolution=0.034
     )
     world = _pressed(trial, body, 2.0 * radius, force, 1.0)
+    # Both sides flatten alike.
     plate = float(world.robots["press"].link_poses[0, 1, 2]) - 0.01
     return {"approach": abs(0.5 * (2.0 * radius - plate) / approach - 1.0)}
 
