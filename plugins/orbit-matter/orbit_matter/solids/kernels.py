@@ -407,8 +407,8 @@ def touch(
     friction = wp.max(parameters[env, t.owner[k], 3], felt.friction[env, shape])
     # What presses now is not known before the solution, where points at an edge may let go; it is as in the last step.
     most, across = friction * wp.max(wp.dot(n, t.last[env, k]), 0.0), float(firm)
-    if firm * wp.length(slip) > most:
-        across = most / wp.length(slip)
+    if firm * wp.length(slip) >= most:
+        across = most / wp.max(wp.length(slip), 1.0e-12)
     t.link[env, k] = link
     t.normal[env, k] = n
     t.firm[env, k] = wp.vec2(firm, across)

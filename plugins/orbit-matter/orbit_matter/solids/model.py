@@ -185,7 +185,7 @@ def _inverse(key: _Key, damping: float, h: float, held: tuple[int, ...]) -> Floa
         firm = _hold(spec, part) * weights.T @ weights
         for axis in range(3):
             matrix[axis::3, axis::3] += firm
-    return np.linalg.inv(matrix)
+    return np.asarray(np.linalg.inv(matrix), np.float64)
 
 
 def _packed(matrix: FloatArray) -> npt.NDArray[np.float32]:
