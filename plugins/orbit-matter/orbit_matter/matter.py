@@ -1,4 +1,4 @@
-"""The deformables of N environments as particles in Warp, with tensors as their memory."""
+"""The deformables of N environments as particles and solids in Warp, with tensors as their memory."""
 
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
 # Warp's arrays and structs carry their types at run time.
@@ -110,7 +110,6 @@ class ParticleMatter(Matter):
         self._end = torch.zeros(n, max(links, 1), 7, **make)
         self._wrenches, self._asked = torch.zeros(n, links, 6, **make), torch.zeros(n, links, 6, **make)
         self._free = torch.tensor(bodies.free_links(self._layout), dtype=torch.int64, device=self._device)
-        self._solids.orient = self._orient
         self._velocities = torch.zeros(2, n, len(self._free), 6, **make)
         """Of free bodies, before the engine's last step and after it."""
         self._shape_links = torch.as_tensor(self._colliders.links, device=self._device)[kinds]
@@ -184,6 +183,7 @@ class ParticleMatter(Matter):
     def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None) -> None:
         if self._solids.has(deformable):
             self._solids.write(deformable, positions, velocities, env_ids)
+            self._orient(env_ids)
             return
         columns = self._model.slices[deformable]
         write_rows(self._tensors["x"][:, columns], positions, env_ids)
@@ -210,18 +210,24 @@ class ParticleMatter(Matter):
 
     def _hold(self, link_poses: Tensor, env_ids: Tensor | None) -> None:
         """What is held is from now on held where it is."""
-        chosen = torch.zeros(self._num_envs, dtype=torch.bool, device=self._device)
-        write_rows(chosen, True, env_ids)
+        chosen = self._chosen(env_ids)
         self._end[:, : link_poses.shape[1]].copy_(link_poses)
         with self._graphs.stream():
             for part in self._parts:
                 part.hold(chosen)
 
-    def _orient(self, chosen: Tensor) -> None:
-        """Find the rotations of solids from scratch, in chosen environments."""
+    def _orient(self, env_ids: Tensor | None) -> None:
+        """Find the rotations of solids from scratch."""
+        chosen = self._chosen(env_ids)
         with self._graphs.stream():
             for part in self._parts:
                 part.orient(chosen)
+
+    def _chosen(self, env_ids: Tensor | None) -> Tensor:
+        """(N,) bool mask of environments."""
+        chosen = torch.zeros(self._num_envs, dtype=torch.bool, device=self._device)
+        write_rows(chosen, True, env_ids)
+        return chosen
 
     def reset(self, link_poses: Tensor, env_ids: Tensor | None = None) -> None:
         rest = self._rest.expand(self._num_envs, -1, -1)

@@ -125,10 +125,12 @@ def cell_counts(extent: FloatArray, resolution: float | None) -> npt.NDArray[np.
 def _check_count(spec: SoftBody, counts: npt.NDArray[np.int64], extent: FloatArray) -> None:
     unknowns = 3 * int(np.prod(2 * counts + 1))
     if unknowns > MOST_UNKNOWNS:
-        would = float(extent.max()) * (unknowns / MOST_UNKNOWNS) ** (1.0 / 3.0) / float(counts.max())
+        would = float((extent / counts).max())
+        while 3 * int(np.prod(2 * cell_counts(extent, float(f"{would:.2g}")) + 1)) > MOST_UNKNOWNS:
+            would *= 1.02
         raise ConfigurationError(
             f"soft body '{spec.name}' would have {unknowns} unknowns in {' x '.join(map(str, counts))} cells, and "
-            f"{MOST_UNKNOWNS} is the most that is computed: a resolution of about {would:.2g} m would do"
+            f"{MOST_UNKNOWNS} is the most that is computed: a resolution of {would:.2g} m would do"
         )
 
 

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
@@ -64,8 +62,6 @@ class Solids:
             self.tensors[name] = torch.full((n, sites), _FREE, dtype=torch.int32, device=device)
         self.tensors["site_held"] = torch.zeros(n, sites, 3, **make)
         self.tensors["site_place"] = torch.zeros(n, self.model.contacts, 3, **make)
-        self.orient: Callable[[Tensor], None] = lambda chosen: None
-        """Find rotations from scratch in environments (N,) bool; given by the owner of the launches."""
 
     def _corners(self, make: dict) -> tuple[Tensor, Tensor]:
         """Return the weights (S, 27) of all sites, and the rest positions of the nodes they are of (S, 27, 3)."""
@@ -89,7 +85,10 @@ class Solids:
         return self.tensors["site_v"][:, self._columns(deformable)]
 
     def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None) -> None:
-        """Put the vertices of a solid somewhere: (n, P, 3) m and m/s. Nodes follow as smoothly as they can."""
+        """Put the vertices of a solid somewhere: (n, P, 3) m and m/s. Nodes follow as smoothly as they can.
+
+        The rotations of its cells, which launches find, are those of its last state until then.
+        """
         number = self._index[deformable]
         nodes = slice(int(self.model.first_node[number]), int(self.model.first_node[number + 1]))
         # As if the last step had moved it so, and the next one knows of no step before.
@@ -100,7 +99,6 @@ class Solids:
         write_rows(self.tensors["solid_fresh"][:, number], 1, env_ids)
         for name in ("site_stuck", "site_link"):
             write_rows(self.tensors[name], _NONE, env_ids)
-        self.orient(self._chosen(env_ids))
 
     def set_anchors(self, deformable: int, particles: Tensor, link: int, env_ids: Tensor | None) -> None:
         """Hold vertices (k,) by a link, by the world, or not at all."""
@@ -122,8 +120,3 @@ class Solids:
         near = (self.tensors["solid_x"][:, nodes].abs() <= MAX_DISTANCE).all(-1).all(-1)
         slow = (self.tensors["solid_v"][:, nodes].abs() <= MAX_SPEED).all(-1).all(-1)
         return ~(near & slow)
-
-    def _chosen(self, env_ids: Tensor | None) -> Tensor:
-        chosen = torch.zeros(self._num_envs, dtype=torch.bool, device=self._device)
-        write_rows(chosen, True, env_ids)
-        return chosen
