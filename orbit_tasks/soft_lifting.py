@@ -10,95 +10,107 @@ from torch.linalg import vector_norm
 
 from orbit_assets.deformables import cuboid
 from orbit_assets.objects import BENCH_HEIGHT, work_bench
-from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import (
+    CommandTerm,
+    Environment,
+    EventTerm,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import ENVIRONMENT, Meaning, once_per_state
-from orbit_core.interfaces import World
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
+from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
+from orbit_core.mdp.commands import UniformPositionCommand, generated_command
 from orbit_core.scene import KeyPoint, Pose, Scene, SoftBody
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.lift import GOAL
 from orbit_tasks.mdp import matter, picking
 
 BLOCK = "block"
+# Squares of the block's surface along each edge.
 COUNTS = (4, 4, 4)
-"""Squares of the block's surface along each edge."""
+# Metres in x and y by which the block starts off its place.
 SPREAD = (0.08, 0.2)
-"""Metres in x and y by which the block starts off its place."""
+# Key points of opposite sides.
+PAIRS = (("front", "back"), ("left", "right"))
 
 
 @once_per_state
-def middle(world: World, task: SoftLifting) -> Tensor:
+def middle(env: Environment[SoftLifting]) -> Tensor:
     """(N, 3) the block's middle, in the environment's frame."""
-    return world.deformables[BLOCK].key_point("middle")
+    return env.world.deformables[BLOCK].key_point("middle")
 
 
 @once_per_state
-def yaw(world: World, task: SoftLifting) -> Tensor:
+def yaw(env: Environment[SoftLifting]) -> Tensor:
     """(N,) rad that the block is turned about the vertical, by the way from its middle to its front."""
     # From the middle and not from the other side: a block that is squeezed aslant still faces forwards.
-    way = world.deformables[BLOCK].key_point("front") - middle(world, task)
+    way = env.world.deformables[BLOCK].key_point("front") - middle(env)
     return torch.atan2(way[:, 1], way[:, 0])
 
 
 @once_per_state
-def goal_distance(world: World, task: SoftLifting) -> Tensor:
+def goal_distance(env: Environment[SoftLifting]) -> Tensor:
     """(N,) metres between the block's middle and the goal."""
-    return vector_norm(task.goal - middle(world, task), dim=1)
+    return vector_norm(env.commands["goal"] - middle(env), dim=1)
 
 
 @once_per_state
-def squeeze(world: World, task: SoftLifting) -> Tensor:
+def squeeze(env: Environment[SoftLifting]) -> Tensor:
     """(N,) part of its width that the block is narrower by, between its two sides that are nearer to each other."""
-    points = world.deformables[BLOCK].key_points
-    names = [point.name for point in world.deformables[BLOCK].spec.key_points]
+    points = env.world.deformables[BLOCK].key_points
+    names = [point.name for point in env.world.deformables[BLOCK].spec.key_points]
     # The hand takes it by either pair of sides, and the one that it takes is the narrower.
     ends = [vector_norm(points[:, names.index(a)] - points[:, names.index(b)], dim=1) for a, b in PAIRS]
-    return 1.0 - torch.minimum(*ends) / task.size
+    return 1.0 - torch.minimum(*ends) / env.task.size
 
 
-def reaching(world: World, task: SoftLifting) -> Tensor:
+def reaching(env: Environment[SoftLifting]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the block."""
-    return common.nearness(vector_norm(middle(world, task) - common.hand_pose(world, task)[:, :3], dim=1), 0.1)
+    return common.nearness(vector_norm(middle(env) - common.hand_pose(env)[:, :3], dim=1), 0.1)
 
 
 @once_per_state
-def lifted(world: World, task: SoftLifting) -> Tensor:
+def lifted(env: Environment[SoftLifting]) -> Tensor:
     """(N,) 1 where the block's middle is its size above the table, else 0."""
-    return (middle(world, task)[:, 2] > task.size).float()
+    return (middle(env)[:, 2] > env.task.size).float()
 
 
-def dropped(world: World, task: SoftLifting) -> Tensor:
+def dropped(env: Environment[SoftLifting]) -> Tensor:
     """(N,) bool: the block fell off the table."""
-    return middle(world, task)[:, 2] < -0.05
+    return middle(env)[:, 2] < -0.05
 
 
-def tracking(world: World, task: SoftLifting, scale: float) -> Tensor:
+def tracking(env: Environment[SoftLifting], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted block is to the goal."""
-    return lifted(world, task) * common.nearness(goal_distance(world, task), scale)
+    return lifted(env) * common.nearness(goal_distance(env), scale)
 
 
-def sample_goal(world: World, task: SoftLifting, env_ids: Tensor) -> None:
-    """Sample the goal 15 to 35 cm above the table, within 10 cm and 20 cm of the block's place in x and y."""
-    # Above the patch where blocks start, so that every goal is in reach of every arm that reaches the block.
-    x = world.scene.deformables[0].pose.position[0]
-    task.goal[env_ids] = world.random.uniform((3,), (x - 0.1, -0.2, 0.15), (x + 0.1, 0.2, 0.35), env_ids)
-    common.place_markers(world, ("goal",), task.goal[env_ids][:, None], env_ids)
+@dataclass(unsafe_hash=True, kw_only=True)
+class SoftGoal(UniformPositionCommand):
+    """Position 15 to 35 cm above the table, within 10 cm and 20 cm of the block's place in x and y."""
+
+    marker: str | None = "goal"
+
+    def reach(self, env: Environment) -> dict[str, Bounds]:
+        # Above the patch where blocks start, so that every goal is in reach of every arm that reaches the block.
+        x = env.world.scene.deformables[0].pose.position[0]
+        return {"x": (x - 0.1, x + 0.1), "y": (-0.2, 0.2), "z": (0.15, 0.35)}
 
 
-def at_block(world: World, task: SoftLifting) -> Tensor:
+def at_block(env: Environment[SoftLifting]) -> Tensor:
     """(N, 7) the hand around the block, fingers along the pair of faces that needs the least turn."""
-    turn = common.facing_down(picking.quarter(yaw(world, task)))
-    return torch.cat((middle(world, task), turn), dim=1)
+    turn = common.facing_down(picking.quarter(yaw(env)))
+    return torch.cat((middle(env), turn), dim=1)
 
 
-def at_goal(world: World, task: SoftLifting) -> Tensor:
+def at_goal(env: Environment[SoftLifting]) -> Tensor:
     """(N, 7) the hand that brings the block's middle to the goal, as it hangs in the hand now."""
-    return common.pointing_down(task.goal + common.hand_pose(world, task)[:, :3] - middle(world, task))
-
-
-PAIRS = (("front", "back"), ("left", "right"))
-"""Key points of opposite sides."""
+    return common.pointing_down(env.commands["goal"] + common.hand_pose(env)[:, :3] - middle(env))
 
 
 def key_points() -> tuple[KeyPoint, ...]:
@@ -119,7 +131,7 @@ class SoftLiftingState(ObservationGroup):
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     key_points: ObservationTerm | None = ObservationTerm(matter.key_points(BLOCK))
     goal: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.goal,
+        generated_command("goal"),
         unit="m",
         meaning=Meaning("position that the block's middle is to be lifted to", ENVIRONMENT),
     )
@@ -140,8 +152,8 @@ class SoftLiftingRewards:
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 15.0)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
-    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 5.0)
+    track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -154,12 +166,18 @@ class SoftLiftingTerminations:
 
 
 @dataclass
+class SoftLiftingCommands:
+    """The position that the block's middle is to be brought to."""
+
+    goal: CommandTerm | None = SoftGoal()
+
+
+@dataclass
 class SoftLiftingEvents:
-    """Place robot, block and goal at random for each episode."""
+    """Robot and block are placed for each episode."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_block: EventTerm | None = EventTerm(matter.place_deformable(BLOCK, SPREAD))
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
 
 
 @dataclass(kw_only=True)
@@ -175,7 +193,10 @@ class SoftLifting(Task):
     physics_dt: float = 0.0025
     decimation: int = 8
     episode_length: float = 5.0
-    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
+        exceptions=(TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),),
+    )
     size: float = 0.05
     """Metres of the block's edges."""
     # Foam rubber: light enough for 5 N of grip, and soft enough to be seen to yield.
@@ -193,8 +214,7 @@ class SoftLifting(Task):
     rewards: SoftLiftingRewards = field(default_factory=SoftLiftingRewards)
     terminations: SoftLiftingTerminations = field(default_factory=SoftLiftingTerminations)
     events: SoftLiftingEvents = field(default_factory=SoftLiftingEvents)
-    goal: Tensor = field(init=False)
-    """(N, 3) in the environment's frame."""
+    commands: SoftLiftingCommands = field(default_factory=SoftLiftingCommands)
 
     def scene(self) -> Scene:
         block = SoftBody(
@@ -215,22 +235,17 @@ class SoftLifting(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, 3, device=world.device)
+    def success(self, env: Environment) -> Tensor:
+        return goal_distance(env) < self.tolerance
 
-    def success(self, world: World) -> Tensor:
-        return goal_distance(world, self) < self.tolerance
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(env), "squeeze": squeeze(env)}
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"goal_distance_m": goal_distance(world, self), "squeeze": squeeze(world, self)}
-
-    def expert(self, world: World) -> Expert:
+    def expert(self, env: Environment) -> Expert:
         # Longer than a rigid cube takes: the block yields before the fingers hold it.
-        closing = max(0.6, common.closing_time(world))
+        closing = max(0.6, common.closing_time(env.world))
         return Expert(
-            world,
-            self,
+            env,
             (
                 Phase(picking.raised(at_block, 0.1), position_tolerance=0.02, free=True),
                 Phase(at_block, position_tolerance=0.006, timeout=1.5),

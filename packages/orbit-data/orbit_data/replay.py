@@ -192,7 +192,7 @@ class EpisodePlayer:
         return reached
 
     def _success(self, rows: Tensor) -> Array:
-        return self._environment.task.success(self._environment.world)[rows].cpu().numpy()
+        return self._environment.task.success(self._environment)[rows].cpu().numpy()
 
     def _apart(self, name: str, episodes: Sequence[Episode], now: Sequence[int]) -> Array:
         """(n,) m between where a thing is and where it was recorded; NaN where it was not."""

@@ -95,6 +95,9 @@ class PolicyDescription:
     """The observation group that it sees."""
     concatenated: bool = True
     """Whether it sees the terms side by side as (N, O), or as a dictionary of them."""
+    memory: tuple[Part, ...] = ()
+    """Tensors that it carries from one step to the next, a row for each environment; none for a policy that acts by
+    what it sees alone."""
 
     def __post_init__(self) -> None:
         if not (0 < self.observation_size <= _MOST_COMPONENTS and 0 < self.action_size <= _MOST_COMPONENTS):
@@ -111,7 +114,7 @@ class PolicyDescription:
             robot=environment.task.robot,
             action=environment.task.action,
             observation_parts=group_parts(layout),
-            action_parts=tuple(Part(g.name, g.command_size) for g in environment.task.generators),
+            action_parts=tuple(Part(g.name, g.command_size) for g in environment.actions.generators),
             step_dt=environment.step_dt,
             backend=environment.world.backend,
             library=library,
