@@ -34,14 +34,14 @@ def test_an_arm_whose_fingers_close_on_arcs_lifts_cloth() -> None:
 
 def test_a_hand_lifts_a_soft_block_by_friction_and_hardly_squeezes_it() -> None:
     environment = make("Soft-Lifting", 1, "mujoco", seed=0)
-    task, world = environment.task, environment.world
-    expert = task.expert(world)
+    task = environment.task
+    expert = task.expert(environment)
     environment.reset(seed=0)
-    assert task.metrics(world)["squeeze"].abs().max() < 0.01
+    assert task.metrics(environment)["squeeze"].abs().max() < 0.01
     for _ in range(140):
         environment.step(expert.compute({})["action"])
-    assert task.success(world).all()
-    assert 0.0 < task.metrics(world)["squeeze"] < 0.08
+    assert task.success(environment).all()
+    assert 0.0 < task.metrics(environment)["squeeze"] < 0.08
     environment.close()
 
 
