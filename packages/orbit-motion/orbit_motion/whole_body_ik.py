@@ -1,4 +1,4 @@
-"""A hand that is carried by an arm on a base: inverse kinematics over both."""
+"""Inverse kinematics over an arm and the base that carries it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class WholeBodyIkConfig(PrioritizedIkConfig):
 
     As :class:`PrioritizedIkConfig`, over the arm's joints and the base's motion: x, y and yaw of a planar base, forward
     and turn of two driven wheels. Moving the base counts ``base_cost`` times as much as moving a joint; what the arm is
-    away from home draws the base along. The arm is told positions, the base velocities.
+    away from home draws the base along. Commands to the arm are positions, those to the base velocities.
     """
 
     name: ClassVar[str] = "whole_body_ik"
