@@ -18,10 +18,10 @@ from typing import Any
 import importlib_metadata
 
 from orbit_core import __version__
-from orbit_core.configuration import configured
+from orbit_core.configuration import configured, settings_table
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.backend import Backend
-from orbit_core.interfaces.capabilities import Capability
+from orbit_core.interfaces.capabilities import IMAGES, MATTER, Capability, required_capabilities
 from orbit_core.interfaces.errors import (
     BackendNotInstalledError,
     ConfigurationError,
@@ -29,9 +29,7 @@ from orbit_core.interfaces.errors import (
     UnknownNameError,
     UnsupportedCapabilityError,
 )
-from orbit_core.interfaces.fields import settings_table
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
-from orbit_core.interfaces.requirements import IMAGES, MATTER, required_capabilities
 from orbit_core.registry import Registry, faults_named
 from orbit_core.scene import Scene
 
@@ -39,8 +37,8 @@ GROUP = "orbit.backends"
 RENDERERS = "orbit.renderers"
 MATTER_SOLVERS = "orbit.matter"
 _MATTER_EXTRA = "matter"
+# Extras that bring a distribution of the same name which simulates nothing
 _NO_PLUGINS = frozenset({"conformance", "data", "tasks", "viewer"})
-"""Extras that bring a distribution of the same name which simulates nothing."""
 
 
 def backend_names() -> list[str]:

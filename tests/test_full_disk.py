@@ -13,12 +13,12 @@ import torch
 from orbit_assets.mjcf import write_mjcf
 from orbit_assets.urdf import write_urdf
 from orbit_assets.usd import write_usd
+from orbit_conformance.recording import Recording
 from orbit_core.cli import main
 from orbit_core.cli.bench import Throughput, _plot
 from orbit_core.cli.output import write_json
 from orbit_core.files import append_line
 from orbit_core.interfaces import StorageError
-from orbit_core.rollout.recording import Recording
 from orbit_core.rollout.video import VideoFile
 from orbit_core.scene import Articulation, Link, Mesh, Pose, Shape
 from orbit_data.card import write_card

@@ -24,15 +24,12 @@ RANKS = {
     "interfaces": 1,
     "files": 1.5,
     "registry": 1.5,
-    "tensor_file": 1.6,
-    "reading": 1.6,
     "plugin_kit": 1.5,
     "configuration": 1.5,
     "installing": 1.5,
     "moved": 1.6,
     "backends": 2,
     "objects": 2,
-    "pretrained": 2,
     "robots": 2,
     "dynamics": 2,
     "preparation": 2.5,
@@ -46,7 +43,6 @@ RANKS = {
     "envs": 5,
     "mdp": 5.5,
     "rollout": 5.5,
-    "manifest": 5.8,
     "cli": 9,
 }
 # Newton is also a person and a unit: only the module or the name in quotes is the engine.

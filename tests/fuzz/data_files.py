@@ -17,8 +17,8 @@ import numpy as np
 import torch
 import zarr
 
+from orbit_conformance.recording import Recording
 from orbit_core.interfaces import OrbitError
-from orbit_core.rollout.recording import Recording
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
 from orbit_learn.actuators.networks import NetworkDescription, read_network, write_network

@@ -11,8 +11,7 @@ import torch
 import trimesh
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.plugin_kit.markers import marker_shapes
-from orbit_core.plugin_kit.meshes import triangles
+from orbit_core.plugin_kit.meshes import marker_shapes, triangles
 from orbit_core.scene import (
     Box,
     Capsule,

@@ -7,10 +7,10 @@ from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
+from orbit_assets.mass_properties import shapes_mass_properties
 from orbit_assets.meshes import simplified_hull
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.interfaces.names import match_names
-from orbit_core.preparation.inertia import shapes_mass_properties
 from orbit_core.preparation.validation import check_structure, sort_links
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mesh, Pose, Shape
 

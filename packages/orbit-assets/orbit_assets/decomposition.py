@@ -24,7 +24,7 @@ from orbit_assets.cache import cache_folder, digest_arrays, write_cached
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ArgumentError, AssetError, StorageError
 from orbit_core.plugin_kit.scratch import ScratchFolder
-from orbit_core.preparation.surface_checks import check_mesh, extents
+from orbit_core.preparation.scene_data import check_mesh, extents
 from orbit_core.scene import Mesh
 
 _Pieces = list[tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]]

@@ -12,7 +12,7 @@ from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Articulation
 from orbit_core.scene.inertias import raised_moments
 

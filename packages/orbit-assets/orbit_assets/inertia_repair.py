@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from orbit_assets.mass_properties import mass_properties
 from orbit_assets.options import ReadOptions, Repair
-from orbit_core.preparation.inertia import MassProperties, combine, mass_properties
-from orbit_core.preparation.merge import link_hosts
+from orbit_core.preparation.merge import MassProperties, combine, link_hosts
 from orbit_core.scene import Articulation, Link, Pose, Sphere
 from orbit_core.scene.inertias import raised_moments
 

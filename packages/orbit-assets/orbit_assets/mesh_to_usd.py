@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from orbit_assets.mass_properties import mass_properties
 from orbit_assets.meshes import MeshPart, load_mesh, load_parts
 from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions
 from orbit_assets.usd import write_usd
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import mass_properties
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Link, Mesh, MeshCollision, PhysicsMaterial, Pose, Shape
 

@@ -14,13 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
+from orbit_core.configuration import TypeChecker
 from orbit_core.interfaces.errors import ArgumentError, AssetError, OrbitError
-from orbit_core.interfaces.typed import Typed
 
 # Most characters of a message; parsers quote whole files.
 _LONGEST = 1000
 
-_TYPED = Typed()
+_CHECKER = TypeChecker()
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -63,7 +63,7 @@ def names_file(read: Callable[Concatenate[Path | str, _P], _R]) -> Callable[Conc
         given = signature.bind(path, *args, **kwargs).arguments
         # Arguments are checked outside of ``naming``: a wrong one is no fault of the file.
         for name, value in given.items():
-            _TYPED.check_value(value, _hints(read)[name], name)
+            _CHECKER.check_value(value, _hints(read)[name], name)
         with naming(str(path)):
             return read(path, *args, **kwargs)
 

@@ -16,9 +16,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_assets.mass_properties import MassProperties, mass_properties, shapes_mass_properties
 from orbit_core.dynamics.transforms import quat_from_rotation_vector, quat_multiply, quat_rotate
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import MassProperties, mass_properties, shapes_mass_properties
 from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import (
     Articulation,

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
+from orbit_core.configuration import TypeChecker
 from orbit_core.interfaces.errors import ArgumentError
-from orbit_core.interfaces.typed import Typed
 
 
 class Unsupported(Enum):
@@ -78,7 +78,7 @@ class ReadOptions:
         """
         if not isinstance(self.allow_outside, bool | tuple):
             raise ArgumentError(f"ReadOptions.allow_outside is {self.allow_outside!r}: give True or a tuple of folders")
-        Typed().check(self, "ReadOptions")
+        TypeChecker().check(self, "ReadOptions")
         folders = self.allow_outside if isinstance(self.allow_outside, tuple) else ()
         for folder in (*folders, *self.packages.values()):
             if not isinstance(folder, str | os.PathLike):

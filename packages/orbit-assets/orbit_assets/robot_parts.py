@@ -20,7 +20,7 @@ from orbit_assets.self_contacts import without_home_contacts
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.names import match_values
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import (
     ActuatorConfig,
     Articulation,
@@ -34,7 +34,7 @@ from orbit_core.scene import (
 )
 
 if TYPE_CHECKING:
-    from orbit_core.dynamics.drive_design import DriveDesign
+    from orbit_assets.drive_design import DriveDesign
 
     _Moving = TypeVar("_Moving", ActuatorConfig, DriveDesign, Gripper)
 
@@ -110,7 +110,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         AssetError: a part's model cannot be had.
     """
     # Late: drive design imports torch, which the catalogue does not need.
-    from orbit_core.dynamics.drive_design import designed_drives
+    from orbit_assets.drive_design import designed_drives
 
     _check_order(name, parts)
     first, *others = parts

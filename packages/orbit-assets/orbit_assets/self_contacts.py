@@ -14,7 +14,7 @@ from itertools import combinations
 from orbit_assets.convex import Convex, convex_shape, within
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Articulation, Entity
 
 # Metres between links that count as touching: a drive that holds home lets them move by as much.

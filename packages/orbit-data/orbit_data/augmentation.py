@@ -21,10 +21,10 @@ from orbit_core.dynamics.transforms import (
     quat_multiply,
 )
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
 from orbit_core.rollout.estimates import Estimate, proportion
 from orbit_core.rollout.stepping import StepObserver, roll_out
 from orbit_data.episodes import ACTIONS, INITIAL, POSES, STATES, Dataset
+from orbit_data.manifest.manifest import Manifest
 from orbit_data.recording import DemonstrationRecorder, RecordingFile
 from orbit_data.replay import EpisodePlayer
 

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import ReadAccount, check_name
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import ReadAccount, check_name
 
 Array = npt.NDArray[Any]
 

@@ -24,10 +24,10 @@ import numpy as np
 
 from orbit_core.files import as_path, storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError, StorageError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget
-from orbit_core.reading.hdf5 import Hdf5File, hdf5_module
 from orbit_data.episodes import Array, Dataset, Episode, EpisodeInfo, check_episode, check_found, check_infos, chosen
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget
+from orbit_data.reading.hdf5 import Hdf5File, hdf5_module
 
 SUFFIX = ".hdf5"
 # robomimic's number for environments in Gymnasium's manner.

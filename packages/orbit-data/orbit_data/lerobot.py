@@ -22,10 +22,10 @@ import numpy as np
 from orbit_core.files import as_path, storage_faults
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import ReadAccount
 from orbit_data.card import CARD, is_card
 from orbit_data.episodes import ACTIONS, DONES, OBSERVED, REWARDS, STATES, Array, Episode, EpisodeInfo
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import ReadAccount
 from orbit_data.reading.parquet import arrow_modules
 
 # Every second frame stands by itself, so that any one is soon found; nearly no loss that an eye sees.

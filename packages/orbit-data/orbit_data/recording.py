@@ -24,12 +24,7 @@ from torch import Tensor
 
 from orbit_core.envs.observation_groups import POLICY
 from orbit_core.files import LOCK, FolderLock, as_path, read_bytes, storage_faults, sweep, written_whole
-from orbit_core.interfaces import ConfigurationError, ShapeError, UnknownNameError
-from orbit_core.manifest.compare import Kind, differences
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import MAX_DOCUMENT, TRUSTED
-from orbit_core.reading.hdf5 import hdf5_module
-from orbit_core.rollout.recording import tracked_frames
+from orbit_core.interfaces import ConfigurationError, Object, Robot, ShapeError, UnknownNameError, World
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 from orbit_core.sensors.contact import ContactSensor
 from orbit_data.card import check_card, write_card
@@ -48,6 +43,10 @@ from orbit_data.episodes import (
     EpisodeInfo,
 )
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
+from orbit_data.manifest.compare import Kind, differences
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import MAX_DOCUMENT, TRUSTED
+from orbit_data.reading.hdf5 import hdf5_module
 from orbit_data.states import TaskMemory, WorldStates
 
 if TYPE_CHECKING:
@@ -639,3 +638,23 @@ def _skip(environment: Environment, begun: Tensor) -> None:
         return
     environment.world.random.begin(begun - 1)
     environment.reset()
+
+
+def tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:
+    """Yield the frames whose poses describe a world: end effectors, and links of objects that can move.
+
+    A robot without an end effector has the frame of its root.
+
+    Args:
+        world: whose robots and objects are listed.
+
+    Yields:
+        Name of the track, and the entity and frame that it follows.
+    """
+    for name, robot in world.robots.items():
+        ends = [end.frame for end in robot.spec.end_effectors] if isinstance(robot, Robot) else []
+        for frame in ends or robot.link_names[:1]:
+            yield f"{name}/{frame}", (robot, frame)
+    for name, thing in world.objects.items():
+        for link in thing.link_names[1 if thing.spec.fixed_base else 0 :]:
+            yield (name if len(thing.link_names) == 1 else f"{name}/{link}"), (thing, link)

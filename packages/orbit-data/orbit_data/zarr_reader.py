@@ -21,7 +21,6 @@ import numpy as np
 from orbit_core.files import as_path
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.reading.budget import ReadAccount, ReadBudget
 from orbit_data.episodes import (
     ACTIONS,
     OBSERVED,
@@ -34,6 +33,7 @@ from orbit_data.episodes import (
     check_infos,
     chosen,
 )
+from orbit_data.reading.budget import ReadAccount, ReadBudget
 
 SUFFIXES = (".zarr", ".zarr.zip")
 _ENDS = "meta/episode_ends"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from orbit_core.configuration import from_plain
 from orbit_core.interfaces import ConfigurationError
-from orbit_learn.plain import from_plain
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment

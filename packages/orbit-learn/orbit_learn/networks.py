@@ -28,7 +28,7 @@ def activation_type(name: str) -> type[nn.Module]:
 
 
 class Network(Protocol):
-    """Settings of a network: a frozen dataclass of what :func:`~orbit_learn.plain.from_plain` reads."""
+    """Settings of a network: a frozen dataclass of what :func:`~orbit_core.configuration.from_plain` reads."""
 
     name: ClassVar[str]
     """The network's name in files."""

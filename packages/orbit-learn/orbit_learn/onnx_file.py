@@ -27,8 +27,8 @@ from torch import Tensor, nn
 from orbit_core.files import as_path, read_bytes, written_whole
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, OrbitError, UnknownNameError
-from orbit_core.manifest.manifest import Manifest, ObservationTermManifest
-from orbit_core.tensor_file import parse_json
+from orbit_data.manifest.manifest import Manifest, ObservationTermManifest
+from orbit_data.tensor_file import parse_json
 from orbit_learn.convolutional import TermByTerm
 from orbit_learn.description import PolicyDescription
 from orbit_learn.policy_cost import depth_of

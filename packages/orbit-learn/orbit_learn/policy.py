@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, Node, Port
-from orbit_core.manifest.compare import check_manifest, renamed_group
-from orbit_core.manifest.manifest import Manifest
+from orbit_data.manifest.compare import check_manifest, renamed_group
+from orbit_data.manifest.manifest import Manifest
 from orbit_learn import onnx_file
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import ActorNetwork, Network

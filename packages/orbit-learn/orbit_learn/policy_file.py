@@ -1,8 +1,8 @@
 """Policies as safetensors files: weights, description of the environment, and the network that they belong to.
 
-The document of such a file (see :mod:`orbit_core.tensor_file`) is
+The document of such a file (see :mod:`orbit_data.tensor_file`) is
 ``{"format": 1, "policy": {...}, "manifest": {...}, "network": {"name": ..., "settings": {...}}}`` with the fields of
-:class:`~orbit_learn.description.PolicyDescription`, of :class:`~orbit_core.manifest.manifest.Manifest`, which may
+:class:`~orbit_learn.description.PolicyDescription`, of :class:`~orbit_data.manifest.manifest.Manifest`, which may
 be missing, and of a registered network.
 
 A network is a frozen dataclass of plain settings that builds a module; the module's weights are next to the settings in
@@ -24,15 +24,15 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
+from orbit_core.configuration import from_plain
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, OrbitError
-from orbit_core.manifest.manifest import Manifest
 from orbit_core.registry import ClassRegistry
-from orbit_core.tensor_file import read_tensors, write_tensors
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.tensor_file import read_tensors, write_tensors
 from orbit_learn.convolutional import Convolutional
 from orbit_learn.description import PolicyDescription
 from orbit_learn.networks import ActorNetwork, Network, Perceptron
-from orbit_learn.plain import from_plain
 from orbit_learn.policy_cost import limited
 
 GROUP = "orbit.networks"

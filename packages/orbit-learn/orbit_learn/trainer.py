@@ -16,7 +16,7 @@ from orbit_core.envs.environment import Environment
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.rollout.ends import EpisodeTally
+from orbit_learn.ends import EpisodeTally
 from orbit_learn.networks import ActorNetwork
 
 

@@ -2,7 +2,7 @@
 
 A checkpoint is one file of data: no pickle, whichever format the learning library uses. A state is a tree of
 dictionaries, lists, numbers, texts, truth values, None and tensors, as libraries have it in ``state_dict``. Tuples
-become lists, and NumPy's arrays and numbers become tensors and numbers. In the file, see :mod:`orbit_core.tensor_file`,
+become lists, and NumPy's arrays and numbers become tensors and numbers. In the file, see :mod:`orbit_data.tensor_file`,
 a dictionary is ``{"items": [[key, value], ...]}``, for its keys may be numbers, and a tensor ``{"tensor": name}``.
 """
 
@@ -22,8 +22,8 @@ from torch import Tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import append_line, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, SimulationError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.tensor_file import parse_json, read_tensors, write_tensors
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.tensor_file import parse_json, read_tensors, write_tensors
 from orbit_learn.policy import Policy, PolicyDescription
 from orbit_learn.policy_file import SUFFIX, newest_file
 from orbit_learn.trainer import Progress, Trainer

@@ -11,9 +11,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.kinematics import KinematicTree, joint_ancestry
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.dynamics.tree import joint_ancestry
 from orbit_core.scene import Articulation, Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
 from orbit_motion.obstacles import Obstacles
 from orbit_motion.still import PlacedRobot

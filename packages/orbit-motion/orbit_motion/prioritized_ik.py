@@ -19,9 +19,9 @@ from orbit_core.actions.ik import steadying
 from orbit_core.actions.modes import CommandMode
 from orbit_core.actions.reach import PoseFollower
 from orbit_core.dynamics.linear import solve_spd
-from orbit_core.dynamics.qp import solve_qp
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
+from orbit_motion.qp import solve_qp
 
 # Regularisation of J J^T in singular postures.
 _REGULAR = 1e-6

@@ -113,7 +113,7 @@ class Servo(MotionGenerator):
 def check_rate(name: str, load: float, what: str) -> None:
     """Refuse ``load``, the largest ``h^2 k + 2 h d`` over the inertia, where steps of h seconds diverge.
 
-    See :mod:`orbit_core.dynamics.drive_stability`.
+    See :mod:`orbit_core.actuators.stability`.
 
     Raises:
         ConfigurationError: ``load`` is four or more.

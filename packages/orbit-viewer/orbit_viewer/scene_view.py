@@ -1,7 +1,7 @@
 """Scene in the browser: every link is sent once, and a frame only moves it; with lights, and a robot's ghost.
 
 The browser's renderer computes in linear light. Surfaces that no directional light falls on, and those that face a
-single one, are as bright as :mod:`orbit_core.scene.lights` says; between the two, the browser's are brighter.
+single one, are as bright as :mod:`orbit_core.scene.scene` says; between the two, the browser's are brighter.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import SceneLayout
-from orbit_core.plugin_kit.deformable_surface import DeformableSurface
-from orbit_core.plugin_kit.markers import marker_shapes
-from orbit_core.plugin_kit.meshes import triangles
+from orbit_core.plugin_kit.meshes import marker_shapes, triangles
+from orbit_core.plugin_kit.rendering import DeformableSurface
 from orbit_core.scene import Color, Plane, RobotSpec, Scene, Shape
 from orbit_core.scene.pose import Vector3
 from orbit_core.world.frames import frame_shapes

@@ -8,8 +8,7 @@ from orbit_bullet.config import BulletConfig
 from orbit_bullet.deformables import deformable_report
 from orbit_bullet.materials import PairProducts, material_report, nominal, rolling_friction
 from orbit_core.interfaces import Approximation, EntityLayout, SceneLayout
-from orbit_core.plugin_kit.inertias import inertia_approximations
-from orbit_core.plugin_kit.massless import stand_in_approximations
+from orbit_core.plugin_kit.bodies import inertia_approximations, stand_in_approximations
 
 
 def build_report(layout: SceneLayout, config: BulletConfig) -> tuple[Approximation, ...]:

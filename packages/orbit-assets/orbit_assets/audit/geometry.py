@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from orbit_assets.mass_properties import mass_properties
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import mass_properties
 from orbit_core.scene import (
     Articulation,
     Box,

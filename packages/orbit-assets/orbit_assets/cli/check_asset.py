@@ -14,9 +14,8 @@ from tyro.conf import Positional, arg
 from orbit_assets.audit.audit import AssetReport, audit_file
 from orbit_assets.audit.checks import Body, Finding, Severity
 from orbit_assets.cli.reading import ReadSettings, remedies_in_flags
-from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import check_output, parse_words
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:

@@ -14,9 +14,8 @@ from tyro.conf import Positional, arg
 from orbit_assets.audit.checks import Severity
 from orbit_assets.audit.robots.report import JointRow, RobotReport, audit_robot
 from orbit_assets.cli.check_asset import findings_table
-from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, print_heading, print_line, write_json
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import check_output, parse_words
 from orbit_core.interfaces.errors import ConfigurationError
 
 

@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from orbit_assets.cli.reading import ReadSettings, remedies_in_flags
-from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import check_output, parse_words
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import Articulation, MeshCollision

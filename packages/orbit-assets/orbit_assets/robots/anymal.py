@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames
+from orbit_assets.drive_design import with_armature
 from orbit_assets.robot_parts import PartKind, RobotPart
 from orbit_assets.sources import installed_urdf
-from orbit_core.dynamics.drive_design import with_armature
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, Frame, ImplicitPd, Pose
 

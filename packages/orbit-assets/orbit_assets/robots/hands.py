@@ -11,11 +11,11 @@ import numpy as np
 
 from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames, attach, edit_joints, edit_links, renamed, simplify_collisions
+from orbit_assets.drive_design import DriveDesign
 from orbit_assets.mjcf.reader import read_mjcf
 from orbit_assets.options import ReadOptions, Unsupported
 from orbit_assets.robot_parts import PartKind, RobotPart
 from orbit_assets.sources import installed_urdf, model_folder
-from orbit_core.dynamics.drive_design import DriveDesign
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, Frame, Gripper, Link, Mimic, Pose
 from orbit_core.scene.pose import Vector3
@@ -29,7 +29,10 @@ def on_bracket(
     Args:
         hand: its root is the palm, or what carries the palm.
         name: of the result, whose root is ``<name>_mount``.
-        origin, fingers, palm, angle: as :func:`bracket` takes them.
+        origin: of the flange in the hand's root.
+        fingers: along the stretched fingers, in the hand's root.
+        palm: out of the palm, in the hand's root; perpendicular to ``fingers``.
+        angle: between ``fingers`` and the direction of grasping, in degrees.
     """
     mount = bracket(origin, fingers, palm, angle).inverse()
     return merge_fixed_links(attach(Articulation(name, (Link(f"{name}_mount"),)), hand, f"{name}_mount", mount))

@@ -16,9 +16,9 @@ from orbit_assets.compose import (
     subtree,
     without,
 )
+from orbit_assets.drive_design import DriveDesign, with_armature
 from orbit_assets.robot_parts import PartKind, RobotPart
 from orbit_assets.sources import installed_urdf
-from orbit_core.dynamics.drive_design import DriveDesign, with_armature
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import (
     Articulation,

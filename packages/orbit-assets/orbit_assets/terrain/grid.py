@@ -12,7 +12,7 @@ from orbit_assets.terrain.kinds import Array, Boxes, Rough, Slope, Stairs, Surfa
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import Box, HeightField, Mesh, MeshCollision, PhysicsMaterial, Pose, RobotSpec, Shape
-from orbit_core.scene.materials import Color
+from orbit_core.scene.shapes import Color
 
 # Metres: thickness of the level ground around the grid.
 _BORDER_DEPTH = 1.0

@@ -14,7 +14,7 @@ from orbit_assets.naming import naming
 from orbit_assets.options import ReadOptions
 from orbit_assets.outside import resolve_file
 from orbit_assets.source_text import Fields, Findings
-from orbit_core.preparation.surface_checks import extents
+from orbit_core.preparation.scene_data import extents
 from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, Mesh, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
 

@@ -27,8 +27,8 @@ from orbit_assets.usd.library import pxr, unique_names
 from orbit_assets.usd.stage import Reading, attribute, authored, label, number, numbers, opened
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import AmbientLight, Articulation, DirectionalLight, Light, Scene, Shape
-from orbit_core.scene.lights import MAX_DIRECTIONAL_LIGHTS, Rgb
 from orbit_core.scene.pose import Vector3
+from orbit_core.scene.scene import MAX_DIRECTIONAL_LIGHTS, Rgb
 
 
 def read_usd_scene(path: Path | str, *, options: ReadOptions = ReadOptions()) -> SceneParts:

@@ -12,21 +12,27 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from rich.table import Table
 from tyro.conf import Positional, UseAppendAction, arg
 
-from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, write_json
-from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.read_budget import ReadSettings
-from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
+from orbit_core.cli.settings import (
+    EnvironmentSettings,
+    File,
+    KeyValues,
+    check_output,
+    check_positive,
+    make_folder,
+    parse_words,
+)
 from orbit_core.files import check_apart
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_data.cli.read_budget import ReadSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from orbit_core.reading.budget import ReadBudget
     from orbit_data.episodes import Dataset
+    from orbit_data.reading.budget import ReadBudget
     from orbit_data.replay import ReplayResult
 
 

@@ -9,12 +9,9 @@ from typing import Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from orbit_core.cli.acting import check_actor, make_actor
-from orbit_core.cli.checks import check_output, check_positive, make_folder
-from orbit_core.cli.making import make_environment
+from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.cli.settings import EnvironmentSettings, check_output, check_positive, make_folder, parse_settings
 from orbit_core.interfaces.errors import OrbitError
 
 SUFFIX = ".hdf5"

@@ -23,7 +23,7 @@ from zarr.core.buffer import Buffer, BufferPrototype
 from zarr.storage import LocalStore, WrapperStore, ZipStore
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.reading.budget import DENSEST, MAX_DOCUMENT, SMALL, ReadAccount
+from orbit_data.reading.budget import DENSEST, MAX_DOCUMENT, SMALL, ReadAccount
 
 _DESCRIPTIONS = (".zarray", ".zgroup", ".zattrs", ".zmetadata", "zarr.json")
 _NUMBERS = re.compile(r"[<>|]?(b1|[iu][1248]|f[248])|bool|u?int(8|16|32|64)|float(16|32|64)")

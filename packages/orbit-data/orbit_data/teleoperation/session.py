@@ -15,8 +15,8 @@ from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_multiply
 from orbit_core.envs.episode import EpisodeEnd
-from orbit_core.manifest.manifest import Manifest
 from orbit_core.scene import CameraSpec, Channel, Pose, look_at
+from orbit_data.manifest.manifest import Manifest
 from orbit_data.recording import DemonstrationRecorder, RecordingFile
 from orbit_data.teleoperation.device import Device, DeviceLostError, Event, Reading
 from orbit_data.teleoperation.driver import Driver

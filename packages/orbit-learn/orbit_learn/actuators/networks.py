@@ -23,7 +23,7 @@ import torch
 from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.tensor_file import read_tensors, write_tensors
+from orbit_data.tensor_file import read_tensors, write_tensors
 
 _MOST_UNITS, _MOST_LAYERS, _MOST_HISTORY = 1024, 8, 64
 # Error of position and velocity.

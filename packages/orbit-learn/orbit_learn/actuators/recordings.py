@@ -21,9 +21,9 @@ from torch import Tensor
 
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
-from orbit_core.reading.budget import ReadAccount, ReadBudget, check_name
-from orbit_core.reading.hdf5 import Hdf5File
-from orbit_core.reading.npz import FAULTS, read_npz
+from orbit_data.reading.budget import ReadAccount, ReadBudget, check_name
+from orbit_data.reading.hdf5 import Hdf5File
+from orbit_data.reading.npz import FAULTS, read_npz
 
 QUANTITIES = ("position_target", "position", "velocity", "effort")
 _LEAST_STEPS = 50

@@ -15,11 +15,9 @@ from rich.table import Table
 from tyro.conf import arg
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.checks import check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, progress_bar
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
+from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues, check_positive, parse_settings
 from orbit_core.configuration import assignments, configured
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces.errors import ConfigurationError

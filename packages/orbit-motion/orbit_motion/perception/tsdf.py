@@ -21,7 +21,7 @@ from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_inverse, transform_points
 from orbit_core.interfaces import ConfigurationError, ShapeError
 from orbit_core.scene.pose import Vector3
-from orbit_core.sensors.points import point_cloud, project
+from orbit_core.sensors.camera import point_cloud, project
 
 # Distance (m) for pixels that see nothing.
 _FREE = 1e4

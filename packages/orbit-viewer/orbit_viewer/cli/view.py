@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
-from orbit_core.cli.acting import check_actor, make_actor
-from orbit_core.cli.checks import check_steps
-from orbit_core.cli.making import make_environment
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import ViewSettings
+from tyro.conf import arg
+
+from orbit_core.cli.making import check_actor, make_actor, make_environment
+from orbit_core.cli.settings import EnvironmentSettings, check_steps, parse_settings
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewSettings(EnvironmentSettings):
+    """Watch a task live in the browser."""
+
+    num_envs: int = 1
+    """Environments stepped together."""
+    agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
+    """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines watch."""
+    port: int = 8080
+    """Port to listen on."""
+    frames: bool = False
+    """Draw axes at the robot's base, end effectors, finger tips, feet and wheels; the panel has a switch for it."""
+    max_steps: Annotated[int | None, arg(metavar="INT")] = None
+    """Stop after that many steps; run until interrupted if left out."""
 
 
 def task_information(environment: Environment) -> Callable[[int], Mapping[str, str]]:

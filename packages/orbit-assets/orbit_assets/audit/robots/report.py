@@ -28,16 +28,14 @@ from orbit_assets.audit.robots.postures import (
 )
 from orbit_assets.convex import Convex, within
 from orbit_assets.self_contacts import touching_links
-from orbit_core.dynamics.drive_design import DriveResponse, drive_responses
-from orbit_core.dynamics.drive_stability import ExplicitGains, unstable_drive
+from orbit_core.actuators.stability import ExplicitGains, unstable_drive
 from orbit_core.dynamics.kinematics import mimic_matrix
 from orbit_core.dynamics.rigid_body import RigidBodyModel
-from orbit_core.dynamics.workspace import workspace_mass_matrices
+from orbit_core.dynamics.workspace import DriveResponse, drive_responses, workspace_mass_matrices
 from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
 from orbit_core.interfaces.layout import JointParameters, SceneLayout, actuator_of_joint, gripper_positions
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.preparation.posture import link_poses
-from orbit_core.preparation.validation import validate_entity
+from orbit_core.preparation.validation import link_poses, validate_entity
 from orbit_core.robots import RobotEntry, robot_info
 from orbit_core.scene import EndEffector, Gripper, ImplicitPd, Mesh, MeshCollision, Pose, RobotSpec, Scene
 
