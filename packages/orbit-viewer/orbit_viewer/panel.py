@@ -296,7 +296,7 @@ class Panel:
         gui = self._server.gui
         together = [ALL_PICTURES] if len(names) > 1 else []
         self._picture_choice = gui.add_dropdown("View", [*names, *together, NO_PICTURE], initial_value=chosen)
-        # viser's images cannot be empty; pictures replace this one once they are drawn.
+        # A placeholder, which pictures replace once they are drawn.
         nothing = np.zeros((2, 2, 3), dtype=np.uint8)
         self._pictures = {name: gui.add_image(nothing, label=name, visible=False) for name in names}
 
