@@ -22,20 +22,20 @@ from orbit_data.reading.budget import SMALL, ReadAccount, check_name
 
 Array = npt.NDArray[Any]
 
+# Errors that h5py raises for damaged files.
 _FAULTS = (
     OSError, RuntimeError, KeyError, AttributeError, ValueError, TypeError, MemoryError, OverflowError, IndexError,
     NotImplementedError, RecursionError, zlib.error,
 )  # fmt: skip
-"""Errors that h5py raises for damaged files."""
 _GZIP, _SHUFFLE, _CHECKSUM, _LZF = 1, 2, 3, 32000
+# Most bytes that each compression makes of one.
 _RATIOS = {_GZIP: 1032, _LZF: 90}
-"""Most bytes that each compression makes of one."""
+# Bytes that a chunk may unpack to without being tried first: the library does not stop at the chunk's size.
 _UNCHECKED = 1 << 28
-"""Bytes that a chunk may unpack to without being tried first: the library does not stop at the chunk's size."""
+# Bytes that are read at a time, after which the clock is looked at.
 _SLAB = 1 << 25
-"""Bytes that are read at a time, after which the clock is looked at."""
+# Groups within each other.
 _DEEPEST = 16
-"""Groups within each other."""
 
 
 class Hdf5File:

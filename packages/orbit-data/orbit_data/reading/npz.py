@@ -24,8 +24,8 @@ FAULTS = (
 )  # fmt: skip
 """What :func:`read_npz` raises of damaged archives, besides the errors of the budget."""
 _SUFFIX = ".npy"
+# Bytes that are read at a time, after which the clock is looked at.
 _SLAB = 1 << 24
-"""Bytes that are read at a time, after which the clock is looked at."""
 
 
 def read_npz(path: Path, account: ReadAccount) -> dict[str, npt.NDArray[Any]]:
