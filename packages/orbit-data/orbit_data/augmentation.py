@@ -249,7 +249,6 @@ def augment(
 
     def wanted(end: EpisodeEnd, _: Tensor) -> Tensor:
         successes.append(int(end.success.sum()))
-
         # Of the episodes that end in one step only as many are kept as are still missing.
         return end.success & (end.success.cumsum(0) + recorder.kept <= episodes)
 

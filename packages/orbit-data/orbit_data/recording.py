@@ -329,7 +329,6 @@ class DemonstrationRecorder(StepObserver):
             kept = end.only(rows)
             self._folder.add(self._infos(kept), self._arrays(kept))
             self.kept += len(rows)
-
         self.ended[ids] += 1
         # The environment has begun the next episodes by now, so that memory holds their goals.
         for name, value in self._memory.read().items():

@@ -1,4 +1,4 @@
-"""Distillation: a student learns from its own observations to act as a teacher does that observes more."""
+"""Distillation: a student learns from its own observations to act like a teacher that observes more."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from orbit_learn.trainer import LoopTrainer
 
 @dataclass(frozen=True)
 class DistillSettings:
-    """Imitation of a teacher in the states that the student comes to: Ross, Gordon and Bagnell, A Reduction of
-    Imitation Learning and Structured Prediction to No-Regret Online Learning (2011), known as DAgger.
+    """Settings of imitating a teacher in the states that the student reaches.
 
-    The learning rate falls to zero along half a cosine: Loshchilov and Hutter, SGDR (2017).
+    Ross, Gordon and Bagnell, A Reduction of Imitation Learning and Structured Prediction to No-Regret Online Learning
+    (2011), known as DAgger. The learning rate falls to zero along half a cosine: Loshchilov and Hutter, SGDR (2017).
     """
 
     teacher: str = ""
-    """A kept policy's name, a policy's file, a training's folder, or ``expert``, the task's own."""
+    """Name of a kept policy, a policy's file, a training's folder, or ``expert``, the task's own."""
     iterations: int = 1000
     """Number of iterations, each of collecting steps and learning from them."""
     steps_per_iteration: int = 16
@@ -42,20 +42,20 @@ class DistillSettings:
     hidden_sizes: tuple[int, ...] = (256, 128)
     """Units of the hidden layers behind the encoders of pictures."""
     teacher_led: float = 0.2
-    """Share of the training during which the teacher leads some episodes: all at first, then fewer and fewer."""
+    """Share of the training during which the teacher leads some episodes: all at first, then ever fewer."""
     buffer_size: int = 200_000
-    """Steps that are remembered to learn from; with two cameras of 64 x 64 pixels, 41 kB each on the device."""
+    """Number of steps kept to learn from; with two cameras of 64 x 64 pixels, 41 kB each on the device."""
     updates_per_iteration: int = 32
-    """Steps of gradient descent."""
+    """Number of steps of gradient descent."""
     batch_size: int = 2048
-    """Remembered steps that each of them takes."""
+    """Number of kept steps that each of them uses."""
     learning_rate: float = 1e-3
     """Learning rate at first."""
     shift: int = 0
-    """Most pixels that pictures are shifted by, at random, while learning: Yarats et al., Mastering Visual Continuous
+    """Limit in pixels of random shifts of pictures while learning: Yarats et al., Mastering Visual Continuous
     Control: Improved Data-Augmented Reinforcement Learning (2021)."""
     mixed_precision: bool = False
-    """Whether to compute gradients in bfloat16 where numbers allow it."""
+    """Whether to compute gradients in bfloat16 where precision allows it."""
 
     def __post_init__(self) -> None:
         for name in ("iterations", "steps_per_iteration", "buffer_size", "updates_per_iteration", "batch_size"):
@@ -67,16 +67,16 @@ class DistillSettings:
             raise ConfigurationError("shift of a distillation is not negative, and its learning_rate above zero")
 
 
-# How pictures are kept: depth to within half a millimetre in a metre, colours as they are.
+# Types in which pictures are kept: depth to within half a millimetre in a metre, colours as they are.
 _SHORT = {torch.float32: torch.float16}
 
 
 class ReplayBuffer:
-    """A ring of the last steps of all environments; nothing in it waits for the device.
+    """Ring of the last steps of all environments; none of its methods waits for the device.
 
     Args:
-        capacity: steps of one environment that are kept; rounded down to whole steps of all.
-        observation: an example, (N, ...): one tensor or a dictionary of terms.
+        capacity: number of steps of one environment; rounded down to whole steps of all.
+        observation: example (N, ...): one tensor or a dictionary of terms.
         action_size: components of an action.
     """
 
@@ -104,7 +104,7 @@ class ReplayBuffer:
         self.size = min(self.size + self._count, self._rows)
 
     def sample(self, count: int) -> tuple[Tensor | dict[str, Tensor], Tensor]:
-        """Observations (count, ...) and actions (count, A), each drawn from all that is kept."""
+        """Return observations (count, ...) and actions (count, A) of randomly chosen kept steps."""
         rows = torch.randint(self.size, (count,), device=self._device)
         terms = {name: kept[rows].to(self._dtypes[name]) for name, kept in self._terms.items()}
         return terms.get("", terms), self._actions[rows]
@@ -114,7 +114,7 @@ def _kept_dtype(value: Tensor) -> torch.dtype:
     return _SHORT.get(value.dtype, value.dtype) if value.dim() == 4 else value.dtype
 
 
-# Added to standard deviations: what never changes in training must not weigh more for that.
+# Added to standard deviations, so that components that never change in training do not become huge afterwards.
 _LEAST_STD = 1e-2
 
 
@@ -122,7 +122,7 @@ def network_for(layout: GroupLayout, hidden_sizes: Sequence[int]) -> Network:
     """Return a perceptron for a concatenated group; for a dictionary with pictures, convolutions before it.
 
     Raises:
-        ConfigurationError: the dictionary holds pictures that are neither colour nor depth, or none at all.
+        ConfigurationError: the dictionary has pictures that are neither colour nor depth, or no pictures.
     """
     if layout.concatenated:
         return Perceptron(tuple(hidden_sizes))
@@ -137,13 +137,13 @@ def build_actor(network: Network, layout: GroupLayout, action_size: int) -> Pict
 
 
 def copied_actor(network: Network, module: nn.Module) -> ActorNetwork:
-    """Return a copy on the CPU that learns no more."""
+    """Return a copy on the CPU without gradients."""
     copied = copy.deepcopy(module).cpu().to(memory_format=torch.contiguous_format)  # pyright: ignore[reportCallIssue]
     return ActorNetwork(network, copied.requires_grad_(False).eval())
 
 
 class RunningMoments:
-    """Mean and standard deviation of all rows so far, which weigh the same.
+    """Mean and standard deviation of all rows so far, with equal weights.
 
     Chan, Golub and LeVeque, Updating Formulae and a Pairwise Algorithm for Computing Sample Variances (1979).
     """
@@ -152,10 +152,10 @@ class RunningMoments:
         self.count = torch.zeros((), device=device)
         self.mean = torch.zeros(size, device=device)
         self._squares = torch.zeros(size, device=device)
-        """(size,) sum of squared deviations from the mean."""
+        """Sum (size,) of squared deviations from the mean."""
 
     def add(self, rows: Tensor) -> None:
-        """Take in (M, size)."""
+        """Add rows (M, size)."""
         count, mean = len(rows), rows.mean(0)
         total, change = self.count + count, mean - self.mean
         self._squares += ((rows - mean) ** 2).sum(0) + change**2 * self.count * count / total
@@ -164,7 +164,7 @@ class RunningMoments:
 
     @property
     def std(self) -> Tensor:
-        """(size,) never zero."""
+        """Standard deviations (size,), never zero."""
         return (self._squares / self.count.clamp(min=1.0)).sqrt() + _LEAST_STD
 
     def state(self) -> dict[str, Tensor]:
@@ -172,7 +172,7 @@ class RunningMoments:
         return {"count": self.count, "mean": self.mean, "squares": self._squares}
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Take over what :meth:`state` gave."""
+        """Restore the result of :meth:`state`."""
         self.count.copy_(state["count"])
         self.mean.copy_(state["mean"])
         self._squares.copy_(state["squares"])
@@ -181,21 +181,20 @@ class RunningMoments:
 EXPERT = "expert"
 """Name of the teacher that is the task's own expert."""
 _MOST_GRADIENT = 0.1
-# Errors of an action beyond which the loss grows no longer as their square: Huber, Robust Estimation of a Location
-# Parameter (1964).
+# Error of an action beyond which the loss grows linearly instead of quadratically: Huber, Robust Estimation of a
+# Location Parameter (1964).
 _OUTLIER = 0.5
 
 
 class DistillTrainer(LoopTrainer[DistillSettings]):
-    """The teacher tells what it would do at every step; student and teacher lead whole episodes, by chance.
+    """Trainer in which a teacher labels every step, and student and teacher lead whole episodes, by chance.
 
-    The success that is reported is that of the episodes which the student led. The steps that are remembered are no
-    part of checkpoints, for they fill gigabytes: before it learns, a training that begins or resumes gathers the steps
-    of one episode.
+    The reported success is that of the episodes which the student led. Kept steps are not part of checkpoints, because
+    they take gigabytes: a training that begins or resumes first gathers the steps of one episode.
 
     Raises:
-        ConfigurationError: there is no teacher, no observation group shows what it was learned with, or episodes begin
-            on the way of the expert that teaches.
+        ConfigurationError: no teacher is given, no observation group fits it, or episodes begin on the way of the
+            expert that teaches.
     """
 
     name: ClassVar[str] = "distill"
@@ -215,11 +214,11 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._moments = RunningMoments(len(self._student.mean), device)
         self._optimizer = torch.optim.Adam(self._student.parameters(), lr=settings.learning_rate)
         self._seen, _ = environment.reset(seed)
-        # Episodes that all began together would fill the memory with one time of the episode after another.
+        # If all episodes began together, the buffer would contain one time of the episode after the other.
         environment.task.episode_step.random_(environment.max_episode_steps)
         self._buffer = ReplayBuffer(settings.buffer_size, self._seen["policy"], environment.action_size)
         self._student_leads = torch.zeros(environment.num_envs, dtype=torch.bool, device=device)
-        """(N,) whose episode the student leads."""
+        """Whether (N,) the student leads each environment's episode."""
         self._draw_leaders(torch.ones_like(self._student_leads), 0)
         self._loss = torch.zeros((), device=device)
 
@@ -242,7 +241,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         return float(self._loss) / self.settings.updates_per_iteration
 
     def state(self) -> Any:
-        """Weights, the optimiser and the statistics of what was seen."""
+        """Return weights, the optimiser's state and the observations' statistics."""
         return {
             "student": self._student.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -258,7 +257,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         return copied_actor(self._network, self._student)
 
     def _collect(self, iteration: int) -> None:
-        """One step of all environments."""
+        """Take one step of all environments, and keep it with the teacher's actions."""
         environment, seen = self.environment, self._seen["policy"]
         wanted = self._wanted(self._seen)
         done = self._student(seen)
@@ -270,7 +269,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._draw_leaders(terminated | truncated, iteration)
 
     def _draw_leaders(self, began: Tensor, iteration: int) -> None:
-        """Draw who leads, in the environments whose episodes began (N,) bool."""
+        """Draw who leads, in the environments (N,) whose episodes ``began``."""
         while_led = self.settings.teacher_led * self.settings.iterations
         share = max(0.0, 1.0 - iteration / while_led) if while_led else 0.0
         drawn = torch.rand(len(began), device=began.device) >= share
@@ -282,7 +281,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
             observation = _shifted(observation, self.settings.shift)
         kind = self.environment.device.type
         with torch.autocast(kind, torch.bfloat16, enabled=self.settings.mixed_precision):
-            # Before clipping, so that what lies outside of [-1, 1] is drawn back.
+            # Before clipping: the gradient of a clipped action outside of [-1, 1] would be zero.
             done = self._student.unclipped(observation)  # pyright: ignore[reportArgumentType] - as its group gives it
         loss = F.smooth_l1_loss(done.float(), wanted, beta=_OUTLIER)  # a few strange states must not lead the others
         self._optimizer.zero_grad()
@@ -293,7 +292,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
 
 
 def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], Tensor]:
-    """From what is shown to the actions (N, A) of the task's expert, or of the policy of that name."""
+    """Return a function from observations to the actions (N, A) of the task's expert, or of a policy by name."""
     if name == EXPERT:
         if environment.starts is not None:
             raise ConfigurationError(
@@ -310,14 +309,14 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
 
 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:
-    """Pictures shifted by up to ``most`` pixels each way, their borders repeated; those of one step all alike."""
+    """Shift pictures by up to ``most`` pixels each way, with repeated borders; those of one step alike."""
     first = next(iter(observation.values()))
     shifts = torch.randint(-most, most + 1, (2, len(first), 1), device=first.device)
     return {name: _shift(value, shifts) if value.dim() == 4 else value for name, value in observation.items()}
 
 
 def _shift(pictures: Tensor, shifts: Tensor) -> Tensor:
-    """Pictures (N, H, W, C) moved by ``shifts`` (2, N, 1) rows and columns."""
+    """Move pictures (N, H, W, C) by ``shifts`` (2, N, 1) rows and columns."""
     rows, columns = (
         (torch.arange(extent, device=pictures.device) + shift).clamp(0, extent - 1)
         for extent, shift in zip(pictures.shape[1:3], shifts, strict=True)

@@ -1,8 +1,8 @@
-"""Kept policies by name. Any installed package may add its own through the entry-point group ``orbit.policies``.
+"""Kept policies by name. Any installed package can add its own by the entry-point group ``orbit.policies``.
 
-An entry point names a package. Each folder in it that holds a file ``policy.toml`` is a policy of that folder's name;
-beside the file lies what ``orbit train`` wrote, of which the last ``policy_<iteration>.safetensors`` counts. The
-file holds the fields of :class:`PretrainedPolicy`::
+An entry point names a package. Each folder in it with a file ``policy.toml`` is a policy with that folder's name; the
+files of ``orbit train`` are next to it, of which the last ``policy_<iteration>.safetensors`` counts. ``policy.toml``
+has the fields of :class:`PretrainedPolicy`::
 
     description = "Opens a drawer to where it should be: Franka Panda, joint targets"
     least_success = 0.9
@@ -20,7 +20,7 @@ file holds the fields of :class:`PretrainedPolicy`::
     least_success = 0.3
     reason = "it draws no depth beyond a metre"
 
-Listing names imports nothing heavy.
+Listing names imports no heavy modules.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ ABOUT = "policy.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class TransferGap:
-    """A backend, a renderer or both on which a policy is known to succeed less often than it is held to elsewhere."""
+    """Backend, renderer or both on which a policy is known to succeed less often than elsewhere."""
 
     backend: str | None = None
     """Backend that simulates; any if None."""
     renderer: str | None = None
-    """Renderer that draws what the policy sees, be it another's or the backend's own; any if None."""
+    """Renderer of the policy's pictures, which may be the backend itself; any if None."""
     least_success: float
-    """The rate that it is held to there, in [0, 1]."""
+    """Success rate that the policy must reach there, in [0, 1]."""
     reason: str
-    """What differs there; or that it is not known, and what has been ruled out."""
+    """Difference that is the cause; or, if it is unknown, the causes that were ruled out."""
 
     def __post_init__(self) -> None:
         _check_rate(self.least_success)
@@ -60,22 +60,22 @@ class TransferGap:
             raise ValueError("a gap names a backend, a renderer or both")
 
     def holds_for(self, backend: str, renderer: str) -> bool:
-        """Whether it is of that backend and that renderer."""
+        """Return whether the gap applies to a backend and a renderer."""
         return self.backend in (None, backend) and self.renderer in (None, renderer)
 
 
 @dataclass(frozen=True)
 class PretrainedPolicy:
-    """A learned policy that a package brings, and what it is held to."""
+    """Learned policy of a package, and the success rate that it must reach."""
 
     name: str
     folder: Path
     description: str
-    """One line."""
+    """Description in one line."""
     least_success: float
-    """The success rate that it is held to, in [0, 1], wherever no gap says otherwise."""
+    """Success rate that the policy must reach, in [0, 1], where no gap applies."""
     fields: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of the task that differed from their defaults in learning, but robot and action."""
+    """Fields of the task that differed from their defaults in learning, except robot and action."""
     gaps: tuple[TransferGap, ...] = ()
 
     def __post_init__(self) -> None:
@@ -84,7 +84,7 @@ class PretrainedPolicy:
             raise ValueError(f"fields is a table of the task's fields, not {self.fields!r}")
 
     def gap_on(self, backend: str, renderer: str | None = None) -> TransferGap | None:
-        """What is declared of a backend that draws itself, or of it and a renderer: the first gap that holds."""
+        """Return the first gap that applies to a backend with a renderer (its own if None); None if none applies."""
         return next((gap for gap in self.gaps if gap.holds_for(backend, renderer or backend)), None)
 
 
@@ -100,43 +100,43 @@ def _installed() -> Registry[PretrainedPolicy]:
 
 
 def pretrained_policies() -> dict[str, PretrainedPolicy]:
-    """All that installed packages bring, by name, sorted; those of broken packages left out."""
+    """Return the policies of all installed packages, sorted by name, without those of broken packages."""
     return dict(sorted(_installed().values.items()))
 
 
 def pretrained_policy(name: str) -> PretrainedPolicy:
-    """The kept policy of that name.
+    """Return the kept policy with a name.
 
     Raises:
-        UnknownNameError: there is none.
-        ConfigurationError: two packages bring it.
+        UnknownNameError: no policy has the name.
+        ConfigurationError: two packages have a policy with the name.
     """
     return _installed().get(name)
 
 
 def policy_path(name: str | Path) -> Path:
-    """The file or folder at that path, if there is one, else the folder of the kept policy of that name.
+    """Return the file or folder at a path if it exists, else the folder of the kept policy with that name.
 
     Raises:
-        UnknownNameError: there is neither.
+        UnknownNameError: neither exists.
     """
     path = as_path(name)
     return path if path.exists() else pretrained_policy(str(name)).folder
 
 
 def policy_fields(name: str | Path) -> Mapping[str, Any]:
-    """The fields of the task that a policy must be given, as the file ``policy.toml`` beside it says; none without one.
+    """Return the fields of the task that a policy needs, from its ``policy.toml``; empty without that file.
 
     Raises:
-        UnknownNameError: there is no such file, folder or kept policy.
-        ConfigurationError: the file ``policy.toml`` describes no policy.
+        UnknownNameError: the file, folder or kept policy does not exist.
+        ConfigurationError: ``policy.toml`` is invalid.
     """
     path = policy_path(name)
     return _read(_about(path)).fields if is_kept(path) else {}
 
 
 def is_kept(path: Path) -> bool:
-    """Return True if a policy's file or folder has a file ``policy.toml``, which says what it is played with."""
+    """Return True if a policy's file or folder has a file ``policy.toml``, which states how it is played."""
     return _about(path).exists()
 
 

@@ -26,31 +26,31 @@ from orbit_learn.trainer import LoopTrainer
 
 
 class RlGamesEnvironment(IVecEnv):
-    """An environment as rl-games expects it. Time-outs are told apart in the infos, for bootstrapping."""
+    """Environment with rl-games' interface. Infos distinguish time-outs, for bootstrapping."""
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         self.environment = environment
         self._seed = seed
 
     def reset(self) -> dict[str, Tensor]:
-        """Begin an episode in every environment; the seed counts the first time only."""
+        """Begin an episode in every environment; the seed is used only the first time."""
         observation, _ = self.environment.reset(self._seed)
         self._seed = None
         return self._seen(observation)
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
-        """Observation, reward (N,), whether the episode ended (N,) uint8, and infos, for actions (N, A)."""
+        """Take one step with actions (N, A), and return observation, reward (N,), ended (N,) uint8 and infos."""
         observation, reward, terminated, truncated, info = self.environment.step(actions)
         done = (terminated | truncated).to(torch.uint8)
         return self._seen(observation), reward, done, {"time_outs": truncated, "ends": info}
 
     def _seen(self, observation: Observation) -> dict[str, Tensor]:
-        """Under ``states`` what the critic sees, where that is a group of its own."""
+        """Return the actor's observation and, if the task has that group, the critic's as ``states``."""
         seen = {"obs": one_tensor(observation)}
         return {**seen, "states": one_tensor(observation, CRITIC)} if CRITIC in observation else seen
 
     def get_env_info(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - it has no types
-        """Return the spaces, by the names that rl-games asks for."""
+        """Return the spaces, by rl-games' names."""
         return {
             "observation_space": observation_space(self.environment)["policy"],  # pyright: ignore[reportIndexIssue]
             "action_space": action_space(self.environment),
@@ -107,10 +107,10 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
             return perceptron_actor(layers)
         seen = model.running_mean_std
         std = (seen.running_var.float() + seen.epsilon).sqrt()
-        return perceptron_actor(layers, seen.running_mean, std, 5.0)  # the limit stands in its code
+        return perceptron_actor(layers, seen.running_mean, std, 5.0)  # rl-games clips by a constant in its code
 
     def _central_value(self) -> dict[str, Any]:
-        """Return the critic that sees ``states``, where the task has that group."""
+        """Return the configuration of a critic that sees ``states``, if the task has that group."""
         if critic_group(self.environment) != CRITIC:
             return {}
         settings = self.settings
@@ -196,5 +196,5 @@ def _network(settings: PpoSettings) -> dict[str, Any]:
 
 
 def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
-    """It prints what it does."""
+    """Return a context that suppresses rl-games' printed messages."""
     return contextlib.redirect_stdout(io.StringIO())

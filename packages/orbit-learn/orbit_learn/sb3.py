@@ -35,11 +35,11 @@ from orbit_learn.spaces import group_space
 from orbit_learn.trainer import Progress, Trainer
 
 Seen = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
-"""A group: one array, or its terms by name."""
+"""Group of observations: one array, or its terms by name."""
 
 
 class PicturePpo(PPO):
-    """PPO that leaves pictures (H, W, C), as its :class:`PictureExtractor` reads them."""
+    """PPO that does not transpose pictures (H, W, C), because :class:`PictureExtractor` reads them so."""
 
     @staticmethod
     def _wrap_env(env: Any, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
@@ -47,11 +47,11 @@ class PicturePpo(PPO):
 
 
 class PictureExtractor(BaseFeaturesExtractor):
-    """The features extractor of ``MultiInputPolicy`` that reads what ORBIT's network ``convolutional`` reads.
+    """Features extractor of ``MultiInputPolicy`` by the layers of ORBIT's network ``convolutional``.
 
     Args:
-        observation_space: of the group.
-        network: of the group's terms.
+        observation_space: space of the group.
+        network: network of the group's terms.
     """
 
     def __init__(self, observation_space: spaces.Dict, network: Convolutional) -> None:
@@ -64,7 +64,7 @@ class PictureExtractor(BaseFeaturesExtractor):
 
 
 def observed_space(layout: GroupLayout) -> spaces.Space[Any]:
-    """Space of a group: pictures as they are, all else unbounded float32, which is normalised."""
+    """Return the space of a group: pictures as they are, other terms as unbounded float32, which is normalised."""
     if layout.concatenated:
         return spaces.Box(-np.inf, np.inf, (layout.size,), np.float32)
     whole: Any = group_space(layout)
@@ -84,7 +84,7 @@ def seen_arrays(group: Tensor | Mapping[str, Tensor]) -> Seen:
 
 
 def row_of(seen: Seen, row: int) -> Seen:
-    """What one environment sees."""
+    """Return the observation of one environment."""
     return {name: values[row] for name, values in seen.items()} if isinstance(seen, dict) else seen[row]
 
 
@@ -93,15 +93,15 @@ def array_of(values: Tensor) -> npt.NDArray[Any]:
     return values.cpu().numpy().copy()
 
 
-# Episodes over which success is averaged, as the library does for returns.
+# Number of episodes over which success is averaged, the same as the library's for returns.
 _RECENT = 100
 
 
 class Sb3Environment(VecEnv):
-    """An environment as Stable-Baselines3 expects it: NumPy arrays, and at an episode's end the last observation and
-    whether the time limit ended it in ``infos``.
+    """Environment with Stable-Baselines3's interface, with NumPy arrays.
 
-    Where the group ``policy`` is a dictionary, so is the observation: pictures (H, W, C) as they are, all else float32.
+    At an episode's end ``infos`` has its last observation, and whether the time limit ended it. If the group ``policy``
+    is a dictionary, so is the observation: pictures (H, W, C) as they are, other terms as float32.
     """
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
@@ -141,7 +141,7 @@ class Sb3Environment(VecEnv):
             infos[i]["episode"] = {"r": float(returns[row]), "l": int(end.steps[row]), "t": time.time()}
 
     def close(self) -> None:
-        """The environment belongs to whoever made it."""
+        """Do nothing: the owner of the environment closes it."""
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         return [getattr(self.environment, attr_name, None)] * len(list(self._get_indices(indices)))
@@ -164,7 +164,7 @@ class Sb3Environment(VecEnv):
 
 
 class Sb3Trainer(Trainer[PpoSettings]):
-    """PPO with a constant learning rate; an update ends early where the policy moves too far."""
+    """PPO with a constant learning rate; an update ends early if the policy changes too much."""
 
     name: ClassVar[str] = "sb3"
 
@@ -217,7 +217,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
         callback.finish_iteration()
 
     def state(self) -> Any:
-        """Weights, optimiser and the observations' statistics."""
+        """Return weights, the optimiser's state and the observations' statistics."""
         return {"parameters": self._model.get_parameters(), "observations": self._statistics()}
 
     def restore(self, state: Any, iteration: int) -> None:
@@ -244,21 +244,21 @@ class Sb3Trainer(Trainer[PpoSettings]):
         return convolutional_actor(self._network, encoders, layers, mean, std)
 
     def _moments(self) -> dict[str, Any]:
-        """Mean, variance and count of the observation, or of each of its vectors by name; none if not normalised."""
+        """Return mean, variance and count of the observation, or of each vector by name; empty if not normalised."""
         if not self.settings.normalize_observations:
             return {}
         seen: Any = self._environment.obs_rms
         return {"": seen} if self._network is None else seen
 
     def _statistics(self) -> Any:
-        told = {
+        moments = {
             name: {"mean": seen.mean, "var": seen.var, "count": seen.count} for name, seen in self._moments().items()
         }
-        return told.get("") if self._network is None else told
+        return moments.get("") if self._network is None else moments
 
 
 def _reading(network: Convolutional | None) -> dict[str, Any]:
-    """How the policy reads a dictionary: actor and critic have encoders of their own."""
+    """Return the policy's options for a dictionary: actor and critic have separate encoders."""
     if network is None:
         return {}
     return {
@@ -270,7 +270,7 @@ def _reading(network: Convolutional | None) -> dict[str, Any]:
 
 
 class _Callback(BaseCallback):
-    """Reports after each iteration."""
+    """Callback that reports after each iteration."""
 
     def __init__(self, batch: int, report: Callable[[Progress], None]) -> None:
         super().__init__()
@@ -291,7 +291,7 @@ class _Callback(BaseCallback):
         return True
 
     def finish_iteration(self) -> None:
-        """Collected and learned."""
+        """Report an iteration that has collected and learned."""
         episodes: Any = self.model.ep_info_buffer
         self._report(
             Progress(

@@ -1,9 +1,9 @@
 """One training: its folder, its policies, and its checkpoints.
 
-A checkpoint is one file of data: no pickle, whichever format the learning library uses. A state is a tree of
+A checkpoint is one file of data and never a pickle, unlike the libraries' own. A state is a tree of
 dictionaries, lists, numbers, texts, truth values, None and tensors, as libraries have it in ``state_dict``. Tuples
 become lists, and NumPy's arrays and numbers become tensors and numbers. In the file, see :mod:`orbit_data.tensor_file`,
-a dictionary is ``{"items": [[key, value], ...]}``, for its keys may be numbers, and a tensor ``{"tensor": name}``.
+a dictionary is ``{"items": [[key, value], ...]}``, because its keys may be numbers, and a tensor ``{"tensor": name}``.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ FORMAT = 1
 
 
 def write_checkpoint(path: Path | str, library: str, state: Any) -> None:
-    """Write a library's state. The file appears whole or not at all.
+    """Write a library's state; the file appears complete or not at all.
 
     Raises:
-        ConfigurationError: the state holds something that is no data; names it.
+        ConfigurationError: the state contains something other than data; the message names its type.
     """
     tensors: dict[str, Tensor] = {}
     document = {"checkpoint": FORMAT, "library": library, "state": _packed(state, tensors)}
@@ -46,7 +46,7 @@ def tensors_in(state: Any) -> list[Tensor]:
     """Return all tensors of a library's state.
 
     Raises:
-        ConfigurationError: the state holds something that is no data; names it.
+        ConfigurationError: the state contains something other than data; the message names its type.
     """
     tensors: dict[str, Tensor] = {}
     _packed(state, tensors)
@@ -101,11 +101,11 @@ def _unpacked(value: Any, tensors: dict[str, Tensor]) -> Any:
 RECORD = "training.json"
 CURVE = "curve.jsonl"
 CHECKPOINT = "checkpoint"
-# Most bytes of a curve, some 300 of each iteration.
+# Limit of a curve's bytes; an iteration takes some 300.
 _MOST_CURVE = 1 << 26
-# Environments that may diverge in any iteration; of many, one in a hundred may.
+# Number of environments that may diverge in any iteration; of many, one in a hundred may.
 _FEW_DIVERGED = 3
-# Beyond which the products of three layers overflow in single precision.
+# Limit of a weight, beyond which the products of three layers overflow in single precision.
 _LARGEST_WEIGHT = 1e12
 
 
@@ -131,11 +131,11 @@ class Training:
         self._steps_before, self._seconds_before, self._diverged_before = 0, 0.0, 0
         self._diverged_last = 0
         self._done = -1
-        """The last iteration that was completed."""
+        """Last completed iteration."""
         self.manifest = Manifest.of(self.trainer.environment, self.task, self.trainer.seed)
-        """Of the environment that is learned in."""
+        """Manifest of the environment."""
         self.saved: Path | None = None
-        """The newest checkpoint that was written."""
+        """Newest checkpoint that was written."""
 
     def run(self, iterations: int, save_every: int, report: Callable[[Progress], None], resume: bool = False) -> Policy:
         """Learn until so many iterations are done in all; returns the last policy.

@@ -181,7 +181,6 @@ class Viewer:
         self._agent = agent
         self._information = information
         self._views = _camera_views(env.world)
-
         extra = {name: lambda _, draw=draw: draw() for name, draw in (views or {}).items()}
         self._views |= extra
         self.controls = Controls(env.num_envs, paused)

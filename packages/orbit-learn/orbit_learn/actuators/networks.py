@@ -1,12 +1,12 @@
-"""Learned actuator models: networks that give a joint's effort from its error of position, velocity, and their past.
+"""Learned actuator models: networks that compute a joint's effort from its position error, velocity, and their past.
 
 Two architectures, as published for the series-elastic ANYdrive: a perceptron that sees the present and some earlier
 steps (Hwangbo et al., Learning Agile and Dynamic Motor Skills for Legged Robots, 2019), and a recurrent network of long
 short-term memory that sees the present alone and remembers (Rudin et al., Learning to Walk in Minutes Using Massively
-Parallel Deep Reinforcement Learning, 2021). One network serves all joints of a kind, each with a past of its own.
+Parallel Deep Reinforcement Learning, 2021). One network serves all joints of a kind, each with its own past.
 
-A file holds the weights as safetensors and, as JSON in the header, a :class:`NetworkDescription`; reading one executes
-nothing.
+A file contains the weights as safetensors and, as JSON in the header, a :class:`NetworkDescription`; reading it
+executes no code.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_data.tensor_file import read_tensors, write_tensors
 
 _MOST_UNITS, _MOST_LAYERS, _MOST_HISTORY = 1024, 8, 64
-# Error of position and velocity.
+# Number of inputs of a step: position error and velocity.
 _INPUTS = 2
-# Part of the rate.
+# Relative difference of rates that counts as none.
 _RATE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkDescription:
-    """What an actuator network is, and what it was fitted to."""
+    """Description of an actuator network, and of the data that it was fitted to."""
 
     kind: Literal["mlp", "lstm"]
     hidden_sizes: tuple[int, ...]
-    """Units of the hidden layers; of an LSTM all the same."""
+    """Units of the hidden layers; equal in all layers of an LSTM."""
     history: tuple[int, ...] = (0,)
     """Steps back that a perceptron sees, from 0, the present."""
     rate: float
-    """Hz: steps a second that it was fitted at, and is evaluated at."""
+    """Rate in Hz at which the network was fitted, and is evaluated."""
     unit: Literal["rad", "m"] = "rad"
-    """Of the joints' positions."""
+    """Unit of the joints' positions."""
     scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """What error (rad or m), velocity (rad/s or m/s) and effort (N m or N) are divided by."""
+    """Scales of error (rad or m), velocity (rad/s or m/s) and effort (N m or N), which are divided by them."""
     fitted_to: tuple[str, ...] = ()
     """Names of the joints in the recordings."""
 
@@ -54,7 +54,7 @@ class NetworkDescription:
         """Check the numbers.
 
         Raises:
-            ConfigurationError: one is out of its range.
+            ConfigurationError: a number is out of its range.
         """
         sizes, history = self.hidden_sizes, self.history
         if not (1 <= len(sizes) <= _MOST_LAYERS and all(1 <= size <= _MOST_UNITS for size in sizes)):
@@ -71,12 +71,12 @@ class NetworkDescription:
             raise ConfigurationError(f"rate {self.rate:g} Hz and scales {self.scales} must be above zero and finite")
 
     def build(self) -> ActuatorModule:
-        """Return the network, with weights of its own."""
+        """Return the network with new weights."""
         return MlpActuator(self) if self.kind == "mlp" else LstmActuator(self)
 
 
 class ActuatorModule(nn.Module, ABC):
-    """A network for B joints, whose past is one tensor (*past_shape, B, ...), zero at first."""
+    """Network for B joints, whose past is one tensor (*past_shape, B, ...), initially zero."""
 
     def __init__(self, description: NetworkDescription) -> None:
         super().__init__()
@@ -86,11 +86,11 @@ class ActuatorModule(nn.Module, ABC):
 
     @abstractmethod
     def past(self, joints: int, device: torch.device) -> Tensor:
-        """Memory of B joints that have none; joints are its second dimension."""
+        """Return the initial past of B joints; joints are its second dimension."""
 
     @abstractmethod
     def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
-        """Return efforts (B,) from errors and velocities (B, 2), and the past that comes of it."""
+        """Return efforts (B,) from errors and velocities (B, 2), and the next past."""
 
     @abstractmethod
     def sequence(self, inputs: Tensor) -> Tensor:
@@ -98,7 +98,7 @@ class ActuatorModule(nn.Module, ABC):
 
 
 class MlpActuator(ActuatorModule):
-    """A perceptron with softsign units. What is not known of the past is taken to have been as it is now."""
+    """Perceptron with softsign units. Steps before the first are assumed to equal it."""
 
     def __init__(self, description: NetworkDescription) -> None:
         super().__init__(description)
