@@ -110,6 +110,7 @@ class PictureEncoder:
         layers: list[nn.Module] = []
         taken, height, width = sum(picture.channels for picture in self.pictures), self.height, self.width
         for i, given in enumerate(self.filters):
+            # A wide first kernel sees more at almost no cost, because the picture has few channels.
             size = 3 if i else 5
             layers += [nn.Conv2d(taken, given, size, stride=2, padding=size // 2), activation()]
             taken, height, width = given, (height + 1) // 2, (width + 1) // 2
@@ -250,6 +251,7 @@ def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int]) -> Convolu
     Raises:
         ConfigurationError: a picture is neither colour nor depth, has no bounds, or there is none.
     """
+    # By camera and size: colours and depth of one camera are aligned, so that one encoder can compare them.
     cameras: dict[tuple[str | None, str, int, int], list[Picture]] = {}
     for part in parts:
         if not part.is_picture:

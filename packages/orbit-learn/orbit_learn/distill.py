@@ -105,6 +105,7 @@ class ReplayBuffer:
 
     def sample(self, count: int) -> tuple[Tensor | dict[str, Tensor], Tensor]:
         """Return observations (count, ...) and actions (count, A) of randomly chosen kept steps."""
+        # With repetition, which costs no permutation of the whole buffer.
         rows = torch.randint(self.size, (count,), device=self._device)
         terms = {name: kept[rows].to(self._dtypes[name]) for name, kept in self._terms.items()}
         return terms.get("", terms), self._actions[rows]
@@ -211,6 +212,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._network = network_for(layout, settings.hidden_sizes)
         self._student = build_actor(self._network, layout, environment.action_size)
         self._student.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        # Separate from the student's buffers, which change only between iterations, so that collecting is consistent.
         self._moments = RunningMoments(len(self._student.mean), device)
         self._optimizer = torch.optim.Adam(self._student.parameters(), lr=settings.learning_rate)
         self._seen, _ = environment.reset(seed)
@@ -219,10 +221,12 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._buffer = ReplayBuffer(settings.buffer_size, self._seen["policy"], environment.action_size)
         self._student_leads = torch.zeros(environment.num_envs, dtype=torch.bool, device=device)
         """Whether (N,) the student leads each environment's episode."""
+        # Leaders are drawn for whole episodes, so that the success of those that the student led can be measured.
         self._draw_leaders(torch.ones_like(self._student_leads), 0)
         self._loss = torch.zeros((), device=device)
 
     def iterate(self, iteration: int) -> None:
+        # One whole episode, so that the first batches contain all times of it.
         ahead = 0 if self._buffer.size else self.environment.max_episode_steps
         self.steps_ahead += ahead * self.environment.num_envs
         with torch.no_grad():
@@ -233,6 +237,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         progress = iteration / self.settings.iterations
         for group in self._optimizer.param_groups:
             group["lr"] = self.settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+        # Summed on the device: reading each loss would wait for it.
         self._loss.zero_()
         for _ in range(self.settings.updates_per_iteration):
             self._update()
@@ -261,6 +266,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         environment, seen = self.environment, self._seen["policy"]
         wanted = self._wanted(self._seen)
         done = self._student(seen)
+        # The teacher's action is kept in every state, also where the student leads: that is the idea of DAgger.
         self._buffer.add(seen, wanted)
         self._moments.add(self._student.vectors(seen))  # pyright: ignore[reportArgumentType] - as its group gives it
         action = torch.where(self._student_leads[:, None], done, wanted)
@@ -295,12 +301,15 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
     """Return a function from observations to the actions (N, A) of the task's expert, or of a policy by name."""
     if name == EXPERT:
         if environment.starts is not None:
+            # The expert's phases are not part of a recorded start.
             raise ConfigurationError(
                 "an expert begins each episode with its first phase, also one that begins on its way: to let it teach, "
                 "set expert_starts=0"
             )
         expert = environment.task.expert(environment.world)
-        if isinstance(expert, Teacher):
+        if isinstance(
+            expert, Teacher
+        ):  # its phases then follow from the state, which the student may have led elsewhere
             expert.teaches = True
         return lambda seen: expert.compute({})["action"]
     teacher = load_policy(policy_path(name), environment.device)
@@ -311,6 +320,7 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:
     """Shift pictures by up to ``most`` pixels each way, with repeated borders; those of one step alike."""
     first = next(iter(observation.values()))
+    # One shift for all cameras of a step, so that they still show one scene.
     shifts = torch.randint(-most, most + 1, (2, len(first), 1), device=first.device)
     return {name: _shift(value, shifts) if value.dim() == 4 else value for name, value in observation.items()}
 

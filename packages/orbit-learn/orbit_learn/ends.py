@@ -21,7 +21,7 @@ def all_ends(info: Mapping[str, EpisodeEnd], count: int) -> tuple[EpisodeEnd, Te
         info: info of the environment's step.
         count: number N of environments.
     """
-    if isinstance(info, StepInfo):
+    if isinstance(info, StepInfo):  # which has rows of all environments, so that the host reads nothing
         return info.everyone, info.done
     end = info.get("final")
     return None if end is None else _spread(end, count)
@@ -72,6 +72,7 @@ class EpisodeTally:
         if found is None:
             return
         end, ended = found
+        # A start on the expert's way is easier, so that its success says little of the policy.
         ended = ended & end.usual
         if counts is not None:
             ended = ended & counts
@@ -85,6 +86,7 @@ class EpisodeTally:
 
         If no episode has ended, the result is that of the last reading.
         """
+        # One transfer for all sums, because each waits for the device.
         episodes, returns, successes = self._sums.tolist()
         if episodes:
             self._last = (returns / episodes, successes / episodes, round(episodes))

@@ -103,7 +103,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
     def close_extras(self, **kwargs: Any) -> None:
         self._spectator.close()
         self.environment.close()
-        close_for_good(self, "the environment")
+        close_for_good(self, "the environment")  # a step after this gives a clear error
 
 
 class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
@@ -115,6 +115,7 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
 
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
+        # Gymnasium's single environments are reset by their user, unlike its vector environments here.
         self.environment = make(task, num_envs=1, autoreset=False, **keywords)
         self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
         self.render_mode = checked_mode(render_mode)
@@ -125,7 +126,7 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
         refuse_options(options, "none")
         observation, info = self.environment.reset(seed)
-        super().reset(seed=seed)
+        super().reset(seed=seed)  # which seeds only Gymnasium's own generator
         return arrays_of(observation), info
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
@@ -155,6 +156,7 @@ class Spectator:
         """Draw pictures (N, 480, 640, 3) of all environments; None without a render mode."""
         if self._render_mode is None:
             return None
+        # On first use, because a renderer takes memory that environments without pictures do not need.
         self._camera = self._camera or OverviewCamera(self._environment.world, 640, 480, self._environment.task.view)
         return self._camera.pictures().numpy()
 

@@ -134,6 +134,7 @@ def perceptron_actor(
         std: standard deviations (O,) of the observation; one if None.
         limit: limit as :attr:`Perceptron.observation_limit`.
     """
+    # Libraries wrap the layers differently; their order is the same everywhere.
     linear = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
     network = Perceptron(tuple(layer.out_features for layer in linear[:-1]), observation_limit=limit)
     size = linear[0].in_features

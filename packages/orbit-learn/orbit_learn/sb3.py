@@ -43,6 +43,7 @@ class PicturePpo(PPO):
 
     @staticmethod
     def _wrap_env(env: Any, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
+        # The base class would wrap the environment in VecTransposeImage.
         return env
 
 
@@ -55,7 +56,7 @@ class PictureExtractor(BaseFeaturesExtractor):
     """
 
     def __init__(self, observation_space: spaces.Dict, network: Convolutional) -> None:
-        features = PictureFeatures(network)
+        features = PictureFeatures(network)  # before the base class, which needs its size; kept as a module after it
         super().__init__(observation_space, features.size)
         self.features = features
 
@@ -120,6 +121,7 @@ class Sb3Environment(VecEnv):
         return seen_arrays(observation[ACTOR])
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+        # Kept until step_wait: Stable-Baselines3 splits a step for environments in other processes.
         self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.environment.device)
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
@@ -136,6 +138,7 @@ class Sb3Environment(VecEnv):
         for row, i in enumerate(end.env_ids.tolist()):
             infos[i]["terminal_observation"] = row_of(last, row)
             infos[i]["TimeLimit.truncated"] = bool(truncated[i])
+            # Successes of starts on the expert's way would be too optimistic.
             if bool(end.usual[row]):
                 infos[i]["is_success"] = bool(end.success[row])
             infos[i]["episode"] = {"r": float(returns[row]), "l": int(end.steps[row]), "t": time.time()}
@@ -192,6 +195,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
             gae_lambda=settings.gae_lambda,
             clip_range=settings.clip,
             ent_coef=settings.entropy_weight,
+            # Libraries with adaptive rates slow down from twice the target on; this one stops an update instead.
             target_kl=2.0 * settings.target_kl,
             policy_kwargs={
                 "net_arch": list(settings.hidden_sizes),
@@ -214,7 +218,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
             reset_num_timesteps=self._model.num_timesteps == 0,
             tb_log_name="tensorboard",
         )
-        callback.finish_iteration()
+        callback.finish_iteration()  # the last one, after which no rollout starts
 
     def state(self) -> Any:
         """Return weights, the optimiser's state and the observations' statistics."""
@@ -283,11 +287,11 @@ class _Callback(BaseCallback):
         if self._first_step < 0:
             self._first_step = self.model.num_timesteps
         else:
-            self.finish_iteration()
+            self.finish_iteration()  # the library reports no end of learning, only the next rollout's start
 
     def _on_step(self) -> bool:
         self._successes += [info["is_success"] for info in self.locals["infos"] if "is_success" in info]
-        del self._successes[:-_RECENT]
+        del self._successes[:-_RECENT]  # in place: only the last ones count
         return True
 
     def finish_iteration(self) -> None:

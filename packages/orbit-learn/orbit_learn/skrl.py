@@ -149,6 +149,7 @@ class SkrlEnvironment(Wrapper):
 
     def reset(self) -> tuple[Tensor, dict[str, Any]]:
         """Return the current observation; only the first call begins episodes, because the environment renews them."""
+        # Trainers reset before each iteration, which must not cut episodes.
         if self._seed is not None:
             self.environment.reset(self._seed)
             self._seed = None

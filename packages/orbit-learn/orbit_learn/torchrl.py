@@ -151,6 +151,7 @@ class TorchRlEnvironment(EnvBase):
         self.full_done_spec = Composite(flags, shape=batch, device=device)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDict:
+        # The environment has begun the next episodes already, except those that the caller ends early.
         asked = None if tensordict is None else tensordict.get("_reset", None)
         rows = torch.ones_like(self._begun) if asked is None else asked.view(-1)
         stale = rows & ~self._begun
@@ -218,8 +219,10 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
             self._advantages(batch)
         flat = batch.reshape(-1)
         advantage = flat["advantage"]
+        # Normalised over the iteration, so that the scale of rewards does not change the step.
         flat["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         self._update(flat)
+        # After learning: the statistics must not change between collecting a step and learning from it.
         for group in self._groups.values():
             group.take_in(flat)
 
@@ -227,6 +230,7 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
         for _ in range(self.settings.epochs):
             for rows in torch.randperm(self.batch, device=self.environment.device).chunk(self.settings.minibatches):
                 losses = self._loss(batch[rows])
+                # Twice the target, from which on libraries with adaptive rates slow down.
                 if losses["kl_approx"] > 2.0 * self.settings.target_kl:
                     return
                 self._descend(losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"])

@@ -108,11 +108,12 @@ class MlpActuator(ActuatorModule):
         self._depth = description.history[-1]
 
     def past(self, joints: int, device: torch.device) -> Tensor:
-        """(steps, B, 3): error, velocity, and 1 where they were measured."""
+        """Return the initial past (steps, B, 3): error, velocity, and 1 where they were measured."""
         return torch.zeros(self._depth, joints, _INPUTS + 1, device=device)
 
     def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
         newest = torch.cat((inputs, torch.ones_like(inputs[:, :1])), 1)[None]
+        # Steps before the first measurement equal the newest, so that an episode does not begin with a jump.
         known = torch.where(past[..., 2:] > 0.0, past, newest)
         line = torch.cat((newest, known))
         seen = torch.cat([line[back, :, :_INPUTS] for back in self.description.history], 1)
@@ -125,7 +126,7 @@ class MlpActuator(ActuatorModule):
         return self.efforts(torch.cat(seen, 2).flatten(0, 1)).view(inputs.shape[:2])
 
     def efforts(self, seen: Tensor) -> Tensor:
-        """(B,) of what is seen (B, 2 H)."""
+        """Compute efforts (B,) from the present and past inputs (B, 2 H)."""
         scaled = seen / self._in.repeat(len(self.description.history))
         return self.layers(scaled).squeeze(1) * self.description.scales[2]
 
@@ -140,11 +141,11 @@ class LstmActuator(ActuatorModule):
         self.out = nn.Linear(self._units, 1)
 
     def past(self, joints: int, device: torch.device) -> Tensor:
-        """(2 layers, B, units): hidden states, then cell states."""
+        """Return the initial past (2 layers, B, units): hidden states, then cell states."""
         return torch.zeros(2 * self._layers, joints, self._units, device=device)
 
     def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
-        # Written out, so that a captured step is made of plain operations; the weights are torch's own.
+        # Written out, because a captured step needs plain operations; the weights are those of torch's module.
         value, hidden, cells = inputs / self._in, [], []
         for layer in range(self._layers):
             weight = [
@@ -163,7 +164,7 @@ class LstmActuator(ActuatorModule):
 
 
 def write_network(path: Path | str, network: ActuatorModule) -> None:
-    """Write what :func:`read_network` reads.
+    """Write a network for :func:`read_network`.
 
     Raises:
         StorageError: the disk is full, or the folder cannot be written.
@@ -176,8 +177,8 @@ def read_network(path: Path | str) -> ActuatorModule:
     """Return a network from its file.
 
     Raises:
-        ConfigurationError: there is no such file, it holds no actuator network, or its weights are not of the sizes
-            that its description says.
+        ConfigurationError: the file does not exist, contains no actuator network, or its weights do not have the sizes
+            of its description.
         NonFiniteError: a weight is NaN or infinite.
     """
     document, tensors = read_tensors(path)
@@ -194,7 +195,7 @@ def read_network(path: Path | str) -> ActuatorModule:
         name = next(name for name in [*wanted, *found] if wanted.get(name) != found.get(name))
         raise ConfigurationError(
             f"actuator network {path}: weight '{name}' is {_shape(found.get(name))}, and an {description.kind} of "
-            f"hidden sizes {list(description.hidden_sizes)} has {_shape(wanted.get(name))}: fit it anew"
+            f"hidden sizes {list(description.hidden_sizes)} has {_shape(wanted.get(name))}: fit it again"
         )
     network.load_state_dict(tensors)
     return network.requires_grad_(False)
@@ -203,8 +204,13 @@ def read_network(path: Path | str) -> ActuatorModule:
 def check_rate(path: str, description: NetworkDescription, physics_dt: float) -> None:
     """Refuse a network in a world of another rate.
 
+    Args:
+        path: path of the network's file, for messages.
+        description: network's description.
+        physics_dt: length of the world's physics steps in seconds.
+
     Raises:
-        ConfigurationError: names both rates.
+        ConfigurationError: the rates differ.
     """
     if abs(description.rate * physics_dt - 1.0) > _RATE_TOLERANCE:
         raise ConfigurationError(
