@@ -166,7 +166,7 @@ def clipped_slopes(corners: Tensor, near: float) -> Tensor:
     """
     first, second = _edges(corners)
     low, high = -first[..., 2:] - near, -second[..., 2:] - near
-    share = low / torch.where(low == high, 1.0, low - high)
+    share = low / torch.where(low == high, 1.0, low - high)  # edges parallel to the plane are never cut
     crossing = first + share * (second - first)
     ends = torch.cat((torch.where(low < 0.0, crossing, first), torch.where(high < 0.0, crossing, second)), -2)
     seen = (low >= 0.0) | (high >= 0.0)
@@ -237,6 +237,7 @@ class CameraBoxes:
         whole = projected_boxes(slopes, owners, len(self._each_link), camera.intrinsics)
         whole = whole.index_select(1, subjects.frames)
         loose, in_view = cut_off(whole, spec.width, spec.height)
+        # Areas below a pixel's millionth are those of entities without extent.
         share = (area(tight) / area(whole).clamp_min(1e-6)).clamp_max(1.0)
         names = subjects.names, subjects.semantic_labels
         return BoundingBoxes2d(*names, tight, pixels > 0, pixels, loose, in_view, share)

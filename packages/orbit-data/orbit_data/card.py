@@ -67,6 +67,7 @@ def arrays(dataset: Dataset) -> list[tuple[str, str, str, str]]:
         prefix = "" if group == "policy" else f"{group}/"
         units |= {prefix + name: term.unit for name, term in layout.terms.items()}
     rows: list[tuple[str, str, str, str]] = []
+    # The first episode is an example of all.
     for name, array in dataset.read(0).arrays.items():
         shape = array.shape if name.startswith("initial/") else array.shape[1:]
         unit = units.get(name.partition("/")[2], "") if name.startswith(("obs/", "next_obs/")) else _UNITS.get(name, "")
@@ -80,6 +81,7 @@ _UNITS = {"actions": "[-1, 1]", "states": "SI", "poses": "m, quaternion (w, x, y
 
 def is_card(path: Path) -> bool:
     """Return True if a file is the card of a dataset, by its first lines."""
+    # The first lines suffice, and a limit of characters keeps a large file from being read.
     with suppress(OSError, ValueError), path.open(encoding="utf-8") as file:
         title, *head = (file.readline(1000).rstrip("\n") for _ in range(1 + len(_HEAD)))
         return title.startswith("# ") and tuple(head) == _HEAD

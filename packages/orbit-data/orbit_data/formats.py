@@ -85,6 +85,7 @@ def write_dataset(
     step_rate = rate if manifest is None else 1.0 / manifest.step_dt
     if step_rate is None:
         raise ConfigurationError("the number of steps per second is unknown: give --rate, which LeRobot needs")
+    # The path behind a link, so that the link stays and its target is replaced.
     with written_whole(path.resolve()) as written:
         left_out = write_lerobot(written, episodes, manifest, step_rate)
         with opened(written, TRUSTED) as dataset:
@@ -149,6 +150,7 @@ def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
     Raises:
         ConfigurationError: one of the two would be empty.
     """
+    # NaN and infinity cannot be rounded, and count as an empty share.
     held_out = round(share * count) if math.isfinite(share) else 0
     if not 0 < held_out < count:
         raise ConfigurationError(f"{share:g} of {count} episodes is none or all of them: give another share")

@@ -253,6 +253,7 @@ class LeRobotWriter:
         numbers[ACTION] = episode.arrays[ACTIONS].astype(np.float32)
         if STATES in episode.arrays:
             numbers[SIMULATED] = episode.arrays[STATES].astype(np.float32)
+        # LeRobot's names of rewards and ends begin with "next.": they are results of the action.
         frames = np.arange(length, dtype=np.int64)
         if REWARDS in episode.arrays:
             numbers["next.reward"] = episode.arrays[REWARDS].astype(np.float32)
@@ -260,7 +261,7 @@ class LeRobotWriter:
             numbers["next.done"] = episode.arrays[DONES].astype(np.bool_)
         numbers |= {"timestamp": (frames / self.rate).astype(np.float32), "frame_index": frames}
         numbers |= {"episode_index": np.full_like(frames, place), "index": frames + self._total}
-        numbers["task_index"] = np.zeros_like(frames)
+        numbers["task_index"] = np.zeros_like(frames)  # the only task, of meta/tasks.parquet
         for name, values in numbers.items():
             feature = _feature(values, names.get(name))
             if self.features.setdefault(name, feature) != feature:
@@ -314,6 +315,7 @@ class LeRobotWriter:
             "data_files_size_in_mb": 100,
             "video_files_size_in_mb": 500,
             "fps": self.rate,
+            # LeRobot's layout has named splits; this one has all episodes.
             "splits": {"train": f"0:{len(self._episodes)}"},
             "data_path": DATA_PATH,
             "video_path": VIDEO_PATH if any(name.startswith(PICTURE) for name in self.features) else None,

@@ -103,6 +103,7 @@ class LeRobotDataset(Dataset):
         path = self.path / name
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise ConfigurationError(f"{self.path} names {name[:80]}, which is outside of it and is not read")
+        # Every folder on the way, because a linked folder leads out of the dataset just as a linked file.
         for part in (path, *path.parents):
             if part == self.path:
                 break
@@ -128,6 +129,7 @@ class LeRobotDataset(Dataset):
             path = self._file(each.relative_to(self.path).as_posix())
             if path is None:
                 raise ConfigurationError(f"{each} is no regular file")
+            # Statistics are many columns for each feature, and are not used here.
             table = read_columns(path, lambda name: not name.startswith("stats/"), account)
             account.take(path.name, _ROW_BYTES * table.num_rows * table.num_columns)
             rows += table.to_pylist()
@@ -176,6 +178,7 @@ class LeRobotDataset(Dataset):
             self._last = (path, read_columns(path, self._features.__contains__, account))
         table = self._last[1]
         account.take(path.name, table.nbytes)
+        # Indices count over the whole dataset, and a file begins at that of its first row.
         begin = int(row["dataset_from_index"]) - int(table["index"][0].as_py())
         table = table.slice(begin, int(row["length"]))
         return {name: _numbers(table[name].combine_chunks()) for name in table.column_names}

@@ -173,6 +173,7 @@ class EpisodePlayer:
         apart = {name: np.full((lengths.max(), len(episodes)), np.nan) for name in self._frames}
         action = torch.zeros(environment.num_envs, environment.action_size, device=environment.device)
         for step in range(int(lengths.max())):
+            # Ended episodes keep repeating their last row; their results no longer count.
             now = [min(step, length - 1) for length in lengths.tolist()]
             if mode == "states":
                 self.set_states([e.arrays[STATES][t] for e, t in zip(episodes, now, strict=True)], rows)

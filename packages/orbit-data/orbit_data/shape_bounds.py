@@ -101,6 +101,7 @@ def _joined(arrays: list[_Array], empty: tuple[int, ...]) -> _Array:
 
 
 def _padded(arrays: tuple[npt.NDArray[np.generic], ...]) -> npt.NDArray[np.generic]:
+    # The first row may be repeated because it changes neither least nor greatest values.
     most = max(len(array) for array in arrays)
     return np.stack([np.concatenate((array, np.repeat(array[:1], most - len(array), 0))) for array in arrays])
 

@@ -119,7 +119,7 @@ class TaskMemory:
         if _MARKERS in values and values[_MARKERS].shape[1:] == self._world.marker_poses.shape[1:]:
             for marker, pose in zip(self._world.markers.values(), values[_MARKERS].unbind(1), strict=True):
                 marker.set_pose(pose, env_ids)
-        self._world.clock.touch()
+        self._world.clock.touch()  # cached observations depend on the memory too
 
 
 def _plain(name: str) -> str:

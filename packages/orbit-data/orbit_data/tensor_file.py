@@ -98,7 +98,7 @@ def _metadata(data: bytes) -> dict[str, Any]:
 def _header_size(data: bytes) -> int:
     if len(data) < 8:
         raise ValueError(f"it has {len(data)} bytes, fewer than a header")
-    return int.from_bytes(data[:8], "little")
+    return int.from_bytes(data[:8], "little")  # safetensors begins with the header's size in 8 bytes
 
 
 def _refuse(constant: str) -> NoReturn:

@@ -76,7 +76,7 @@ def play(words: Sequence[str]) -> None:
     for path, suffix in ((settings.json, ".json"), (settings.plot, ".png"), (settings.video, ".mp4")):
         check_output(path, suffix, settings.overwrite)
     if settings.plot is not None:
-        _figure_type()
+        _figure_type()  # now: a missing matplotlib would otherwise be noticed after the replay
     check_positive("episodes", settings.episodes)
     check_positive("num_envs", settings.num_envs)
     if settings.video is not None and len(settings.backend) > 1:
@@ -167,6 +167,7 @@ def _draw(results: Sequence[ReplayResult], path: Path) -> None:
             (line,) = panel.plot(result.times, middle, label=result.backend)
             panel.fill_between(result.times, low, high, color=line.get_color(), alpha=0.2)
         panel.set(title=thing, xlabel="s", ylabel="m from where it was recorded")
+        # Linear around zero, where distances begin, and logarithmic above, where they span powers of ten.
         panel.set_yscale("symlog", linthresh=1e-4)
         panel.grid(alpha=0.3)
     panels[0, 0].legend(title=f"{results[0].mode} of {', '.join(results[0].recorded_on)} on")
@@ -358,6 +359,7 @@ def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[
         raise ConfigurationError(f"rate must be above zero and finite, not {settings.rate:g}")
     if output.exists() and not settings.overwrite:
         raise ConfigurationError(f"{output} is there already: give another name, or --overwrite")
+    # Datasets are read while the output is written, so that neither may be within the other.
     check_apart(output, [dataset.path for dataset in datasets])
     check_target(output)
     RecordingFile(output).check_none()
@@ -365,6 +367,7 @@ def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[
     make_folder(output)
     (first, *_) = datasets
     episodes = read_all(datasets) if positions is None else map(first.read, positions)
+    # Merged datasets have no common subsets.
     masks = None if positions is None or output.suffix not in _HDF5 else _moved(first, positions)
     left_out = write_dataset(output, episodes, manifest, settings.rate, masks, settings.compression)
     console().print(f"{output} is written", soft_wrap=True)

@@ -17,7 +17,7 @@ from orbit_data.manifest.plain import ROUNDED
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
-# Relative difference of numbers that counts as none: single precision's.
+# Relative difference of numbers that counts as none: that of single precision.
 _CLOSE = 1e-6
 
 
@@ -32,7 +32,7 @@ class Kind(Enum):
     """Another origin: the engine, versions, seeds, rewards and events of the task."""
 
 
-# The first that matches a path counts.
+# Patterns of paths, of which the first match counts.
 _RULES: tuple[tuple[str, Kind], ...] = (
     (r"(action_terms|observations)(\..*)?\.(low|high)", Kind.WARNING),
     (r"(action_terms|observations)\..*\.(formula|frame|order|decoding|rate|clip|leads)", Kind.NOTE),

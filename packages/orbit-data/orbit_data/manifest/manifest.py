@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 """Version of the manifest; another is refused."""
-# Shortest time in seconds, and the reciprocal of the longest.
+# Shortest plausible time in seconds, and the reciprocal of the longest.
 _LEAST = 1e-9
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 Limits = tuple[float | None, ...]
@@ -177,6 +177,7 @@ class Manifest:
         scene, groups = world.scene, groups_of(own)
         configuration = as_plain(own)
         terms = zip(environment.actions.terms.items(), environment.actions.generators, strict=True)
+        # Backends that only draw, and worlds without settings, simulate nothing: no engine's version belongs to the data.
         simulated = not (world.backend in renderer_names() or world.settings is None)
         return Manifest(
             task=task,
@@ -297,6 +298,7 @@ def _term(
     history = group.history if term.history is None else term.history
     meaning, size = meaning_of(term), math.prod(shown.shape) // history
     given = (environment.world, environment.task, *(() if term.agent is None else (term.agent,)))
+    # A picture has three dimensions, and one more for its history unless the group joins that with the channels.
     picture = len(shown.shape) - (history > 1 and not group.concatenate) >= 3
     components = meaning.components(*given) if callable(meaning.components) else meaning.components
     offset = [0.0] * size if meaning.offset is None else meaning.offset(*given).flatten().tolist()

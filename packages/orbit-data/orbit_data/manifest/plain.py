@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-# Most numbers of an array that are written out; of more, the digest stands.
+# Limit of the numbers of an array that are written out; larger arrays become digests.
 _LISTED = 64
 # Hexadecimal digits of a digest, 64 bits of SHA-256.
 _DIGITS = 16
@@ -24,7 +24,7 @@ ROUNDED = "~"
 """Prefix of digests of rounded numbers; older digests are of every bit."""
 # Significant digits of numbers in a digest: processors and versions of Python differ in the last bits.
 _KEPT = 9
-# What is smaller is zero in a digest: what remains where numbers cancel.
+# Limit below which numbers are zero in a digest, because they are remainders of cancellation.
 _NOTHING = 1e-12
 
 
@@ -40,7 +40,7 @@ def as_plain(value: Any, for_digest: bool = False) -> Any:
             are None, so that a field that is added later changes no digest of data that does not use it.
     """
     plain = functools.partial(as_plain, for_digest=for_digest)
-    if value is None or isinstance(value, bool | int | str):
+    if value is None or isinstance(value, bool | int | str):  # of numbers only those without rounding
         return value
     if isinstance(value, float | np.generic):
         return _number(value, for_digest)
@@ -57,7 +57,7 @@ def as_plain(value: Any, for_digest: bool = False) -> Any:
         return {"type": _name(type(value)), **fields}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, set | frozenset):
+    if isinstance(value, set | frozenset):  # sorted, because its order depends on the process
         return sorted((plain(item) for item in value), key=str)
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
@@ -105,7 +105,7 @@ def _array(array: np.ndarray[Any, Any]) -> Any:
 def _function(value: Any, plain: Callable[[Any], Any]) -> Any:
     if isinstance(value, functools.partial):
         return {"function": plain(value.func), "bound": plain([value.args, value.keywords])}
-    value = inspect.unwrap(value)  # a cache around a function is not what it computes
+    value = inspect.unwrap(value)  # a cache around a function does not change its results
     bound = inspect.getclosurevars(value).nonlocals if inspect.isfunction(value) else {}
     return {"function": _name(value), "bound": plain(bound)} if bound else _name(value)
 

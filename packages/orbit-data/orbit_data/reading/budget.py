@@ -14,9 +14,9 @@ DENSEST = 1000
 """Limit of the compression ratio, about that of gzip for zeros."""
 MAX_DOCUMENT = 1 << 22
 """Limit of the bytes of a JSON document that describes data."""
-# Bytes of a file of which the budget's seconds are asked.
+# Bytes of a file up to which the budget's seconds apply.
 _USUAL = 1 << 28
-# Most characters of a name in a file.
+# Limit of the characters of a name in a file.
 _MOST_CHARACTERS = 200
 
 
@@ -63,7 +63,7 @@ class ReadAccount:
         self.where = where
         self._left = budget.bytes
         self._seconds = budget.seconds * max(1.0, size / _USUAL)
-        self._end = time.monotonic() + self._seconds
+        self._end = time.monotonic() + self._seconds  # monotonic, because the wall clock can be set
 
     def take(self, name: str, size: int, stored: int | None = None) -> None:
         """Count bytes before memory is allocated for them.
@@ -76,6 +76,7 @@ class ReadAccount:
         Raises:
             ConfigurationError: the budget is exceeded, or the compression ratio is too high to be honest.
         """
+        # Before the budget: a larger budget would not help against a file that is made to fill the memory.
         if stored is not None and size > max(SMALL, DENSEST * stored):
             raise ConfigurationError(
                 f"'{name}' of {self.where} would be {size / 1e9:.3g} GB, of which next to nothing is stored: the file "

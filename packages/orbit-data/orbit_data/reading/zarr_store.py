@@ -28,9 +28,9 @@ from orbit_data.reading.budget import DENSEST, MAX_DOCUMENT, SMALL, ReadAccount
 _DESCRIPTIONS = (".zarray", ".zgroup", ".zattrs", ".zmetadata", "zarr.json")
 _NUMBERS = re.compile(r"[<>|]?(b1|[iu][1248]|f[248])|bool|u?int(8|16|32|64)|float(16|32|64)")
 _HARMLESS = ("bytes", "transpose", "shuffle", "crc32c")
-# Bytes of checksums within a chunk.
+# Bytes that a chunk's checksums may add.
 _MARGIN = 64
-# Most chunks of an array that may be missing, each of which takes the library some 60 microseconds.
+# Limit of an array's missing chunks, each of which takes zarr some 60 microseconds.
 _MOST_MISSING = 100_000
 # First bytes of a frame of Zstandard, and the most bytes of a block.
 _ZSTD_FRAME, _ZSTD_BLOCK = b"\x28\xb5\x2f\xfd", 1 << 17
@@ -168,7 +168,7 @@ class ZarrFiles:
             if packing not in (*_HARMLESS, *_UNPACKED):
                 raise ConfigurationError(f"{where} is stored by the codec '{packing[:60]}', which is not read")
         packed = [place for place, each in enumerate(packings) if each in _UNPACKED]
-        # What comes after a packing would be packed itself; only a checksum may follow it.
+        # A codec after a packing would be applied to packed bytes; only a checksum is useful there.
         if len(packed) > 1 or (packed and {*packings[packed[0] + 1 :]} - {"crc32c"}):
             raise ConfigurationError(f"{where} is packed more than once, which is not read: {', '.join(packings)}")
         extents = (*told["shape"], *chunks)
@@ -226,7 +226,7 @@ def _codec_name(codec: Any) -> str:
     name = codec if isinstance(codec, str) else codec.get("id", codec.get("name"))
     settings = {} if isinstance(codec, str) else {**codec, **(codec.get("configuration") or {})}
     if name in ("lzma", "numcodecs.lzma") and (settings.get("format", 1) != 1 or settings.get("filters")):
-        return "lzma without a header"  # which may ask for any memory
+        return "lzma without a header"  # whose settings can request any memory
     return str(name).removeprefix("numcodecs.")
 
 
@@ -234,11 +234,11 @@ def _unpacked_by(make: Callable[[], Any], ratio: int) -> Callable[[bytes, int], 
     """Return a function that counts the bytes, up to one more than ``most``, that a stream unpacks to."""
 
     def count(data: bytes, most: int) -> int:
-        if ratio * len(data) <= SMALL:
+        if ratio * len(data) <= SMALL:  # no trial: even the highest ratio would be harmless
             return 0
         size = 0
         while data and size <= most:
-            unpacker = make()
+            unpacker = make()  # a new one for each stream: these formats allow several one after the other
             size += len(unpacker.decompress(data, most + 1 - size))
             data = unpacker.unused_data if unpacker.eof else b""
         return size

@@ -68,6 +68,7 @@ class Views:
 
     def _drawn(self, spec: CameraSpec, pose: Tensor) -> Picture:
         world = self._world
+        # Renderers belong to the thread that makes them, and pictures are drawn in the simulation's.
         if self._renderer is None:
             self._renderer = world.create_renderer((_HAND, _SIDE))
         markers = world.marker_poses if world.markers else None
