@@ -177,7 +177,7 @@ class Manifest:
         scene, groups = world.scene, groups_of(own)
         configuration = as_plain(own)
         terms = zip(environment.actions.terms.items(), environment.actions.generators, strict=True)
-        # Backends that only draw, and worlds without settings, simulate nothing: no engine's version belongs to the data.
+        # Backends that only draw, and worlds without settings, simulate nothing, so no engine belongs to the data.
         simulated = not (world.backend in renderer_names() or world.settings is None)
         return Manifest(
             task=task,
