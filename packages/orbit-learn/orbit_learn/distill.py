@@ -307,9 +307,8 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
                 "set expert_starts=0"
             )
         expert = environment.task.expert(environment.world)
-        if isinstance(
-            expert, Teacher
-        ):  # its phases then follow from the state, which the student may have led elsewhere
+        # A teacher's phases follow from the state, which the student may have led elsewhere.
+        if isinstance(expert, Teacher):
             expert.teaches = True
         return lambda seen: expert.compute({})["action"]
     teacher = load_policy(policy_path(name), environment.device)
