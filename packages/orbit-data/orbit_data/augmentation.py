@@ -116,6 +116,7 @@ def _pieces(hands: Tensor, frames: Tensor, grips: Tensor, stages: Tensor, count:
     lengths = torch.stack([(stages == k).sum(0) for k in range(count)], 1)
     first = lengths.cumsum(1) - lengths
     within = torch.arange(int(lengths.max()), device=hands.device)
+    # Shorter pieces repeat their last step, so that all fit in one tensor.
     index = (first[..., None] + torch.minimum(within, lengths[..., None] - 1)).clamp(0, steps - 1)
     demo = torch.arange(demos, device=hands.device)
     kinds = torch.arange(count, device=hands.device)
@@ -205,7 +206,7 @@ class PiecewiseActor:
     def _beyond(self, hand: Tensor, target: Tensor) -> Tensor:
         """Return a pose (N, 7) on the straight line from the hand through the target and beyond it."""
         error = pose_error(hand, target)
-        parts = [error[:, :3], error[:, 3:]]
+        parts = [error[:, :3], error[:, 3:]]  # m and rad, each limited by its own lead
         lengths = [part.norm(dim=1, keepdim=True).clamp_min(1e-9) for part in parts]
         move, turn = (
             part * (lead / length).clamp(max=_GAIN) for part, length, lead in zip(parts, lengths, _LEADS, strict=True)

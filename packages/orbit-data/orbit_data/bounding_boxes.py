@@ -278,6 +278,7 @@ class CameraBoxes:
     def _outlines(self, camera_pose: Tensor, link_poses: Tensor, near: float) -> tuple[Tensor, Tensor]:
         """Compute the slopes (N, P + 24 S, 4) that bound all shapes, and the root link (N, P + 24 S) above each."""
         seen = pose_multiply(pose_inverse(camera_pose)[:, None], link_poses)
+        # Shapes in front of the near plane are exact; of others the part of their box in front of it counts.
         corners = transform_points(_rows(seen, self._shape_links)[:, :, None], self._corners)
         in_front = (-corners[..., 2] >= near).all(-1)
         poses = _rows(seen, self._links)
@@ -288,7 +289,7 @@ class CameraBoxes:
         return torch.cat((whole, cut), 1), torch.cat((self._root_of_link[self._links], ends), 1)
 
     def _subjects(self, entities: tuple[str, ...], of_links: bool) -> _Subjects:
-        key = (entities, of_links)
+        key = (entities, of_links)  # names are matched once, not at every picture
         if key not in self._chosen:
             self._chosen[key] = self._choose(*key)
         return self._chosen[key]

@@ -64,6 +64,7 @@ def write_hdf5(
         StorageError: the disk is full, or the folder cannot be written.
     """
     path, h5py = as_path(path), hdf5_module()
+    # Free space is checked ahead of several episodes at once, because each check allocates a file.
     successes: list[int] = []
     count = total = room = 0
     with _room(path, size), written_whole(path) as written:
@@ -222,7 +223,7 @@ def _check_room(path: Path, size: int) -> None:
 
 def _write_episode(group: Any, episode: Episode, compression: str | None) -> None:
     for name, array in episode.arrays.items():
-        picture = array.dtype == np.uint8 and array.ndim == 4
+        picture = array.dtype == np.uint8 and array.ndim == 4  # (T, H, W, C)
         options = {"compression": compression} if compression and array.ndim else _PICTURE if picture else {}
         group.create_dataset(name, data=array, **options)
     group.attrs["num_samples"] = episode.info.length

@@ -306,6 +306,7 @@ class DemonstrationRecorder(StepObserver):
         self._finish(end)
 
     def _put(self, name: str, value: Tensor) -> None:
+        # Rings are made at the first step, when the shapes and types of all values are known.
         ring = self._rings.get(name)
         if ring is None:
             ring = self._rings[name] = value.new_zeros((self._capacity, *value.shape))
@@ -341,6 +342,7 @@ class DemonstrationRecorder(StepObserver):
         metrics = {name: values.tolist() for name, values in end.metrics.items()}
         return [
             EpisodeInfo(
+                # Unique, and the same whenever and in whatever order episodes end.
                 number=number * count + env_id,
                 length=length,
                 success=success,
@@ -363,6 +365,7 @@ class DemonstrationRecorder(StepObserver):
         first = (last - lengths + 1).repeat_interleave(lengths)
         begin = (self._step - lengths).repeat_interleave(lengths)
         steps = (begin + torch.arange(total, device=lengths.device) - first) % self._capacity
+        # One gather for all steps of all ended episodes, instead of one for each episode.
         columns = end.env_ids.repeat_interleave(lengths)
         flat = {name: ring[steps, columns] for name, ring in self._rings.items()}
         arrays = {name: value for name, value in flat.items() if not name.startswith(OBSERVED)}
@@ -498,8 +501,9 @@ class RecordingFile:
         manifest = self.parts.manifest()
         if manifest is None:
             raise ConfigurationError(f"nothing was recorded in {self.parts.path}")
-        sweep(self.path.parent)
+        sweep(self.path.parent)  # half-written files of a killed program
         continued = (self.path,) if self._continued else ()
+        # Parts are not compressed, so that this is an upper estimate.
         size = sum(path.stat().st_size for path in (*self.parts.files, *continued))
         count = write_hdf5(self.path, self._episodes(), manifest, size=size)
         write_card(self.path)
@@ -540,6 +544,7 @@ class RecordingFile:
 
     def _episodes(self) -> Iterator[Episode]:
         """Yield all episodes in the order of recording, a file at a time; each number once."""
+        # A kill after gathering leaves parts whose episodes the dataset has already.
         numbers: set[int] = set()
         if self._continued:
             dataset = Hdf5Dataset(self.path, TRUSTED)
@@ -646,6 +651,7 @@ def _skip(environment: Environment, begun: Tensor) -> None:
     """Make the next episode of each environment the one after those (N,) that are recorded."""
     if not bool(begun.any()):
         return
+    # The reset goes on to the next episode of each stream.
     environment.world.random.begin(begun - 1)
     environment.reset()
 

@@ -83,6 +83,7 @@ def replay(
     Raises:
         ConfigurationError: the dataset does not fit the environment, or lacks an array; the message names it.
     """
+    # Observations do not matter: actions and states are read, not what a policy saw.
     check_manifest(dataset.known(), environment, str(dataset.path), groups=())
     player = EpisodePlayer(environment)
     distances: dict[str, list[Array]] = {}
@@ -196,8 +197,9 @@ class EpisodePlayer:
         if "final" in info:
             end = info["final"]
             ids = end.env_ids.cpu().numpy()
-            here = ids < len(rows)
+            here = ids < len(rows)  # other environments run without an episode to replay
             ended[ids[here]], success[ids[here]] = True, end.success.cpu().numpy()[here]
+        # An episode that ends earlier than the recorded one counts by its own end.
         reached = np.where(running & (ended | last), success, reached)
         running &= ~ended
         return reached

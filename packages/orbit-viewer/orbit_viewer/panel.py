@@ -203,6 +203,7 @@ class Panel:
         self._server = server
         self._controls = controls
         self._reward: deque[tuple[float, float]] = deque(maxlen=_HISTORY)
+        # No share button: it would ask for a public tunnel, which the viewer refuses.
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.gui.main_panel.dock_right()
         server.gui.set_panel_label(title)
@@ -224,6 +225,7 @@ class Panel:
     def pictures(self) -> tuple[str, ...]:
         """Names of the pictures to show."""
         name = self._picture_choice.value if self._picture_choice else NO_PICTURE
+        # The choice names one picture, all or none.
         return tuple(self._pictures) if name == ALL_PICTURES else () if name == NO_PICTURE else (name,)
 
     def show_status(self, rows: Mapping[str, str]) -> None:

@@ -69,7 +69,7 @@ def _position(position: Tensor) -> Tensor:
 
 def _indices(indices: npt.NDArray[np.integer]) -> Picture:
     # Hues a golden angle apart are all well apart, however many there are.
-    hue = (indices * 0.381966) % 1.0
+    hue = (indices * 0.381966) % 1.0  # 1 minus the golden ratio's reciprocal
     channels = [np.abs((hue * 6.0 - shift) % 6.0 - 3.0) - 1.0 for shift in (0.0, 2.0, 4.0)]
     colors = 60.0 + 180.0 * np.clip(np.stack(channels, axis=-1), 0.0, 1.0)
     return np.where(indices[..., None] < 0, 30.0, colors).astype(np.uint8)
@@ -255,6 +255,7 @@ class Viewer:
         self._show(soon=True)
 
     def _step(self) -> None:
+        # Environments begin new episodes by themselves, so that ends only count.
         _, reward, _, _, info = self._env.step(self._agent.act())
         self.steps += 1
         self._reward = float(reward[self.controls.selection.first])
@@ -308,6 +309,7 @@ class Viewer:
         if not names or not (soon or now >= self._picture_time):
             return
         self._drawn_picture += 1
+        # After a reset or a change all pictures are drawn, so that none shows an old state.
         for name in names if soon else (names[self._drawn_picture % len(names)],):
             self._panel.show_picture(name, self._views[name](self.controls.selection.first))
         taken = time.perf_counter() - now

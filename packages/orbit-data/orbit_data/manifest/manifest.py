@@ -252,6 +252,7 @@ class Manifest:
             manifest = msgspec.convert(values, Manifest)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigurationError(f"{where} holds no manifest: {error}") from None
+        # These are divided by, or multiplied into counts of steps.
         for name in ("step_dt", "physics_dt", "decimation", "episode_length"):
             if not _LEAST <= getattr(manifest, name) <= 1.0 / _LEAST:
                 raise ConfigurationError(f"{where} holds no manifest: its {name} is not from {_LEAST} to {1 / _LEAST}")
@@ -320,6 +321,7 @@ def _term(
 
 def _named(size: int, unit: str) -> tuple[str, ...]:
     """Return names for numbers that the task does not name: those of a pose or a vector, otherwise indices."""
+    # Poses before vectors: the first match counts.
     for names, units in ((_POSE, (POSE,)), (_POSE[:3], ("m", "m/s", "rad/s", "m/s^2", "N"))):
         if unit in units and size % len(names) == 0:
             several = size > len(names)

@@ -187,6 +187,7 @@ class Body:
         """Return target positions (1, J) of all joints, within the allowed lead of the measured ones."""
         here = self.robot.joint_positions
         wanted = self._posture.clone()
+        # Arms whose pose was requested follow it by inverse kinematics; other joints go straight to their values.
         led = [hand for hand in self.hands if hand.arm and not hand.by_joints]
         for hand in led:
             wanted[:, hand.arm] = here[:, hand.arm] + towards_pose(self.robot, hand.arm, hand.led)

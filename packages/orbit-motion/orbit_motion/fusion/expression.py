@@ -124,6 +124,7 @@ class Builder:
         parts = tuple(number for number in numbers if not _is(number, 0.0)) or (self.constant(0.0),)
         if parts in self._sums:
             return self._sums[parts]
+        # The longest known part first: it saves the most additions.
         for length in range(len(parts) - 1, 1, -1):
             for known, rest in ((parts[:length], parts[length:]), (parts[-length:], parts[:-length])):
                 if known in self._sums:
@@ -150,6 +151,7 @@ class Builder:
                 return self.negative(other)
             if one.operation == "neg":
                 return self.negative(self.multiply(one.operands[0], other))
+            # Signs move outwards, so that a product with 2 and one with -2 share their factors.
             if one.constant and isinstance(one.value, float) and one.value < 0.0:
                 return self.negative(self.multiply(self.constant(-one.value), other))
         return self.apply("mul", *self._ordered(a, b))
@@ -163,7 +165,7 @@ class Builder:
         return self.apply("neg", a)
 
     def _subtracted(self, a: Expression, b: Expression) -> Expression:
-        if a is b:
+        if a is b:  # equal expressions are one object
             return self.constant(0.0)
         return self.negative(b) if _is(a, 0.0) else self.apply("sub", a, b)
 

@@ -110,6 +110,7 @@ def _norm(builder: Builder, a: Numbers, ord: float = 2, dim: Any = None, keepdim
 
 
 def _matmul(builder: Builder, a: Numbers, b: Numbers) -> Numbers:
+    # All products at once by broadcasting; zeros of sparse matrices vanish in the sum.
     products = _product(builder, a[..., :, :, None], b[..., None, :, :])
     return _sum(builder, products, a.ndim - 1)
 
@@ -140,6 +141,7 @@ def _where(builder: Builder, condition: Numbers, a: Any, b: Any) -> Numbers:
 
 def _sign_of(builder: Builder, size: Any, sign: Any) -> Numbers:
     """Compute ``copysign``; both zeros count as positive."""
+    # The expressions have no bits to copy a sign from: a comparison takes their place.
     size = _plain("abs")(builder, size)
     return _where(builder, _plain("lt")(builder, sign, 0.0), _negative(builder, size), size)
 
@@ -155,6 +157,7 @@ def _cholesky(builder: Builder, a: Numbers, **_: Any) -> tuple[Numbers, None]:
     for j in range(size):
         squares = [factors[j, k] * factors[j, k] for k in range(j)]
         factors[j, j] = builder.apply("sqrt", a[j, j] - builder.total(squares) if squares else a[j, j])
+        # One division for a column, because a multiplication is several times as fast.
         inverse = builder.apply("reciprocal", factors[j, j])
         for i in range(j + 1, size):
             products = [factors[i, k] * factors[j, k] for k in range(j)]
@@ -196,12 +199,13 @@ def _index(_: Builder, a: Numbers, indices: Sequence[Any]) -> Numbers:
 
 def _split(_: Builder, a: Numbers, sizes: int | Sequence[int], dim: int = 0) -> list[Numbers]:
     length = a.shape[dim]
+    # NumPy splits at places, torch by sizes.
     ends = np.cumsum(sizes)[:-1] if not isinstance(sizes, int) else np.arange(sizes, length, sizes)
     return np.split(a, ends, dim)
 
 
 def _expand(_: Builder, a: Numbers, shape: Sequence[int], **__: Any) -> Numbers:
-    ahead = len(shape) - a.ndim
+    ahead = len(shape) - a.ndim  # new dimensions come first, and -1 keeps an old size
     sizes = [a.shape[i - ahead] if size == -1 else size for i, size in enumerate(shape)]
     return np.broadcast_to(a, sizes)
 

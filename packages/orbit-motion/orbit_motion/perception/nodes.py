@@ -38,10 +38,10 @@ class PointCloudNode(Node):
         name: of the node.
         camera: whose pictures come in.
         config: number and selection of points, and the workspace in the chosen frame.
-        device: where the pictures are.
-        frame: of the points.
-        random: the environments' streams, for random sampling.
-        rate: in Hz, None for the agent's.
+        device: device of the pictures.
+        frame: frame of the points.
+        random: streams of the environments, for random sampling.
+        rate: rate in Hz; None for the agent's.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class PointCloudNode(Node):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         points = point_cloud(inputs["depth"], self._intrinsics, self._pose(inputs))
         cloud = sample_point_cloud(points, self._config, inputs["rgb"], self._random)
-        assert cloud.colors is not None
+        assert cloud.colors is not None  # colours were given
         return {"points": cloud.points, "colors": cloud.colors, "valid": cloud.valid}
 
     def _pose(self, inputs: Mapping[str, Tensor]) -> Tensor | None:
@@ -93,7 +93,8 @@ class TsdfNode(Node):
         config: the grid.
         num_envs: number of environments.
         device: where the pictures are.
-        rate: in Hz, best that of the camera, for an image that is read twice counts twice; None for the agent's.
+        rate: rate in Hz, best that of the camera, because an image that is read twice counts twice; None for the
+            agent's.
     """
 
     def __init__(
@@ -114,6 +115,7 @@ class TsdfNode(Node):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.volume.integrate(inputs["depth"], self._intrinsics, inputs["pose"])
+        # The field itself, not a copy, because it is large.
         return self.memory()
 
     def reset(self, env_ids: Tensor | None = None) -> None:

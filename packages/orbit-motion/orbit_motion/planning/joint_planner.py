@@ -46,8 +46,8 @@ class JointPlanner:
     Magazine 19(4), 2012). The robot is the balls that cover it; all postures along an edge are checked at once.
 
     Args:
-        world: of the robot.
-        robot: that moves.
+        world: world of the robot.
+        robot: robot that moves.
         joints: indices of the joints.
         config: how to search.
 
@@ -121,6 +121,7 @@ class JointPlanner:
         space.setBounds(bounds)
         information = base.SpaceInformation(space)
         information.setStateValidityChecker(lambda state: self._free(_values(state, count)[None], env))
+        # All states of an edge are checked in one batch: ten times faster than one by one.
         validator = _edge_validator(base, information, lambda a, b: self._free(self._between(a, b), env), count)
         information.setMotionValidator(validator)
         information.setup()
@@ -128,7 +129,6 @@ class JointPlanner:
         for state, position in zip(states, (start, goal), strict=True):
             for joint in range(count):
                 state[joint] = float(position[joint])
-        # All states of an edge are checked in one batch: ten times faster than one by one.
         problem = base.ProblemDefinition(information)
         problem.setStartAndGoalStates(*states)
         planner = geometric.RRTConnect(information)
@@ -142,6 +142,7 @@ class JointPlanner:
             )
         path = problem.getSolutionPath()
         simplifier = geometric.PathSimplifier(information)
+        # Only vertices are removed, so that each remaining edge is one that was checked as a straight line.
         simplifier.reduceVertices(path)
         simplifier.collapseCloseVertices(path)
         return np.array([_values(path.getState(i), count) for i in range(path.getStateCount())])
@@ -190,6 +191,7 @@ class JointPlanner:
         first, second = torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2).unbind(1)
         self._pairs = (first.to(self._tree.device), second.to(self._tree.device))
         home = self._tree.forward(self._robot.root_pose[:1], self._robot.home_positions[None])
+        # Balls are larger than links, so that neighbours further along the arm may overlap even at home.
         apart = self._own_gaps(home)[0] > self.config.margin
         return self._pairs[0][apart], self._pairs[1][apart]
 
@@ -207,6 +209,7 @@ def _values(state: Any, count: int) -> _Array:
 
 
 def _edge_validator(base: Any, information: Any, free: Any, count: int) -> Any:
+    # Defined here, because its base class exists only where OMPL is installed.
     class Edges(base.MotionValidator):
         def checkMotion(self, first: Any, second: Any) -> bool:
             return free(_values(first, count), _values(second, count))
