@@ -193,7 +193,7 @@ class PictureActor(nn.Module):
 
 def joined_vectors(network: Convolutional, observation: Mapping[str, Tensor]) -> Tensor:
     """Concatenate the terms that are not pictures to (N, V), without normalisation."""
-    if not network.vectors:
+    if not network.vectors:  # torch.cat refuses an empty list
         first = observation[network.encoders[0].pictures[0].term]
         return first.new_zeros((len(first), 0), dtype=torch.float32)
     return torch.cat([observation[part.name].float().flatten(1) for part in network.vectors], dim=1)

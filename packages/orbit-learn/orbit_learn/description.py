@@ -38,6 +38,7 @@ class Part:
     """Shape of one environment's value; (size,) if None."""
     dtype: str = "float32"
     """Name of the dtype in torch."""
+    # Bounds and cameras describe values, but do not change what a policy can be given: they are not compared.
     low: float | None = field(default=None, compare=False)
     """Least value; None if unbounded."""
     high: float | None = field(default=None, compare=False)
@@ -152,6 +153,7 @@ class PolicyDescription:
         """
         self.check_action(environment)
         groups = environment.observation
+        # The best name first; Python's sort keeps the order of the others.
         names = sorted(groups, key=lambda name: (name != self.group, name != "teacher"))
         faults = {name: self._misfit(groups[name]) for name in names}
         fitting = next((name for name, fault in faults.items() if fault is None), None)
@@ -176,6 +178,7 @@ class PolicyDescription:
                 raise ConfigurationError(
                     f"the policy was learned with {name} {_told(learned)}, not with {_told(given)}"
                 )
+        # Files keep seconds as decimals, which may differ in the last bits.
         if abs(self.step_dt - other.step_dt) > 1e-9:
             raise ConfigurationError(
                 f"the policy acts every {self.step_dt:g} s, the environment every {other.step_dt:g} s"

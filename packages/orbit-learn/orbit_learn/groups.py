@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 ACTOR = "policy"
 CRITIC = "critic"
+# Libraries whose adapters here build encoders of pictures, and those that give the critic its own observation.
 _TAKE_PICTURES = ("rsl-rl", "sb3", "skrl", "torchrl", "distill")
 _TAKE_CRITICS = ("rsl-rl", "rl-games", "skrl", "torchrl")
 
@@ -36,6 +37,7 @@ def check_groups(environment: Environment, library: str) -> None:
             f"library '{library}' gives its critic what the policy sees, and cannot take observation group '{CRITIC}': "
             f"set it to None, or use {' or '.join(_TAKE_CRITICS)}"
         )
+    # Once, if actor and critic share a group.
     for name in dict.fromkeys((ACTOR, critic_group(environment))):
         if not groups[name].concatenated and library not in _TAKE_PICTURES:
             raise ConfigurationError(

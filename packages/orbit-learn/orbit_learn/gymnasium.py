@@ -55,6 +55,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
     ) -> None:
         self.environment = make(task, num_envs=num_envs, **keywords)
         self._numpy = numpy
+        # An attribute of the instance, because the frame rate depends on the task.
         self.metadata = _metadata(self.environment, AutoresetMode.SAME_STEP)
         self.render_mode = checked_mode(render_mode)
         self.num_envs = num_envs
@@ -130,6 +131,7 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
         return arrays_of(observation), info
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
+        # A batch of one, which the results below lose again.
         batch = as_tensor(action, torch.float32, self.environment.device, "action")[None]
         observation, reward, terminated, truncated, info = self.environment.step(batch)
         return arrays_of(observation), float(reward), bool(terminated), bool(truncated), outcome(info.get("final"), 0)

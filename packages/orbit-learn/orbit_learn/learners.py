@@ -61,7 +61,7 @@ def trainer_type(library: str) -> type[Trainer[Any]]:
     """
     from orbit_learn.trainer import Trainer
 
-    kind = learners().get(library)
+    kind = learners().get(library)  # the import happens here
     if not (isinstance(kind, type) and issubclass(kind, Trainer)):
         raise ConfigurationError(f"learning library '{library}' ({learners().origin(library)}) is no Trainer: {kind!r}")
     return kind
@@ -71,6 +71,7 @@ def _own_trainer(library: str, place: str) -> type[Trainer[Any]]:
     module, _, attribute = place.partition(":")
     try:
         return getattr(importlib.import_module(f"orbit_learn.{module}"), attribute)
+    # Only missing modules: other errors within an installed library must stay visible.
     except ModuleNotFoundError as error:
         raise ConfigurationError(
             f"library '{library}' needs {error.name}, which is not installed: {install_extra(library)}"

@@ -52,5 +52,5 @@ def _ordered(boxes: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:
 
 
 def _term_space(term: TermLayout) -> spaces.Box:
-    dtype: Any = _DTYPES[term.dtype]
+    dtype: Any = _DTYPES[term.dtype]  # bounds of this type: Gymnasium warns of others
     return spaces.Box(dtype(term.low), dtype(term.high), term.shape, dtype)

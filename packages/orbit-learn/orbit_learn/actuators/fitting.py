@@ -99,6 +99,7 @@ def fit(
                 f"{_WARM_UP} of that do not count: record more than {round(_WARM_UP / _HELD_OUT)}"
             )
     inputs, efforts = _windows([_part(recording, True) for recording in recordings])
+    # Inputs and efforts are scaled by their deviations: networks learn badly from numbers far from one.
     error, velocity, effort = (float(part.std().clamp_min(1e-9)) for part in (*inputs.unbind(-1), efforts))
     recurrent = settings.kind == "lstm"
     network = NetworkDescription(
@@ -135,6 +136,7 @@ def _learn(
             torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimizer.step()
             losses.append(float(loss.detach()))
+        # After each pass, so that a diverged fit does not run to its end.
         if not all(map(math.isfinite, losses)):
             raise ConfigurationError(
                 f"the fit diverged in pass {number + 1}: give a learning_rate below {settings.learning_rate:g}"
@@ -148,6 +150,7 @@ def _judged(network: ActuatorModule, recordings: Sequence[Recording]) -> Fit:
     line_wrong: list[Tensor] = []
     truths: list[Tensor] = []
     known = [_part(recording, True) for recording in recordings]
+    # The line is fitted to the same data as the network, so that the comparison is fair.
     line = _line(torch.cat([i.flatten(0, 1) for i, _ in known]), torch.cat([e.flatten() for _, e in known]))
     for recording in recordings:
         inputs, efforts = _part(recording, False)
@@ -176,6 +179,7 @@ def _part(recording: Recording, learned: bool) -> tuple[Tensor, Tensor]:
 def _windows(parts: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
     """Cut parts into windows (T, B, 2) and (T, B) that overlap by their warm-up, so that each step counts once."""
     cut = [tuple(whole.unfold(0, min(_WINDOW, len(whole)), _WINDOW - _WARM_UP) for whole in part) for part in parts]
+    # Short recordings have one shorter window, to which all are cut.
     least = min(inputs.shape[-1] for inputs, _ in cut)
     inputs = torch.cat([one[..., :least].permute(3, 0, 1, 2).flatten(1, 2) for one, _ in cut], 1)
     efforts = torch.cat([one[..., :least].permute(2, 0, 1).flatten(1, 2) for _, one in cut], 1)

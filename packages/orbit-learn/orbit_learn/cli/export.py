@@ -57,6 +57,7 @@ def main(words: Sequence[str]) -> None:
     described, weights, onnx = (settings.output / f"policy{suffix}" for suffix in (".json", ".safetensors", ".onnx"))
     make_folder(described)
     for target in (described, weights, onnx):
+        # Exporting a policy onto itself would replace the file that is read.
         check_apart(target, [path] if path.is_file() else [])
         check_output(target, target.suffix, settings.overwrite)
     if policy.manifest is None:
@@ -136,6 +137,7 @@ def _present(policy: Policy, path: Path) -> Manifest:
     from orbit_data.manifest.manifest import Manifest
 
     learned, training = policy.description, training_record(path)
+    # A policy of a backend that is not installed gets the manifest of the default one.
     installed = learned.backend in backend_names()
     trained = {key: value for key in _OF_A_TRAINING if (value := training.get("settings", {}).get(key)) and installed}
     made = EnvironmentSettings(
@@ -154,6 +156,7 @@ def _present(policy: Policy, path: Path) -> Manifest:
         manifest = renamed_group(Manifest.of(environment, learned.task, made.seed), group, learned.group)
     finally:
         environment.close()
+    # These do not change what numbers mean, so that the training's own values are more true than today's.
     known = {key: training["settings"][key] for key in ("seed", "num_envs", "device") if training}
     known |= {"versions": training["versions"]} if training else {}
     of = f"; {', '.join(known)} and settings are those that its training recorded" if known else ""

@@ -75,6 +75,7 @@ def train(settings: TrainSettings) -> Path:
     check_positive("save_every", settings.save_every)
     if settings.output is not None and settings.resume is not None:
         raise ConfigurationError("a training resumes in its own folder: leave --output out")
+    # The rank before the folder: only one process may check and write it.
     settings, leader = _ranked(for_training(settings))
     if leader and settings.output is not None:
         check_new(settings.output)
@@ -98,7 +99,7 @@ def train(settings: TrainSettings) -> Path:
 
 def _run(training: Training, iterations: int, settings: TrainSettings) -> Progress | None:
     """Train under a progress bar, and return the last progress; None in processes that do not lead."""
-    last: list[Progress] = []
+    last: list[Progress] = []  # a list, because the inner function assigns to it
     with progress_bar() as bar:
         line = bar.add_task(f"{settings.task}", total=iterations, visible=training.leader)
 
@@ -130,7 +131,9 @@ def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
         return settings, True
     if not settings.device.startswith("cuda"):
         raise ConfigurationError("several processes train on several GPUs: add --device cuda")
-    return dataclasses.replace(settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank), rank == 0
+    return dataclasses.replace(
+        settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank
+    ), rank == 0  # far apart: environments use seeds too
 
 
 def _processes() -> int:

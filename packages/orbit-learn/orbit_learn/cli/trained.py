@@ -89,9 +89,12 @@ def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Res
     played = replace(settings, fields={**fields, **settings.fields})
     for name, installed in (("backend", backend_names()), ("renderer", renderer_names()), ("matter", None)):
         learned, own = record.get(name), getattr(settings, name)
+        # A backend that is not installed here is left open, so that the policy can still be played on another.
         if own is None and learned is not None and (installed is None or learned in installed):
             played, own = replace(played, **{name: learned}), learned
+        # Options of a backend are called --setting, those of others --renderer-setting and --matter-setting.
         words, table = ("setting", "settings") if name == "backend" else (f"{name}_setting", f"{name}_settings")
+        # Settings belong to one backend: they are restored only with it.
         given = {**record.get(table, {}), **assignments(record.get(words, ()), name, "setting")}
         if own == learned:
             played = replace(played, **{table: {**given, **getattr(settings, table)}})
@@ -110,9 +113,10 @@ def _fields(record: Mapping[str, Any], task: str) -> tuple[dict[str, Any], list[
         for name, value in {**table, **words}.items()
         if name in OF_TRAINING_ALONE or (name not in words and name in by_itself and by_itself[name] == value)
     }
+    # Words of --set override fields, in training as here.
     fields = {name: value for name, value in {**table, **words}.items() if name not in alone}
     lines = [
-        f"{name} = {_told({**table, **words}[name])} left out, for it belongs to training" for name in sorted(alone)
+        f"{name} = {_told({**table, **words}[name])} left out, because it belongs to training" for name in sorted(alone)
     ]
     return fields, lines
 
