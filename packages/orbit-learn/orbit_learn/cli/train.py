@@ -131,9 +131,8 @@ def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
         return settings, True
     if not settings.device.startswith("cuda"):
         raise ConfigurationError("several processes train on several GPUs: add --device cuda")
-    return dataclasses.replace(
-        settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank
-    ), rank == 0  # far apart: environments use seeds too
+    # Seeds are far apart, so that no process repeats another's random streams.
+    return dataclasses.replace(settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank), rank == 0
 
 
 def _processes() -> int:
