@@ -175,7 +175,7 @@ class PictureActor(nn.Module):
         self.layers = perceptron(size + network.features, network.hidden_sizes, action_size, activation)
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        return self.unclipped(observation).clamp(-1.0, 1.0)
+        return self.unclipped(observation).clamp(-1.0, 1.0)  # the range of every action
 
     def vectors(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Return the concatenated terms (N, V) that are not pictures, of which ``mean`` and ``std`` are."""

@@ -98,7 +98,7 @@ class ReplayBuffer:
         terms = {"": observation} if isinstance(observation, Tensor) else observation
         rows = slice(self._next, self._next + self._count)
         for name, kept in self._terms.items():
-            kept[rows] = terms[name]
+            kept[rows] = terms[name]  # converts to the shorter type on the way
         self._actions[rows] = action
         self._next = (self._next + self._count) % self._rows
         self.size = min(self.size + self._count, self._rows)
@@ -159,6 +159,7 @@ class RunningMoments:
         """Add rows (M, size)."""
         count, mean = len(rows), rows.mean(0)
         total, change = self.count + count, mean - self.mean
+        # Pairwise, so that the sum of squares keeps its precision over millions of rows.
         self._squares += ((rows - mean) ** 2).sum(0) + change**2 * self.count * count / total
         self.mean += change * count / total
         self.count += count

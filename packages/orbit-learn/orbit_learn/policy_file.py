@@ -78,6 +78,7 @@ def newest_file(folder: Path | str, prefix: str) -> Path | None:
     if not found:
         return None
     newest = found[max(found)]
+    # A link could lead to any file, which would then be loaded as this training's policy.
     if newest.resolve().parent != folder.resolve():
         raise ConfigurationError(f"{newest} is a link that leads out of its folder: name the file that it leads to")
     return newest
@@ -172,7 +173,7 @@ def check_action(module: nn.Module, description: PolicyDescription, path: Path, 
 def _network(values: Any, where: str) -> Network:
     if not isinstance(values, dict) or not isinstance(values.get("name"), str):
         raise ConfigurationError(f"{where} names no network")
-    name = values["name"][:60]  # for messages
+    name = values["name"][:60]  # messages must not repeat a long text of an untrusted file
     try:
         kind = network_type(name)
     except OrbitError as error:

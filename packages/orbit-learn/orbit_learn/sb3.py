@@ -107,6 +107,7 @@ class Sb3Environment(VecEnv):
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         self.environment = environment
+        # Stable-Baselines3 handles one environment per row; ORBIT steps all rows at once.
         super().__init__(
             environment.num_envs,
             observed_space(environment.observation[ACTOR]),
@@ -162,7 +163,7 @@ class Sb3Environment(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        self._seed = seed
+        self._seed = seed  # used by the next reset
         return [seed] * self.num_envs
 
 
@@ -215,7 +216,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
         self._model.learn(
             iterations * self._batch,
             callback=callback,
-            reset_num_timesteps=self._model.num_timesteps == 0,
+            reset_num_timesteps=self._model.num_timesteps == 0,  # a resumed training counts on
             tb_log_name="tensorboard",
         )
         callback.finish_iteration()  # the last one, after which no rollout starts

@@ -111,7 +111,7 @@ class VectorScaler(RunningStandardScaler):
             return None
         vectors = super().forward(x[:, self.columns], train=train, inverse=inverse, no_grad=no_grad)
         assert vectors is not None
-        return x.index_copy(1, self.columns, vectors)
+        return x.index_copy(1, self.columns, vectors)  # out of place: the agent's memory keeps the original
 
 
 def _begins(parts: Sequence[Part]) -> dict[str, int]:
@@ -178,6 +178,7 @@ class SkrlEnvironment(Wrapper):
 
 
 def _flat(group: Tensor | dict[str, Tensor]) -> Tensor:
+    # A concatenated group is flat already; colours become float32 with the rest.
     flat = flatten_tensorized_space(group)
     assert flat is not None
     return flat.float()
@@ -231,7 +232,7 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
                     **time,
                 )
             self.tally.add(extras["ends"], self._environment.num_envs)
-            self._agent.post_interaction(**time)
+            self._agent.post_interaction(**time)  # which learns once the memory is full
             seen = following
 
     def state(self) -> Any:

@@ -28,6 +28,7 @@ def group_space(layout: GroupLayout) -> spaces.Space[Any]:
     """Return the space of one observation group, with its terms' dtypes and bounds."""
     if not layout.concatenated:
         return _ordered({name: _term_space(term) for name, term in layout.terms.items()})
+    # One box over all terms, with each term's bounds repeated for its components.
     low, high = (
         np.concatenate([np.full(term.shape, getattr(term, side), np.float32) for term in layout.terms.values()])
         for side in ("low", "high")

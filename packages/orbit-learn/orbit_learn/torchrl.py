@@ -68,6 +68,7 @@ class ObservedGroup:
         if self._norm is None:
             return
         seen: Any = batch[self._layout.name]
+        # In training mode only here, so that evaluations do not change the statistics.
         self._norm.train()(seen if self._network is None else joined_vectors(self._network, seen))
         self._norm.eval()
 
@@ -106,6 +107,7 @@ class Normalization(nn.BatchNorm1d):
     """Normalisation by the mean and variance of all batches so far with equal weights, over any leading dimensions."""
 
     def forward(self, input: Tensor) -> Tensor:
+        # BatchNorm1d takes rows; rollouts have dimensions of time and environments before them.
         return super().forward(input.reshape(-1, self.num_features)).view_as(input)
 
 
@@ -186,7 +188,7 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
-        environment.reset(seed)
+        environment.reset(seed)  # before the collector, which only resets without a seed
         groups, critic = environment.observation, critic_group(environment)
         self._groups = {
             name: ObservedGroup(groups[name], settings, environment.device) for name in dict.fromkeys((ACTOR, critic))

@@ -100,6 +100,7 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
     joints = _names(path, data["joints"])
     if not joints:
         raise ConfigurationError(f"recording {path} names no joint")
+    # Two columns of one name would be fitted as two joints with the same data.
     if len({*joints}) < len(joints):
         raise ConfigurationError(f"recording {path} names a joint twice: {', '.join(joints)}")
     time = _real(path, "time", data["time"])
@@ -116,6 +117,7 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
             raise NonFiniteError(
                 f"recording {path}: {name} is not finite in step {np.argwhere(~np.isfinite(array))[0][0]}"
             )
+    # Numbers that no joint reaches in SI units are a sign of other units, or of damage.
     largest = max(float(np.abs(array).max(initial=0.0)) for array in (time, *arrays.values()))
     if largest > _LARGEST:
         raise ConfigurationError(f"recording {path} holds {largest:g}, which no joint reaches: use SI units")

@@ -43,6 +43,7 @@ def restored_settings(settings: PlaySettings) -> Restored:
 
     path = policy_path(settings.policy)
     learned = load_policy(path).description
+    # A kept policy is played as its policy.toml states, even if the training's record is next to it.
     record = {} if is_kept(path) else training_record(path).get("settings", {})
     restored = restore(settings, record, settings.task or learned.task)
     own = restored.settings
