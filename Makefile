@@ -32,7 +32,7 @@ PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
 UNITS := --ignore tests/conformance/test_scenarios.py
 
 .PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
-	slow-list docs docs-view wheels check-wheels clean
+	slow-list docs docs-view wheels check-wheels report-archive clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -151,6 +151,12 @@ wheels: $(VENV)/.ready-dev
 
 check-wheels: wheels
 	PYTHON=$(PYTHON) sh tools/check_wheels.sh dist examples/orbit-torch
+
+# The compact report for docs/conformance, and the whole of it as an archive for the release: RUNS are folders of
+# finished runs, the last archive, unpacked, among them.
+report-archive: $(VENV)/.ready-dev
+	$(BIN)/orbit conformance publish $(RUNS) --output docs/conformance --archive out/release \
+		--benchmarks docs/figures/gpu_rates.json
 
 clean:
 	rm -rf $(VENV) out

@@ -79,15 +79,10 @@ def busiest(env: Environment, actions: torch.Tensor, count: int, steps: int = 20
 
 def kernels(env: Environment) -> str:
     """What became of the generators' own kernels."""
-    runners = env.cut.graph.runners
-    parts = {id(part): part for r in runners for part in _values(r.node) if isinstance(part, Fused)}
+    parts = {
+        id(part): part for node in env.actions.generators for part in vars(node).values() if isinstance(part, Fused)
+    }
     return ", ".join(part.refusal or f"{part.operations} operations" for part in parts.values())
-
-
-def _values(node: object) -> list[object]:
-    """A node's attributes, and those of the generator that it may hold."""
-    own = list(vars(node).values())
-    return own + [value for part in own if hasattr(part, "__dict__") for value in vars(part).values()]
 
 
 def work(arguments: argparse.Namespace, action: str, line: Connection) -> None:

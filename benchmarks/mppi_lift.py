@@ -47,7 +47,7 @@ def main() -> None:
 
 def _reached(environment: Environment) -> str:
     heights = environment.world.objects["cube"].root_pose[:, 2]
-    succeeded = int(environment.task.success(environment.world).sum())
+    succeeded = int(environment.task.success(environment).sum())
     return f"{succeeded} of {environment.num_envs} at the goal, {int((heights > 0.06).sum())} off the table"
 
 

@@ -7,9 +7,9 @@ from orbit_core.rollout.estimates import proportion
 from orbit_tasks.lift import Lift, LiftRewards
 
 
-def height(world, task):
-    """(N,) metres of the cube above the table: any function of world and task is a term."""
-    return world.objects["cube"].root_pose[:, 2]
+def height(env):
+    """(N,) metres of the cube above the table: any function of the environment is a term."""
+    return env.world.objects["cube"].root_pose[:, 2]
 
 
 rewards = LiftRewards(lift=RewardTerm(height, weight=30.0), joint_speed=None)

@@ -1,69 +1,34 @@
 """A new task in one file: put one cube on top of another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from orbit_assets.objects import BENCH_HEIGHT, box, work_bench
-from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, make
-from orbit_core.interfaces import World
+from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, make
 from orbit_core.mdp import common
-from orbit_core.robots import robot
 from orbit_core.scene import Scene
-from orbit_motion.experts import Expert, Phase
+from orbit_motion.experts import Expert
+from orbit_tasks.mdp import picking
 
 EDGE = 0.05
+red, blue = common.object_pose("red"), common.object_pose("blue")
 
 
-def red(world: World, task: Stack) -> Tensor:
-    """(N, 7) of the cube that moves."""
-    return world.objects["red"].root_pose
+def place(env: Environment) -> Tensor:
+    """(N, 7) of the red cube where it belongs: on the blue one."""
+    return blue(env) + torch.tensor([0, 0, EDGE, 0, 0, 0, 0], device=env.device)
 
 
-def blue(world: World, task: Stack) -> Tensor:
-    """(N, 7) of the cube that stays."""
-    return world.objects["blue"].root_pose
+def distance(env: Environment) -> Tensor:
+    """(N,) metres between the red cube and its place."""
+    return (place(env) - red(env))[:, :3].norm(dim=1)
 
 
-def raised(pose: Tensor, height: float) -> Tensor:
-    """(N, 7)"""
-    return pose + torch.tensor([0, 0, height, 0, 0, 0, 0], device=pose.device)
-
-
-def distance(world: World, task: Stack) -> Tensor:
-    """(N,) metres between the red cube and its place on the blue one."""
-    return (raised(blue(world, task), EDGE)[:, :3] - red(world, task)[:, :3]).norm(dim=1)
-
-
-def reach(world: World, task: Stack) -> Tensor:
-    """(N,) in [0, 1]: how near the hand is to the red cube."""
-    return 1.0 - torch.tanh(5.0 * (red(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]).norm(dim=1))
-
-
-def place_cubes(world: World, task: Stack, env_ids: Tensor) -> None:
-    """The red cube to the right of the robot, the blue one to its left."""
-    for name, low, high in (("red", -0.25, -0.1), ("blue", 0.1, 0.25)):
-        pose = torch.zeros(len(env_ids), 7, device=world.device)
-        pose[:, 0] = world.random.uniform((), 0.4, 0.6, env_ids)
-        pose[:, 1] = world.random.uniform((), low, high, env_ids)
-        pose[:, 2], pose[:, 3] = 0.5 * EDGE, 1.0
-        world.objects[name].set_root_pose(pose, env_ids)
-
-
-def at_red(world: World, task: Stack) -> Tensor:
-    """(N, 7) the hand around the red cube, pointing down."""
-    position = red(world, task)[:, :3]
-    return torch.cat((position, common.facing_down(torch.zeros_like(position[:, 0]))), dim=1)
-
-
-def over_blue(world: World, task: Stack, height: float) -> Tensor:
-    """(N, 7) the hand where the red cube comes to lie ``height`` above its place, as it sits in the hand now."""
-    hand = common.hand_pose(world, task)[:, :3]
-    position = hand + raised(blue(world, task), EDGE + height)[:, :3] - red(world, task)[:, :3]
-    return torch.cat((position, common.facing_down(torch.zeros_like(position[:, 0]))), dim=1)
+def reach(env: Environment) -> Tensor:
+    """(N,) metres between the hand and the red cube."""
+    return (red(env) - common.hand_pose(env))[:, :3].norm(dim=1)
 
 
 @dataclass
@@ -82,20 +47,16 @@ class StackObservations:
 
 @dataclass
 class StackRewards:
-    reach: RewardTerm | None = RewardTerm(reach, 1.0)
-    stack: RewardTerm | None = RewardTerm(lambda world, task: 1.0 - torch.tanh(5.0 * distance(world, task)), 10.0)
-    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
-
-
-@dataclass
-class StackTerminations:
-    """Only the time limit ends an episode."""
+    reach: RewardTerm | None = RewardTerm(lambda env: common.nearness(reach(env), 0.2), weight=1.0)
+    stack: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.2), weight=10.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, weight=-1e-4)
 
 
 @dataclass
 class StackEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
-    place_cubes: EventTerm | None = EventTerm(place_cubes)
+    place_red: EventTerm | None = EventTerm(common.place_object("red", (0.4, 0.6), (-0.25, -0.1), 0.5 * EDGE))
+    place_blue: EventTerm | None = EventTerm(common.place_object("blue", (0.4, 0.6), (0.1, 0.25), 0.5 * EDGE))
 
 
 @dataclass(kw_only=True)
@@ -105,56 +66,33 @@ class Stack(Task):
     robot: str = "franka_panda"
     action: str = "ik_relative"
     episode_length: float = 8.0
-    tolerance: float = 0.015
-    """Metres."""
+    tolerance: float = 0.015  # metres
     observations: StackObservations = field(default_factory=StackObservations)
     rewards: StackRewards = field(default_factory=StackRewards)
-    terminations: StackTerminations = field(default_factory=StackTerminations)
     events: StackEvents = field(default_factory=StackEvents)
 
     def scene(self) -> Scene:
-        size = (EDGE, EDGE, EDGE)
-        red_cube = box("red", size=size, mass=0.1, color=(0.8, 0.15, 0.1, 1.0))
-        blue_cube = box("blue", size=size, mass=0.1, color=(0.1, 0.25, 0.8, 1.0))
-        return Scene(
-            robots=(robot(self.robot, name=common.ROBOT),),
-            objects=(red_cube, blue_cube, work_bench()),
-            terrain=(common.floor(-BENCH_HEIGHT),),
-            physics_dt=self.physics_dt,
-        )
+        colors = {"red": (0.8, 0.15, 0.1, 1.0), "blue": (0.1, 0.25, 0.8, 1.0)}
+        cubes = [box(name, (EDGE, EDGE, EDGE), mass=0.1, color=color) for name, color in colors.items()]
+        objects, floor = (*cubes, work_bench()), common.floor(-BENCH_HEIGHT)
+        return Scene(robots=(common.arm(self.robot),), objects=objects, terrain=(floor,), physics_dt=self.physics_dt)
 
-    def success(self, world: World) -> Tensor:
-        away = (common.hand_pose(world, self)[:, :3] - red(world, self)[:, :3]).norm(dim=1) > EDGE
-        return (distance(world, self) < self.tolerance) & away
+    def success(self, env: Environment) -> Tensor:
+        return (distance(env) < self.tolerance) & (reach(env) > EDGE)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"distance_m": distance(world, self)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"distance_m": distance(env)}
 
-    def expert(self, world: World) -> Expert:
-        phases = (
-            Phase(lambda world, task: raised(at_red(world, task), 0.1), position_tolerance=0.02),
-            Phase(at_red, position_tolerance=0.006, timeout=1.5),
-            Phase(at_red, gripper_open=False, dwell=0.4, timeout=0.5),
-            Phase(lambda world, task: over_blue(world, task, 0.1), gripper_open=False, position_tolerance=0.02),
-            Phase(lambda world, task: over_blue(world, task, 0.004), gripper_open=False, position_tolerance=0.003,
-                  timeout=2.0),
-            Phase(lambda world, task: over_blue(world, task, 0.004), dwell=0.3, timeout=0.4),
-            Phase(lambda world, task: raised(at_red(world, task), 0.15)),
-        )  # fmt: skip
-        return Expert(world, self, phases)
-
-
-def main() -> None:
-    """One episode in each of 16 environments, with the expert."""
-    environment = make(Stack(), num_envs=16, backend="mujoco", seed=0)
-    expert = environment.expert()
-    info = {}
-    for _ in range(environment.max_episode_steps):
-        *_, info = environment.step(expert.compute({})["action"])
-    end = info["final"]
-    print(f"{int(end.success.sum())} of {len(end.success)} stacked, off by {end.metrics['distance_m'].mean():.4f} m")
-    environment.close()
+    def expert(self, env: Environment) -> Expert:
+        to_place = picking.hand_for(lambda env: common.pointing_down(place(env)[:, :3]), held=red)
+        grasp = picking.pick(env.world, lambda env: common.pointing_down(red(env)[:, :3]))
+        return Expert(env, (*grasp, *picking.put(to_place, height=0.25)))
 
 
 if __name__ == "__main__":
-    main()
+    env = make(Stack(), num_envs=16, backend="mujoco", seed=0)
+    expert = env.expert()
+    for _ in range(env.max_episode_steps):
+        *_, info = env.step(expert.compute({})["action"])
+    end = info["final"]
+    print(f"{int(end.success.sum())} of {len(end.success)} stacked, off by {end.metrics['distance_m'].mean():.4f} m")

@@ -6,6 +6,7 @@ Importing this package is light: no engine, no file format and no viewer is load
 import os
 
 from orbit_core import moved
+from orbit_core.exports import lazy_modules
 
 __version__ = "0.1.0"
 
@@ -14,3 +15,5 @@ __version__ = "0.1.0"
 # (docs/performance.md). MKL reads the variable at the process's first product; elsewhere it has no effect.
 os.environ.setdefault("MKL_CBWR", "AUTO,STRICT")
 moved.install()
+
+__getattr__, __dir__ = lazy_modules(__name__)

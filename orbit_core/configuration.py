@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-import numpy as np
 
 from orbit_core.interfaces.errors import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
 
@@ -68,6 +67,7 @@ def configured(
         UnknownNameError: there is no such field; names the nearest.
         ConfigurationError: a value is not of the kind that its field takes; names the field by its path.
     """
+    # Split once here; below, paths are lists of names.
     paths = [(str(path).split("."), value) for path, value in values.items()]
     return _Owner(owner, kind, presets or {}).set(config, paths, "")
 
@@ -190,6 +190,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 def _depth(values: Any) -> int:
     """Return how deep tables and lists nest, counted without recursion."""
+    # Level by level: a recursive count would hit the very limit that it looks for.
     depth, level = 0, [values]
     while level:
         depth += 1
@@ -236,6 +237,7 @@ class _Owner:
                 changes[name] = self._set_below(present, below, f"{above}{name}")
             else:
                 what = f"{self.kind} '{above}{name}' of {self.name}"
+                # Presets belong to fields of the configured object itself, not to those below.
                 words = {} if above else self.presets.get(name, {})
                 changes[name] = _read(value, present, known[name], words, what)
         try:
@@ -289,6 +291,7 @@ def _from_text(text: str, hint: Any, present: Any, what: str) -> Any:
 
 def _converted(value: Any, plain: list[Any], what: str, strict: bool, shown: Any = None) -> Any:
     wanted = functools.reduce(lambda left, right: left | right, plain)
+    # msgspec would take True for 1, as Python does.
     if isinstance(value, bool) and bool not in plain:
         raise ConfigurationError(f"{what} is {value}, but must be {_words(plain, None)}")
     if isinstance(value, Enum):
@@ -303,6 +306,7 @@ def _converted(value: Any, plain: list[Any], what: str, strict: bool, shown: Any
 def _checked(value: Any, what: str) -> Any:
     """Reject numbers that no engine can hold."""
     for number in value if isinstance(value, tuple | list) else (value,):
+        # Engines count in 32 bits, and a larger number would wrap around in silence.
         if isinstance(number, int) and abs(number) > _LARGEST:
             raise ConfigurationError(f"{what} is {number}: give at most {_LARGEST}")
         if isinstance(number, float) and not math.isfinite(number):
@@ -437,6 +441,8 @@ class TypeChecker:
         return self._checks[hint]
 
     def _make(self, hint: Any) -> Check:
+        import numpy as np  # only checks need it, and commands that list names start without
+
         branches, optional = _branches(hint), _optional(hint)
         if optional or len(branches) > 1:
             return self._union(branches, optional)
@@ -472,6 +478,8 @@ class TypeChecker:
         return check
 
     def _tuple(self, parts: Sequence[Any]) -> Check:
+        import numpy as np
+
         repeated = len(parts) == 2 and parts[1] is Ellipsis
         checks = [self._of(part) for part in parts if part is not Ellipsis]
 
@@ -528,21 +536,25 @@ def _check_nothing(value: Any, where: str) -> None:
 def _check_number(value: Any, where: str) -> None:
     if type(value) is float and value == value:
         return
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real) or math.isnan(value):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or math.isnan(value):
         raise wrong_value(where, value, _word(float))
 
 
 def _check_whole_number(value: Any, where: str) -> None:
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral):
         raise wrong_value(where, value, _word(int))
 
 
 def _check_truth(value: Any, where: str) -> None:
+    import numpy as np
+
     if not isinstance(value, bool | np.bool_):
         raise wrong_value(where, value, _word(bool))
 
 
 def _check_array(value: Any, where: str) -> None:
+    import numpy as np
+
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
         raise wrong_value(where, value, "an array of real numbers")
     if np.isnan(value).any():

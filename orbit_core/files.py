@@ -1,7 +1,7 @@
-"""Files and folders that appear whole or not at all, and folders of one writer.
+"""Files and folders that appear whole or not at all, and folders with a single writer.
 
-Whatever writes, writes in a folder of its own next to the target. Only once all is there and flushed to the disk does
-it take the target's place, in one step: whatever ends the program, the target is the old one or the new one.
+A writer writes to its own folder next to the target. The result takes the target's place in one step, once it is
+complete and flushed to the disk: however the program ends, the target is the old one or the new one.
 """
 
 from __future__ import annotations
@@ -84,6 +84,7 @@ class Replacement:
     """
 
     def __init__(self, path: Path) -> None:
+        # A path that ends in ".." has no name that a folder could take.
         self.path = path if path.name not in ("", "..") else path.resolve()
         with storage_faults(path):
             self._folder, self._lock = _locked_folder(self.path.parent)
@@ -152,7 +153,7 @@ def append_line(path: Path, line: str) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Delete what writers that died have left in a folder; what they were about to replace is given back."""
+    """Delete partial results of dead writers in a folder, and restore what they were about to replace."""
     for left in folder.glob(".orbit-*.partial"):
         if not _PARTIAL.fullmatch(left.name) or left.is_symlink():
             continue
@@ -176,7 +177,7 @@ def check_apart(output: Path, inputs: Iterable[Path]) -> None:
         inputs: files and folders that are read.
 
     Raises:
-        ConfigurationError: the output is, holds or lies in an input, or is or holds the working folder.
+        ConfigurationError: the output is, holds or is in an input, or is or holds the working folder.
     """
     target = output.resolve()
     for path in inputs:
@@ -186,14 +187,14 @@ def check_apart(output: Path, inputs: Iterable[Path]) -> None:
         if source.is_relative_to(target):
             raise ConfigurationError(f"{output} holds {path}, which is read: give another name")
         if target.is_relative_to(source):
-            raise ConfigurationError(f"{output} lies in {path}, which is read: give another name")
+            raise ConfigurationError(f"{output} is in {path}, which is read: give another name")
     if Path.cwd().is_relative_to(target):
         raise ConfigurationError(f"{output} is the working folder, or holds it: give another name")
 
 
 @contextmanager
 def storage_faults(path: Path) -> Iterator[None]:
-    """Turn what the file system refuses within into one sentence that names the file and the reason.
+    """Turn errors of the file system into one sentence that names the file and the reason.
 
     Raises:
         StorageError: an operation on files failed.
@@ -206,7 +207,7 @@ def storage_faults(path: Path) -> Iterator[None]:
 
 
 def _locked_folder(parent: Path) -> tuple[Path, int]:
-    """Make a folder to write in, with a lock on it that tells :func:`sweep` that its writer lives."""
+    """Make a folder to write in, with a lock by which :func:`sweep` knows that its writer is alive."""
     while True:
         folder = parent / f".orbit-{secrets.token_hex(4)}.partial"
         folder.mkdir()

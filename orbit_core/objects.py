@@ -28,12 +28,13 @@ GROUP = "orbit.objects"
 class ObjectConfig(ABC):
     """Parameters that an object of one kind is made from; each has a default."""
 
+    # A class variable, so that a kind is known by name before an instance is made.
     name: ClassVar[str]
     """The kind's name in the catalogue."""
 
     @abstractmethod
     def build(self, name: str, pose: Pose | None = None) -> ObjectSpec:
-        """Return the object.
+        """Build the object.
 
         Args:
             name: of the object in its scene.
@@ -46,7 +47,7 @@ class ObjectConfig(ABC):
     @property
     @abstractmethod
     def rest_height(self) -> float:
-        """Metres from what the object stands on, upright, to the origin of its frame."""
+        """Height of the frame's origin above the support, the object upright, m."""
 
 
 @cache
@@ -65,6 +66,7 @@ def object_config(name: str, /, **parameters: Any) -> ObjectConfig:
     """
     kind = object_kinds().get(name)
     try:
+        # A third party's kind may lack a default, which only shows here.
         defaults = kind()
     except TypeError as error:
         raise ConfigurationError(f"object '{name}' ({kind.__module__}) cannot be made by name: {error}") from error

@@ -56,9 +56,10 @@ class RobotEntry:
         """Build the robot.
 
         Raises:
-            AssetError: its model cannot be had.
+            AssetError: its model is not available.
             ConfigurationError: the module that builds it cannot be imported.
         """
+        # A function where a package builds the robot itself; text where importing it would be slow.
         if callable(self.build):
             return self.build()
         if not self.build:
@@ -66,7 +67,7 @@ class RobotEntry:
         return self._imported(self.build)()
 
     def load_part(self) -> Part:
-        """The part that a robot may be composed of.
+        """Import the part that a robot may be composed of.
 
         Raises:
             ConfigurationError: this robot is none, or the module of it cannot be imported.
@@ -74,18 +75,20 @@ class RobotEntry:
         if not self.part:
             parts = [name for name, entry in robots().entries.items() if entry.part]
             raise ConfigurationError(
-                f"robot '{self.name}' is whole, and no part to compose robots of: take one of {', '.join(parts)}"
+                f"robot '{self.name}' is complete, not a part of compositions: take one of {', '.join(parts)}"
             )
         return self._imported(self.part)
 
     def _imported(self, where: str) -> Any:
+        # Imported only now: listing a hundred robots must not load their modules.
         module, _, attribute = where.partition(":")
         with faults_named(f"robot '{self.name}' ({where})"):
             return getattr(importlib.import_module(module), attribute)
 
     @cached_property
     def dof(self) -> int:
-        """The number of joints that move freely, mimics left out. Builds the robot."""
+        """Number of joints that move freely, without mimics. Builds the robot."""
+        # Counted on the built robot, so that an entry cannot state a wrong number.
         return sum(joint.mimic is None for joint in self.load().articulation.movable_joints)
 
 
@@ -109,9 +112,9 @@ class RobotCatalogue:
         self._registry.add(entry.name, entry)
 
     def entry(self, name: str) -> RobotEntry:
-        """The robot's entry; of a composition such as ``"ur10+allegro_right"``, one made of its parts' entries.
+        """Return the entry of a robot, or of a composition such as ``"ur10+allegro_right"``.
 
-        Spaces around names do not count.
+        The entry of a composition is made of those of its parts. Spaces around names do not count.
 
         Raises:
             UnknownNameError: there is none of that name.
@@ -119,6 +122,7 @@ class RobotCatalogue:
         """
         if not isinstance(name, str) or "+" not in name:
             return self._registry.get(name.strip() if isinstance(name, str) else name)
+        # A composition has no entry point: its entry is made on request.
         parts = self.parts(name)
         return RobotEntry(
             name,
@@ -129,7 +133,7 @@ class RobotCatalogue:
         )
 
     def parts(self, names: str) -> list[RobotEntry]:
-        """The entries of the names that stand between plus signs.
+        """Return the entries of the names between plus signs.
 
         Raises:
             UnknownNameError: there is no robot of a name.
@@ -150,16 +154,17 @@ class RobotCatalogue:
 
 
 def composed(names: str) -> RobotSpec:
-    """The robot of the parts whose names stand between plus signs, the base first.
+    """Compose the robot of the parts whose names are between plus signs, the base first.
 
     An arm named last mounts its own end effector, if it has one.
 
     Raises:
         UnknownNameError: there is no robot of a name.
         ConfigurationError: a robot is no part, or the parts cannot be mounted on each other.
-        AssetError: a part's model cannot be had.
+        AssetError: the model of a part is not available.
     """
     parts = [entry.load_part() for entry in robots().parts(names)]
+    # Named last, an arm is the end of the chain, and carries its default hand.
     if parts[-1].end_effector:
         parts.append(robots().entry(parts[-1].end_effector).load_part())
     return parts[0].composed(names.replace(" ", ""), parts[1:])
@@ -167,17 +172,17 @@ def composed(names: str) -> RobotSpec:
 
 @cache
 def robots() -> RobotCatalogue:
-    """The catalogue of all installed robots, read once."""
+    """Return the catalogue of all installed robots, read once."""
     return RobotCatalogue()
 
 
 def robot_names() -> list[str]:
-    """Names of all installed robots, sorted."""
+    """Return the names of all installed robots, sorted."""
     return sorted(robots().entries)
 
 
 def robot_info(name: str) -> RobotEntry:
-    """Description, source, licence and degrees of freedom of a robot.
+    """Return description, source, licence and degrees of freedom of a robot.
 
     Raises:
         UnknownNameError: there is none of that name.
@@ -186,13 +191,14 @@ def robot_info(name: str) -> RobotEntry:
 
 
 def robot(name: str, /, **overrides: Any) -> RobotSpec:
-    """The robot of that name, with fields of :class:`~orbit_core.scene.RobotSpec` replaced by ``overrides``.
+    """Build the robot of that name, with fields of :class:`~orbit_core.scene.RobotSpec` replaced by ``overrides``.
 
     Raises:
         UnknownNameError: there is no such robot or field.
         AssetError: the package that the model comes from is neither installed nor cached.
     """
     spec = robot_info(name).load()
+    # Checked here, because replace would raise a TypeError without the nearest name.
     fields = [field.name for field in dataclasses.fields(spec)]
     for field in overrides:
         if field not in fields:

@@ -4,12 +4,117 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from orbit_core.exports import lazy_names
+
 if TYPE_CHECKING:
     from orbit_core.envs.registry import TaskRegistry
+    from orbit_tasks.beat_the_buzz import BeatTheBuzz
+    from orbit_tasks.cabinet import Cabinet
+    from orbit_tasks.cartpole import CartpoleBalance, CartpoleSwingUp
+    from orbit_tasks.cloth_dropping import ClothDropping
+    from orbit_tasks.cloth_folding import ClothFolding
+    from orbit_tasks.cloth_lifting import ClothLifting
+    from orbit_tasks.cloth_spreading import ClothSpreading
+    from orbit_tasks.dishwasher import Dishwasher
+    from orbit_tasks.flag_hoisting import FlagHoisting
+    from orbit_tasks.handover import Handover
+    from orbit_tasks.hockey import Hockey
+    from orbit_tasks.in_hand_repose import InHandRepose
+    from orbit_tasks.jenga import Jenga
+    from orbit_tasks.lift import Lift
+    from orbit_tasks.mobile_cabinet import MobileCabinet
+    from orbit_tasks.mobile_lift import MobileLift
+    from orbit_tasks.mobile_reach import MobileReach
+    from orbit_tasks.nut_bolt import NutBolt
+    from orbit_tasks.peg_in_hole import PegInHole
+    from orbit_tasks.reach import Reach
+    from orbit_tasks.recover import Recover
+    from orbit_tasks.room_reorganization import RoomReorganization
+    from orbit_tasks.rope_reshaping import RopeReshaping
+    from orbit_tasks.running import Ant, Humanoid
+    from orbit_tasks.stack_pyramid import Stack, StackPyramid
+    from orbit_tasks.velocity_flat import VelocityFlat
+    from orbit_tasks.velocity_rough import VelocityRough
+
+__all__ = [
+    "Ant",
+    "BeatTheBuzz",
+    "Cabinet",
+    "CartpoleBalance",
+    "CartpoleSwingUp",
+    "ClothDropping",
+    "ClothFolding",
+    "ClothLifting",
+    "ClothSpreading",
+    "Dishwasher",
+    "FlagHoisting",
+    "Handover",
+    "Hockey",
+    "Humanoid",
+    "InHandRepose",
+    "Jenga",
+    "Lift",
+    "MobileCabinet",
+    "MobileLift",
+    "MobileReach",
+    "NutBolt",
+    "PegInHole",
+    "Reach",
+    "Recover",
+    "RoomReorganization",
+    "RopeReshaping",
+    "Stack",
+    "StackPyramid",
+    "VelocityFlat",
+    "VelocityRough",
+    "register",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "beat_the_buzz": ("BeatTheBuzz",),
+        "cabinet": ("Cabinet",),
+        "cartpole": (
+            "CartpoleBalance",
+            "CartpoleSwingUp",
+        ),
+        "cloth_dropping": ("ClothDropping",),
+        "cloth_folding": ("ClothFolding",),
+        "cloth_lifting": ("ClothLifting",),
+        "cloth_spreading": ("ClothSpreading",),
+        "dishwasher": ("Dishwasher",),
+        "flag_hoisting": ("FlagHoisting",),
+        "handover": ("Handover",),
+        "hockey": ("Hockey",),
+        "in_hand_repose": ("InHandRepose",),
+        "jenga": ("Jenga",),
+        "lift": ("Lift",),
+        "mobile_cabinet": ("MobileCabinet",),
+        "mobile_lift": ("MobileLift",),
+        "mobile_reach": ("MobileReach",),
+        "nut_bolt": ("NutBolt",),
+        "peg_in_hole": ("PegInHole",),
+        "reach": ("Reach",),
+        "recover": ("Recover",),
+        "room_reorganization": ("RoomReorganization",),
+        "rope_reshaping": ("RopeReshaping",),
+        "running": (
+            "Ant",
+            "Humanoid",
+        ),
+        "stack_pyramid": (
+            "Stack",
+            "StackPyramid",
+        ),
+        "velocity_flat": ("VelocityFlat",),
+        "velocity_rough": ("VelocityRough",),
+    },
+)
 
 
 def register(registry: TaskRegistry) -> None:
-    """Entry point ``orbit.tasks``: tell the registry of every task, importing none."""
+    """Entry point ``orbit.tasks``: register every task, importing none."""
     registry.add("Reach", "Bring the end effector to a sampled pose", "orbit_tasks.reach:Reach")
     registry.add("Lift", "Lift a cube from the table to a sampled position", "orbit_tasks.lift:Lift")
     registry.add("Stack", "Put one block on another", "orbit_tasks.stack_pyramid:Stack")
@@ -60,7 +165,7 @@ def register(registry: TaskRegistry) -> None:
         "Rope-Reshaping", "Bend a rope into a corner of a sampled angle", "orbit_tasks.rope_reshaping:RopeReshaping"
     )
     registry.add(
-        "Cloth-Dropping", "Drop a cloth into a container beside its tray", "orbit_tasks.cloth_dropping:ClothDropping"
+        "Cloth-Dropping", "Drop a cloth into a container next to its tray", "orbit_tasks.cloth_dropping:ClothDropping"
     )
     registry.add(
         "Flag-Hoisting", "Raise a flag by its staff to its place at a mast", "orbit_tasks.flag_hoisting:FlagHoisting"

@@ -1,4 +1,4 @@
-"""What a robot on two feet is rewarded for that walks: terms and weights, over those of robots on four.
+"""Rewards of a biped that walks: terms and weights, over those of robots on four feet.
 
 They follow what Isaac Lab and mjlab learn a Unitree G1 with (Mittal et al., Orbit, 2023; Zakka et al., mjlab, 2026): a
 fall costs, steps on one foot after the other earn, feet do not slide, and joints that carry no step stay near home.
@@ -8,35 +8,47 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.envs import Environment
 from orbit_core.interfaces import Robot, World
 from orbit_core.mdp import common
 from orbit_core.sensors import ContactSensor
+from orbit_tasks import walking
 
+# The contact sensor's name.
 CONTACTS = "contacts"
-"""The contact sensor's name."""
+# Seconds on one foot beyond which a step earns no more.
 _LONGEST_STEP = 0.4
-"""Seconds on one foot beyond which a step earns no more."""
+# Part of a joint's range, around its middle, within which its position costs nothing.
 _SOFT_LIMIT = 0.9
-"""Part of a joint's range, around its middle, within which its position costs nothing."""
+# m/s: a robot that is commanded to go slower than this is to stand.
 _LEAST_COMMAND = 0.1
-"""m/s: a robot that is told to go slower than this is told to stand."""
 
 
-class Walking(Protocol):
-    """What these terms read of a task."""
+class WalkingMemory(walking.SpeedLimited):
+    """State of walking: looked up once in a new world."""
 
-    command: Tensor
-    """(N, 3) velocity forward and to the left in m/s, yaw rate in rad/s."""
     foot_links: Tensor
     """(feet,) int64 among the links of the contact sensor."""
+    other_links: Tensor
+    """(k,) int64: links that are neither trunk nor feet."""
     still_joints: Tensor
     """(joints,) 1 for those that swing no leg forward, 0 for others."""
+
+    def start(self, env: Environment) -> None:
+        super().start(env)
+        robot = common.robot_of(env.world)
+        names = list(contacts_of(env.world).link_names)
+        touching = [names.index(robot.spec.articulation.frame(foot).link) for foot in robot.spec.feet]
+        others = [link for link in range(1, len(names)) if link not in touching]
+        self.foot_links = torch.tensor(touching, device=env.device)
+        self.other_links = torch.tensor(others, dtype=torch.int64, device=env.device)
+        self.still_joints = still_joints(robot)
 
 
 def contacts_of(world: World) -> ContactSensor:
@@ -46,31 +58,31 @@ def contacts_of(world: World) -> ContactSensor:
     return sensor
 
 
-def stride(world: World, task: Walking) -> Tensor:
-    """(N,) seconds that the robot has stood on one foot with the other in the air; 0 when told to stand."""
-    timer = contacts_of(world).timer()
-    flying, touching = timer.air_time[:, task.foot_links], timer.contact_time[:, task.foot_links]
+def stride(env: Environment[Any, WalkingMemory]) -> Tensor:
+    """(N,) seconds that the robot has stood on one foot with the other in the air; 0 if commanded to stand."""
+    timer = contacts_of(env.world).timer()
+    flying, touching = timer.air_time[:, env.state.foot_links], timer.contact_time[:, env.state.foot_links]
     standing = touching > 0.0
     lasted = torch.where(standing, touching, flying).amin(1).clamp_max(_LONGEST_STEP)
-    return lasted * (standing.sum(1) == 1) * (task.command[:, :2].norm(dim=1) > _LEAST_COMMAND)
+    return lasted * (standing.sum(1) == 1) * (env.commands["velocity"][:, :2].norm(dim=1) > _LEAST_COMMAND)
 
 
-def slide(world: World, task: Walking) -> Tensor:
+def slide(env: Environment[Any, WalkingMemory]) -> Tensor:
     """(N,) m/s along the ground of feet that touch it, summed."""
-    robot = common.robot_of(world)
+    robot = common.robot_of(env.world)
     velocities = torch.stack([robot.frame_velocity(foot)[:, :2] for foot in robot.spec.feet], 1)
-    return (velocities.norm(dim=2) * contacts_of(world).in_contact()[:, task.foot_links]).sum(1)
+    return (velocities.norm(dim=2) * contacts_of(env.world).in_contact()[:, env.state.foot_links]).sum(1)
 
 
-def stray(world: World, task: Walking) -> Tensor:
+def stray(env: Environment[Any, WalkingMemory]) -> Tensor:
     """(N,) rad, summed: how far joints that swing no leg are from home."""
-    robot = common.robot_of(world)
-    return ((robot.joint_positions - robot.home_positions) * task.still_joints).abs().sum(1)
+    robot = common.robot_of(env.world)
+    return ((robot.joint_positions - robot.home_positions) * env.state.still_joints).abs().sum(1)
 
 
-def near_limits(world: World, task: Walking) -> Tensor:
+def near_limits(env: Environment[Any, WalkingMemory]) -> Tensor:
     """(N,) rad, summed: how far joints are beyond nine tenths of their range."""
-    robot = common.robot_of(world)
+    robot = common.robot_of(env.world)
     low, high = robot.position_limits.unbind(1)
     reach = 0.5 * _SOFT_LIMIT * (high - low)
     return ((robot.joint_positions - 0.5 * (low + high)).abs() - reach).clamp_min(0.0).nan_to_num(0.0).sum(1)
@@ -79,7 +91,7 @@ def near_limits(world: World, task: Walking) -> Tensor:
 def still_joints(robot: Robot) -> Tensor:
     """(joints,) 0 for joints that swing a leg forward, 1 for others.
 
-    The former are those on the way to a foot whose axis, at home, lies across the robot.
+    The former are those on the way to a foot whose axis, at home, is across the robot.
     """
     device = robot.home_positions.device
     tree = KinematicTree(robot.spec.articulation, device)
@@ -106,11 +118,11 @@ def suited(rewards: Any, feet: int) -> None:
             setattr(rewards, name, replace(term, weight=weight) if weight else None)
 
 
+# Of terms that robots on four feet have with other weights.
 WEIGHTS: Mapping[str, float] = {
     "yaw_tracking": 1.0, "bouncing": -0.2, "tilt": -1.0, "effort": -2e-6, "action_rate": -0.02, "fall": -200.0,
 }  # fmt: skip
-"""Of terms that robots on four feet have with other weights."""
+# Terms of robots on two feet alone.
 OF_TWO_FEET = ("stride", "slide", "stray", "near_limits")
-"""Terms of robots on two feet alone."""
+# Terms of robots on more than two feet alone.
 OF_MANY_FEET = ("flight", "bumps")
-"""Terms of robots on more than two feet alone."""

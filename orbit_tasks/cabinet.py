@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -11,102 +12,125 @@ from torch.linalg import vector_norm
 
 from orbit_assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
+from orbit_core.envs import (
+    CommandTerm,
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+)
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import Subtask
-from orbit_core.envs.task_checks import TaskCheck, TaskException
-from orbit_core.envs.terms import POSE, Meaning, measured_in, once_per_state
-from orbit_core.interfaces import World
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
+from orbit_core.envs.terms import POSE, Bounds, Meaning, measured_in, once_per_state
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.commands import UniformScalarCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, RobotSpec, Scene, look_at
 from orbit_motion.experts import Expert, Phase
 
 DRAWER = "drawer_joint"
 HANDLE = "drawer_handle"
+# Height in metres of what the cabinet stands on.
 PLINTH = 0.18
-"""Height in metres of what the cabinet stands on."""
+
+
+class CabinetMemory(TaskState):
+    """State of a cabinet, looked up once in a new world."""
+
+    drawer: int
+    """Index of the drawer's joint."""
+
+    def start(self, env: Environment) -> None:
+        (self.drawer,) = env.world.objects["cabinet"].find_joints(DRAWER)
 
 
 @once_per_state
-def opening(world: World, task: Cabinet) -> Tensor:
+def opening(env: Environment[Cabinet, CabinetMemory]) -> Tensor:
     """(N,) metres that the drawer is open."""
-    return world.objects["cabinet"].joint_positions[:, task.drawer]
+    return env.world.objects["cabinet"].joint_positions[:, env.state.drawer]
 
 
 @measured_in("m")
-def drawer_position(world: World, task: Cabinet) -> Tensor:
+def drawer_position(env: Environment[Cabinet]) -> Tensor:
     """(N, 1) opening of the drawer along its rail."""
-    return opening(world, task)[:, None]
+    return opening(env)[:, None]
 
 
 @measured_in(POSE)
 @once_per_state
-def handle_pose(world: World, task: Cabinet) -> Tensor:
+def handle_pose(env: Environment[Cabinet]) -> Tensor:
     """(N, 7) as a hand takes it: z into the cabinet, y across the bar."""
-    return world.objects["cabinet"].frame_pose(HANDLE)
+    return env.world.objects["cabinet"].frame_pose(HANDLE)
 
 
 @once_per_state
-def goal_distance(world: World, task: Cabinet) -> Tensor:
+def goal_distance(env: Environment[Cabinet]) -> Tensor:
     """(N,) metres between the drawer and where it should be."""
-    return (task.goal - opening(world, task)).abs()
+    return (env.commands["goal"][:, 0] - opening(env)).abs()
 
 
-def reaching(world: World, task: Cabinet) -> Tensor:
+def reaching(env: Environment[Cabinet]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the handle."""
-    distance = vector_norm(handle_pose(world, task)[:, :3] - common.hand_pose(world, task)[:, :3], dim=1)
+    distance = vector_norm(handle_pose(env)[:, :3] - common.hand_pose(env)[:, :3], dim=1)
     return common.nearness(distance, 0.2)
 
 
-def opened(world: World, task: Cabinet) -> Tensor:
+def opened(env: Environment[Cabinet]) -> Tensor:
     """(N,) in (-inf, 1]: the part of the way that is done."""
-    return 1.0 - goal_distance(world, task) / task.goal
+    return 1.0 - goal_distance(env) / env.commands["goal"][:, 0]
 
 
-def place_cabinet(world: World, task: Cabinet, env_ids: Tensor) -> None:
+def place_cabinet(env: Environment[Cabinet], env_ids: Tensor) -> None:
     """Place the cabinet up to 5 cm off its place each way, turned by up to 0.1 rad."""
-    u = 2.0 * world.random.uniform((3,), env_ids=env_ids) - 1.0
-    cabinet = world.objects["cabinet"]
+    u = 2.0 * env.world.random.uniform((3,), env_ids=env_ids) - 1.0
+    cabinet = env.world.objects["cabinet"]
     zero = torch.zeros_like(u[:, 0])
-    nominal = torch.tensor(cabinet.spec.pose.position, device=world.device)
+    nominal = torch.tensor(cabinet.spec.pose.position, device=env.device)
     position = nominal + torch.stack((0.05 * u[:, 0], 0.05 * u[:, 1], zero), dim=1)
     cabinet.set_root_pose(torch.cat((position, common.turned(0.1 * u[:, 2])), dim=1), env_ids)
 
 
-def sample_goal(world: World, task: Cabinet, env_ids: Tensor) -> None:
-    """15 to 30 cm."""
-    task.goal[env_ids] = world.random.uniform((), 0.15, 0.3, env_ids)
-    handle = handle_pose(world, task)[env_ids]
-    world.markers["goal"].set_pose(_moved_in(handle, handle[:, :3], -task.goal[env_ids]), env_ids)
+@dataclass(unsafe_hash=True, kw_only=True)
+class CabinetGoal(UniformScalarCommand):
+    """Metres that the drawer is to be open; a marker shows where its handle is then."""
+
+    value: Bounds = (0.15, 0.3)
+
+    def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:
+        handle = handle_pose(env)[env_ids]
+        env.world.markers["goal"].set_pose(_moved_in(handle, handle[:, :3], -command[:, 0]), env_ids)
 
 
-def at_handle(world: World, task: Cabinet) -> Tensor:
+def at_handle(env: Environment[Cabinet]) -> Tensor:
     """(N, 7) the fingers around the bar."""
-    return handle_pose(world, task)
+    return handle_pose(env)
 
 
-def before_handle(world: World, task: Cabinet) -> Tensor:
+def before_handle(env: Environment[Cabinet]) -> Tensor:
     """(N, 7) twelve centimetres in front of the handle."""
-    handle = handle_pose(world, task)
-    return _moved_in(handle, handle[:, :3], torch.full_like(task.goal, -0.12))
+    handle = handle_pose(env)
+    return _moved_in(handle, handle[:, :3], torch.full_like(env.commands["goal"][:, 0], -0.12))
 
 
-def ajar(world: World, task: Cabinet) -> Tensor:
+def ajar(env: Environment[Cabinet]) -> Tensor:
     """(N,) bool: the drawer has begun to follow the hand."""
-    return opening(world, task) > 0.005
+    return opening(env) > 0.005
 
 
-def opened_handle(world: World, task: Cabinet) -> Tensor:
+def opened_handle(env: Environment[Cabinet]) -> Tensor:
     """(N, 7) the handle where the drawer is as far open as it should be."""
-    handle = handle_pose(world, task)
-    return _moved_in(handle, handle[:, :3], opening(world, task) - task.goal)
+    handle = handle_pose(env)
+    return _moved_in(handle, handle[:, :3], opening(env) - env.commands["goal"][:, 0])
 
 
-def pulled(world: World, task: Cabinet) -> Tensor:
+def pulled(env: Environment[Cabinet]) -> Tensor:
     """(N, 7) the hand moved by what the drawer lacks, however the bar sits in it."""
-    position = common.hand_pose(world, task)[:, :3]
-    return _moved_in(handle_pose(world, task), position, opening(world, task) - task.goal)
+    position = common.hand_pose(env)[:, :3]
+    return _moved_in(handle_pose(env), position, opening(env) - env.commands["goal"][:, 0])
 
 
 def _moved_in(handle: Tensor, position: Tensor, distance: Tensor) -> Tensor:
@@ -125,15 +149,15 @@ def distance_to_cabinet(robot: RobotSpec) -> float:
     return common.workspace_of(robot).high[0] + 0.23
 
 
+# The expert's phases from before the handle on.
 PULLING = (
     Phase(before_handle, position_tolerance=0.02, timeout=3.0),
     Phase(at_handle, position_tolerance=0.008, timeout=1.5),
     Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
     Phase(pulled, gripper_open=False),
 )
-"""The expert's phases from before the handle on."""
+# m and rad by which it leads: a stronger pull takes the fingers off the bar.
 POSITION_LEAD, ROTATION_LEAD = 0.05, 0.2
-"""m and rad by which it leads: a stronger pull takes the fingers off the bar."""
 
 
 @dataclass
@@ -146,7 +170,7 @@ class CabinetState(ObservationGroup):
     handle_pose: ObservationTerm | None = ObservationTerm(handle_pose)
     drawer: ObservationTerm | None = ObservationTerm(drawer_position)
     goal: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.goal[:, None], unit="m", meaning=Meaning("opening that the drawer is to have")
+        generated_command("goal"), unit="m", meaning=Meaning("opening that the drawer is to have")
     )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
@@ -175,12 +199,18 @@ class CabinetTerminations:
 
 
 @dataclass
+class CabinetCommands:
+    """Commanded opening of the drawer."""
+
+    goal: CommandTerm | None = CabinetGoal()
+
+
+@dataclass
 class CabinetEvents:
-    """Robot, cabinet and goal are placed anew for each episode; masses and the like with domain randomisation."""
+    """Robot and cabinet are placed for each episode; masses and the like with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cabinet: EventTerm | None = EventTerm(place_cabinet)
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
     masses: EventTerm | None = None
     friction: EventTerm | None = None
     gains: EventTerm | None = None
@@ -193,22 +223,24 @@ class Cabinet(Task):
     Succeeds when the drawer is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_YAW, "the drawer must open towards the arm to stay in reach"),
+    state_type: ClassVar[type[TaskState]] = CabinetMemory
+    renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.goal"}
+    metadata: TaskMetadata = TaskMetadata(
+        subtasks=(Subtask(handle_pose, ajar), Subtask(opened_handle, ajar)),
+        ppo=PpoSettings(iterations=600, initial_std=0.3),
+        view=look_at(eye=(-0.4, 1.7, 1.3), target=(0.5, 0.0, 0.5)),
+        exceptions=(TaskException(TaskCheck.START_YAW, "the drawer must open towards the arm to stay in reach"),),
     )
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 8.0
-    ppo: PpoSettings = PpoSettings(iterations=600, initial_std=0.3)
-    view: Pose = look_at(eye=(-0.4, 1.7, 1.3), target=(0.5, 0.0, 0.5))
     tolerance: float = 0.02
     """Metres."""
     observations: CabinetObservations = field(default_factory=CabinetObservations)
     rewards: CabinetRewards = field(default_factory=CabinetRewards)
     terminations: CabinetTerminations = field(default_factory=CabinetTerminations)
     events: CabinetEvents = field(default_factory=CabinetEvents)
-    goal: Tensor = field(init=False)
-    """(N,) metres that the drawer is to be open."""
+    commands: CabinetCommands = field(default_factory=CabinetCommands)
 
     def scene(self) -> Scene:
         return self.scene_with(common.arm(self.robot), PLINTH)
@@ -225,11 +257,6 @@ class Cabinet(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, device=world.device)
-        (self.drawer,) = world.objects["cabinet"].find_joints(DRAWER)
-
     def randomize(self) -> None:
         """The cabinet's masses, its friction and the fingers', the arm's gains, and noise on joints and drawer."""
         self.events.masses = EventTerm(randomize.masses("cabinet", Range(0.7, 1.5)), EventTime.STARTUP)
@@ -238,14 +265,11 @@ class Cabinet(Task):
         self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, drawer=0.002)
 
-    def success(self, world: World) -> Tensor:
-        return goal_distance(world, self) < self.tolerance
+    def success(self, env: Environment) -> Tensor:
+        return goal_distance(env) < self.tolerance
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"goal_distance_m": goal_distance(world, self)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(env)}
 
-    def subtasks(self) -> tuple[Subtask, ...]:
-        return Subtask(handle_pose, ajar), Subtask(opened_handle, ajar)
-
-    def expert(self, world: World) -> Expert:
-        return Expert(world, self, PULLING, position_lead=POSITION_LEAD, rotation_lead=ROTATION_LEAD)
+    def expert(self, env: Environment) -> Expert:
+        return Expert(env, PULLING, position_lead=POSITION_LEAD, rotation_lead=ROTATION_LEAD)

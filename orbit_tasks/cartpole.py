@@ -8,31 +8,41 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from orbit_core.actions import ActionTerms, JointEffortConfig
-from orbit_core.actions.joint_effort import JointEffort
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.actions.joints import JointEffort
+from orbit_core.envs import (
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import measured_in, once_per_state
-from orbit_core.interfaces import ConfigurationError, Node, Port, World
+from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.robots import robot
-from orbit_core.scene import Pose, RobotSpec, Scene, look_at
+from orbit_core.scene import RobotSpec, Scene, look_at
 
 SLIDER, HINGE = "slider", "hinge"
+# N, of the motor.
 STRONGEST = 20.0
-"""N, of the motor."""
+# rad from the top within which the regulator takes over, where the energy is right.
 _CATCH = 0.4
-"""rad from the top within which the regulator takes over, where the energy is right."""
+# Of the regulator: squared state (cart, pole and their velocities) and squared force.
 _WEIGHTS = (1.0, 10.0, 0.5, 0.5), 0.01
-"""Of the regulator: squared state (cart, pole and their velocities) and squared force."""
 
 
 def cartpole(name: str) -> RobotSpec:
@@ -50,54 +60,64 @@ def cartpole(name: str) -> RobotSpec:
     return spec
 
 
+class CartpoleMemory(TaskState):
+    """State of cart and pole, looked up once in a new world."""
+
+    rail: float
+    """m, on either side of the middle."""
+
+    def start(self, env: Environment) -> None:
+        self.rail = float(common.robot_of(env.world).position_limits[0, 1])
+
+
 @measured_in("m, rad, m/s, rad/s")
 @once_per_state
-def state(world: World, task: Cartpole) -> Tensor:
+def state(env: Environment[Cartpole]) -> Tensor:
     """(N, 4) where the cart is, the pole's angle from the vertical in [-pi, pi], and how fast both change."""
-    body = common.robot_of(world)
+    body = common.robot_of(env.world)
     cart, angle = body.joint_positions.unbind(1)
     return torch.cat((torch.stack((cart, torch.atan2(angle.sin(), angle.cos())), 1), body.joint_velocities), 1)
 
 
 @measured_in("m, 1, 1, m/s, rad/s")
-def seen(world: World, task: Cartpole) -> Tensor:
+def seen(env: Environment[Cartpole]) -> Tensor:
     """(N, 5) the cart, cosine and sine of the pole's angle, and both velocities."""
-    cart, angle, speed, rate = state(world, task).unbind(1)
+    cart, angle, speed, rate = state(env).unbind(1)
     return torch.stack((cart, angle.cos(), angle.sin(), speed, rate), 1)
 
 
-def upright(world: World, task: Cartpole) -> Tensor:
+def upright(env: Environment[Cartpole]) -> Tensor:
     """(N,) in [0, 1]: 1 where the pole stands, 0 where it hangs."""
-    return 0.5 + 0.5 * state(world, task)[:, 1].cos()
+    return 0.5 + 0.5 * state(env)[:, 1].cos()
 
 
-def off_center(world: World, task: Cartpole) -> Tensor:
+def off_center(env: Environment[Cartpole]) -> Tensor:
     """(N,) m², squared distance of the cart from the middle."""
-    return state(world, task)[:, 0].square()
+    return state(env)[:, 0].square()
 
 
-def spinning(world: World, task: Cartpole) -> Tensor:
+def spinning(env: Environment[Cartpole]) -> Tensor:
     """(N,) squared rate of the pole."""
-    return state(world, task)[:, 3].square()
+    return state(env)[:, 3].square()
 
 
 @once_per_state
-def left(world: World, task: Cartpole) -> Tensor:
+def left(env: Environment[Cartpole, CartpoleMemory]) -> Tensor:
     """(N,) bool: the cart is 10 cm from an end of its rail."""
-    return state(world, task)[:, 0].abs() > task.rail - 0.1
+    return state(env)[:, 0].abs() > env.state.rail - 0.1
 
 
-def toppled(world: World, task: CartpoleBalance) -> Tensor:
+def toppled(env: Environment[CartpoleBalance]) -> Tensor:
     """(N,) bool: the pole leans by more than the task allows."""
-    return state(world, task)[:, 1].abs() > task.most_lean
+    return state(env)[:, 1].abs() > env.task.most_lean
 
 
-def place(world: World, task: Cartpole, env_ids: Tensor) -> None:
+def place(env: Environment[Cartpole], env_ids: Tensor) -> None:
     """Cart, pole and their velocities, uniform within the task's ``spread`` of its start."""
-    body = common.robot_of(world)
-    high = torch.tensor(task.spread, device=world.device)
-    drawn = world.random.uniform((4,), -high, high, env_ids)
-    start = torch.tensor((0.0, task.start_angle), device=world.device)
+    body = common.robot_of(env.world)
+    high = torch.tensor(env.task.spread, device=env.device)
+    drawn = env.world.random.uniform((4,), -high, high, env_ids)
+    start = torch.tensor((0.0, env.task.start_angle), device=env.device)
     body.set_joint_state(start + drawn[:, :2], drawn[:, 2:], env_ids=env_ids)
 
 
@@ -129,7 +149,7 @@ class CartpoleRewards:
 
 @dataclass
 class SwingUpTerminations:
-    """An episode ends early where the cart comes to the rail's end."""
+    """An episode ends early where the cart reaches the rail's end."""
 
     left: TerminationTerm | None = TerminationTerm(left)
 
@@ -143,7 +163,7 @@ class BalanceTerminations(SwingUpTerminations):
 
 @dataclass
 class CartpoleEvents:
-    """Cart and pole are placed anew for each episode; masses with domain randomisation."""
+    """Cart and pole are placed for each episode; masses with domain randomisation."""
 
     place: EventTerm | None = EventTerm(place)
     masses: EventTerm | None = None
@@ -151,20 +171,23 @@ class CartpoleEvents:
 
 @dataclass(kw_only=True)
 class Cartpole(Task):
-    """What both tasks share. Success: at the episode's end the pole stands and is nearly at rest, and the cart is on
+    """Base of both tasks. Success: at the episode's end the pole stands and is nearly at rest, and the cart is on
     its rail. Metrics: the pole's angle and the cart's distance from the middle.
     """  # fmt: skip
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "the rail is fixed; cart and pole start at joint positions"),
-        TaskException(TaskCheck.START_YAW, "the rail is fixed; cart and pole start at joint positions"),
+    state_type: ClassVar[type[TaskState]] = CartpoleMemory
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=150, hidden_sizes=(64, 64), entropy_weight=0.0),
+        view=look_at(eye=(0.0, -4.2, 1.6), target=(0.0, 0.0, 1.1)),
+        exceptions=(
+            TaskException(TaskCheck.START_AREA, "the rail is fixed; cart and pole start at joint positions"),
+            TaskException(TaskCheck.START_YAW, "the rail is fixed; cart and pole start at joint positions"),
+        ),
     )
     robot: str = "cartpole"
     action: str = "composed"
     actions: Any = field(default_factory=lambda: ActionTerms(cart=JointEffortConfig(joints=(SLIDER,), scale=STRONGEST)))
     episode_length: float = 10.0
-    view: Pose = look_at(eye=(0.0, -4.2, 1.6), target=(0.0, 0.0, 1.1))
-    ppo: PpoSettings = PpoSettings(iterations=150, hidden_sizes=(64, 64), entropy_weight=0.0)
     start_angle: float
     """rad from the vertical."""
     spread: tuple[float, float, float, float]
@@ -173,30 +196,24 @@ class Cartpole(Task):
     rewards: CartpoleRewards = field(default_factory=CartpoleRewards)
     terminations: SwingUpTerminations = field(default_factory=SwingUpTerminations)
     events: CartpoleEvents = field(default_factory=CartpoleEvents)
-    rail: float = field(init=False)
-    """m, on either side of the middle."""
 
     def scene(self) -> Scene:
         return Scene(robots=(cartpole(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
-
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.rail = float(common.robot_of(world).position_limits[0, 1])
 
     def randomize(self) -> None:
         """The masses of cart and pole, and noise on what is seen of them."""
         self.events.masses = EventTerm(randomize.masses(common.ROBOT, Range(0.7, 1.5)), EventTime.STARTUP)
         common.add_noise(self.observations.policy, state=0.01)
 
-    def success(self, world: World) -> Tensor:
-        _, angle, _, rate = state(world, self).unbind(1)
-        return (angle.abs() < 0.2) & (rate.abs() < 1.0) & ~left(world, self)
+    def success(self, env: Environment) -> Tensor:
+        _, angle, _, rate = state(env).unbind(1)
+        return (angle.abs() < 0.2) & (rate.abs() < 1.0) & ~left(env)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"angle_rad": state(world, self)[:, 1].abs(), "cart_m": state(world, self)[:, 0].abs()}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"angle_rad": state(env)[:, 1].abs(), "cart_m": state(env)[:, 0].abs()}
 
-    def expert(self, world: World) -> SwingUpController:
-        return SwingUpController(world, self)
+    def expert(self, env: Environment) -> SwingUpController:
+        return SwingUpController(env)
 
 
 @dataclass(kw_only=True)
@@ -216,7 +233,10 @@ class CartpoleSwingUp(Cartpole):
 
     start_angle: float = math.pi
     spread: tuple[float, float, float, float] = (0.2, 0.3, 0.1, 0.3)
-    ppo: PpoSettings = PpoSettings(iterations=300, hidden_sizes=(64, 64), entropy_weight=0.002)
+    metadata: TaskMetadata = replace(
+        Cartpole.metadata,
+        ppo=PpoSettings(iterations=300, hidden_sizes=(64, 64), entropy_weight=0.002),
+    )
 
 
 class SwingUpController(Node):
@@ -226,24 +246,24 @@ class SwingUpController(Node):
         ConfigurationError: the action is not the effort of the cart.
     """
 
-    def __init__(self, world: World, task: Cartpole) -> None:
+    def __init__(self, env: Environment[Cartpole]) -> None:
         self.name = "policy"
-        generator = task.generators[0]
+        generator = env.actions.generators[0]
         if not isinstance(generator, JointEffort) or generator.command_size != 1:
-            raise ConfigurationError(f"the expert gives the cart's effort: action '{task.action}' does not take it")
-        self._generator, self._world, self._task = generator, world, task
+            raise ConfigurationError(f"the expert gives the cart's effort: action '{env.task.action}' does not take it")
+        self._generator, self._env = generator, env
         self.outputs = (Port("action", (1,)),)
-        links = {link.name: link for link in common.robot_of(world).spec.articulation.links}
-        pole, self._gravity = links["pole"], -world.scene.gravity[2]
+        links = {link.name: link for link in common.robot_of(env.world).spec.articulation.links}
+        pole, self._gravity = links["pole"], -env.world.scene.gravity[2]
         arm = pole.center_of_mass[2]
         self._first_moment = pole.mass * arm
+        # Of the pole about its hinge.
         self._inertia = float(pole.inertia[1, 1]) + pole.mass * arm**2
-        """Of the pole about its hinge."""
         self._mass = pole.mass + links["cart"].mass
-        self._gains = self._regulator(task.physics_dt * task.decimation).to(world.device)
+        self._gains = self._regulator(env.step_dt).to(env.device)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        now = state(self._world, self._task)
+        now = state(self._env)
         cart, angle, speed, rate = now.unbind(1)
         sine, cosine, gravity = angle.sin(), angle.cos(), self._gravity
         energy = 0.5 * self._inertia * rate.square() + self._first_moment * gravity * (cosine - 1.0)

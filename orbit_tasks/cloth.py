@@ -1,4 +1,4 @@
-"""What tasks of a cloth share: the cloth on a smooth tray, what is seen of it, and how a hand takes it."""
+"""Base of tasks of a cloth: the cloth on a smooth tray, its observations, and how a hand takes it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from torch.linalg import vector_norm
 from orbit_assets.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
 from orbit_assets.deformables import corners, sheet
 from orbit_assets.objects import BENCH_HEIGHT, SolidOptions, box, work_bench
-from orbit_core.envs import ObservationGroup, ObservationTerm, RewardTerm, Task
+from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import ROBOT
+from orbit_core.envs.task import ROBOT, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.interfaces.layout import gripper_positions
@@ -25,16 +25,16 @@ from orbit_tasks.mdp import matter
 
 CLOTH = "cloth"
 SMOOTH = PhysicsMaterial(static_friction=0.2, dynamic_friction=0.2)
+# Height in metres of a low tray.
 TRAY = 0.02
-"""Height in metres of a low tray."""
+# Metres below a tray's top to which fingers that press on the cloth are sent.
 PRESSED = 0.0065
-"""Metres below a tray's top to which fingers that press on the cloth are sent."""
+# In which the reach of fingers is tabulated from open to closed.
 STEPS = 16
-"""In which the reach of fingers is tabulated from open to closed."""
+# Of their way that fingers close while the hand follows.
 SOON = 0.25
-"""Of their way that fingers close while the hand follows."""
+# Metres above the table at which a hand carries a cloth past other things.
 CARRIED = 0.3
-"""Metres above the table at which a hand carries a cloth past other things."""
 
 
 @dataclass(kw_only=True)
@@ -45,7 +45,9 @@ class ClothTask(Task):
     action: str = "joint_position"
     physics_dt: float = 0.0025
     decimation: int = 8
-    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
+    )
     size: float = 0.2
     """Metres of the cloth's sides."""
     particles: int = 21
@@ -85,9 +87,9 @@ def key_point(name: str) -> TermFunction:
     """Term: (N, 3) a key point of the cloth, in the environment's frame."""
 
     @once_per_state
-    def observe(world: World, task: Task) -> Tensor:
+    def observe(env: Environment) -> Tensor:
         """(N, 3) m, in the environment's frame."""
-        return world.deformables[CLOTH].key_point(name)
+        return env.world.deformables[CLOTH].key_point(name)
 
     return observe
 
@@ -99,18 +101,18 @@ middle = key_point("middle")
 def reaching(name: str) -> TermFunction:
     """Term: (N,) in [0, 1], how near the hand is to a key point of the cloth."""
 
-    def observe(world: World, task: Task) -> Tensor:
-        point = world.deformables[CLOTH].key_point(name)
-        return common.nearness(vector_norm(point - common.hand_pose(world, task)[:, :3], dim=1), 0.1)
+    def observe(env: Environment) -> Tensor:
+        point = env.world.deformables[CLOTH].key_point(name)
+        return common.nearness(vector_norm(point - common.hand_pose(env)[:, :3], dim=1), 0.1)
 
     return observe
 
 
 @once_per_state
-def let_go(world: World, task: Task) -> Tensor:
+def let_go(env: Environment) -> Tensor:
     """(N,) bool: whether no particle of the cloth is within 3 cm of the hand."""
-    hand = common.hand_pose(world, task)[:, None, :3]
-    return vector_norm(world.deformables[CLOTH].positions - hand, dim=2).amin(1) > 0.03
+    hand = common.hand_pose(env)[:, None, :3]
+    return vector_norm(env.world.deformables[CLOTH].positions - hand, dim=2).amin(1) > 0.03
 
 
 def at_height(position: Tensor, height: float | Tensor) -> Tensor:
@@ -122,17 +124,17 @@ def at_height(position: Tensor, height: float | Tensor) -> Tensor:
 
 def over(point: TermFunction, height: float) -> TermFunction:
     """Term: (N, 7) the hand over what a term (N, 3) gives, its frame at a height in the environment."""
-    return lambda world, task: at_height(point(world, task), height)
+    return lambda env: at_height(point(env), height)
 
 
 def here(height: float) -> TermFunction:
     """Term: (N, 7) the hand where it is, its frame at a height in the environment."""
-    return lambda world, task: at_height(common.hand_pose(world, task), height)
+    return lambda env: at_height(common.hand_pose(env), height)
 
 
-def still(world: World, task: Task) -> Tensor:
+def still(env: Environment) -> Tensor:
     """(N, 7) the hand where it is."""
-    return common.hand_pose(world, task)
+    return common.hand_pose(env)
 
 
 def finger_reach(world: World, closed: bool | float) -> float:
@@ -164,7 +166,7 @@ def following(world: World, base: float) -> TermFunction:
     way = last[joint] - first[joint]
     reaches = torch.tensor([finger_reach(world, n / STEPS) for n in range(STEPS + 1)], device=world.device)
 
-    def height(world: World, task: Task) -> Tensor:
+    def height(env: Environment) -> Tensor:
         share = STEPS * ((robot.joint_positions[:, joint] - first[joint]) / way + SOON).clamp(0.0, 1.0)
         below = share.long().clamp(max=STEPS - 1)
         return base + torch.lerp(reaches[below], reaches[below + 1], share - below)
@@ -176,14 +178,14 @@ def pressing(world: World) -> TermFunction:
     """Term: (N, 7) the hand where it is, so high that its fingers press on the tray however far they have closed."""
     height = following(world, TRAY - pressed(world))
 
-    def pose(world: World, task: Task) -> Tensor:
-        return at_height(common.hand_pose(world, task)[:, :3], height(world, task))
+    def pose(env: Environment) -> Tensor:
+        return at_height(common.hand_pose(env)[:, :3], height(env))
 
     return pose
 
 
 def pinching(world: World) -> tuple[Phase, ...]:
-    """Phases that take the cloth by its middle where it lies flat on a low tray.
+    """Phases that take the cloth by its middle where it is flat on a low tray.
 
     The open fingers press on it, and as they close the cloth between them buckles up and is held.
     """

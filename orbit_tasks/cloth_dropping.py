@@ -1,18 +1,16 @@
-"""Cloth-Dropping: pinch a cloth that lies flat on a tray and drop it into a container beside it."""
+"""Cloth-Dropping: pinch a cloth that is flat on a tray and drop it into a container next to it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from orbit_assets.deformables import open_box
-from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import measured_in, once_per_state
-from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import Pose, Region, Scene, look_at
 from orbit_motion.experts import Expert, Phase, Retry
@@ -21,46 +19,46 @@ from orbit_tasks.cloth import CARRIED, CLOTH, TRAY, middle
 from orbit_tasks.mdp import matter
 
 CONTAINER = "container"
+# Metres within the container.
 INNER = (0.18, 0.18, 0.12)
-"""Metres within the container."""
+# Metres from the table to the hand as it opens: the cloth, which hangs 10 cm below it, is in the container then.
 LOWERED = 0.15
-"""Metres from the table to the hand as it opens: the cloth, which hangs 10 cm below it, is in the container then."""
 
 
 @measured_in("m")
 @once_per_state
-def container(world: World, task: ClothDropping) -> Tensor:
+def container(env: Environment[ClothDropping]) -> Tensor:
     """(N, 3) the middle of the container's floor."""
-    return world.objects[CONTAINER].root_pose[:, :3]
+    return env.world.objects[CONTAINER].root_pose[:, :3]
 
 
 @once_per_state
-def distance(world: World, task: ClothDropping) -> Tensor:
+def distance(env: Environment[ClothDropping]) -> Tensor:
     """(N,) metres between the cloth's middle and the container's, seen from above and, out of it, in height."""
-    away = middle(world, task) - container(world, task)
+    away = middle(env) - container(env)
     above = (away[:, 2] - INNER[2]).clamp_min(0.0)
     return torch.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2 + above**2)
 
 
 @once_per_state
-def inside(world: World, task: ClothDropping) -> Tensor:
+def inside(env: Environment[ClothDropping]) -> Tensor:
     """(N,) in [0, 1]: the part of the cloth that is in the container."""
     half = Pose((0.0, 0.0, 0.5 * INNER[2]))
     region = Region((0.5 * INNER[0] + 0.01, 0.5 * INNER[1] + 0.01, 0.5 * INNER[2] + 0.02), half, CONTAINER, CONTAINER)
-    return world.deformables[CLOTH].share_inside(region)
+    return env.world.deformables[CLOTH].share_inside(region)
 
 
-def dropped(world: World, task: ClothDropping) -> Tensor:
+def dropped(env: Environment[ClothDropping]) -> Tensor:
     """(N,) bool: whether the cloth is in the container and off the hand."""
-    return cloth.let_go(world, task) & (inside(world, task) >= task.least_inside)
+    return cloth.let_go(env) & (inside(env) >= env.task.least_inside)
 
 
-def place_container(world: World, task: ClothDropping, env_ids: Tensor) -> None:
+def place_container(env: Environment[ClothDropping], env_ids: Tensor) -> None:
     """Place the container up to 4 cm off its place each way."""
-    thing = world.objects[CONTAINER]
-    shift = world.random.uniform((2,), -0.04, 0.04, env_ids)
+    thing = env.world.objects[CONTAINER]
+    shift = env.world.random.uniform((2,), -0.04, 0.04, env_ids)
     x, y, z = thing.spec.pose.position
-    pose = torch.tensor([x, y, z, 1.0, 0.0, 0.0, 0.0], device=world.device).repeat(len(env_ids), 1)
+    pose = torch.tensor([x, y, z, 1.0, 0.0, 0.0, 0.0], device=env.device).repeat(len(env_ids), 1)
     pose[:, :2] += shift
     thing.set_root_pose(pose, env_ids)
 
@@ -85,13 +83,13 @@ class ClothDroppingRewards(cloth.Smoothness):
     """Rewards of the hand at the cloth, the cloth near the container and in it, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(cloth.reaching("middle"), 1.0)
-    bring: RewardTerm | None = RewardTerm(lambda world, task: common.nearness(distance(world, task), 0.3), 8.0)
+    bring: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.3), 8.0)
     drop: RewardTerm | None = RewardTerm(inside, 16.0)
 
 
 @dataclass
 class ClothDroppingEvents:
-    """Robot, cloth and container are placed anew for each episode."""
+    """Robot, cloth and container are placed for each episode."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cloth: EventTerm | None = EventTerm(matter.place_deformable(CLOTH, (0.05, 0.05)))
@@ -100,20 +98,23 @@ class ClothDroppingEvents:
 
 @dataclass(kw_only=True)
 class ClothDropping(cloth.ClothTask):
-    """The cloth lies flat on a smooth tray, anywhere within 5 cm and turned by any angle; the container stands beside.
+    """The cloth is flat on a smooth tray, anywhere within 5 cm and turned by any angle; the container is next to it.
 
     Succeeds when its middle is within ``tolerance`` of the container's, ``least_inside`` of it is in the container and
     the gripper does not touch it at the episode's end. Metric: that distance.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "tray and container take the workspace: the cloth starts on 100 cm²"),
-        TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+    metadata: TaskMetadata = replace(
+        cloth.ClothTask.metadata,
+        view=look_at(eye=(1.3, 0.9, 0.75), target=(0.45, 0.12, 0.08)),
+        exceptions=(
+            TaskException(TaskCheck.START_AREA, "tray and container take the workspace: the cloth starts on 100 cm²"),
+            TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+        ),
     )
     grip_force: float = 5.0
     """Newtons; harder, and corners of the fingers come through the cloth, which then hangs on them as they open."""
     episode_length: float = 11.0
-    view: Pose = look_at(eye=(1.3, 0.9, 0.75), target=(0.45, 0.12, 0.08))
     particles: int = 25
     """Along each side; no further apart than half a pad's width, or fingers poke through the cloth and stay in it."""
     tolerance: float = 0.08
@@ -131,18 +132,18 @@ class ClothDropping(cloth.ClothTask):
             open_box(CONTAINER, INNER, Pose((0.48, 0.29, 0.005)), material=cloth.SMOOTH),
         )
 
-    def success(self, world: World) -> Tensor:
-        return (distance(world, self) < self.tolerance) & dropped(world, self)
+    def success(self, env: Environment) -> Tensor:
+        return (distance(env) < self.tolerance) & dropped(env)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"container_distance_m": distance(world, self), "inside": inside(world, self)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"container_distance_m": distance(env), "inside": inside(env)}
 
-    def expert(self, world: World) -> Expert:
+    def expert(self, env: Environment) -> Expert:
         above, within = cloth.over(container, CARRIED), cloth.over(container, LOWERED)
         # Cloth at times hangs on a finger that has opened, and rises with it: take it down again.
         again = Retry(2, dropped, most=3)
         phases = (
-            *cloth.pinching(world),
+            *cloth.pinching(env.world),
             Phase(cloth.here(CARRIED), gripper_open=False, position_tolerance=0.03, timeout=1.0),
             Phase(above, gripper_open=False, position_tolerance=0.02, timeout=2.0),
             Phase(within, gripper_open=False, position_tolerance=0.015, dwell=0.4, timeout=1.2),
@@ -150,4 +151,4 @@ class ClothDropping(cloth.ClothTask):
             Phase(cloth.over(container, LOWERED + 0.1), position_tolerance=0.03, timeout=1.2, retry=again),
             Phase(above),
         )
-        return Expert(world, self, phases, position_lead=0.05)
+        return Expert(env, phases, position_lead=0.05)

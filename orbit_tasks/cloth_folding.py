@@ -1,4 +1,4 @@
-"""Cloth-Folding: take a corner of a cloth that lies flat and lay it on the opposite one."""
+"""Cloth-Folding: take a corner of a flat cloth and lay it on the opposite one."""
 
 from __future__ import annotations
 
@@ -10,133 +10,144 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.envs import EventTerm, ObservationGroup, RewardTerm
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs import Environment, EventTerm, ObservationGroup, RewardTerm
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
-from orbit_core.interfaces import World
 from orbit_core.mdp import common
-from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
+from orbit_core.scene import PhysicsMaterial, Scene, look_at
 from orbit_motion.experts import Expert, Phase, Retry
 from orbit_tasks import cloth
 from orbit_tasks.cloth import CLOTH, TRAY
 from orbit_tasks.mdp import matter
 
+# Key points that the fold along the other diagonal lays on each other; the first is taken.
 PAIRS = (("corner--", "corner++"), ("side-", "back"), ("front", "side+"))
-"""Key points that the fold along the other diagonal lays on each other; the first is taken."""
+# Of the tray, as of a rubber mat: the lower half stays in place while the other is carried over it.
 MAT = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
-"""Of the tray, as of a rubber mat: the half that lies stays in place while the other is carried over it."""
+# Metres by which the hand's way over the fold ends short of its mirror image: cloth drawn tight would draw the fold
+# along. Where the hand lets go it looks where the sides are.
 SHORT = 0.03
-"""Metres by which the hand's way over the fold ends short of its mirror image: cloth drawn tight would draw the fold
-along. Where the hand lets go it looks where the sides came to lie."""
+# Metres at most that it then goes off that end.
 ASTRAY = 0.05
-"""Metres at most that it then goes off that end."""
+# Metres below the tray's top to which the open fingers are sent: hardly, for a mat would hold them by its friction.
 PRESSED = 0.001
-"""Metres below the tray's top to which the open fingers are sent: hardly, for a mat would hold them by its friction."""
+# Metres above the tray's top of the finger tips that open.
 LOW = 0.03
-"""Metres above the tray's top of the finger tips that open."""
+# Height of the hand's way over the fold, in parts of its half width: a full arc draws the lower half along.
 ARC = 0.5
-"""Height of the hand's way over the fold, in parts of its half width: a full arc draws the lower half along."""
+# On that way, from the tray to the tray again.
 ANGLES = tuple(math.radians(degrees) for degrees in (25, 50, 75, 100, 125, 150))
-"""On that way, from the tray to the tray again."""
+# m/s of the cloth's particles at most, root mean square, that count as rest.
 AT_REST = 0.02
-"""m/s of the cloth's particles at most, root mean square, that count as rest."""
+
+
+class FoldMemory(TaskState):
+    """State of a fold: the cloth's place when the episode began."""
+
+    fold: Tensor = buffer(3)
+    """(N, 3) where the cloth's middle was, in the environment's frame."""
+    ahead: Tensor = buffer(3)
+    """(N, 3) unit vector from the corner that is taken to the one opposite."""
 
 
 @once_per_state
-def pair_distances(world: World, task: ClothFolding) -> Tensor:
+def pair_distances(env: Environment[ClothFolding]) -> Tensor:
     """(N, 3) metres between the key points of each pair."""
-    thing = world.deformables[CLOTH]
+    thing = env.world.deformables[CLOTH]
     apart = [thing.key_point(one) - thing.key_point(other) for one, other in PAIRS]
     return vector_norm(torch.stack(apart, dim=1), dim=2)
 
 
 @once_per_state
-def distance(world: World, task: ClothFolding) -> Tensor:
+def distance(env: Environment[ClothFolding]) -> Tensor:
     """(N,) metres: the sum over pairs."""
-    return pair_distances(world, task).sum(1)
+    return pair_distances(env).sum(1)
 
 
-def remember_fold(world: World, task: ClothFolding, env_ids: Tensor) -> None:
-    """Where the cloth is to be folded, and which way: at its middle, away from the corner that is taken."""
-    thing = world.deformables[CLOTH]
+def remember_fold(env: Environment[ClothFolding, FoldMemory], env_ids: Tensor) -> None:
+    """Note where the cloth is to be folded, and which way: at its middle, away from the corner that is taken."""
+    thing = env.world.deformables[CLOTH]
     one, other = (thing.key_point(name)[env_ids] for name in PAIRS[0])
-    task.fold[env_ids] = 0.5 * (one + other)
-    task.ahead[env_ids] = (other - one) / vector_norm(other - one, dim=1, keepdim=True)
+    env.state.fold[env_ids] = 0.5 * (one + other)
+    env.state.ahead[env_ids] = (other - one) / vector_norm(other - one, dim=1, keepdim=True)
 
 
 @once_per_state
-def at_rest(world: World, task: ClothFolding) -> Tensor:
-    """(N,) bool: whether the cloth lies still."""
-    return world.deformables[CLOTH].velocities.square().sum(2).mean(1) < AT_REST**2
+def at_rest(env: Environment[ClothFolding]) -> Tensor:
+    """(N,) bool: True where the cloth is still."""
+    return env.world.deformables[CLOTH].velocities.square().sum(2).mean(1) < AT_REST**2
 
 
-def hand_at(task: ClothFolding, position: Tensor, height: float | Tensor) -> Tensor:
+def hand_at(env: Environment[ClothFolding, FoldMemory], position: Tensor, height: float | Tensor) -> Tensor:
     """(N, 7) the hand pointing down over a position (N, 3), at a height or heights (N,), across the diagonal.
 
-    So both fingers are beside the cloth near its corner, and drag none of it along the mat as they close.
+    So both fingers are next to the cloth near its corner, and drag none of it along the mat as they close.
     """
-    yaw = torch.atan2(task.ahead[:, 1], task.ahead[:, 0]) - math.pi
+    yaw = torch.atan2(env.state.ahead[:, 1], env.state.ahead[:, 0]) - math.pi
     return torch.cat((cloth.at_height(position, height)[:, :3], common.facing_down(yaw)), dim=1)
 
 
-def half_diagonal(task: ClothFolding) -> float:
+def half_diagonal(env: Environment[ClothFolding]) -> float:
     """Metres from the fold to a corner."""
-    return 0.5 * math.sqrt(2.0) * task.size
+    return 0.5 * math.sqrt(2.0) * env.task.size
 
 
 def at_corner(height: float) -> TermFunction:
     """Term: (N, 7) the hand around the cloth near the corner that is taken, at a height."""
 
-    def pose(world: World, task: ClothFolding) -> Tensor:
-        return hand_at(task, world.deformables[CLOTH].key_point(PAIRS[0][0]) + task.taken * task.ahead, height)
+    def pose(env: Environment[ClothFolding, FoldMemory]) -> Tensor:
+        return hand_at(
+            env, env.world.deformables[CLOTH].key_point(PAIRS[0][0]) + env.task.taken * env.state.ahead, height
+        )
 
     return pose
 
 
 def always(height: float) -> TermFunction:
     """Term: (N,) that height, in metres."""
-    return lambda world, task: torch.full((world.num_envs,), height, device=world.device)
+    return lambda env: torch.full((env.num_envs,), height, device=env.device)
 
 
 def here(height: TermFunction) -> TermFunction:
     """Term: (N, 7) the hand where it is, at heights (N,) that a term gives."""
-    return lambda world, task: hand_at(task, common.hand_pose(world, task)[:, :3], height(world, task))
+    return lambda env: hand_at(env, common.hand_pose(env)[:, :3], height(env))
 
 
 def over_fold(angle: float, base: float) -> TermFunction:
     """Term: (N, 7) the hand on its way over the fold, ``angle`` rad along it, ``base`` metres high at its ends."""
 
-    def pose(world: World, task: ClothFolding) -> Tensor:
-        radius = half_diagonal(task) - task.taken - SHORT * 0.5 * (1.0 - math.cos(angle))
+    def pose(env: Environment[ClothFolding, FoldMemory]) -> Tensor:
+        radius = half_diagonal(env) - env.task.taken - SHORT * 0.5 * (1.0 - math.cos(angle))
         height = base + ARC * radius * math.sin(angle)
-        return hand_at(task, task.fold - task.ahead * (radius * math.cos(angle)), height)
+        return hand_at(env, env.state.fold - env.state.ahead * (radius * math.cos(angle)), height)
 
     return pose
 
 
 @once_per_state
-def overshot(world: World, task: ClothFolding) -> Tensor:
-    """(N,) metres, mean of both sides, that the folded half lies beyond its place."""
-    thing = world.deformables[CLOTH]
+def overshot(env: Environment[ClothFolding, FoldMemory]) -> Tensor:
+    """(N,) metres, mean of both sides, that the folded half is beyond its place."""
+    thing = env.world.deformables[CLOTH]
     apart = [thing.key_point(one) - thing.key_point(other) for one, other in PAIRS[1:]]
-    return (torch.stack(apart).mean(0) * task.ahead).sum(1)
+    return (torch.stack(apart).mean(0) * env.state.ahead).sum(1)
 
 
 def at_place(height: float) -> TermFunction:
-    """Term: (N, 7) the hand where the folded half comes to lie in its place, at a height."""
+    """Term: (N, 7) the hand where the folded half is in its place, at a height."""
 
-    def pose(world: World, task: ClothFolding) -> Tensor:
-        end = half_diagonal(task) - task.taken - SHORT
-        along = ((common.hand_pose(world, task)[:, :3] - task.fold) * task.ahead).sum(1) - overshot(world, task)
+    def pose(env: Environment[ClothFolding, FoldMemory]) -> Tensor:
+        end = half_diagonal(env) - env.task.taken - SHORT
+        along = ((common.hand_pose(env)[:, :3] - env.state.fold) * env.state.ahead).sum(1) - overshot(env)
         along = along.clamp(end - ASTRAY, end + ASTRAY)
-        return hand_at(task, task.fold + task.ahead * along[:, None], height)
+        return hand_at(env, env.state.fold + env.state.ahead * along[:, None], height)
 
     return pose
 
 
-def taken(world: World, task: ClothFolding) -> Tensor:
+def taken(env: Environment[ClothFolding]) -> Tensor:
     """(N,) bool: whether the corner is 1 cm above the tray."""
-    return world.deformables[CLOTH].key_point(PAIRS[0][0])[:, 2] > TRAY + 0.01
+    return env.world.deformables[CLOTH].key_point(PAIRS[0][0])[:, 2] > TRAY + 0.01
 
 
 @dataclass
@@ -152,13 +163,13 @@ class ClothFoldingRewards(cloth.Smoothness):
     """Rewards of the hand at the corner and of pairs that lie on each other, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(cloth.reaching(PAIRS[0][0]), 1.0)
-    fold: RewardTerm | None = RewardTerm(lambda world, task: common.nearness(distance(world, task), 0.4), 10.0)
-    fold_finely: RewardTerm | None = RewardTerm(lambda world, task: common.nearness(distance(world, task), 0.1), 10.0)
+    fold: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.4), 10.0)
+    fold_finely: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.1), 10.0)
 
 
 @dataclass
 class ClothFoldingEvents:
-    """Robot and cloth are placed anew for each episode."""
+    """Robot and cloth are placed for each episode."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cloth: EventTerm | None = EventTerm(matter.place_deformable(CLOTH, (0.04, 0.04), 0.3))
@@ -167,20 +178,26 @@ class ClothFoldingEvents:
 
 @dataclass(kw_only=True)
 class ClothFolding(cloth.ClothTask):
-    """The cloth lies flat on a mat, up to 4 cm off its place each way and turned by up to 0.3 rad.
+    """The cloth is flat on a mat, up to 4 cm off its place each way and turned by up to 0.3 rad.
 
     Succeeds when the key points of each of three pairs, which the fold along the diagonal lays on each other, are
     within ``tolerance`` sides of each other, the cloth is at rest and the gripper does not touch it at the episode's
     end. Metric: the sum of the three distances; layers of cloth that touch are 8 mm apart.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "the cloth must lie within reach, corner to corner: it starts on 64 cm²"),
-        TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+    state_type: ClassVar[type[TaskState]] = FoldMemory
+    metadata: TaskMetadata = replace(
+        cloth.ClothTask.metadata,
+        view=look_at(eye=(1.2, 0.3, 0.55), target=(0.5, 0.0, 0.05)),
+        expert_success=0.6,
+        exceptions=(
+            TaskException(
+                TaskCheck.START_AREA, "the cloth must lie within reach, corner to corner: it starts on 64 cm²"
+            ),
+            TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+        ),
     )
-    expert_success: ClassVar[float] = 0.6
     episode_length: float = 8.0
-    view: Pose = look_at(eye=(1.2, 0.3, 0.55), target=(0.5, 0.0, 0.05))
     size: float = 0.24
     particles: int = 25
     """Along each side."""
@@ -199,34 +216,25 @@ class ClothFolding(cloth.ClothTask):
     terminations: cloth.TimeLimit = field(default_factory=cloth.TimeLimit)
     events: ClothFoldingEvents = field(default_factory=ClothFoldingEvents)
 
-    fold: Tensor = field(init=False)
-    """(N, 3) where the cloth's middle was, in the environment's frame."""
-    ahead: Tensor = field(init=False)
-    """(N, 3) unit vector from the corner that is taken to the one opposite."""
-
     def scene(self) -> Scene:
         flat = self.cloth((0.5, 0.0, TRAY), yaw=0.25 * math.pi)
         soft = replace(flat, bending_stiffness=self.bending_stiffness)
         return self.on_bench(soft, cloth.tray((0.5, 0.6, TRAY), 0.5, material=MAT))
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.fold, self.ahead = (torch.zeros(world.num_envs, 3, device=world.device) for _ in range(2))
+    def success(self, env: Environment) -> Tensor:
+        folded = (pair_distances(env) < self.tolerance * self.size).all(1)
+        return folded & at_rest(env) & cloth.let_go(env)
 
-    def success(self, world: World) -> Tensor:
-        folded = (pair_distances(world, self) < self.tolerance * self.size).all(1)
-        return folded & at_rest(world, self) & cloth.let_go(world, self)
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"pair_distance_m": distance(env)}
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"pair_distance_m": distance(world, self)}
-
-    def expert(self, world: World) -> Expert:
-        opened, closed = (TRAY - PRESSED + cloth.finger_reach(world, shut) for shut in (False, True))
-        low, base = TRAY + LOW + cloth.finger_reach(world, closed=False), closed + 0.02
+    def expert(self, env: Environment) -> Expert:
+        opened, closed = (TRAY - PRESSED + cloth.finger_reach(env.world, shut) for shut in (False, True))
+        low, base = TRAY + LOW + cloth.finger_reach(env.world, closed=False), closed + 0.02
         phases = (
             Phase(at_corner(opened + 0.1), position_tolerance=0.02, free=True),
             Phase(at_corner(opened), position_tolerance=0.002, timeout=1.4),
-            Phase(here(cloth.following(world, TRAY - PRESSED)), gripper_open=False, dwell=0.7, timeout=0.7),
+            Phase(here(cloth.following(env.world, TRAY - PRESSED)), gripper_open=False, dwell=0.7, timeout=0.7),
             Phase(
                 over_fold(ANGLES[0], base), False, position_tolerance=0.02, timeout=1.2, retry=Retry(3, taken, most=1)
             ),
@@ -235,4 +243,4 @@ class ClothFolding(cloth.ClothTask):
             Phase(here(always(low)), position_tolerance=1.0, rotation_tolerance=4.0, dwell=0.4),
             Phase(here(always(low + 0.1))),
         )
-        return Expert(world, self, phases, position_lead=0.04)
+        return Expert(env, phases, position_lead=0.04)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -12,12 +13,23 @@ from torch.linalg import vector_norm
 
 from orbit_assets.objects import BENCH_HEIGHT, dishwasher, work_bench
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm, Task
+from orbit_core.envs import (
+    CommandTerm,
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    PremiseTerm,
+    RewardTerm,
+    Task,
+)
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
-from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
-from orbit_core.interfaces import World
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
+from orbit_core.envs.terms import Bounds, Meaning, TermFunction, once_per_state
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.commands import UniformScalarCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
 from orbit_motion.experts import Expert, Phase
@@ -25,127 +37,142 @@ from orbit_tasks.mdp import held
 
 THING = "dishwasher"
 DOOR_BAR, RACK_BAR = "door_bar", "rack_bar"
+# Metres in the dishwasher's frame: the door's outer face, its hinge's height, and from the hinge to the door's bar.
 FRONT, HINGE, REACH = -0.2, 0.14, 0.27
-"""Metres in the dishwasher's frame: the door's outer face, its hinge's height, and from the hinge to the door's bar."""
+# Metres by which the hand's middle stands behind a bar that it pulls, and below its middle.
 BEHIND, DEEP = 0.03, 0.015
-"""Metres by which the hand's middle stands behind a bar that it pulls, and below its middle."""
+# rad at which the hand lets go of the door: its weight opens it further.
 LET_GO = 0.8
-"""rad at which the hand lets go of the door: its weight opens it further."""
+# Metres forward and up in the dishwasher's frame: where the hand goes, to within the phases' tolerances.
 STATIONS = (
     (-0.27, 0.49), (-0.16, 0.47), (-0.16, 0.395), (-0.28, 0.38), (-0.38, 0.31),
     (-0.12, 0.45), (-0.12, 0.325), (-0.32, 0.325),
 )  # fmt: skip
-"""Metres forward and up in the dishwasher's frame: where the hand comes to, to within the phases' tolerances."""
+
+
+class DishwasherMemory(TaskState):
+    """State of a dishwasher, looked up once in a new world."""
+
+    door: int
+    rack: int
+    """Indices of the joints."""
+
+    def start(self, env: Environment) -> None:
+        self.door, self.rack = env.world.objects[THING].find_joints("door_joint", "rack_joint")
 
 
 @once_per_state
-def door(world: World, task: Dishwasher) -> Tensor:
+def door(env: Environment[Dishwasher, DishwasherMemory]) -> Tensor:
     """(N,) rad that the door is open."""
-    return world.objects[THING].joint_positions[:, task.door]
+    return env.world.objects[THING].joint_positions[:, env.state.door]
 
 
 @once_per_state
-def rack(world: World, task: Dishwasher) -> Tensor:
+def rack(env: Environment[Dishwasher, DishwasherMemory]) -> Tensor:
     """(N,) metres that the rack is out."""
-    return world.objects[THING].joint_positions[:, task.rack]
+    return env.world.objects[THING].joint_positions[:, env.state.rack]
 
 
-def joints(world: World, task: Dishwasher) -> Tensor:
+def joints(env: Environment[Dishwasher]) -> Tensor:
     """(N, 2) positions of the door's hinge and of the rack's rail"""
-    return torch.stack((door(world, task), rack(world, task)), dim=1)
+    return torch.stack((door(env), rack(env)), dim=1)
 
 
 @once_per_state
-def door_lacks(world: World, task: Dishwasher) -> Tensor:
+def door_lacks(env: Environment[Dishwasher]) -> Tensor:
     """(N,) rad that the door is less open than it should be; zero where it is open wider."""
-    return (task.door_goal - door(world, task)).clamp_min(0.0)
+    return (env.task.door_goal - door(env)).clamp_min(0.0)
 
 
 @once_per_state
-def door_open(world: World, task: Dishwasher) -> Tensor:
+def door_open(env: Environment[Dishwasher]) -> Tensor:
     """(N,) bool"""
-    return door_lacks(world, task) == 0.0
+    return door_lacks(env) == 0.0
 
 
 @once_per_state
-def rack_lacks(world: World, task: Dishwasher) -> Tensor:
+def rack_lacks(env: Environment[Dishwasher]) -> Tensor:
     """(N,) metres between the rack and where it should be; while the door is not open, all of the way."""
-    return torch.where(door_open(world, task), (task.goal - rack(world, task)).abs(), task.goal)
+    return torch.where(door_open(env), (env.commands["goal"][:, 0] - rack(env)).abs(), env.commands["goal"][:, 0])
 
 
 @once_per_state
-def bars(world: World, task: Dishwasher) -> Tensor:
+def bars(env: Environment[Dishwasher]) -> Tensor:
     """(N, 2, 3) of the middles of the door's bar and the rack's."""
-    thing = world.objects[THING]
+    thing = env.world.objects[THING]
     return torch.stack([thing.frame_pose(name)[:, :3] for name in (DOOR_BAR, RACK_BAR)], dim=1)
 
 
-def hand_to_bars(world: World, task: Dishwasher) -> Tensor:
+def hand_to_bars(env: Environment[Dishwasher]) -> Tensor:
     """(N, 2, 3) positions of the door's and the rack's bars minus the hand's, in the environment's axes."""
-    return bars(world, task) - common.hand_pose(world, task)[:, None, :3]
+    return bars(env) - common.hand_pose(env)[:, None, :3]
 
 
-def inward(world: World, task: Dishwasher) -> Tensor:
+def inward(env: Environment[Dishwasher]) -> Tensor:
     """(N, 3) unit vector from the front into the dishwasher."""
-    turn = world.objects[THING].root_pose[:, 3:]
-    return quat_rotate(turn, torch.eye(3, device=world.device)[0].expand(world.num_envs, 3))
+    turn = env.world.objects[THING].root_pose[:, 3:]
+    return quat_rotate(turn, torch.eye(3, device=env.device)[0].expand(env.num_envs, 3))
 
 
-def reaching(world: World, task: Dishwasher) -> Tensor:
+def reaching(env: Environment[Dishwasher]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to behind the bar that is to be pulled next."""
-    behind = torch.stack((hook(DOOR_BAR)(world, task), hook(RACK_BAR)(world, task)), dim=1)[..., :3]
-    distance = vector_norm(behind - common.hand_pose(world, task)[:, None, :3], dim=2)
-    return common.nearness(torch.where(door_open(world, task), distance[:, 1], distance[:, 0]), 0.15)
+    behind = torch.stack((hook(DOOR_BAR)(env), hook(RACK_BAR)(env)), dim=1)[..., :3]
+    distance = vector_norm(behind - common.hand_pose(env)[:, None, :3], dim=2)
+    return common.nearness(torch.where(door_open(env), distance[:, 1], distance[:, 0]), 0.15)
 
 
-def place(world: World, task: Dishwasher, env_ids: Tensor) -> None:
+def place(env: Environment[Dishwasher], env_ids: Tensor) -> None:
     """Place the dishwasher up to 2 cm nearer or further, 4 cm to either side, turned by up to 0.1 rad."""
-    u = 2.0 * world.random.uniform((3,), env_ids=env_ids) - 1.0
-    thing = world.objects[THING]
+    u = 2.0 * env.world.random.uniform((3,), env_ids=env_ids) - 1.0
+    thing = env.world.objects[THING]
     x, y, z = thing.spec.pose.position
     where = torch.stack((x + 0.02 * u[:, 0], y + 0.04 * u[:, 1], torch.full_like(u[:, 0], z), 0.1 * u[:, 2]), dim=1)
     thing.set_root_pose(common.standing(where), env_ids)
 
 
-def sample_goal(world: World, task: Dishwasher, env_ids: Tensor) -> None:
-    """The rack 12 to 20 cm out; a marker shows where its bar is then."""
-    task.goal[env_ids] = world.random.uniform((), 0.12, 0.2, env_ids)
-    bar = world.objects[THING].frame_pose(RACK_BAR)[env_ids]
-    out = inward(world, task)[env_ids] * task.goal[env_ids, None]
-    world.markers["goal"].set_pose(torch.cat((bar[:, :3] - out, bar[:, 3:]), dim=1), env_ids)
+@dataclass(unsafe_hash=True, kw_only=True)
+class DishwasherGoal(UniformScalarCommand):
+    """Metres that the rack is to be out; a marker shows where its bar is then."""
+
+    value: Bounds = (0.12, 0.2)
+
+    def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:
+        bar = env.world.objects[THING].frame_pose(RACK_BAR)[env_ids]
+        out = inward(env)[env_ids] * command
+        env.world.markers["goal"].set_pose(torch.cat((bar[:, :3] - out, bar[:, 3:]), dim=1), env_ids)
 
 
 def hook(bar: str, height: float = -DEEP, behind: float = BEHIND) -> TermFunction:
     """(N, 7) the hand behind a bar, ``height`` metres above it."""
 
-    def pose(world: World, task: Dishwasher) -> Tensor:
-        position = world.objects[THING].frame_pose(bar)[:, :3] + behind * inward(world, task)
-        return _down(world, task, position, height)
+    def pose(env: Environment[Dishwasher]) -> Tensor:
+        position = env.world.objects[THING].frame_pose(bar)[:, :3] + behind * inward(env)
+        return _down(env, position, height)
 
     return pose
 
 
-def pull_door(world: World, task: Dishwasher) -> Tensor:
+def pull_door(env: Environment[Dishwasher]) -> Tensor:
     """(N, 7) the hand a little further on the bar's way than the door is open, and no further than to let go."""
-    thing, into = world.objects[THING], inward(world, task)
-    angle = (door(world, task) + 0.25).clamp(max=LET_GO + 0.05)[:, None]
-    up = torch.eye(3, device=world.device)[2]
+    thing, into = env.world.objects[THING], inward(env)
+    angle = (door(env) + 0.25).clamp(max=LET_GO + 0.05)[:, None]
+    up = torch.eye(3, device=env.device)[2]
     hinge = thing.root_pose[:, :3] + FRONT * into + HINGE * up
-    # The bar lies 9 mm behind the plane of the hinge.
+    # The bar is 9 mm behind the plane of the hinge.
     bar = hinge + (0.009 * angle.cos() - REACH * angle.sin()) * into + (REACH * angle.cos() + 0.009 * angle.sin()) * up
-    return _down(world, task, bar + 0.5 * BEHIND * into, -DEEP)
+    return _down(env, bar + 0.5 * BEHIND * into, -DEEP)
 
 
-def pull_rack(world: World, task: Dishwasher) -> Tensor:
-    """(N, 7) the hand moved by what the rack lacks, however the bar lies at it."""
-    hand, bar = common.hand_pose(world, task)[:, :3], bars(world, task)[:, 1]
-    position = hand - (task.goal - rack(world, task))[:, None] * inward(world, task)
-    return _down(world, task, torch.cat((position[:, :2], bar[:, 2:]), dim=1), -DEEP)
+def pull_rack(env: Environment[Dishwasher]) -> Tensor:
+    """(N, 7) the hand moved by what the rack lacks, however the bar touches it."""
+    hand, bar = common.hand_pose(env)[:, :3], bars(env)[:, 1]
+    position = hand - (env.commands["goal"][:, 0] - rack(env))[:, None] * inward(env)
+    return _down(env, torch.cat((position[:, :2], bar[:, 2:]), dim=1), -DEEP)
 
 
-def _down(world: World, task: Dishwasher, position: Tensor, height: float) -> Tensor:
+def _down(env: Environment[Dishwasher], position: Tensor, height: float) -> Tensor:
     """(N, 7) the hand that points down, turned as the dishwasher is."""
-    yaw = 2.0 * torch.atan2(*world.objects[THING].root_pose[:, [6, 3]].unbind(1))
+    yaw = 2.0 * torch.atan2(*env.world.objects[THING].root_pose[:, [6, 3]].unbind(1))
     place = torch.cat((position[:, :2], position[:, 2:] + height), dim=1)
     return torch.cat((place, common.facing_down(yaw)), dim=1)
 
@@ -161,7 +188,7 @@ class DishwasherState(ObservationGroup):
     joints: ObservationTerm | None = ObservationTerm(joints, unit="rad, m")
     inward: ObservationTerm | None = ObservationTerm(inward, unit="1")
     goal: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.goal[:, None], unit="m", meaning=Meaning("travel that the rack is to have")
+        generated_command("goal"), unit="m", meaning=Meaning("travel that the rack is to have")
     )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
@@ -179,8 +206,8 @@ class DishwasherRewards:
     """Rewards of the hand at the next bar, the door open, the rack at its goal, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
-    open: RewardTerm | None = RewardTerm(lambda world, task: 1.0 - door_lacks(world, task) / task.door_goal, 4.0)
-    pull: RewardTerm | None = RewardTerm(lambda world, task: 1.0 - rack_lacks(world, task) / task.goal, 8.0)
+    open: RewardTerm | None = RewardTerm(lambda env: 1.0 - door_lacks(env) / env.task.door_goal, 4.0)
+    pull: RewardTerm | None = RewardTerm(lambda env: 1.0 - rack_lacks(env) / env.commands["goal"][:, 0], 8.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 
@@ -191,12 +218,18 @@ class DishwasherTerminations:
 
 
 @dataclass
+class DishwasherCommands:
+    """Commanded travel of the rack."""
+
+    goal: CommandTerm | None = DishwasherGoal()
+
+
+@dataclass
 class DishwasherEvents:
-    """Robot, dishwasher and goal are placed anew for each episode; seal, friction, gains with domain randomisation."""
+    """Robot and dishwasher are placed for each episode; seal, friction, gains with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place: EventTerm | None = EventTerm(place)
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
     seal: EventTerm | None = None
     friction: EventTerm | None = None
     gains: EventTerm | None = None
@@ -204,10 +237,10 @@ class DishwasherEvents:
 
 @dataclass
 class DishwasherPremises:
-    """It is shut."""
+    """Premise that the dishwasher is shut."""
 
     shut: PremiseTerm | None = PremiseTerm(
-        lambda world, task: (joints(world, task).abs() < 0.01).all(1),
+        lambda env: (joints(env).abs() < 0.01).all(1),
         "the door is ajar or the rack has slid out, so that the seal does not hold, or something pushes them",
     )
 
@@ -220,15 +253,19 @@ class Dishwasher(Task):
     its goal. Metrics: what door and rack lack, in that order: while the door is not open, the rack lacks all.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "door and rack travel through most of the arm's reach"),
-        TaskException(TaskCheck.START_YAW, "the door must open towards the arm to stay in reach"),
+    state_type: ClassVar[type[TaskState]] = DishwasherMemory
+    renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.goal"}
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
+        view=look_at(eye=(-0.2, 1.35, 0.95), target=(0.6, 0.0, 0.2)),
+        exceptions=(
+            TaskException(TaskCheck.START_AREA, "door and rack travel through most of the arm's reach"),
+            TaskException(TaskCheck.START_YAW, "the door must open towards the arm to stay in reach"),
+        ),
     )
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 10.0
-    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
-    view: Pose = look_at(eye=(-0.2, 1.35, 0.95), target=(0.6, 0.0, 0.2))
     door_goal: float = 1.3
     """rad"""
     tolerance: float = 0.02
@@ -238,11 +275,7 @@ class Dishwasher(Task):
     terminations: DishwasherTerminations = field(default_factory=DishwasherTerminations)
     events: DishwasherEvents = field(default_factory=DishwasherEvents)
     premises: DishwasherPremises = field(default_factory=DishwasherPremises)
-    goal: Tensor = field(init=False)
-    """(N,) metres that the rack is to be out."""
-    door: int = field(init=False, default=0)
-    rack: int = field(init=False, default=1)
-    """Indices of the joints."""
+    commands: DishwasherCommands = field(default_factory=DishwasherCommands)
 
     def scene(self) -> Scene:
         self.bound(door_goal=(0.1, 1.45), tolerance=(1e-6, 0.1))
@@ -262,11 +295,6 @@ class Dishwasher(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, device=world.device)
-        self.door, self.rack = world.objects[THING].find_joints("door_joint", "rack_joint")
-
     def randomize(self) -> None:
         """The seal's force, the bars' friction and the fingers', the arm's gains, and noise on joints and bars."""
         seal = randomize.active_model(THING, "seal", "force", Range(0.6, 1.4))
@@ -277,14 +305,14 @@ class Dishwasher(Task):
         noise = {"joint_positions": 0.005, "joint_velocities": 0.05, "hand_to_bars": 0.002}
         common.add_noise(self.observations.policy, **noise)
 
-    def success(self, world: World) -> Tensor:
-        return door_open(world, self) & (rack_lacks(world, self) < self.tolerance)
+    def success(self, env: Environment) -> Tensor:
+        return door_open(env) & (rack_lacks(env) < self.tolerance)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"door_lacks_rad": door_lacks(world, self), "rack_lacks_m": rack_lacks(world, self)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"door_lacks_rad": door_lacks(env), "rack_lacks_m": rack_lacks(env)}
 
-    def expert(self, world: World) -> Expert:
-        closing = common.closing_time(world)
+    def expert(self, env: Environment) -> Expert:
+        closing = common.closing_time(env.world)
         phases = (
             Phase(hook(DOOR_BAR, 0.12, -0.08), False, position_tolerance=0.05, dwell=closing, timeout=closing + 1.0),
             Phase(hook(DOOR_BAR, 0.08), False, position_tolerance=0.02, timeout=2.0),
@@ -294,4 +322,4 @@ class Dishwasher(Task):
             Phase(hook(RACK_BAR), False, position_tolerance=0.008, timeout=1.5),
             Phase(pull_rack, False),
         )
-        return Expert(world, self, phases, position_lead=0.06)
+        return Expert(env, phases, position_lead=0.06)

@@ -24,19 +24,19 @@ from torch import Tensor
 
 from orbit_core.actions import JointPosition
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.envs import Task
-from orbit_core.interfaces import ConfigurationError, Node, Port, World
+from orbit_core.envs import Environment
+from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
 from orbit_tasks import biped, walking
 
+# m^2: of the inverse kinematics; keeps steps bounded at a straight knee (Nakamura and Hanafusa, 1986).
 _DAMPING = 1e-4
-"""m^2: of the inverse kinematics; keeps steps bounded at a straight knee (Nakamura and Hanafusa, 1986)."""
 _NEWTON_STEPS = 2
+# Part of a joint's velocity limit that its wanted position may move at.
 _OWN_SPEED = 0.9
-"""Part of a joint's velocity limit that its wanted position may move at."""
+# N: force above which a foot is on the ground.
 _TOUCH = 1.0
-"""N: force above which a foot is on the ground."""
 
 
 @dataclass(frozen=True)
@@ -81,22 +81,22 @@ class Gait:
     """1/s^2: vertical acceleration over the error of the trunk's height."""
 
 
+# For legs whose joints turn too slowly for the usual steps: bent knees lift a foot by less of a turn, and what swings
+# lack, forces along the ground make up for. The more of these the sway takes, the less is left for the velocity.
 SLOW_JOINTS = Gait(
     period=0.24, stance=0.62, swing_height=0.03, ease=0.3, rise=-0.13, foothold_gain=0.1, velocity_gain=20.0,
     turning_gain=20.0, grip=0.5, top_speed=1.0, sway_gain=10.0,
 )  # fmt: skip
-"""For legs whose joints turn too slowly for the usual steps: bent knees lift a foot by less of a turn, and what swings
-lack, forces along the ground make up for. The more of these the sway takes, the less is left for the velocity."""
+# m/s: speed at which a gait's swings are held against the joints' velocity limits.
 _BRISK = 1.0
-"""m/s: speed at which a gait's swings are held against the joints' velocity limits."""
 
 
 class FootholdGait(Node):
     """Gives the action whose joint targets walk a quadruped at commanded velocities.
 
     Args:
-        world: of a quadruped on level ground, with the contact sensor :data:`orbit_tasks.biped.CONTACTS`.
-        task: its actions are joint positions.
+        env: of a quadruped on level ground, with the contact sensor :data:`orbit_tasks.biped.CONTACTS`; its actions are
+            joint positions.
         command: (N, 3) forward and sideways velocity in m/s and yaw rate in rad/s, in the trunk's axes; read at each
             turn.
         gait: timing, size and gains of the steps; None: the usual ones, or :data:`SLOW_JOINTS` where these would take a
@@ -106,56 +106,57 @@ class FootholdGait(Node):
         ConfigurationError: the actions are others, or the robot has not four feet.
     """
 
-    def __init__(self, world: World, task: Task, command: Tensor, gait: Gait | None = None) -> None:
+    def __init__(self, env: Environment, command: Tensor, gait: Gait | None = None) -> None:
         self.name = "policy"
-        generator = task.generators[0]
+        generator = env.actions.generators[0]
         if not isinstance(generator, JointPosition):
-            raise ConfigurationError(f"a gait gives joint positions: action '{task.action}' does not take them")
-        robot = common.robot_of(world)
+            raise ConfigurationError(f"a gait gives joint positions: action '{env.task.action}' does not take them")
+        robot = common.robot_of(env.world)
         self._feet = robot.spec.feet
         if len(self._feet) != 4:
-            raise ConfigurationError(f"a gait needs a robot with four feet; '{task.robot}' has {len(self._feet)}")
-        self._generator, self._task, self._command, self._robot = generator, task, command, robot
+            raise ConfigurationError(f"a gait needs a robot with four feet; '{env.task.robot}' has {len(self._feet)}")
+        self._generator, self._task, self._command, self._robot = generator, env.task, command, robot
+        self._state = env.state
         self.outputs = (Port("action", (generator.command_size,)),)
-        self._dt = task.physics_dt * task.decimation
-        self._gravity = -world.scene.gravity[2]
-        self._tree = KinematicTree(robot.spec.articulation, world.device)
+        self._dt = env.step_dt
+        self._gravity = -env.world.scene.gravity[2]
+        self._tree = KinematicTree(robot.spec.articulation, env.device)
         self._legs = self._columns_of_legs()
-        count = world.num_envs
-        root = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=world.device)
+        count = env.num_envs
+        root = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=env.device)
         self._root = root.expand(count, 7)
+        # (N, J) that the legs shall have.
         self._positions = robot.home_positions.repeat(count, 1)
-        """(N, J) that the legs shall have."""
-        limits = torch.as_tensor(joint_limits(robot.spec, "velocity_limit"), dtype=torch.float32, device=world.device)
+        limits = torch.as_tensor(joint_limits(robot.spec, "velocity_limit"), dtype=torch.float32, device=env.device)
         feet, jacobian = self._kinematics(self._positions[:1], self._root[:1])
         usual = Gait()
         hasty = _swing_speed(usual, jacobian[0]) > limits[self._legs]
         self._gait = gait or (SLOW_JOINTS if bool(hasty.any()) else usual)
-        self._neutral = feet * torch.tensor([1.0, 1.0, 1.0 + self._gait.rise], device=world.device)
-        """(1, 4, 3) feet in the trunk's frame at home."""
+        # (1, 4, 3) feet in the trunk's frame at home.
+        self._neutral = feet * torch.tensor([1.0, 1.0, 1.0 + self._gait.rise], device=env.device)
+        # (N, 4, 3) wanted of the feet, in the level frame of the trunk: where they are, or lifted off.
         self._planted = self._neutral.repeat(count, 1, 1)
-        """(N, 4, 3) wanted of the feet, in the level frame of the trunk: where they are, or lifted off."""
-        self._velocities = torch.zeros(3, count, 3, device=world.device)
+        self._velocities = torch.zeros(3, count, 3, device=env.device)
+        # (N, 3) each: integrated error, what was measured, smoothed, and what is wanted on the way to the command.
         self._integral, self._smooth, self._asked = self._velocities.unbind()
-        """(N, 3) each: integrated error, what was measured, smoothed, and what is wanted on the way to the command."""
-        self._against_sway = torch.zeros(2, count, device=world.device)
-        """(N,) each: rad/s^2 of the stride's cosine and sine."""
+        # (N,) each: rad/s^2 of the stride's cosine and sine.
+        self._against_sway = torch.zeros(2, count, device=env.device)
         # Feet on opposite corners of the trunk step together.
         self._offset = 0.5 * (self._neutral[0, :, 0] * self._neutral[0, :, 1] > 0).float()
         gains = robot.nominal_gains
-        self._stiffness = torch.tensor([gains[j][0] for j in range(len(gains))], device=world.device)
-        self._lag = torch.tensor([gains[j][1] / gains[j][0] for j in range(len(gains))], device=world.device)
+        self._stiffness = torch.tensor([gains[j][0] for j in range(len(gains))], device=env.device)
+        self._lag = torch.tensor([gains[j][1] / gains[j][0] for j in range(len(gains))], device=env.device)
         self._most_turn = _OWN_SPEED * limits * self._dt
         # A free joint approaches a held target with the drive's time constant, `_lag`: this far ahead it turns at its
         # limit on average over a control step.
         self._reach = limits * self._dt / -torch.expm1(-self._dt / self._lag)
-        self._contacts = biped.contacts_of(world)
+        self._contacts = biped.contacts_of(env.world)
         links = list(self._contacts.link_names)
         touching = [links.index(robot.spec.articulation.frame(foot).link) for foot in self._feet]
-        self._foot_links = torch.tensor(touching, device=world.device)
+        self._foot_links = torch.tensor(touching, device=env.device)
         self._mass = robot.spec.articulation.mass
+        # kg m^2 about the vertical, of the mass as if it lay over the feet.
         self._inertia = self._mass * float(self._neutral[..., :2].square().sum(2).mean())
-        """kg m^2 about the vertical, of the mass as if it lay over the feet."""
         self._height = robot.spec.pose.position[2]
 
     def memory(self) -> Mapping[str, Tensor]:
@@ -172,7 +173,7 @@ class FootholdGait(Node):
         self._against_sway[:, rows] = 0.0
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        self._begin(self._task.episode_step == 0)
+        self._begin(self._state.episode_step == 0)
         gait = self._gait
         tilt = self._tilt()
         self._smooth.lerp_(self._velocity(), min(self._dt / gait.smoothing, 1.0))
@@ -184,8 +185,8 @@ class FootholdGait(Node):
             -gait.integral_limit, gait.integral_limit
         )
         wanted = self._asked + self._integral
-        phase, standing = self._phase(self._task.episode_step)
-        landing = self._phase(self._task.episode_step + 1)[1] & ~standing
+        phase, standing = self._phase(self._state.episode_step)
+        landing = self._phase(self._state.episode_step + 1)[1] & ~standing
         feet = self._feet_wanted(phase, standing, landing, wanted, velocity, tilt)
         before = self._positions.clone()
         jacobian = self._solve(feet)
@@ -227,7 +228,7 @@ class FootholdGait(Node):
         height = self._neutral[..., 2] + gait.swing_height * torch.sin(torch.pi * past).square() * ~standing
         flat = torch.where(standing[..., None], self._planted[..., :2], swinging)
         feet = torch.cat((flat, height[..., None]), 2)
-        # A foot in the air keeps clear of the ground whatever the trunk's tilt; feet on it hold the trunk by theirs.
+        # A foot in the air keeps clear of the ground at any tilt of the trunk; feet on it hold the trunk by theirs.
         roll, pitch = tilt[:, None, 0], tilt[:, None, 1]
         lean = pitch * feet[..., 0] - roll * feet[..., 1]
         return torch.cat((flat, (height + lean * ~standing)[..., None]), 2)
@@ -273,7 +274,7 @@ class FootholdGait(Node):
         """(N,) rad/s^2 about the vertical against the trunk's sway; learns from how it sways now."""
         gait = self._gait
         error = self._asked[:, 2] - walking.angular_velocity(self._robot)[:, 2]
-        stride = (2.0 * torch.pi / gait.period) * self._dt * self._task.episode_step
+        stride = (2.0 * torch.pi / gait.period) * self._dt * self._state.episode_step
         cosine, sine = torch.cos(stride), torch.sin(stride)
         # A yaw rate lags a quarter behind its moment.
         learned = torch.stack((sine, -cosine)) * (gait.sway_gain * self._dt * error)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -13,135 +13,159 @@ from torch.linalg import vector_norm
 
 from orbit_assets.objects import BENCH_HEIGHT, box, table
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm
+from orbit_core.envs import (
+    CommandTerm,
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
-from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, measured_in, once_per_state
-from orbit_core.interfaces import World
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
+from orbit_core.envs.terms import ENVIRONMENT, POSE, Bounds, Meaning, TermFunction, measured_in, once_per_state
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.commands import UniformPositionCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, tabletop
 
 GIVER, RECEIVER = "giver", "receiver"
+# Metres, of the rod.
 LENGTH, WIDTH = 0.24, 0.03
-"""Metres, of the rod."""
+# Metres from the rod's middle to where a hand holds it: the giver the end on its own side, the receiver the other.
 GRIP = 0.065
-"""Metres from the rod's middle to where a hand holds it: the giver the end on its own side, the receiver the other."""
 SIDES = {GIVER: -1.0, RECEIVER: 1.0}
+# Metres above the table at which the rod is passed on, in the middle between the arms.
 HEIGHT = 0.25
-"""Metres above the table at which the rod is passed on, in the middle between the arms."""
+
+
+class HandoverMemory(tabletop.TabletopMemory):
+    """State of a handover: the place of the handover, and how near the rod was to it."""
+
+    place: Tensor
+    """(N, 3) where the rod is passed on."""
+    along: Tensor
+    """(3,) the rod's length, in its own frame."""
+    nearest: Tensor = buffer(initial=torch.inf)
+    """(N,) metres, the least distance in the episode between the rod and that place."""
+
+    def start(self, env: Environment[Handover]) -> None:
+        super().start(env)
+        self.along = torch.tensor([1.0, 0.0, 0.0], device=env.device)
+        middle = torch.tensor([0.5 * env.task.spacing, 0.0, HEIGHT], device=env.device)
+        self.place = middle.repeat(env.num_envs, 1)
+
+    def update(self, env: Environment[Handover]) -> None:
+        self.nearest.copy_(torch.minimum(self.nearest, place_distance(env)))
 
 
 @measured_in(POSE)
-def rod_pose(world: World, task: Handover) -> Tensor:
+def rod_pose(env: Environment[Handover]) -> Tensor:
     """(N, 7) pose of the rod in the environment's frame."""
-    return world.objects["rod"].root_pose
+    return env.world.objects["rod"].root_pose
 
 
 @once_per_state
-def rod_direction(world: World, task: Handover) -> Tensor:
+def rod_direction(env: Environment[Handover, HandoverMemory]) -> Tensor:
     """(N, 3) unit vector along the rod, from the giver's side to the receiver's."""
-    along = quat_rotate(rod_pose(world, task)[:, 3:], task.along)
+    along = quat_rotate(rod_pose(env)[:, 3:], env.state.along)
     return torch.where(along[:, :1] < 0.0, -along, along)
 
 
 @once_per_state
-def grip(world: World, task: Handover, agent: str) -> Tensor:
+def grip(env: Environment[Handover], agent: str) -> Tensor:
     """(N, 3) where that agent holds the rod."""
-    return rod_pose(world, task)[:, :3] + SIDES[agent] * GRIP * rod_direction(world, task)
+    return rod_pose(env)[:, :3] + SIDES[agent] * GRIP * rod_direction(env)
 
 
 @measured_in("m")
 @once_per_state
-def hand_to_grip(world: World, task: Handover, agent: str) -> Tensor:
+def hand_to_grip(env: Environment[Handover], agent: str) -> Tensor:
     """(N, 3) from that agent's hand to where it holds the rod."""
-    return grip(world, task, agent) - common.hand_pose(world, task, agent)[:, :3]
+    return grip(env, agent) - common.hand_pose(env, agent)[:, :3]
 
 
 @once_per_state
-def goal_distance(world: World, task: Handover) -> Tensor:
+def goal_distance(env: Environment[Handover]) -> Tensor:
     """(N,) between rod and goal."""
-    return vector_norm(task.goal - rod_pose(world, task)[:, :3], dim=1)
+    return vector_norm(env.commands["goal"] - rod_pose(env)[:, :3], dim=1)
 
 
 @once_per_state
-def place_distance(world: World, task: Handover) -> Tensor:
+def place_distance(env: Environment[Handover, HandoverMemory]) -> Tensor:
     """(N,) between the rod and the place where it is passed on."""
-    return vector_norm(task.place - rod_pose(world, task)[:, :3], dim=1)
+    return vector_norm(env.state.place - rod_pose(env)[:, :3], dim=1)
 
 
 @once_per_state
-def lifted(world: World, task: Handover) -> Tensor:
+def lifted(env: Environment[Handover]) -> Tensor:
     """(N,) 1 where the rod is off the table, else 0."""
-    return (rod_pose(world, task)[:, 2] > 1.5 * WIDTH).float()
+    return (rod_pose(env)[:, 2] > 1.5 * WIDTH).float()
 
 
 @once_per_state
-def received(world: World, task: Handover) -> Tensor:
+def received(env: Environment[Handover]) -> Tensor:
     """(N,) 1 where the rod is off the table and beyond the middle, where the receiver alone can have brought it."""
-    beyond = rod_pose(world, task)[:, 0] > 0.5 * task.spacing + GRIP
-    return lifted(world, task) * beyond.float()
+    beyond = rod_pose(env)[:, 0] > 0.5 * env.task.spacing + GRIP
+    return lifted(env) * beyond.float()
 
 
-def reaching(world: World, task: Handover, agent: str) -> Tensor:
+def reaching(env: Environment[Handover], agent: str) -> Tensor:
     """(N,) in [0, 1]: how near that agent's hand is to where it holds the rod; for the giver, 1 once it has given."""
-    near = common.nearness(vector_norm(hand_to_grip(world, task, agent), dim=1), 0.1)
-    return torch.maximum(near, received(world, task)) if agent == GIVER else near * lifted(world, task)
+    near = common.nearness(vector_norm(hand_to_grip(env, agent), dim=1), 0.1)
+    return torch.maximum(near, received(env)) if agent == GIVER else near * lifted(env)
 
 
-def offering(world: World, task: Handover, agent: str) -> Tensor:
+def offering(env: Environment[Handover], agent: str) -> Tensor:
     """(N,) in [0, 1]: how near the lifted rod is to where it is passed on; 1 once it has been."""
-    return torch.maximum(lifted(world, task) * common.nearness(place_distance(world, task), 0.2), received(world, task))
+    return torch.maximum(lifted(env) * common.nearness(place_distance(env), 0.2), received(env))
 
 
-def tracking(world: World, task: Handover, scale: float) -> Tensor:
+def tracking(env: Environment[Handover], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the lifted rod is to the goal."""
-    return lifted(world, task) * common.nearness(goal_distance(world, task), scale)
+    return lifted(env) * common.nearness(goal_distance(env), scale)
 
 
-def place_rod(world: World, task: Handover, env_ids: Tensor) -> None:
-    """Place the rod on a 10 x 40 cm patch that the giver alone can reach, turned by up to half a radian."""
-    bounds = (0.37, -0.2, 0.5 * WIDTH, -0.5), (0.47, 0.2, 0.5 * WIDTH, 0.5)
-    world.objects["rod"].set_root_pose(common.standing(world.random.uniform((4,), *bounds, env_ids)), env_ids)
-    task.nearest[env_ids] = torch.inf
+@dataclass(unsafe_hash=True, kw_only=True)
+class HandoverGoal(UniformPositionCommand):
+    """Position 15 to 35 cm above an 8 x 40 cm patch before the receiver."""
+
+    def reach(self, env: Environment[Handover]) -> dict[str, Bounds]:
+        spacing = env.task.spacing
+        return {"x": (spacing - 0.43, spacing - 0.35), "y": (-0.2, 0.2), "z": (0.15, 0.35)}
 
 
-def sample_goal(world: World, task: Handover, env_ids: Tensor) -> None:
-    """15 to 35 cm above an 8 x 40 cm patch before the receiver."""
-    low, high = (task.spacing - 0.43, -0.2, 0.15), (task.spacing - 0.35, 0.2, 0.35)
-    task.goal[env_ids] = goal = world.random.uniform((3,), low, high, env_ids)
-    common.place_markers(world, ("goal",), goal[:, None], env_ids)
-
-
-def around_rod(agent: str) -> Callable[[World, Handover], Tensor]:
+def around_rod(agent: str) -> TermFunction:
     """(N, 7) that agent's hand around its end of the rod, pointing down."""
 
-    def target(world: World, task: Handover) -> Tensor:
-        direction = rod_direction(world, task)
+    def target(env: Environment[Handover]) -> Tensor:
+        direction = rod_direction(env)
         yaw = torch.atan2(direction[:, 1], direction[:, 0])
-        return torch.cat((grip(world, task, agent), _facing_down(agent, yaw)), dim=1)
+        return torch.cat((grip(env, agent), _facing_down(agent, yaw)), dim=1)
 
     return target
 
 
-def beside_place(agent: str, back: float, height: float) -> Callable[[World, Handover], Tensor]:
+def beside_place(agent: str, back: float, height: float) -> TermFunction:
     """(N, 7) that agent's hand above its side of the place where the rod is passed on, and behind by ``back``."""
 
-    def target(world: World, task: Handover) -> Tensor:
-        position = task.place + torch.tensor([SIDES[agent] * (GRIP + back), 0.0, height], device=world.device)
+    def target(env: Environment[Handover, HandoverMemory]) -> Tensor:
+        position = env.state.place + torch.tensor([SIDES[agent] * (GRIP + back), 0.0, height], device=env.device)
         return torch.cat((position, _facing_down(agent, torch.zeros_like(position[:, 0]))), dim=1)
 
     return target
 
 
-def carried(agent: str, goal: Callable[[Handover], Tensor]) -> Callable[[World, Handover], Tensor]:
-    """(N, 7) that agent's hand where the rod's middle comes to a goal (N, 3), as the rod sits in the hand now."""
+def carried(agent: str, goal: TermFunction) -> TermFunction:
+    """(N, 7) that agent's hand where the rod's middle is at a goal (N, 3), as the rod sits in the hand now."""
 
-    def target(world: World, task: Handover) -> Tensor:
-        wanted = goal(task)
-        position = wanted + common.hand_pose(world, task, agent)[:, :3] - rod_pose(world, task)[:, :3]
+    def target(env: Environment[Handover]) -> Tensor:
+        wanted = goal(env)
+        position = wanted + common.hand_pose(env, agent)[:, :3] - rod_pose(env)[:, :3]
         return torch.cat((position, _facing_down(agent, torch.zeros_like(wanted[:, 0]))), dim=1)
 
     return target
@@ -166,7 +190,7 @@ class HandoverState(ObservationGroup):
     receiver_last_action: ObservationTerm | None = ObservationTerm(common.last_action, agent=RECEIVER)
     rod_pose: ObservationTerm | None = ObservationTerm(rod_pose)
     goal: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.goal,
+        generated_command("goal"),
         unit="m",
         meaning=Meaning("position that the rod is to be brought to", ENVIRONMENT),
     )
@@ -184,18 +208,26 @@ class HandoverRewards:
     receiver_action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4, agent=RECEIVER)
     receiver_joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4, agent=RECEIVER)
     lift: RewardTerm | None = RewardTerm(lifted, 4.0)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
-    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 5.0)
+    track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+
+
+@dataclass
+class HandoverCommands:
+    """The position that the rod is to be brought to."""
+
+    goal: CommandTerm | None = HandoverGoal(marker="goal")
 
 
 @dataclass
 class HandoverEvents:
-    """Arms, rod and goal are placed anew for each episode; masses and the like with domain randomisation."""
+    """Arms and rod are placed for each episode; masses and the like with domain randomisation."""
 
     place_giver: EventTerm | None = EventTerm(common.randomize_robot_start(0.05, GIVER))
     place_receiver: EventTerm | None = EventTerm(common.randomize_robot_start(0.05, RECEIVER))
-    place_rod: EventTerm | None = EventTerm(place_rod)
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
+    place_rod: EventTerm | None = EventTerm(
+        common.place_object("rod", x=(0.37, 0.47), y=(-0.2, 0.2), z=0.5 * WIDTH, yaw=(-0.5, 0.5))
+    )  # on a patch that only the giver reaches
     rod_mass: EventTerm | None = None
     friction: EventTerm | None = None
     giver_gains: EventTerm | None = None
@@ -210,15 +242,17 @@ class Handover(tabletop.TabletopTask):
     Succeeds when the rod's middle is within ``tolerance`` of the goal at the episode's end. Metrics: that distance, the
     receiver's to close, and the least between the rod and the place where it is passed on, the giver's."""  # fmt: skip
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_YAW, "the rod must lie across for both arms to reach an end each"),
+    state_type: ClassVar[type[TaskState]] = HandoverMemory
+    renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.goal"}
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005),
+        view=look_at(eye=(0.75, 1.9, 0.95), target=(0.75, 0.0, 0.2)),
+        exceptions=(TaskException(TaskCheck.START_YAW, "the rod must lie across for both arms to reach an end each"),),
     )
     agents: ClassVar[tuple[str, ...]] = (GIVER, RECEIVER)
     robot: str = "franka_panda"
     """Name of both arms in the catalogue."""
     episode_length: float = 8.0
-    view: Pose = look_at(eye=(0.75, 1.9, 0.95), target=(0.75, 0.0, 0.2))
-    ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
     spacing: float = 1.5
     """Metres between the arms' bases. A Franka Panda reaches 0.95 m from its shoulder: not to the rod's start from the
     receiver's side, nor to the goal from the giver's."""
@@ -230,14 +264,7 @@ class Handover(tabletop.TabletopTask):
     rewards: HandoverRewards = field(default_factory=HandoverRewards)
     terminations: tabletop.DropTerminations = field(default_factory=tabletop.DropTerminations)
     events: HandoverEvents = field(default_factory=HandoverEvents)
-    goal: Tensor = field(init=False)
-    """(N, 3) in the environment's frame."""
-    place: Tensor = field(init=False)
-    """(N, 3) where the rod is passed on."""
-    along: Tensor = field(init=False)
-    """(3,) the rod's length, in its own frame."""
-    nearest: Tensor = field(init=False)
-    """(N,) metres, the least distance in the episode between the rod and that place."""
+    commands: HandoverCommands = field(default_factory=HandoverCommands)
 
     @property
     def pieces(self) -> tuple[str, ...]:
@@ -258,16 +285,6 @@ class Handover(tabletop.TabletopTask):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, 3, device=world.device)
-        self.along = torch.tensor([1.0, 0.0, 0.0], device=world.device)
-        self.place = torch.tensor([0.5 * self.spacing, 0.0, HEIGHT], device=world.device).repeat(world.num_envs, 1)
-        self.nearest = torch.full((world.num_envs,), torch.inf, device=world.device)
-
-    def advance(self, world: World) -> None:
-        self.nearest.copy_(torch.minimum(self.nearest, place_distance(world, self)))
-
     def randomize(self) -> None:
         """The rod's mass, its friction and the fingers', the arms' gains, and noise on joints and rod."""
         self.events.rod_mass = EventTerm(randomize.masses("rod", Range(0.5, 2.0)), EventTime.STARTUP)
@@ -279,16 +296,16 @@ class Handover(tabletop.TabletopTask):
             noise = {f"{agent}_joint_positions": 0.005, f"{agent}_joint_velocities": 0.05}
             common.add_noise(self.observations.policy, rod_pose=0.002, **noise)
 
-    def success(self, world: World) -> Tensor:
-        return goal_distance(world, self) < self.tolerance
+    def success(self, env: Environment) -> Tensor:
+        return goal_distance(env) < self.tolerance
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"goal_distance_m": goal_distance(world, self), "handover_distance_m": self.nearest}
+    def metrics(self, env: Environment[Any, HandoverMemory]) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(env), "handover_distance_m": env.state.nearest}
 
-    def expert(self, world: World) -> Expert:
+    def expert(self, env: Environment[Any, HandoverMemory]) -> Expert:
         ready = Phase(beside_place(RECEIVER, back=0.05, height=0.12))
         wait = Phase(ready.target, position_tolerance=math.inf, rotation_tolerance=math.inf)
-        offer = Phase(carried(GIVER, lambda task: task.place), gripper_open=False, position_tolerance=0.02)
+        offer = Phase(carried(GIVER, lambda env: env.state.place), gripper_open=False, position_tolerance=0.02)
         hold = Phase(offer.target, False, position_tolerance=math.inf, rotation_tolerance=math.inf)
         keep = Phase(around_rod(RECEIVER), False, position_tolerance=math.inf, rotation_tolerance=math.inf)
         back_off = Phase(beside_place(GIVER, back=0.1, height=0.15), position_tolerance=0.05, timeout=1.5)
@@ -301,7 +318,7 @@ class Handover(tabletop.TabletopTask):
             (hold, Phase(around_rod(RECEIVER), gripper_open=False, dwell=0.4, timeout=0.5)),
             (Phase(around_rod(GIVER), dwell=0.3, timeout=0.4), keep),
             (back_off, keep),
-            (back_off, Phase(carried(RECEIVER, lambda task: task.goal), gripper_open=False)),
+            (back_off, Phase(carried(RECEIVER, generated_command("goal")), gripper_open=False)),
         )
         phases = {agent: [pair[index] for pair in steps] for index, agent in enumerate(self.agents)}
-        return Expert(world, self, phases)
+        return Expert(env, phases)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -14,45 +14,70 @@ from orbit_assets.objects import BENCH_HEIGHT, BLADE_HALF, box, cylinder, net, s
 from orbit_assets.objects import HOCKEY_WHITE as WHITE
 from orbit_assets.objects import NET_DEPTH as DEPTH
 from orbit_assets.objects import NET_WIDTH as WIDTH
-from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm
+from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
-from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import held, premises, tabletop
 
 ICE = PhysicsMaterial(0.04, 0.04)
+# Metres, of the ice on the table.
 THICKNESS = 0.01
-"""Metres, of the ice on the table."""
+# Metres, of the puck.
 RADIUS, HEIGHT = 0.03, 0.02
-"""Metres, of the puck."""
+# Metres above the table at which the blade's middle strikes.
 STRIKE = THICKNESS + BLADE_HALF[2] + 0.005
-"""Metres above the table at which the blade's middle strikes."""
 
 
-def puck_position(world: World, task: Hockey) -> Tensor:
+class HockeyMemory(tabletop.TabletopMemory):
+    """State of the net on its way, and the puck's least distance to it."""
+
+    net_middle: Tensor = buffer()
+    """(N,) metres, where the net is in the middle of its way."""
+    net_phase: Tensor = buffer()
+    """(N,) rad, where on its way it starts."""
+    nearest: Tensor = buffer(initial=torch.inf)
+    """(N,) metres, the shortest distance in the episode."""
+
+    def update(self, env: Environment[Hockey]) -> None:
+        self.nearest.copy_(torch.minimum(self.nearest, distance(env)))
+        position, velocity = net_at(env, env.step_dt)
+        env.world.robots["net"].set_position_targets(position[:, None])
+        env.world.robots["net"].set_velocity_targets(velocity[:, None])
+
+
+def net_at(env: Environment[Hockey, HockeyMemory], seconds: Tensor | float) -> tuple[Tensor, Tensor]:
+    """(N,) metres and (N,) m/s: place and velocity of the net, so many seconds from now."""
+    amplitude, rate = (0.08 if env.task.moving_goal else 0.0), 0.5 * math.pi
+    time = env.state.episode_step * env.step_dt + seconds
+    angle = env.state.net_phase + rate * time
+    return env.state.net_middle + amplitude * angle.sin(), amplitude * rate * angle.cos()
+
+
+def puck_position(env: Environment[Hockey]) -> Tensor:
     """(N, 3) position of the puck in the environment's frame."""
-    return world.objects["puck"].root_pose[:, :3]
+    return env.world.objects["puck"].root_pose[:, :3]
 
 
-def puck_velocity(world: World, task: Hockey) -> Tensor:
+def puck_velocity(env: Environment[Hockey]) -> Tensor:
     """(N, 3) m/s velocity of the puck in the environment's frame."""
-    return world.objects["puck"].root_velocity[:, :3]
+    return env.world.objects["puck"].root_velocity[:, :3]
 
 
 @once_per_state
-def net_position(world: World, task: Hockey) -> Tensor:
+def net_position(env: Environment[Hockey]) -> Tensor:
     """(N, 3) of the middle of the net's line, on the ice."""
-    return world.robots["net"].frame_pose("net")[:, :3]
+    return env.world.robots["net"].frame_pose("net")[:, :3]
 
 
 @once_per_state
-def puck_to_inside(world: World, task: Hockey) -> Tensor:
+def puck_to_inside(env: Environment[Hockey]) -> Tensor:
     """(N, 3) the shortest way on the ice on which the whole puck comes behind the line, between the posts."""
-    puck, line = puck_position(world, task), net_position(world, task)
+    puck, line = puck_position(env), net_position(env)
     aside = 0.5 * WIDTH - RADIUS
     x = puck[:, 0].clamp(line[:, 0] + RADIUS, line[:, 0] + DEPTH)
     y = torch.clamp(puck[:, 1], line[:, 1] - aside, line[:, 1] + aside)
@@ -60,82 +85,81 @@ def puck_to_inside(world: World, task: Hockey) -> Tensor:
 
 
 @once_per_state
-def distance(world: World, task: Hockey) -> Tensor:
+def distance(env: Environment[Hockey]) -> Tensor:
     """(N,) metres from the puck to the net's inside."""
-    return vector_norm(puck_to_inside(world, task), dim=1)
+    return vector_norm(puck_to_inside(env), dim=1)
 
 
 @once_per_state
-def inside(world: World, task: Hockey) -> Tensor:
+def inside(env: Environment[Hockey]) -> Tensor:
     """(N,) bool"""
-    return distance(world, task) < 1e-3
+    return distance(env) < 1e-3
 
 
-def blade_to_puck(world: World, task: Hockey) -> Tensor:
+def blade_to_puck(env: Environment[Hockey]) -> Tensor:
     """(N, 3) position of the puck minus the blade's, in the environment's axes."""
-    return puck_position(world, task) - common.hand_pose(world, task)[:, :3]
+    return puck_position(env) - common.hand_pose(env)[:, :3]
 
 
 @once_per_state
-def aim(world: World, task: Hockey) -> Tensor:
+def aim(env: Environment[Hockey]) -> Tensor:
     """(N, 3) unit vector from the puck to the middle of the net, where that will be when the puck comes there."""
-    puck, line = puck_position(world, task), net_position(world, task)
+    puck, line = puck_position(env), net_position(env)
     seconds = (line[:, 0] - puck[:, 0]).clamp_min(0.0) / 0.6
     # In the net the middle is near, and the direction would swing round: as if it were further.
     ahead = (line[:, 0] + 0.5 * DEPTH - puck[:, 0]).clamp_min(0.15)
-    way = torch.stack((ahead, task.net_at(seconds)[0] - puck[:, 1], torch.zeros_like(ahead)), dim=1)
+    way = torch.stack((ahead, net_at(env, seconds)[0] - puck[:, 1], torch.zeros_like(ahead)), dim=1)
     return way / vector_norm(way, dim=1, keepdim=True)
 
 
-def striking(world: World, task: Hockey) -> Tensor:
+def striking(env: Environment[Hockey]) -> Tensor:
     """(N,) in [0, 1]: how near the blade is to behind the puck; 1 once the puck is inside."""
-    way = behind(0.05, STRIKE)(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]
-    return torch.maximum(common.nearness(vector_norm(way, dim=1), 0.15), inside(world, task).float())
+    way = behind(0.05, STRIKE)(env)[:, :3] - common.hand_pose(env)[:, :3]
+    return torch.maximum(common.nearness(vector_norm(way, dim=1), 0.15), inside(env).float())
 
 
-def sliding(world: World, task: Hockey) -> Tensor:
+def sliding(env: Environment[Hockey]) -> Tensor:
     """(N,) in [0, 1]: metres a second, at most one, at which the puck goes where it should; 1 once it is inside."""
-    speed = vecdot(puck_velocity(world, task), aim(world, task)).clamp(0.0, 1.0)
-    return torch.maximum(speed, inside(world, task).float())
+    speed = vecdot(puck_velocity(env), aim(env)).clamp(0.0, 1.0)
+    return torch.maximum(speed, inside(env).float())
 
 
-def place_net(world: World, task: Hockey, env_ids: Tensor) -> None:
+def place_net(env: Environment[Hockey, HockeyMemory], env_ids: Tensor) -> None:
     """Up to 10 cm off the middle; where it moves, anywhere on its way."""
-    place = world.random.uniform((2,), (-0.1, 0.0), (0.1, 2.0 * math.pi), env_ids)
-    task.net_middle[env_ids], task.net_phase[env_ids] = place[:, 0], place[:, 1]
-    position, velocity = (value[env_ids, None] for value in task.net_at(0.0))
-    world.robots["net"].set_joint_state(position, velocity, env_ids=env_ids)
+    place = env.world.random.uniform((2,), (-0.1, 0.0), (0.1, 2.0 * math.pi), env_ids)
+    env.state.net_middle[env_ids], env.state.net_phase[env_ids] = place[:, 0], place[:, 1]
+    position, velocity = (value[env_ids, None] for value in net_at(env, 0.0))
+    env.world.robots["net"].set_joint_state(position, velocity, env_ids=env_ids)
 
 
-def place_puck(world: World, task: Hockey, env_ids: Tensor) -> None:
-    """On an 8 x 24 cm patch at the near side of the hand's workspace."""
-    near = common.workspace(world)[0][0]
+def place_puck(env: Environment[Hockey], env_ids: Tensor) -> None:
+    """Place the puck on an 8 x 24 cm patch at the near side of the hand's workspace."""
+    near = common.workspace(env.world)[0][0]
     low, high = (near + 0.02, -0.12, THICKNESS + 0.5 * HEIGHT), (near + 0.1, 0.12, THICKNESS + 0.5 * HEIGHT)
-    position = world.random.uniform((3,), low, high, env_ids)
+    position = env.world.random.uniform((3,), low, high, env_ids)
     upright = common.turned(torch.zeros_like(position[:, 0]))
-    world.objects["puck"].set_root_pose(torch.cat((position, upright), dim=1), env_ids)
-    task.nearest[env_ids] = torch.inf
+    env.world.objects["puck"].set_root_pose(torch.cat((position, upright), dim=1), env_ids)
 
 
 def behind(back: float, height: float) -> TermFunction:
     """(N, 7) the blade across the way to the net, ``back`` metres behind the puck, ``height`` above the table."""
 
-    def target(world: World, task: Hockey) -> Tensor:
-        position = puck_position(world, task) - back * aim(world, task)
-        return _facing(world, task, position, height)
+    def target(env: Environment[Hockey]) -> Tensor:
+        position = puck_position(env) - back * aim(env)
+        return _facing(env, position, height)
 
     return target
 
 
-def follow_through(world: World, task: Hockey) -> Tensor:
+def follow_through(env: Environment[Hockey]) -> Tensor:
     """(N, 7) the blade well beyond the puck on its way to the net, but 3 cm behind the line at most."""
-    position = puck_position(world, task) + 0.15 * aim(world, task)
-    limit = net_position(world, task)[:, 0] + 0.03
-    return _facing(world, task, torch.cat((torch.minimum(position[:, 0], limit)[:, None], position[:, 1:]), 1), STRIKE)
+    position = puck_position(env) + 0.15 * aim(env)
+    limit = net_position(env)[:, 0] + 0.03
+    return _facing(env, torch.cat((torch.minimum(position[:, 0], limit)[:, None], position[:, 1:]), 1), STRIKE)
 
 
-def _facing(world: World, task: Hockey, position: Tensor, height: float) -> Tensor:
-    way = aim(world, task)
+def _facing(env: Environment[Hockey], position: Tensor, height: float) -> Tensor:
+    way = aim(env)
     at = torch.cat((position[:, :2], torch.full_like(position[:, :1], height)), dim=1)
     return torch.cat((at, common.facing_down(torch.atan2(way[:, 1], way[:, 0]).clamp(-0.8, 0.8))), dim=1)
 
@@ -153,7 +177,7 @@ class HockeyState(ObservationGroup):
     puck_to_inside: ObservationTerm | None = ObservationTerm(puck_to_inside, unit="m")
     net_position: ObservationTerm | None = ObservationTerm(net_position, unit="m")
     net_velocity: ObservationTerm | None = ObservationTerm(
-        lambda world, task: world.robots["net"].joint_velocities,
+        lambda env: env.world.robots["net"].joint_velocities,
         unit="m/s",
         meaning=Meaning("measured velocity of the net along its rail"),
     )
@@ -166,15 +190,15 @@ class HockeyRewards:
 
     strike: RewardTerm | None = RewardTerm(striking, 1.0)
     slide: RewardTerm | None = RewardTerm(sliding, 4.0)
-    near: RewardTerm | None = RewardTerm(lambda world, task: common.nearness(distance(world, task), 0.3), 8.0)
-    score: RewardTerm | None = RewardTerm(lambda world, task: inside(world, task).float(), 16.0)
+    near: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.3), 8.0)
+    score: RewardTerm | None = RewardTerm(lambda env: inside(env).float(), 16.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 
 
 @dataclass
 class HockeyEvents(tabletop.ArmEvents):
-    """Robot, net and puck are placed anew for each episode; friction and the like with domain randomisation."""
+    """Robot, net and puck are placed for each episode; friction and the like with domain randomisation."""
 
     place_net: EventTerm | None = EventTerm(place_net)
     place_puck: EventTerm | None = EventTerm(place_puck)
@@ -182,32 +206,33 @@ class HockeyEvents(tabletop.ArmEvents):
 
 @dataclass
 class HockeyPremises:
-    """The puck lies still on the ice, and outside of the net."""
+    """The puck is still on the ice, and outside of the net."""
 
     still: PremiseTerm | None = PremiseTerm(
-        lambda world, task: premises.standing(world, ("puck",), THICKNESS + 0.5 * HEIGHT),
+        lambda env: premises.standing(env.world, ("puck",), THICKNESS + 0.5 * HEIGHT),
         "the puck does not lie still and flat on the ice, so that it began inside another thing, or slid away",
     )
-    outside: PremiseTerm | None = PremiseTerm(
-        lambda world, task: ~inside(world, task), "the puck is in the net already"
-    )
+    outside: PremiseTerm | None = PremiseTerm(lambda env: ~inside(env), "the puck is in the net already")
 
 
 @dataclass(kw_only=True)
 class Hockey(tabletop.TabletopTask):
-    """The hand holds a stick for good. The puck lies before it on ice, the net stands at the end of its reach.
+    """The hand holds a stick for good. The puck is before it on ice, the net stands at the end of its reach.
 
     Succeeds when the whole puck is in the net at the episode's end. Metric: the shortest distance in the episode from
     the puck to the net's inside.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "the puck starts on 8 x 24 cm, where the stick gets behind it"),
-        TaskException(TaskCheck.START_YAW, "a puck is round"),
+    state_type: ClassVar[type[TaskState]] = HockeyMemory
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=800, initial_std=0.3, entropy_weight=0.005),
+        view=look_at(eye=(1.5, 1.0, 0.85), target=(0.5, 0.0, 0.1)),
+        exceptions=(
+            TaskException(TaskCheck.START_AREA, "the puck starts on 8 x 24 cm, where the stick gets behind it"),
+            TaskException(TaskCheck.START_YAW, "a puck is round"),
+        ),
     )
     episode_length: float = 5.0
-    ppo: PpoSettings = PpoSettings(iterations=800, initial_std=0.3, entropy_weight=0.005)
-    view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.5, 0.0, 0.1))
     moving_goal: bool = False
     """Whether the net slides to and fro, 8 cm either way in 4 s."""
     observations: tabletop.StateObservations = field(default_factory=tabletop.state(HockeyState))
@@ -215,23 +240,10 @@ class Hockey(tabletop.TabletopTask):
     terminations: tabletop.DropTerminations = field(default_factory=tabletop.DropTerminations)
     events: HockeyEvents = field(default_factory=HockeyEvents)
     premises: HockeyPremises = field(default_factory=HockeyPremises)
-    net_middle: Tensor = field(init=False)
-    """(N,) metres, where the net is in the middle of its way."""
-    net_phase: Tensor = field(init=False)
-    """(N,) rad, where on its way it starts."""
-    nearest: Tensor = field(init=False)
-    """(N,) metres, the shortest distance in the episode."""
 
     @property
     def pieces(self) -> tuple[str, ...]:
         return ("puck",)
-
-    def net_at(self, seconds: Tensor | float) -> tuple[Tensor, Tensor]:
-        """(N,) metres and (N,) m/s: place and velocity of the net, so many seconds from now."""
-        amplitude, rate = (0.08 if self.moving_goal else 0.0), 0.5 * math.pi
-        time = self.episode_step * (self.physics_dt * self.decimation) + seconds
-        angle = self.net_phase + rate * time
-        return self.net_middle + amplitude * angle.sin(), amplitude * rate * angle.cos()
 
     def scene(self) -> Scene:
         robot = held.with_tool(common.arm(self.robot, gripper=False), stick(), "blade")
@@ -251,31 +263,20 @@ class Hockey(tabletop.TabletopTask):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.net_middle, self.net_phase = (torch.zeros(world.num_envs, device=world.device) for _ in range(2))
-        self.nearest = torch.full((world.num_envs,), torch.inf, device=world.device)
-
-    def advance(self, world: World) -> None:
-        self.nearest.copy_(torch.minimum(self.nearest, distance(world, self)))
-        position, velocity = self.net_at(self.physics_dt * self.decimation)
-        world.robots["net"].set_position_targets(position[:, None])
-        world.robots["net"].set_velocity_targets(velocity[:, None])
-
     def randomize(self) -> None:
         """The friction of puck and ice, the arm's gains, and noise on joints and puck."""
         self.vary(("puck", "ice"), (0.02, 0.08), puck_position=0.002)
 
-    def success(self, world: World) -> Tensor:
-        return inside(world, self)
+    def success(self, env: Environment) -> Tensor:
+        return inside(env)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"distance_m": self.nearest}
+    def metrics(self, env: Environment[Any, HockeyMemory]) -> dict[str, Tensor]:
+        return {"distance_m": env.state.nearest}
 
-    def expert(self, world: World) -> Expert:
+    def expert(self, env: Environment) -> Expert:
         phases = (
             Phase(behind(0.1, 0.15), position_tolerance=0.03, timeout=2.0, free=True),
             Phase(behind(0.08, STRIKE), position_tolerance=0.01, timeout=1.5),
             Phase(follow_through),
         )
-        return Expert(world, self, phases)
+        return Expert(env, phases)

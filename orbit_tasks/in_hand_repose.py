@@ -1,4 +1,4 @@
-"""In-Hand-Repose: a hand, its palm up, turns an object to one sampled orientation after another.
+"""Task In-Hand-Repose: a hand, its palm up, turns an object to one sampled orientation after another.
 
 The task and its reward follow Makoviychuk et al., Isaac Gym: High Performance GPU-Based Physics Simulation For Robot
 Learning (2021), section 5.3, after OpenAI et al., Learning Dexterous In-Hand Manipulation (2018).
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -16,12 +16,24 @@ from torch.linalg import vector_norm
 
 from orbit_assets.object_kinds import BoxConfig
 from orbit_core.dynamics import transforms
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import (
+    CommandTerm,
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
-from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.commands import UniformOrientationCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
 from orbit_core.robots import robot
@@ -30,12 +42,12 @@ from orbit_core.scene.pose import Vector3
 
 OBJECT = "object"
 ABOVE_PALM: Vector3 = (-0.015, -0.01, -0.03)
+# Where objects start in hands that would drop more of them at :data:`ABOVE_PALM`.
 OFFSETS: Mapping[str, Vector3] = {
     "allegro_left": (0.005, 0.0, -0.03),
     "shadow_hand": (0.0, 0.0, -0.03),
     "dex3_left": (0.0, 0.0, -0.03),
 }
-"""Where objects start in hands that would drop more of them at :data:`ABOVE_PALM`."""
 
 
 def hand(name: str) -> RobotSpec:
@@ -54,55 +66,90 @@ def hand(name: str) -> RobotSpec:
     return spec
 
 
-def object_pose(world: World, task: InHandRepose) -> Tensor:
+class HandMemory(TaskState):
+    """Goals that were reached in an episode."""
+
+    place: Tensor
+    """(3,) metres, where the object starts."""
+    beside: Tensor
+    """(3,) metres, where the axes are drawn that the object shall have."""
+    distance: Tensor = buffer()
+    """(N,) rad that the object was from its goal after the last step, before a new goal followed."""
+    reached: Tensor = buffer(dtype=torch.bool)
+    """(N,) bool, True where the last step reached a goal."""
+    count: Tensor = buffer()
+    """(N,) goals that were reached in the episode."""
+
+    def start(self, env: Environment[InHandRepose]) -> None:
+        body, task = common.robot_of(env.world), env.task
+        frame = body.frame_pose(body.spec.end_effector.frame)[0, :3]
+        self.place = frame + torch.tensor(task.offset or OFFSETS.get(task.robot, ABOVE_PALM), device=env.device)
+        self.beside = self.place + torch.tensor((0.15, 0.0, 0.05), device=env.device)
+
+    def update(self, env: Environment[InHandRepose]) -> None:
+        self.distance.copy_(rotation_distance(env))
+        torch.lt(self.distance, env.task.tolerance, out=self.reached)
+        self.count += self.reached
+
+
+def object_pose(env: Environment[InHandRepose, HandMemory]) -> Tensor:
     """(N, 7) from the place above the palm where the object starts."""
-    pose = world.objects[OBJECT].root_pose
-    return torch.cat((pose[:, :3] - task.place, pose[:, 3:]), dim=1)
+    pose = env.world.objects[OBJECT].root_pose
+    return torch.cat((pose[:, :3] - env.state.place, pose[:, 3:]), dim=1)
 
 
-def object_velocity(world: World, task: InHandRepose) -> Tensor:
+def object_velocity(env: Environment[InHandRepose]) -> Tensor:
     """(N, 6) m/s and rad/s."""
-    return world.objects[OBJECT].root_velocity
+    return env.world.objects[OBJECT].root_velocity
 
 
-def finger_tips(world: World, task: InHandRepose) -> Tensor:
+def finger_tips(env: Environment[InHandRepose, HandMemory]) -> Tensor:
     """(N, 3 fingers) of the tips, from the place above the palm where the object starts."""
-    body = common.robot_of(world)
+    body = common.robot_of(env.world)
     tips = torch.stack([body.frame_pose(tip)[:, :3] for tip in body.spec.end_effector.finger_tips], dim=1)
-    return (tips - task.place).flatten(1)
+    return (tips - env.state.place).flatten(1)
 
 
-def turn(world: World, task: InHandRepose) -> Tensor:
+def turn(env: Environment[InHandRepose]) -> Tensor:
     """(N, 3) rad, the rotation vector in world axes that takes the object to the goal."""
-    return transforms.rotation_error(world.objects[OBJECT].root_pose[:, 3:], task.goal)
+    return transforms.rotation_error(env.world.objects[OBJECT].root_pose[:, 3:], env.commands["goal"])
 
 
-def rotation_distance(world: World, task: InHandRepose) -> Tensor:
+def rotation_distance(env: Environment[InHandRepose]) -> Tensor:
     """(N,) rad between the object's orientation and the goal."""
-    return transforms.quat_distance(world.objects[OBJECT].root_pose[:, 3:], task.goal)
+    return transforms.quat_distance(env.world.objects[OBJECT].root_pose[:, 3:], env.commands["goal"])
 
 
 @once_per_state
-def slipped(world: World, task: InHandRepose) -> Tensor:
+def slipped(env: Environment[InHandRepose, HandMemory]) -> Tensor:
     """(N,) metres between the object and the place where it started."""
-    return vector_norm(world.objects[OBJECT].root_pose[:, :3] - task.place, dim=1)
+    return vector_norm(env.world.objects[OBJECT].root_pose[:, :3] - env.state.place, dim=1)
 
 
-def dropped(world: World, task: InHandRepose) -> Tensor:
+def dropped(env: Environment[InHandRepose]) -> Tensor:
     """(N,) the object has left the hand."""
-    return slipped(world, task) > task.reach
+    return slipped(env) > env.task.reach
 
 
-def place_object(world: World, task: InHandRepose, env_ids: Tensor) -> None:
+def place_object(env: Environment[InHandRepose, HandMemory], env_ids: Tensor) -> None:
     """Place the object above the palm, within 5 mm and turned anyhow; it falls into the fingers."""
-    offset = world.random.uniform((3,), -0.005, 0.005, env_ids)
-    pose = torch.cat((task.place + offset, common.random_rotations(world, env_ids)), dim=1)
-    world.objects[OBJECT].set_root_pose(pose, env_ids)
+    offset = env.world.random.uniform((3,), -0.005, 0.005, env_ids)
+    pose = torch.cat((env.state.place + offset, common.random_rotations(env.world, env_ids)), dim=1)
+    env.world.objects[OBJECT].set_root_pose(pose, env_ids)
 
 
-def sample_goal(world: World, task: InHandRepose, env_ids: Tensor) -> None:
-    """Sample the first goal of an episode."""
-    task.goal[env_ids] = common.random_rotations(world, env_ids)
+@dataclass(unsafe_hash=True, kw_only=True)
+class HandGoal(UniformOrientationCommand):
+    """Orientation that the object is to have; another one follows as soon as it is reached."""
+
+    def expired(self, env: Environment[Any, HandMemory]) -> Tensor:
+        return env.state.reached
+
+    def follow(self, env: Environment[Any, HandMemory], command: Tensor) -> bool:
+        held, markers = env.world.objects[OBJECT].root_pose, env.world.markers
+        markers["object_axes"].set_pose(held)
+        markers["goal"].set_pose(torch.cat((env.state.beside.expand(len(held), 3), command), dim=1))
+        return False
 
 
 @dataclass
@@ -115,7 +162,7 @@ class HandState(ObservationGroup):
     object_pose: ObservationTerm | None = ObservationTerm(object_pose, unit=POSE)
     object_velocity: ObservationTerm | None = ObservationTerm(object_velocity, unit="m/s, rad/s")
     goal: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.goal,
+        generated_command("goal"),
         unit="quaternion (w, x, y, z)",
         meaning=Meaning("orientation that the object is to have", ENVIRONMENT),
     )
@@ -135,8 +182,8 @@ class HandObservations:
 class HandRewards:
     """Rewards of an orientation near the goal and of each goal that is reached, less what slips or hurries."""
 
-    turned: RewardTerm | None = RewardTerm(lambda world, task: 1.0 / (task.distance + 0.1), 1.0)
-    reached: RewardTerm | None = RewardTerm(lambda world, task: task.reached.float(), 250.0)
+    turned: RewardTerm | None = RewardTerm(lambda env: 1.0 / (env.state.distance + 0.1), 1.0)
+    reached: RewardTerm | None = RewardTerm(lambda env: env.state.reached.float(), 250.0)
     slipped: RewardTerm | None = RewardTerm(slipped, -10.0)
     action: RewardTerm | None = RewardTerm(common.action_size, -1e-3)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
@@ -151,12 +198,18 @@ class HandTerminations:
 
 
 @dataclass
+class HandCommands:
+    """The orientation that the object is to have."""
+
+    goal: CommandTerm | None = HandGoal()
+
+
+@dataclass
 class HandEvents:
-    """Hand, object and first goal are placed anew for each episode; masses and the like with domain randomisation."""
+    """Hand and object are placed for each episode; masses and the like with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.1))
     place_object: EventTerm | None = EventTerm(place_object)
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
     object_mass: EventTerm | None = None
     friction: EventTerm | None = None
     gains: EventTerm | None = None
@@ -170,21 +223,23 @@ class InHandRepose(Task):
     how far the object is from the last goal, and drops.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "the object starts in the hand"),
+    state_type: ClassVar[type[TaskState]] = HandMemory
+    renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.goal"}
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(
+            iterations=3000,
+            hidden_sizes=(512, 256, 128),
+            initial_std=0.6,
+            entropy_weight=0.002,
+            discount=0.995,
+        ),
+        view=look_at(eye=(0.35, -0.4, 0.95), target=(0.0, 0.03, 0.6)),
+        exceptions=(TaskException(TaskCheck.START_AREA, "the object starts in the hand"),),
     )
     robot: str = "allegro_right"
     action: str = "joint_position"
     physics_dt: float = 1.0 / 120.0
     episode_length: float = 20.0
-    view: Pose = look_at(eye=(0.35, -0.4, 0.95), target=(0.0, 0.03, 0.6))
-    ppo: PpoSettings = PpoSettings(
-        iterations=3000,
-        hidden_sizes=(512, 256, 128),
-        initial_std=0.6,
-        entropy_weight=0.002,
-        discount=0.995,
-    )
     object: ObjectConfig = BoxConfig(size=(0.065, 0.065, 0.065), mass=0.08, color=(0.85, 0.6, 0.2, 1.0))
     """What is turned; :func:`orbit_core.objects.object_kinds` has other kinds."""
     offset: Vector3 | None = None
@@ -199,18 +254,7 @@ class InHandRepose(Task):
     rewards: HandRewards = field(default_factory=HandRewards)
     terminations: HandTerminations = field(default_factory=HandTerminations)
     events: HandEvents = field(default_factory=HandEvents)
-    place: Tensor = field(init=False)
-    """(3,) metres, where the object starts."""
-    beside: Tensor = field(init=False)
-    """(3,) metres, where the axes are drawn that the object shall have."""
-    goal: Tensor = field(init=False)
-    """(N, 4) orientation that the object shall have."""
-    distance: Tensor = field(init=False)
-    """(N,) rad that the object was from its goal after the last step, before a new goal followed."""
-    reached: Tensor = field(init=False)
-    """(N,) bool, whether the last step reached a goal."""
-    count: Tensor = field(init=False)
-    """(N,) goals that were reached in the episode."""
+    commands: HandCommands = field(default_factory=HandCommands)
 
     def scene(self) -> Scene:
         self.bound(tolerance=(1e-3, torch.pi), goals=(1, 1000))
@@ -228,31 +272,6 @@ class InHandRepose(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        body = common.robot_of(world)
-        frame = body.frame_pose(body.spec.end_effector.frame)[0, :3]
-        self.place = frame + torch.tensor(self.offset or OFFSETS.get(self.robot, ABOVE_PALM), device=world.device)
-        self.goal = torch.zeros(world.num_envs, 4, device=world.device)
-        self.goal[:, 0] = 1.0
-        self.distance, self.count = (torch.zeros(world.num_envs, device=world.device) for _ in range(2))
-        self.reached = torch.zeros(world.num_envs, dtype=torch.bool, device=world.device)
-        self.beside = self.place + torch.tensor((0.15, 0.0, 0.05), device=world.device)
-
-    def reset(self, env_ids: Tensor | None) -> None:
-        super().reset(env_ids)
-        self.count[slice(None) if env_ids is None else env_ids] = 0.0
-
-    def advance(self, world: World) -> None:
-        """Count the goals that are reached, and follow each with the next."""
-        self.distance.copy_(rotation_distance(world, self))
-        torch.lt(self.distance, self.tolerance, out=self.reached)
-        self.count += self.reached
-        self.goal.copy_(torch.where(self.reached[:, None], common.random_rotations(world, None), self.goal))
-        held = world.objects[OBJECT].root_pose
-        world.markers["object_axes"].set_pose(held)
-        world.markers["goal"].set_pose(torch.cat((self.beside.expand(len(held), 3), self.goal), dim=1))
-
     def randomize(self) -> None:
         """The object's mass, its friction and the hand's, the fingers' gains, and noise on joints and object."""
         gains = randomize.gains(common.ROBOT, stiffness=Range(0.75, 1.5), damping=Range(0.5, 2.0))
@@ -262,12 +281,12 @@ class InHandRepose(Task):
         self.events.gains = EventTerm(gains, EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, object_pose=0.002)
 
-    def success(self, world: World) -> Tensor:
-        return self.count >= self.goals
+    def success(self, env: Environment[Any, HandMemory]) -> Tensor:
+        return env.state.count >= self.goals
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
+    def metrics(self, env: Environment[Any, HandMemory]) -> dict[str, Tensor]:
         return {
-            "goals_reached": self.count,
-            "rotation_distance_rad": rotation_distance(world, self),
-            "drops": dropped(world, self).float(),
+            "goals_reached": env.state.count,
+            "rotation_distance_rad": rotation_distance(env),
+            "drops": dropped(env).float(),
         }

@@ -13,90 +13,113 @@ from torch.linalg import vector_norm
 from orbit_assets.objects import BLOCK_SIZE as SIZE
 from orbit_assets.objects import WOOD, box, cell_poses, tower
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_multiply, quat_rotate, quat_rotate_inverse
-from orbit_core.envs import EventTerm, ObservationTerm, PremiseTerm, RewardTerm, TerminationTerm
+from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import Subtask
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
-from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import Color, PhysicsMaterial, Pose, RobotSpec, Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, tabletop
 
+# Metres of the plinth's height, on which the tower stands: arms reach no lower with such a hand.
 PLINTH = 0.2
-"""Metres of the plinth's height, on which the tower stands: arms reach no lower with such a hand."""
 SMOOTH = PhysicsMaterial(0.3, 0.3)
 RED: Color = (0.8, 0.25, 0.2, 1.0)
+# Metres above a block's middle at which a hand holds it, so that no finger reaches below the block.
 LIFT = 0.004
-"""Metres above a block's middle at which a hand holds it, so that no finger reaches below the block."""
 GIVEN = "given"
 
 
+class JengaMemory(tabletop.TabletopMemory):
+    """State of a tower: its layout, and the given block's place in it."""
+
+    foot: Tensor = buffer(7)
+    """(N, 7) the middle of the tower's underside."""
+    rest: Tensor = buffer(7)
+    """(N, 7) of the given block while it is in the tower."""
+    heights: Tensor
+    """(N, B) metres of the other blocks' middles where they were put."""
+    cells: Tensor
+    """(K,) int64: where the given block may lie."""
+
+    def start(self, env: Environment[Jenga]) -> None:
+        super().start(env)
+        layers = env.task.layers
+        self.heights = torch.zeros(env.num_envs, len(env.task.others), device=env.device)
+        pointing = [layer for layer in range(3, layers - 2) if (layers - layer) % 2 == 0]
+        self.cells = torch.tensor([3 * layer + slot for layer in pointing for slot in range(3)], device=env.device)
+
+    def update(self, env: Environment[Jenga]) -> None:
+        inside = out(env) < env.task.protrusion + 0.002
+        self.rest.copy_(torch.where(inside[:, None], given_pose(env), self.rest))
+
+
 @once_per_state
-def given_pose(world: World, task: Jenga) -> Tensor:
+def given_pose(env: Environment[Jenga]) -> Tensor:
     """(N, 7) of the given block."""
-    return world.objects[GIVEN].root_pose
+    return env.world.objects[GIVEN].root_pose
 
 
 @once_per_state
-def other_positions(world: World, task: Jenga) -> Tensor:
+def other_positions(env: Environment[Jenga]) -> Tensor:
     """(N, B, 3) of the other blocks, from the lowest layer to the highest."""
-    return torch.stack([world.objects[name].root_pose[:, :3] for name in task.others], dim=1)
+    return torch.stack([env.world.objects[name].root_pose[:, :3] for name in env.task.others], dim=1)
 
 
 @once_per_state
-def place(world: World, task: Jenga) -> Tensor:
+def place(env: Environment[Jenga, JengaMemory]) -> Tensor:
     """(N, 7) where the given block belongs: on the middle of the highest layer, across it."""
-    position = other_positions(world, task)[:, -3:].mean(1) + torch.tensor([0.0, 0.0, SIZE[2]], device=world.device)
-    return torch.cat((position, task.foot[:, 3:]), dim=1)
+    position = other_positions(env)[:, -3:].mean(1) + torch.tensor([0.0, 0.0, SIZE[2]], device=env.device)
+    return torch.cat((position, env.state.foot[:, 3:]), dim=1)
 
 
 @once_per_state
-def distance(world: World, task: Jenga) -> Tensor:
+def distance(env: Environment[Jenga]) -> Tensor:
     """(N,) metres between the given block and its place."""
-    return vector_norm(block_to_place(world, task), dim=1)
+    return vector_norm(block_to_place(env), dim=1)
 
 
 @once_per_state
-def fallen(world: World, task: Jenga) -> Tensor:
-    """(N,) bool: another block lies lower, by half its height, than where it was."""
-    return (other_positions(world, task)[..., 2] < task.heights - 0.5 * SIZE[2]).any(1)
+def fallen(env: Environment[Jenga, JengaMemory]) -> Tensor:
+    """(N,) bool: another block is lower, by half its height, than where it was."""
+    return (other_positions(env)[..., 2] < env.state.heights - 0.5 * SIZE[2]).any(1)
 
 
 @once_per_state
-def put_down(world: World, task: Jenga) -> Tensor:
+def put_down(env: Environment[Jenga]) -> Tensor:
     """(N,) bool: the given block is at its place, and the hand away from it."""
-    return (distance(world, task) < task.tolerance) & (vector_norm(hand_to_block(world, task), dim=1) > 0.04)
+    return (distance(env) < env.task.tolerance) & (vector_norm(hand_to_block(env), dim=1) > 0.04)
 
 
-def block_to_place(world: World, task: Jenga) -> Tensor:
+def block_to_place(env: Environment[Jenga]) -> Tensor:
     """(N, 3) position of the given block's place minus the block's, in the environment's axes."""
-    return place(world, task)[:, :3] - given_pose(world, task)[:, :3]
+    return place(env)[:, :3] - given_pose(env)[:, :3]
 
 
-def hand_to_block(world: World, task: Jenga) -> Tensor:
+def hand_to_block(env: Environment[Jenga]) -> Tensor:
     """(N, 3) from the hand to where it holds the block."""
-    return grasp(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]
+    return grasp(env)[:, :3] - common.hand_pose(env)[:, :3]
 
 
-def out(world: World, task: Jenga) -> Tensor:
+def out(env: Environment[Jenga, JengaMemory]) -> Tensor:
     """(N,) metres of the given block that stand out of the tower, or its whole length where it is above."""
-    way = given_pose(world, task)[:, :3] - task.foot[:, :3]
-    ahead = -quat_rotate_inverse(task.foot[:, 3:], way)[:, 0]
-    above = given_pose(world, task)[:, 2] > place(world, task)[:, 2] - 0.5 * SIZE[2]
+    way = given_pose(env)[:, :3] - env.state.foot[:, :3]
+    ahead = -quat_rotate_inverse(env.state.foot[:, 3:], way)[:, 0]
+    above = given_pose(env)[:, 2] > place(env)[:, 2] - 0.5 * SIZE[2]
     return torch.where(above, SIZE[0], ahead.clamp(0.0, SIZE[0]))
 
 
-def tracking(world: World, task: Jenga, scale: float) -> Tensor:
+def tracking(env: Environment[Jenga], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the block is to its place, once it is out of the tower."""
-    return (out(world, task) > 0.9 * SIZE[0]) * common.nearness(distance(world, task), scale)
+    return (out(env) > 0.9 * SIZE[0]) * common.nearness(distance(env), scale)
 
 
-def grasp(world: World, task: Jenga) -> Tensor:
+def grasp(env: Environment[Jenga]) -> Tensor:
     """(N, 7) the hand around the end of the block that stands out."""
-    block = given_pose(world, task)
-    end = torch.tensor([0.5 * (task.protrusion - SIZE[0]), 0.0, LIFT], device=world.device).expand(len(block), 3)
+    block = given_pose(env)
+    end = torch.tensor([0.5 * (env.task.protrusion - SIZE[0]), 0.0, LIFT], device=env.device).expand(len(block), 3)
     return torch.cat((block[:, :3] + quat_rotate(block[:, 3:], end), slanting(block[:, 3:])), dim=1)
 
 
@@ -108,50 +131,56 @@ def slanting(turn: Tensor) -> Tensor:
     return quat_multiply(turn, own.expand_as(turn))
 
 
-def pulled(world: World, task: Jenga) -> Tensor:
+def pulled(env: Environment[Jenga, JengaMemory]) -> Tensor:
     """(N, 7) the hand, with the block straight out of the tower: neither lifted, nor moved aside or turned from how it
     lay, for then it would press on its neighbours and drag them along."""  # fmt: skip
-    hand, block = common.hand_pose(world, task), given_pose(world, task)
-    along = torch.tensor([-SIZE[0] - 0.02 + task.protrusion, 0.0, 0.0], device=world.device).expand(len(hand), 3)
-    goal = torch.cat((task.rest[:, :3] + quat_rotate(task.rest[:, 3:], along), task.rest[:, 3:]), dim=1)
+    hand, block = common.hand_pose(env), given_pose(env)
+    along = torch.tensor([-SIZE[0] - 0.02 + env.task.protrusion, 0.0, 0.0], device=env.device).expand(len(hand), 3)
+    goal = torch.cat((env.state.rest[:, :3] + quat_rotate(env.state.rest[:, 3:], along), env.state.rest[:, 3:]), dim=1)
     return pose_multiply(goal, pose_multiply(pose_inverse(block), hand))
 
 
-def above(world: World, task: Jenga) -> Tensor:
+def above(env: Environment[Jenga, JengaMemory]) -> Tensor:
     """(N, 7) the hand, with the block straight above where it is, higher than the tower."""
-    block = given_pose(world, task)
-    position = torch.cat((block[:, :2], place(world, task)[:, 2:3] + 0.05), dim=1)
-    return torch.cat((position, slanting(task.foot[:, 3:])), dim=1)
+    block = given_pose(env)
+    position = torch.cat((block[:, :2], place(env)[:, 2:3] + 0.05), dim=1)
+    return torch.cat((position, slanting(env.state.foot[:, 3:])), dim=1)
 
 
 def seat(height: float) -> TermFunction:
     """The hand, with the block so many metres above its place."""
 
-    def pose(world: World, task: Jenga) -> Tensor:
-        goal = place(world, task)
-        up = torch.tensor([0.0, 0.0, height], device=world.device)
+    def pose(env: Environment[Jenga]) -> Tensor:
+        goal = place(env)
+        up = torch.tensor([0.0, 0.0, height], device=env.device)
         return torch.cat((goal[:, :3] + up, slanting(goal[:, 3:])), dim=1)
 
     return pose
 
 
-def place_tower(world: World, task: Jenga, env_ids: Tensor) -> None:
-    """Build the tower anew, up to 2 cm off its place and turned by up to 0.1 rad; the given block lies in one of those
+def place_tower(env: Environment[Jenga, JengaMemory], env_ids: Tensor) -> None:
+    """Build the tower again, up to 2 cm off its place and turned by up to 0.1 rad; the given block is in one of those
     layers between the third and the last but two whose blocks point to the robot."""  # fmt: skip
-    middle = distance_of_tower(world.robots[common.ROBOT].spec)
+    middle = distance_of_tower(env.world.robots[common.ROBOT].spec)
     bounds = (middle - 0.02, -0.02, PLINTH, -0.1), (middle + 0.02, 0.02, PLINTH, 0.1)
-    foot = common.standing(world.random.uniform((4,), *bounds, env_ids))
-    number = world.random.uniform((), 0.0, float(len(task.cells)), env_ids).long().clamp(max=len(task.cells) - 1)
-    chosen = task.cells[number][:, None]
+    foot = common.standing(env.world.random.uniform((4,), *bounds, env_ids))
+    number = (
+        env.world.random.uniform((), 0.0, float(len(env.state.cells)), env_ids)
+        .long()
+        .clamp(max=len(env.state.cells) - 1)
+    )
+    chosen = env.state.cells[number][:, None]
     # The others fill the cells that are left, from the lowest.
-    order = torch.arange(len(task.others), device=world.device).expand(len(env_ids), -1)
-    poses = cell_poses(foot, order + (order >= chosen), task.layers)
-    tabletop.put(world, task.others, poses, env_ids)
-    own = cell_poses(foot, chosen, task.layers)[:, 0]
-    out_and_down = torch.tensor([-task.protrusion, 0.0, -0.5 * task.slack], device=world.device).expand(len(own), 3)
+    order = torch.arange(len(env.task.others), device=env.device).expand(len(env_ids), -1)
+    poses = cell_poses(foot, order + (order >= chosen), env.task.layers)
+    tabletop.put(env.world, env.task.others, poses, env_ids)
+    own = cell_poses(foot, chosen, env.task.layers)[:, 0]
+    out_and_down = torch.tensor([-env.task.protrusion, 0.0, -0.5 * env.task.slack], device=env.device).expand(
+        len(own), 3
+    )
     own = torch.cat((own[:, :3] + quat_rotate(own[:, 3:], out_and_down), own[:, 3:]), dim=1)
-    world.objects[GIVEN].set_root_pose(own, env_ids)
-    task.foot[env_ids], task.heights[env_ids], task.rest[env_ids] = foot, poses[..., 2], own
+    env.world.objects[GIVEN].set_root_pose(own, env_ids)
+    env.state.foot[env_ids], env.state.heights[env_ids], env.state.rest[env_ids] = foot, poses[..., 2], own
 
 
 def distance_of_tower(robot: RobotSpec) -> float:
@@ -173,14 +202,12 @@ class JengaState(tabletop.ArmState):
 class JengaRewards:
     """Rewards of the hand at the block, the block out of the tower and at its place, less a fall and what is abrupt."""
 
-    reach: RewardTerm | None = RewardTerm(
-        lambda world, task: common.nearness(vector_norm(hand_to_block(world, task), dim=1), 0.1), 1.0
-    )
-    pull: RewardTerm | None = RewardTerm(lambda world, task: out(world, task) / SIZE[0], 5.0)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 10.0)
-    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 10.0)
-    let_go: RewardTerm | None = RewardTerm(lambda world, task: put_down(world, task).float(), 20.0)
-    fall: RewardTerm | None = RewardTerm(lambda world, task: fallen(world, task).float(), -50.0)
+    reach: RewardTerm | None = RewardTerm(lambda env: common.nearness(vector_norm(hand_to_block(env), dim=1), 0.1), 1.0)
+    pull: RewardTerm | None = RewardTerm(lambda env: out(env) / SIZE[0], 5.0)
+    track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 10.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 10.0)
+    let_go: RewardTerm | None = RewardTerm(lambda env: put_down(env).float(), 20.0)
+    fall: RewardTerm | None = RewardTerm(lambda env: fallen(env).float(), -50.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 
@@ -194,17 +221,17 @@ class JengaTerminations:
 
 @dataclass
 class JengaEvents(tabletop.ArmEvents):
-    """Robot and tower are placed anew for each episode; friction and gains with domain randomisation."""
+    """Robot and tower are placed for each episode; friction and gains with domain randomisation."""
 
     place_tower: EventTerm | None = EventTerm(place_tower)
 
 
 @dataclass
 class JengaPremises:
-    """The tower stands, and the given block lies in it."""
+    """The tower stands, and the given block is in it."""
 
     standing: PremiseTerm | None = PremiseTerm(
-        lambda world, task: ~fallen(world, task) & (out(world, task) < task.protrusion + 0.005),
+        lambda env: ~fallen(env) & (out(env) < env.task.protrusion + 0.005),
         "the tower does not stand by itself: a block has fallen, or the given one has slid out",
     )
 
@@ -217,19 +244,23 @@ class Jenga(tabletop.TabletopTask):
     tower stands. Metric: the distance between block and place, and ``penalty`` more where the tower has fallen.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "the tower must stand where the hand reaches around it"),
-        TaskException(TaskCheck.START_YAW, "the given block must face the arm"),
+    state_type: ClassVar[type[TaskState]] = JengaMemory
+    metadata: TaskMetadata = TaskMetadata(
+        subtasks=(Subtask(grasp, lambda env: out(env) > 0.9 * SIZE[0]), Subtask(place, put_down)),
+        ppo=PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005),
+        view=look_at(eye=(0.1, 1.3, 0.75), target=(0.5, 0.0, 0.3)),
+        exceptions=(
+            TaskException(TaskCheck.START_AREA, "the tower must stand where the hand reaches around it"),
+            TaskException(TaskCheck.START_YAW, "the given block must face the arm"),
+        ),
     )
     episode_length: float = 10.0
-    ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
-    view: Pose = look_at(eye=(0.1, 1.3, 0.75), target=(0.5, 0.0, 0.3))
     layers: int = 12
     """Of three blocks each: 7 to 16."""
     protrusion: float = 0.03
     """Metres of the given block that stand out, by which a gripper takes it: 0.02 to 0.05."""
     slack: float = 0.001
-    """Metres by which the given block is lower than the others, so that it lies loose: 0 to 0.003."""
+    """Metres by which the given block is lower than the others, so that it is loose: 0 to 0.003."""
     tolerance: float = 0.015
     """Metres."""
     penalty: float = 1.0
@@ -239,14 +270,6 @@ class Jenga(tabletop.TabletopTask):
     terminations: JengaTerminations = field(default_factory=JengaTerminations)
     events: JengaEvents = field(default_factory=JengaEvents)
     premises: JengaPremises = field(default_factory=JengaPremises)
-    foot: Tensor = field(init=False)
-    """(N, 7) the middle of the tower's underside."""
-    rest: Tensor = field(init=False)
-    """(N, 7) of the given block while it lies in the tower."""
-    heights: Tensor = field(init=False)
-    """(N, B) metres of the other blocks' middles where they were put."""
-    cells: Tensor = field(init=False)
-    """(K,) int64: where the given block may lie."""
 
     @property
     def others(self) -> tuple[str, ...]:
@@ -268,32 +291,18 @@ class Jenga(tabletop.TabletopTask):
         ]
         return self.bench(*blocks, plinth, robot=robot)
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.foot, self.rest = (torch.zeros(world.num_envs, 7, device=world.device) for _ in range(2))
-        self.heights = torch.zeros(world.num_envs, len(self.others), device=world.device)
-        pointing = [layer for layer in range(3, self.layers - 2) if (self.layers - layer) % 2 == 0]
-        self.cells = torch.tensor([3 * layer + slot for layer in pointing for slot in range(3)], device=world.device)
-
-    def advance(self, world: World) -> None:
-        inside = out(world, self) < self.protrusion + 0.002
-        self.rest.copy_(torch.where(inside[:, None], given_pose(world, self), self.rest))
-
     def randomize(self) -> None:
         """The blocks' friction, the arm's gains, and noise on joints and the given block."""
         self.vary((*self.others, GIVEN), (0.2, 0.5), given_pose=0.001)
 
-    def success(self, world: World) -> Tensor:
-        return put_down(world, self) & ~fallen(world, self)
+    def success(self, env: Environment) -> Tensor:
+        return put_down(env) & ~fallen(env)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"distance_m": distance(world, self) + self.penalty * fallen(world, self)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"distance_m": distance(env) + self.penalty * fallen(env)}
 
-    def subtasks(self) -> tuple[Subtask, ...]:
-        return Subtask(grasp, lambda world, task: out(world, task) > 0.9 * SIZE[0]), Subtask(place, put_down)
-
-    def expert(self, world: World) -> Expert:
-        closing, held = max(0.4, common.closing_time(world)), picking.hand_for
+    def expert(self, env: Environment) -> Expert:
+        closing, held = max(0.4, common.closing_time(env.world)), picking.hand_for
         phases = (
             Phase(picking.back(grasp, 0.1), position_tolerance=0.02, timeout=4.0, free=True),
             Phase(grasp, position_tolerance=0.003, rotation_tolerance=0.03, timeout=2.0),
@@ -305,4 +314,4 @@ class Jenga(tabletop.TabletopTask):
             Phase(held(seat(0.001), given_pose), dwell=closing, timeout=closing + 0.1),
             Phase(picking.back(grasp, 0.12)),
         )
-        return Expert(world, self, phases, position_lead=0.04, rotation_lead=0.2)
+        return Expert(env, phases, position_lead=0.04, rotation_lead=0.2)

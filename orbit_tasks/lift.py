@@ -7,18 +7,29 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_assets.object_kinds import BoxConfig
 from orbit_assets.objects import BENCH_HEIGHT, work_bench
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import (
+    CommandTerm,
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import Subtask
-from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, means, measured_in, once_per_state
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import Subtask, TaskMetadata
+from orbit_core.envs.terms import ENVIRONMENT, POSE, Bounds, Meaning, means, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.commands import UniformPositionCommand
 from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
 from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene
@@ -28,58 +39,70 @@ from orbit_tasks.mdp import picking
 from orbit_tasks.pixels import ArmPixels
 
 
+class LiftMemory(TaskState):
+    """State of a lift, looked up once in a new world."""
+
+    rest_height: float
+    """Metres from the table to the middle of a cube that stands on it."""
+    surface: float = 0.0
+    """Height of the table's top in the environment's frame, m."""
+
+    def start(self, env: Environment) -> None:
+        self.rest_height = env.task.cube.rest_height
+
+
 @means("pose of the cube's origin", ENVIRONMENT)
 @measured_in(POSE)
-def cube_pose(world: World, task: Lift) -> Tensor:
+def cube_pose(env: Environment[Lift]) -> Tensor:
     """(N, 7) of the cube in the environment's frame."""
-    return world.objects["cube"].root_pose
+    return env.world.objects["cube"].root_pose
 
 
 @once_per_state
-def cube_position(world: World, task: Lift) -> Tensor:
+def cube_position(env: Environment[Lift]) -> Tensor:
     """(N, 3) of the cube in the environment's frame."""
-    return cube_pose(world, task)[:, :3]
+    return cube_pose(env)[:, :3]
 
 
 @once_per_state
-def cube_height(world: World, task: Lift) -> Tensor:
+def cube_height(env: Environment[Lift, LiftMemory]) -> Tensor:
     """(N,) metres of the cube's centre above the table."""
-    return cube_pose(world, task)[:, 2] - task.surface
+    return cube_pose(env)[:, 2] - env.state.surface
 
 
 @means("position of the cube's origin minus that of the end effector's frame", ENVIRONMENT)
 @measured_in("m")
 @once_per_state
-def hand_to_cube(world: World, task: Lift) -> Tensor:
+def hand_to_cube(env: Environment[Lift]) -> Tensor:
     """(N, 3) from the hand to the cube."""
-    return cube_position(world, task) - common.hand_pose(world, task)[:, :3]
+    return cube_position(env) - common.hand_pose(env)[:, :3]
 
 
 @once_per_state
-def goal_distance(world: World, task: Lift) -> Tensor:
+def goal_distance(env: Environment[Lift]) -> Tensor:
     """(N,) between cube and goal."""
-    return vector_norm(task.goal - cube_position(world, task), dim=1)
+    return vector_norm(env.commands["goal"] - cube_position(env), dim=1)
 
 
-def dropped(world: World, task: Lift) -> Tensor:
+def dropped(env: Environment[Lift]) -> Tensor:
     """(N,) the cube fell off the table."""
-    return cube_height(world, task) < -0.05
+    return cube_height(env) < -0.05
 
 
-def reaching(world: World, task: Lift) -> Tensor:
+def reaching(env: Environment[Lift]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the cube."""
-    return common.nearness(vector_norm(hand_to_cube(world, task), dim=1), 0.1)
+    return common.nearness(vector_norm(hand_to_cube(env), dim=1), 0.1)
 
 
 @once_per_state
-def lifted(world: World, task: Lift) -> Tensor:
+def lifted(env: Environment[Lift, LiftMemory]) -> Tensor:
     """(N,) 1 where the cube is off the table, else 0."""
-    return (cube_height(world, task) > 2.0 * task.rest_height).float()
+    return (cube_height(env) > 2.0 * env.state.rest_height).float()
 
 
-def tracking(world: World, task: Lift, scale: float) -> Tensor:
+def tracking(env: Environment[Lift], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted cube is to the goal."""
-    return lifted(world, task) * common.nearness(goal_distance(world, task), scale)
+    return lifted(env) * common.nearness(goal_distance(env), scale)
 
 
 def patch(world: World) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -88,41 +111,44 @@ def patch(world: World) -> tuple[tuple[float, float], tuple[float, float]]:
     return low[:2], (high[0] - 0.05, high[1])
 
 
-def place_cube(world: World, task: Lift, env_ids: Tensor) -> None:
+def place_cube(env: Environment[Lift, LiftMemory], env_ids: Tensor) -> None:
     """Place the cube on a patch of the table in the hand's workspace, 20 x 50 cm for a Panda, turned by any angle."""
-    height, (low, high) = task.rest_height, patch(world)
-    place = world.random.uniform((4,), (*low, height, -math.pi), (*high, height, math.pi), env_ids)
+    height, (low, high) = env.state.rest_height, patch(env.world)
+    place = env.world.random.uniform((4,), (*low, height, -math.pi), (*high, height, math.pi), env_ids)
     pose = common.standing(place)
-    world.objects["cube"].set_root_pose(pose, env_ids)
+    env.world.objects["cube"].set_root_pose(pose, env_ids)
 
 
-def sample_goal(world: World, task: Lift, env_ids: Tensor) -> None:
-    """Sample the goal above the patch, from 10 cm above the workspace's lower face to its upper one."""
-    (low, high), (bottom, top) = patch(world), common.workspace(world)
-    goal = world.random.uniform((3,), (*low, bottom[2] + 0.1), (*high, top[2]), env_ids)
-    task.goal[env_ids] = goal
-    common.place_markers(world, ("goal",), goal[:, None], env_ids)
+@dataclass(unsafe_hash=True, kw_only=True)
+class LiftGoal(UniformPositionCommand):
+    """Position above the patch, from 10 cm above the workspace's lower face to its upper one."""
+
+    marker: str | None = "goal"
+
+    def reach(self, env: Environment) -> dict[str, Bounds]:
+        (low, high), (bottom, top) = patch(env.world), common.workspace(env.world)
+        return {"x": (low[0], high[0]), "y": (low[1], high[1]), "z": (bottom[2] + 0.1, top[2])}
 
 
-def at_cube(world: World, task: Lift) -> Tensor:
+def at_cube(env: Environment[Lift]) -> Tensor:
     """(N, 7) the hand around the cube, fingers along the pair of faces that needs the least turn."""
-    return picking.grasp_square(cube_pose(world, task))
+    return picking.grasp_square(cube_pose(env))
 
 
-def off_table(world: World, task: Lift) -> Tensor:
+def off_table(env: Environment[Lift, LiftMemory]) -> Tensor:
     """(N,) bool: the cube hangs in the hand."""
-    return cube_height(world, task) > task.rest_height + 0.01
+    return cube_height(env) > env.state.rest_height + 0.01
 
 
-def goal_frame(world: World, task: Lift) -> Tensor:
+def goal_frame(env: Environment[Lift]) -> Tensor:
     """(N, 7) at the goal, pointing down."""
-    return common.pointing_down(task.goal)
+    return common.pointing_down(env.commands["goal"])
 
 
-def at_goal(world: World, task: Lift) -> Tensor:
-    """(N, 7) the hand where the cube's centre comes to the goal, as the cube sits in the hand now."""
-    hand = common.hand_pose(world, task)
-    return common.pointing_down(task.goal + hand[:, :3] - cube_pose(world, task)[:, :3])
+def at_goal(env: Environment[Lift]) -> Tensor:
+    """(N, 7) the hand where the cube's centre is at the goal, as the cube sits in the hand now."""
+    hand = common.hand_pose(env)
+    return common.pointing_down(env.commands["goal"] + hand[:, :3] - cube_pose(env)[:, :3])
 
 
 GOAL = MarkerSpec("goal", MarkerShape.SPHERE, size=0.03)
@@ -137,7 +163,9 @@ class LiftState(ObservationGroup):
     cube_pose: ObservationTerm | None = ObservationTerm(cube_pose)
     hand_to_cube: ObservationTerm | None = ObservationTerm(hand_to_cube)
     goal: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.goal, unit="m", meaning=Meaning("position to bring the cube's origin to", ENVIRONMENT)
+        lambda env: env.commands["goal"],
+        unit="m",
+        meaning=Meaning("position to bring the cube's origin to", ENVIRONMENT),
     )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
@@ -165,8 +193,8 @@ class LiftRewards:
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 15.0)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
-    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 5.0)
+    track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -179,12 +207,18 @@ class LiftTerminations:
 
 
 @dataclass
+class LiftCommands:
+    """The position that the cube is to be brought to."""
+
+    goal: CommandTerm | None = LiftGoal()
+
+
+@dataclass
 class LiftEvents:
-    """Robot, cube and goal are placed anew for each episode; masses and the like with domain randomisation."""
+    """Robot and cube are placed for each episode; masses and the like with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cube: EventTerm | None = EventTerm(place_cube)
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
     cube_mass: EventTerm | None = None
     friction: EventTerm | None = None
     gains: EventTerm | None = None
@@ -197,11 +231,16 @@ class Lift(Task):
     Succeeds when the cube's centre is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
     """
 
+    state_type: ClassVar[type[TaskState]] = LiftMemory
+    renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.goal"}
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {"pixels": LiftPixelObservations}
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 5.0
-    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
+    metadata: TaskMetadata = TaskMetadata(
+        subtasks=(Subtask(at_cube, off_table), Subtask(goal_frame, lifted)),
+        ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
+    )
     cube: ObjectConfig = BoxConfig(size=(0.05, 0.05, 0.05), mass=0.1, color=(0.8, 0.2, 0.15, 1.0))
     """What is lifted; :func:`orbit_core.objects.object_kinds` has other kinds."""
     tolerance: float = 0.02
@@ -210,12 +249,7 @@ class Lift(Task):
     rewards: LiftRewards = field(default_factory=LiftRewards)
     terminations: LiftTerminations = field(default_factory=LiftTerminations)
     events: LiftEvents = field(default_factory=LiftEvents)
-    goal: Tensor = field(init=False)
-    """(N, 3) in the environment's frame."""
-    rest_height: float = field(init=False)
-    """Metres from the table to the middle of a cube that stands on it."""
-    surface: float = field(init=False, default=0.0)
-    """Height of the table's top in the environment's frame, m."""
+    commands: LiftCommands = field(default_factory=LiftCommands)
 
     def scene(self) -> Scene:
         return Scene(
@@ -227,7 +261,7 @@ class Lift(Task):
         )
 
     def cube_at(self, place: Vector3) -> ObjectSpec:
-        """What is to be lifted, standing at that place.
+        """Return the object to be lifted, standing at a place.
 
         Raises:
             ConfigurationError: its base is fixed.
@@ -241,11 +275,6 @@ class Lift(Task):
             )
         return cube
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, 3, device=world.device)
-        self.rest_height = self.cube.rest_height
-
     def randomize(self) -> None:
         """The cube's mass, its friction and the fingers', the arm's gains, and noise on joints and cube."""
         self.events.cube_mass = EventTerm(randomize.masses("cube", Range(0.5, 2.0)), EventTime.STARTUP)
@@ -254,20 +283,16 @@ class Lift(Task):
         self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, cube_pose=0.002)
 
-    def success(self, world: World) -> Tensor:
-        return goal_distance(world, self) < self.tolerance
+    def success(self, env: Environment) -> Tensor:
+        return goal_distance(env) < self.tolerance
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"goal_distance_m": goal_distance(world, self)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(env)}
 
-    def subtasks(self) -> tuple[Subtask, ...]:
-        return Subtask(at_cube, off_table), Subtask(goal_frame, lifted)
-
-    def expert(self, world: World) -> Expert:
-        closing = max(0.4, common.closing_time(world))
+    def expert(self, env: Environment) -> Expert:
+        closing = max(0.4, common.closing_time(env.world))
         return Expert(
-            world,
-            self,
+            env,
             (
                 Phase(picking.raised(at_cube, 0.1), position_tolerance=0.02, free=True),
                 Phase(at_cube, position_tolerance=0.006, timeout=1.5),

@@ -11,19 +11,19 @@ from torch import Tensor
 
 from orbit_core.actions import ActionTerm, MotionGenerator, preset_terms
 from orbit_core.actions.base import JointTarget
-from orbit_core.actions.base_velocity import ROUNDING
 from orbit_core.actions.embodiment import leg_joints
+from orbit_core.actions.mobile_base import ROUNDING
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Robot, World
+from orbit_core.pretrained import policy_path
 from orbit_core.robots import robot, robot_names
 from orbit_core.scene import RobotSpec
 from orbit_learn.policy import Policy, load_policy
-from orbit_learn.pretrained import policy_path
 from orbit_tasks.walking import COMMAND, JOINT_READINGS, LAST_ACTION, READINGS, carries_arm
 
+# 1/s: the velocity that an expert asks for, over the displacement that is left.
 _PURSUIT_RATE = 1.0
-"""1/s: the velocity that an expert asks for, over the displacement that is left."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class LocomotionConfig(ActionTerm):
 
     The policy is one learned by a walking task, Velocity-Flat as a rule, for a robot with the same joints: it sees the
     robot and the velocity, and gives the commands of the action space that it was learned with. It is asked at the rate
-    that it was learned at, whatever the task's is.
+    that it was learned at, independent of the task's.
 
     ``joints`` are those that the policy moves, and sees, unless it was learned to see all. None takes all; of a robot
     on more than two feet that carries an arm, those of its legs.
@@ -52,7 +52,7 @@ class LocomotionConfig(ActionTerm):
 
     @property
     def limits(self) -> tuple[float, float, float]:
-        """What a command of 1 stands for: m/s forward, m/s to the left, rad/s."""
+        """Velocity of a command of 1: m/s forward, m/s to the left, rad/s."""
         return (self.max_forward, self.max_sideways, self.max_yaw_rate)
 
     def default_joints(self, spec: RobotSpec) -> Sequence[str]:
@@ -140,11 +140,11 @@ class Locomotion(MotionGenerator):
         return self._limits
 
     def _turn(self) -> None:
-        """Before each physics step: ask the policy anew where its period is over within a control step."""
+        """Before each physics step: query the policy again where its period is over within a control step."""
         if self._since and self._since % self._each == 0:
             self._legs_command.copy_(self._asked())
             targets = self._lower.compute({"command": self._legs_command})
-            self.robot.set_position_targets(targets[JointTarget.POSITION.value], self.joints)
+            self.robot.set_position_targets(targets[JointTarget.POSITION], self.joints)
         self._since += 1
 
     def _asked(self) -> Tensor:

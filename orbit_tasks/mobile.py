@@ -1,4 +1,4 @@
-"""What tasks of arms on bases have in common: how the base is moved and placed, and where it stands to use its arm."""
+"""Base of tasks of arms on bases: how the base is moved and placed, and where it stands to use its arm."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from orbit_assets.audit.geometry import shape_points
 from orbit_core.actions import ActionTerm, preset_terms
 from orbit_core.actions.embodiment import arm_joints_of
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import Task
+from orbit_core.envs import Environment
 from orbit_core.envs.terms import POSE, EventFunction, TermFunction, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
 from orbit_core.scene import RobotSpec
 from orbit_tasks.locomotion import LocomotionConfig
 
+# The action term that moves a walking robot; other bases' terms are of that name too.
 BASE = "base"
-"""The action term that moves a walking robot; other bases' terms are of that name too."""
 
 
 def mobile(name: str, gripper: bool = True) -> RobotSpec:
@@ -43,16 +43,16 @@ def mobile(name: str, gripper: bool = True) -> RobotSpec:
 
 @measured_in(POSE)
 @once_per_state
-def base_pose(world: World, task: Task) -> Tensor:
+def base_pose(env: Environment) -> Tensor:
     """(N, 7) of the link that carries the arm, in the environment's frame."""
-    robot = common.robot_of(world)
+    robot = common.robot_of(env.world)
     return robot.link_poses[:, robot.link_names.index(robot.spec.base_link)]
 
 
-def tipped(world: World, task: Task) -> Tensor:
+def tipped(env: Environment) -> Tensor:
     """(N,) bool: the base leans by more than 60 degrees."""
-    up = torch.tensor([0.0, 0.0, 1.0], device=world.device)
-    pose = base_pose(world, task)
+    up = torch.tensor([0.0, 0.0, 1.0], device=env.device)
+    pose = base_pose(env)
     return quat_rotate(pose[:, 3:], up.expand(len(pose), 3))[:, 2] < 0.5
 
 
@@ -71,9 +71,9 @@ def start_within(low: tuple[float, float], high: tuple[float, float], spread: fl
     """Event: the base anywhere between two corners (m), facing anywhere; the joints of the arm around their home."""
     around = common.randomize_robot_start(spread)
 
-    def place(world: World, task: Task, env_ids: Tensor) -> None:
-        around(world, task, env_ids)
-        stand_at(world, world.random.uniform((3,), (*low, -math.pi), (*high, math.pi), env_ids), env_ids)
+    def place(env: Environment, env_ids: Tensor) -> None:
+        around(env, env_ids)
+        stand_at(env.world, env.world.random.uniform((3,), (*low, -math.pi), (*high, math.pi), env_ids), env_ids)
 
     return place
 
@@ -83,12 +83,12 @@ def start_in_ring(middle: tuple[float, float], radii: tuple[float, float], sprea
     the arm around their home."""
     around = common.randomize_robot_start(spread)
 
-    def place(world: World, task: Task, env_ids: Tensor) -> None:
-        around(world, task, env_ids)
+    def place(env: Environment, env_ids: Tensor) -> None:
+        around(env, env_ids)
         bounds = (radii[0], -math.pi, -math.pi), (radii[1], math.pi, math.pi)
-        distance, bearing, heading = world.random.uniform((3,), *bounds, env_ids).unbind(1)
+        distance, bearing, heading = env.world.random.uniform((3,), *bounds, env_ids).unbind(1)
         x, y = middle[0] + distance * bearing.cos(), middle[1] + distance * bearing.sin()
-        stand_at(world, torch.stack((x, y, heading), 1), env_ids)
+        stand_at(env.world, torch.stack((x, y, heading), 1), env_ids)
 
     return place
 
@@ -129,8 +129,8 @@ def near_to(target: TermFunction, scale: float) -> TermFunction:
     """Reward (N,) in [0, 1]: how near the hand is to what is to be reached (N, 3 or more), over metres and not over
     centimetres."""
 
-    def near(world: World, task: Task) -> Tensor:
-        way = target(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]
+    def near(env: Environment) -> Tensor:
+        way = target(env)[:, :3] - common.hand_pose(env)[:, :3]
         return common.nearness(torch.linalg.vector_norm(way, dim=1), scale)
 
     return near
@@ -138,7 +138,7 @@ def near_to(target: TermFunction, scale: float) -> TermFunction:
 
 @dataclass(kw_only=True)
 class Mobile:
-    """What a task for an arm on a base has besides: derive from this first, and then from the task.
+    """Fields of a task for an arm on a base: derive from this first, and then from the task.
 
     The action space's own terms move the arm, and a term ``base`` the base: by its own velocities, or, where it walks,
     by a kept policy that follows them.
@@ -151,7 +151,7 @@ class Mobile:
     """m/s forward at which a robot on legs is led; half of it sideways, and as much in rad/s."""
 
     def preset_terms(self: Walking, spec: RobotSpec, prefix: str) -> dict[str, ActionTerm]:
-        """As :meth:`~orbit_core.envs.Task.preset_terms`."""
+        """Return action terms, see :meth:`orbit_core.envs.Task.preset_terms`."""
         if not spec.feet:
             return preset_terms(spec, self.action, prefix)
         # As if the arm stood on a bench: the legs are the base's.
@@ -171,7 +171,7 @@ class Mobile:
 
 
 class Walking(Protocol):
-    """What :class:`Mobile` needs of the task."""
+    """Protocol of the task that :class:`Mobile` extends."""
 
     action: str
     gait: str

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 from torch import Tensor
 
-from orbit_core.envs import EventTerm, ObservationTerm, RewardTerm, TerminationTerm
-from orbit_core.interfaces import World
+from orbit_core.envs import Environment, EventTerm, ObservationTerm, RewardTerm, TerminationTerm
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import TaskMetadata
 from orbit_core.mdp import common
-from orbit_core.scene import Pose, Scene, look_at
+from orbit_core.scene import Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks import cabinet
 from orbit_tasks.cabinet import (
     Cabinet,
     CabinetEvents,
+    CabinetMemory,
     CabinetObservations,
     CabinetRewards,
     CabinetState,
@@ -33,18 +36,29 @@ from orbit_tasks.mobile import (
     tipped,
 )
 
+# Height in metres of the lowest place that an arm on a bench is asked to reach, above its own foot.
 BENCH_ARM = 0.15
-"""Height in metres of the lowest place that an arm on a bench is asked to reach, above its own foot."""
 
 
-def before_cabinet(world: World, task: MobileCabinet) -> Tensor:
+class MobileCabinetMemory(CabinetMemory):
+    """State of a cabinet before a moving base, looked up once in a new world."""
+
+    away: float
+    """Metres from the base to the cabinet's middle where the expert opens it."""
+
+    def start(self, env: Environment) -> None:
+        super().start(env)
+        self.away = cabinet.distance_to_cabinet(common.robot_of(env.world).spec)
+
+
+def before_cabinet(env: Environment[MobileCabinet, MobileCabinetMemory]) -> Tensor:
     """(N, 3) the base as far before the cabinet as an arm on a bench stands."""
-    return ahead_of(over_floor(world.objects["cabinet"].root_pose), task.away)
+    return ahead_of(over_floor(env.world.objects["cabinet"].root_pose), env.state.away)
 
 
 @dataclass
 class MobileCabinetState(CabinetState):
-    """As the state of Cabinet, and where the base is."""
+    """State of Cabinet, and the base's pose."""
 
     base_pose: ObservationTerm | None = ObservationTerm(base_pose)
 
@@ -58,7 +72,7 @@ class MobileCabinetObservations(CabinetObservations):
 
 @dataclass
 class MobileCabinetRewards(CabinetRewards):
-    """As those of Cabinet, and one that grows over the metres that the base drives."""
+    """Rewards of Cabinet, and one that grows over the metres that the base drives."""
 
     approach: RewardTerm | None = RewardTerm(near_to(handle_pose, 1.0), 1.0)
 
@@ -72,26 +86,28 @@ class MobileCabinetTerminations(CabinetTerminations):
 
 @dataclass
 class MobileCabinetEvents(CabinetEvents):
-    """As those of Cabinet; the base starts anywhere before the cabinet, out of the arm's reach, facing anywhere."""
+    """Events of Cabinet; the base starts anywhere before the cabinet, out of the arm's reach, facing anywhere."""
 
     place_robot: EventTerm | None = EventTerm(start_within((-2.0, -1.0), (-0.8, 1.0)))
 
 
 @dataclass(kw_only=True)
 class MobileCabinet(Mobile, Cabinet):
-    """As Cabinet, from 0.8 to 2 m farther off, up to 1 m to the side, and facing anywhere.
+    """Variant of Cabinet, from 0.8 to 2 m farther off, up to 1 m to the side, and facing anywhere.
 
     The cabinet is raised until the robot's arm is to it what one on a bench is to a cabinet on its plinth.
     """
 
     episode_length: float = 16.0
-    view: Pose = look_at(eye=(-1.6, 3.0, 2.2), target=(0.0, 0.0, 0.5))
+    state_type: ClassVar[type[TaskState]] = MobileCabinetMemory
+    metadata: TaskMetadata = replace(
+        Cabinet.metadata,
+        view=look_at(eye=(-1.6, 3.0, 2.2), target=(0.0, 0.0, 0.5)),
+    )
     observations: CabinetObservations = field(default_factory=MobileCabinetObservations)
     rewards: CabinetRewards = field(default_factory=MobileCabinetRewards)
     terminations: CabinetTerminations = field(default_factory=MobileCabinetTerminations)
     events: CabinetEvents = field(default_factory=MobileCabinetEvents)
-    away: float = field(init=False)
-    """Metres from the base to the cabinet's middle where the expert opens it."""
 
     def scene(self) -> Scene:
         robot = mobile(self.robot)
@@ -99,17 +115,12 @@ class MobileCabinet(Mobile, Cabinet):
         scene = self.scene_with(robot, cabinet.PLINTH + max(0.0, lowest - BENCH_ARM))
         return replace(scene, firm_friction=bool(robot.feet))
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.away = cabinet.distance_to_cabinet(common.robot_of(world).spec)
-
-    def expert(self, world: World) -> Expert:
+    def expert(self, env: Environment) -> Expert:
         drive = Phase(base=before_cabinet, position_tolerance=0.03, rotation_tolerance=0.05, timeout=12.0)
         return Expert(
-            world,
-            self,
+            env,
             (drive, *cabinet.PULLING),
             position_lead=cabinet.POSITION_LEAD,
             rotation_lead=cabinet.ROTATION_LEAD,
-            sag_rate=sag_rate(world),
+            sag_rate=sag_rate(env.world),
         )

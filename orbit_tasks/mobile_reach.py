@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_from_euler, quat_multiply
-from orbit_core.envs import EventTerm, ObservationTerm, RewardTerm, TerminationTerm
-from orbit_core.interfaces import World
+from orbit_core.envs import CommandTerm, Environment, EventTerm, ObservationTerm, RewardTerm, TerminationTerm
+from orbit_core.envs.task import TaskMetadata
+from orbit_core.envs.terms import Bounds
 from orbit_core.mdp import common
-from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_core.mdp.commands import UniformPoseCommand
+from orbit_core.scene import MarkerShape, MarkerSpec, Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mobile import (
     Mobile,
@@ -30,6 +32,7 @@ from orbit_tasks.mobile import (
 )
 from orbit_tasks.reach import (
     Reach,
+    ReachCommands,
     ReachEvents,
     ReachObservations,
     ReachPixelObservations,
@@ -38,32 +41,40 @@ from orbit_tasks.reach import (
     ReachTerminations,
 )
 
+# Metres over the floor from where the base starts to the goal; an arm reaches less than one.
 NEAREST, FARTHEST = 1.5, 2.5
-"""Metres over the floor from where the base starts to the goal; an arm reaches less than one."""
 
 
-def sample_goal(world: World, task: MobileReach, env_ids: Tensor) -> None:
-    """Sample the goal in a ring around the base, at the heights of the hand's workspace, turned by any angle."""
-    box = common.placed_workspace(common.robot_of(world).spec)
-    lower = NEAREST, -math.pi, box.low[2], -box.tilt, -box.tilt, -math.pi
-    upper = FARTHEST, math.pi, box.high[2], box.tilt, box.tilt, math.pi
-    distance, bearing, height, roll, pitch, yaw = world.random.uniform((6,), lower, upper, env_ids).unbind(1)
-    start = over_floor(base_pose(world, task)[env_ids])
-    place = start[:, :2] + torch.stack((distance * bearing.cos(), distance * bearing.sin()), 1)
-    tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
-    orientation = quat_multiply(common.turned(yaw), quat_multiply(tilt, common.facing_down(torch.zeros_like(yaw))))
-    task.goal[env_ids] = goal = torch.cat((place, height[:, None], orientation), dim=1)
-    world.markers["goal"].set_pose(goal, env_ids)
+@dataclass(unsafe_hash=True, kw_only=True)
+class MobileReachGoal(UniformPoseCommand):
+    """Pose in a ring around the base, at the heights of the hand's workspace, turned by any angle.
+
+    ``x`` is the distance from the base in m, ``y`` the bearing in rad.
+    """
+
+    live: ClassVar[frozenset[str]] = frozenset()
+
+    def reach(self, env: Environment) -> dict[str, Bounds]:
+        around = (-math.pi, math.pi)
+        return {**super().reach(env), "x": (NEAREST, FARTHEST), "y": around, "yaw": around}
+
+    def command(self, env: Environment, drawn: Tensor, env_ids: Tensor) -> Tensor:
+        distance, bearing, height, roll, pitch, yaw = drawn.unbind(1)
+        start = over_floor(base_pose(env)[env_ids])
+        place = start[:, :2] + torch.stack((distance * bearing.cos(), distance * bearing.sin()), 1)
+        tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
+        orientation = quat_multiply(common.turned(yaw), quat_multiply(tilt, common.facing_down(torch.zeros_like(yaw))))
+        return torch.cat((place, height[:, None], orientation), dim=1)
 
 
-def before_goal(world: World, task: MobileReach) -> Tensor:
-    """(N, 3) the base where the goal lies ahead, in the middle of the workspace."""
-    return ahead_of(over_floor(task.goal), reach_ahead(world))
+def before_goal(env: Environment[MobileReach]) -> Tensor:
+    """(N, 3) the base where the goal is ahead, in the middle of the workspace."""
+    return ahead_of(over_floor(env.commands["goal"]), reach_ahead(env.world))
 
 
 @dataclass
 class MobileReachState(ReachState):
-    """As the state of Reach, and where the base is."""
+    """State of Reach, and the base's pose."""
 
     base_pose: ObservationTerm | None = ObservationTerm(base_pose)
 
@@ -77,9 +88,9 @@ class MobileReachObservations(ReachObservations):
 
 @dataclass
 class MobileReachRewards(ReachRewards):
-    """As those of Reach, but for the distance, whose reward grows over the metres that the base drives."""
+    """Rewards of Reach with a distance term scaled for a moving base."""
 
-    position: RewardTerm | None = RewardTerm(near_to(lambda world, task: task.goal, 1.0), 2.0)
+    position: RewardTerm | None = RewardTerm(near_to(lambda env: env.commands["goal"], 1.0), 2.0)
 
 
 @dataclass
@@ -90,24 +101,34 @@ class MobileReachTerminations(ReachTerminations):
 
 
 @dataclass
+class MobileReachCommands(ReachCommands):
+    """The goal: a pose around the base."""
+
+    goal: CommandTerm | None = MobileReachGoal(marker="goal")
+
+
+@dataclass
 class MobileReachEvents(ReachEvents):
-    """As those of Reach; the base starts about the middle, facing anywhere."""
+    """Events of Reach; the base starts about the middle, facing anywhere."""
 
     place_robot: EventTerm | None = EventTerm(start_within((-0.5, -0.5), (0.5, 0.5), spread=0.2))
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
 
 
 @dataclass(kw_only=True)
 class MobileReach(Mobile, Reach):
-    """As Reach, with the goal 1.5 to 2.5 m from where the base starts, in any direction and turned by any angle."""
+    """Variant of Reach with the goal 1.5 to 2.5 m from the base's start, in any direction and turned by any angle."""
 
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {}
     episode_length: float = 12.0
-    view: Pose = look_at(eye=(3.2, 2.6, 2.4), target=(0.0, 0.0, 0.3))
+    metadata: TaskMetadata = replace(
+        Reach.metadata,
+        view=look_at(eye=(3.2, 2.6, 2.4), target=(0.0, 0.0, 0.3)),
+    )
     observations: ReachObservations | ReachPixelObservations = field(default_factory=MobileReachObservations)
     rewards: ReachRewards = field(default_factory=MobileReachRewards)
     terminations: ReachTerminations = field(default_factory=MobileReachTerminations)
     events: ReachEvents = field(default_factory=MobileReachEvents)
+    commands: ReachCommands = field(default_factory=MobileReachCommands)
 
     def scene(self) -> Scene:
         robot = mobile(self.robot, gripper=False)
@@ -119,13 +140,12 @@ class MobileReach(Mobile, Reach):
             firm_friction=bool(robot.feet),
         )
 
-    def expert(self, world: World) -> Expert:
+    def expert(self, env: Environment) -> Expert:
         return Expert(
-            world,
-            self,
+            env,
             (
                 Phase(base=before_goal, position_tolerance=0.08, rotation_tolerance=0.15),
-                Phase(lambda world, task: task.goal, free=True),
+                Phase(lambda env: env.commands["goal"], free=True),
             ),
-            sag_rate=sag_rate(world),
+            sag_rate=sag_rate(env.world),
         )

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from torch import Tensor
 
-from orbit_core.envs import ObservationGroup, ObservationTerm
+from orbit_core.envs import Environment, ObservationGroup, ObservationTerm
 from orbit_core.envs.task import ROBOT
 from orbit_core.envs.terms import measured_in
-from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
 from orbit_core.scene import END_EFFECTOR, CameraSpec, Channel, look_at
 
+# Pixels, both ways.
 SIZE = 64
-"""Pixels, both ways."""
 
+# A camera next to the fingers, which close across the picture; it looks between and before them.
 HAND = CameraSpec(
     name="hand",
     width=SIZE,
@@ -29,8 +28,8 @@ HAND = CameraSpec(
     pose=look_at(eye=(0.1, 0.0, -0.12), target=(0.045, 0.0, 0.03), up=(1.0, 0.0, 0.0)),
     far=2.0,
 )
-"""A camera beside the fingers, which close across the picture; it looks at what lies between and before them."""
 
+# Looks at the arm over the bench, from the other side.
 FRONT = CameraSpec(
     name="front",
     width=SIZE,
@@ -40,22 +39,21 @@ FRONT = CameraSpec(
     pose=look_at(eye=(1.3, 0.0, 0.75), target=(0.45, 0.0, 0.2)),
     far=2.0,
 )
-"""Looks at the arm over the bench, from the other side."""
 
 
+# The same, which sees what each pixel is of, and how far away.
 FRONT_LABELS = replace(FRONT, channels=(Channel.SEMANTIC, Channel.DEPTH))
-"""The same, which sees what each pixel is of, and how far away."""
 
 
 @measured_in("m")
-def goal(world: World, task: Any) -> Tensor:
+def goal(env: Environment) -> Tensor:
     """(N, ...) the task's goal."""
-    return task.goal
+    return env.commands["goal"]
 
 
 @dataclass
 class ArmPixels(ObservationGroup):
-    """What an arm knows of itself and its goal, and two cameras, which alone see what lies before it."""
+    """Observations of an arm from its joints, its goal and two cameras, which only see what is before it."""
 
     concatenate: bool = False
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
@@ -70,8 +68,7 @@ class ArmPixels(ObservationGroup):
 
 @dataclass
 class ArmLabels(ObservationGroup):
-    """What an arm knows of itself, and a semantic camera, which alone sees what lies before it: which thing is which is
-    told by its label."""  # fmt: skip
+    """Observations of an arm from its joints and a semantic camera, whose labels say which thing is which."""
 
     concatenate: bool = False
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)

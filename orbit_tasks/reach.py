@@ -6,17 +6,26 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_assets.objects import BENCH_HEIGHT, work_bench
-from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
+from orbit_core.dynamics.transforms import pose_error
+from orbit_core.envs import (
+    CommandTerm,
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+)
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task import TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
-from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.commands import UniformPoseCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
 from orbit_motion.experts import Expert, Phase
@@ -25,37 +34,26 @@ from orbit_tasks.pixels import ArmPixels
 
 
 @once_per_state
-def goal_error(world: World, task: Reach) -> Tensor:
+def goal_error(env: Environment[Reach]) -> Tensor:
     """(N, 6) position and rotation vector from the hand to the goal."""
-    return pose_error(common.hand_pose(world, task), task.goal)
+    return pose_error(common.hand_pose(env), env.commands["goal"])
 
 
 @once_per_state
-def position_error(world: World, task: Reach) -> Tensor:
+def position_error(env: Environment[Reach]) -> Tensor:
     """(N,) metres."""
-    return vector_norm(goal_error(world, task)[:, :3], dim=1)
+    return vector_norm(goal_error(env)[:, :3], dim=1)
 
 
 @once_per_state
-def rotation_error(world: World, task: Reach) -> Tensor:
+def rotation_error(env: Environment[Reach]) -> Tensor:
     """(N,) radians."""
-    return vector_norm(goal_error(world, task)[:, 3:], dim=1)
+    return vector_norm(goal_error(env)[:, 3:], dim=1)
 
 
-def near(world: World, task: Reach) -> Tensor:
+def near(env: Environment[Reach]) -> Tensor:
     """(N,) in [0, 1]: 1 at the goal, falling within a decimetre."""
-    return common.nearness(position_error(world, task), 0.1)
-
-
-def sample_goal(world: World, task: Reach, env_ids: Tensor) -> None:
-    """Sample the goal in the hand's workspace, within the tilt and the yaw that the hand takes everywhere there."""
-    box = common.placed_workspace(common.robot_of(world).spec)
-    bounds = (*box.low, -box.tilt, -box.tilt, -box.yaw), (*box.high, box.tilt, box.tilt, box.yaw)
-    sample = world.random.uniform((6,), *bounds, env_ids)
-    roll, pitch, yaw = sample[:, 3:].unbind(1)
-    tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
-    task.goal[env_ids] = goal = torch.cat((sample[:, :3], quat_multiply(tilt, common.facing_down(yaw))), dim=1)
-    world.markers["goal"].set_pose(goal, env_ids)
+    return common.nearness(position_error(env), 0.1)
 
 
 @dataclass
@@ -66,7 +64,9 @@ class ReachState(ObservationGroup):
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     goal: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.goal, unit=POSE, meaning=Meaning("pose that the end effector is to reach", ENVIRONMENT)
+        lambda env: env.commands["goal"],
+        unit=POSE,
+        meaning=Meaning("pose that the end effector is to reach", ENVIRONMENT),
     )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
@@ -105,11 +105,17 @@ class ReachTerminations:
 
 
 @dataclass
+class ReachCommands:
+    """The goal: a pose in the hand's workspace, within the tilt and the yaw that the hand takes everywhere there."""
+
+    goal: CommandTerm | None = UniformPoseCommand(marker="goal")
+
+
+@dataclass
 class ReachEvents:
-    """Robot and goal are placed anew for each episode; masses and the like with domain randomisation."""
+    """The robot is placed for each episode; masses and the like with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.2))
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
     masses: EventTerm | None = None
     gains: EventTerm | None = None
 
@@ -121,11 +127,14 @@ class Reach(Task):
     Succeeds when position and orientation are within tolerance at the episode's end. Metrics: both distances.
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.goal"}
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {"pixels": ReachPixelObservations}
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 4.0
-    ppo: PpoSettings = PpoSettings(iterations=500, initial_std=0.3)
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=500, initial_std=0.3),
+    )
     position_tolerance: float = 0.02
     """Metres."""
     rotation_tolerance: float = 0.1
@@ -134,8 +143,7 @@ class Reach(Task):
     rewards: ReachRewards = field(default_factory=ReachRewards)
     terminations: ReachTerminations = field(default_factory=ReachTerminations)
     events: ReachEvents = field(default_factory=ReachEvents)
-    goal: Tensor = field(init=False)
-    """(N, 7) in the environment's frame."""
+    commands: ReachCommands = field(default_factory=ReachCommands)
 
     def scene(self) -> Scene:
         return Scene(
@@ -146,10 +154,6 @@ class Reach(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, 7, device=world.device)
-
     def randomize(self) -> None:
         """The arm's masses and gains, and noise on its joints."""
         masses = randomize.masses(common.ROBOT, Range(0.9, 1.1))
@@ -157,13 +161,13 @@ class Reach(Task):
         self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05)
 
-    def success(self, world: World) -> Tensor:
-        near_enough = position_error(world, self) < self.position_tolerance
-        return near_enough & (rotation_error(world, self) < self.rotation_tolerance)
+    def success(self, env: Environment) -> Tensor:
+        near_enough = position_error(env) < self.position_tolerance
+        return near_enough & (rotation_error(env) < self.rotation_tolerance)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"position_error_m": position_error(world, self), "rotation_error_rad": rotation_error(world, self)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"position_error_m": position_error(env), "rotation_error_rad": rotation_error(env)}
 
-    def expert(self, world: World) -> Expert:
-        goal = Phase(lambda world, task: task.goal, free=True)
-        return Expert(world, self, (goal,), sag_rate=sag_rate(world))
+    def expert(self, env: Environment) -> Expert:
+        goal = Phase(generated_command("goal"), free=True)
+        return Expert(env, (goal,), sag_rate=sag_rate(env.world))

@@ -1,4 +1,4 @@
-"""Recover: a legged robot that lies on the ground anyhow stands up.
+"""Recover: a legged robot stands up from any posture on the ground.
 
 After Hwangbo et al., Learning Agile and Dynamic Motor Skills for Legged Robots (2019), and Lee et al., Robust Recovery
 Controller for a Quadrupedal Robot Using Deep Reinforcement Learning (2019).
@@ -13,78 +13,90 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
+from orbit_core.envs import Environment, EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import once_per_state
-from orbit_core.interfaces import Node, Port, World
+from orbit_core.interfaces import Node, Port
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
-from orbit_core.scene import Pose, Scene, look_at
+from orbit_core.scene import Scene, look_at
 from orbit_tasks import walking
 from orbit_tasks.trunk import angular_velocity, projected_gravity
 
+# Height from which a robot is dropped, over that of its home pose.
 _FALL = 1.25
-"""Height from which a robot is dropped, over that of its home pose."""
+
+
+class RecoverMemory(walking.SpeedLimited):
+    """State of a recovery, looked up once in a new world."""
+
+    home_height: float
+    """Metres."""
+
+    def start(self, env: Environment) -> None:
+        super().start(env)
+        self.home_height = common.robot_of(env.world).spec.pose.position[2]
 
 
 @once_per_state
-def tilt(world: World, task: Recover) -> Tensor:
+def tilt(env: Environment[Recover]) -> Tensor:
     """(N,) rad between the trunk's upward axis and the vertical."""
-    return torch.acos((-projected_gravity(world, task)[:, 2]).clamp(-1.0, 1.0))
+    return torch.acos((-projected_gravity(env)[:, 2]).clamp(-1.0, 1.0))
 
 
 @once_per_state
-def height(world: World, task: Recover) -> Tensor:
+def height(env: Environment[Recover, RecoverMemory]) -> Tensor:
     """(N,) of the trunk, over that of the home pose; 1 when it stands."""
-    return common.robot_of(world).root_pose[:, 2] / task.home_height
+    return common.robot_of(env.world).root_pose[:, 2] / env.state.home_height
 
 
 @once_per_state
-def stance(world: World, task: Recover) -> Tensor:
+def stance(env: Environment[Recover]) -> Tensor:
     """(N,) rad: root mean square of the joints' distance from home."""
-    robot = common.robot_of(world)
+    robot = common.robot_of(env.world)
     return (robot.joint_positions - robot.home_positions).square().mean(1).sqrt()
 
 
-def upright(world: World, task: Recover) -> Tensor:
+def upright(env: Environment[Recover]) -> Tensor:
     """(N,) 0 upside down to 1 upright."""
-    return 0.5 * (1.0 - projected_gravity(world, task)[:, 2])
+    return 0.5 * (1.0 - projected_gravity(env)[:, 2])
 
 
-def raised(world: World, task: Recover) -> Tensor:
+def raised(env: Environment[Recover]) -> Tensor:
     """(N,) 0 to 1: how high the trunk is, where it is upright."""
-    return upright(world, task).square() * height(world, task).clamp(0.0, 1.0)
+    return upright(env).square() * height(env).clamp(0.0, 1.0)
 
 
-def at_home(world: World, task: Recover) -> Tensor:
+def at_home(env: Environment[Recover]) -> Tensor:
     """(N,) 0 to 1: how near the joints are to home, where the trunk is upright."""
-    return upright(world, task).square() * torch.exp(-stance(world, task).square() / 0.25)
+    return upright(env).square() * torch.exp(-stance(env).square() / 0.25)
 
 
-def restless(world: World, task: Recover) -> Tensor:
+def restless(env: Environment[Recover]) -> Tensor:
     """(N,) squared speed of the trunk, linear and angular."""
-    return common.squared_norm(common.robot_of(world).root_velocity)
+    return common.squared_norm(common.robot_of(env.world).root_velocity)
 
 
-def drop(world: World, task: Recover, env_ids: Tensor) -> None:
+def drop(env: Environment[Recover, RecoverMemory], env_ids: Tensor) -> None:
     """Drop the robot in any orientation and any posture."""
-    robot = common.robot_of(world)
-    pose = torch.zeros(len(env_ids), 7, device=world.device)
-    pose[:, 2] = _FALL * task.home_height
-    pose[:, 3:] = common.random_rotations(world, env_ids)
+    robot = common.robot_of(env.world)
+    pose = torch.zeros(len(env_ids), 7, device=env.device)
+    pose[:, 2] = _FALL * env.state.home_height
+    pose[:, 3:] = common.random_rotations(env.world, env_ids)
     robot.set_root_pose(pose, env_ids)
     low, high = robot.position_limits.unbind(1)
     home = robot.home_positions
     reach = (high - low).clamp_max(torch.pi)
     low, high = low.maximum(home - 0.5 * reach), high.minimum(home + 0.5 * reach)
-    share = world.random.uniform((len(robot.joint_names),), env_ids=env_ids)
+    share = env.world.random.uniform((len(robot.joint_names),), env_ids=env_ids)
     robot.set_joint_state(low + (high - low) * share, env_ids=env_ids)
 
 
 @dataclass
 class RecoverState(ObservationGroup):
-    """What a robot feels of itself, and its last action."""
+    """Observations of a robot of itself, and its last action."""
 
     angular_velocity: ObservationTerm | None = ObservationTerm(angular_velocity)
     projected_gravity: ObservationTerm | None = ObservationTerm(projected_gravity)
@@ -116,7 +128,7 @@ class RecoverRewards:
 
 @dataclass
 class RecoverTerminations:
-    """An episode lasts its time: a robot that lies is what the task is about."""
+    """An episode lasts its time: fallen robots are what the task is about."""
 
 
 @dataclass
@@ -130,11 +142,11 @@ class RecoverEvents:
 
 
 class HomePosture(Node):
-    """Drives every joint to its home: stands a robot up that lies on its feet. Something to compare policies with."""
+    """Drives every joint to its home: stands a robot up whose feet are below it. Something to compare policies with."""
 
-    def __init__(self, world: World, task: Recover) -> None:
+    def __init__(self, env: Environment[Recover]) -> None:
         self.name = "policy"
-        self._action = torch.zeros(world.num_envs, task.last_action.shape[1], device=world.device)
+        self._action = torch.zeros(env.num_envs, env.state.last_action.shape[1], device=env.device)
         self.outputs = (Port("action", (self._action.shape[1],)),)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -150,21 +162,24 @@ class Recover(Task):
     expert stands :class:`HomePosture`.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.EXPERT_BEATS_ZERO, "the expert drives joints home, as zero actions do"),
-        TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),
-        TaskException(TaskCheck.TRIVIAL_AGENTS, "a robot that lies on its feet stands up as its joints go home"),
+    state_type: ClassVar[type[TaskState]] = RecoverMemory
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(
+            iterations=1000, hidden_sizes=(512, 256, 128), initial_std=0.5, entropy_weight=0.005, discount=0.99
+        ),
+        view=look_at(eye=(2.4, 1.8, 1.2), target=(0.0, 0.0, 0.25)),
+        expert_success=0.0,  # the home posture turns nobody over
+        exceptions=(
+            TaskException(TaskCheck.EXPERT_BEATS_ZERO, "the expert drives joints home, as zero actions do"),
+            TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),
+            TaskException(TaskCheck.TRIVIAL_AGENTS, "a robot that lies on its feet stands up as its joints go home"),
+        ),
     )
-    expert_success: ClassVar[float] = 0.0  # the home posture turns nobody over
     robot: str = "anymal_c"
     action: str = "joint_position"
     episode_length: float = 6.0
-    ppo: PpoSettings = PpoSettings(
-        iterations=1000, hidden_sizes=(512, 256, 128), initial_std=0.5, entropy_weight=0.005, discount=0.99
-    )
-    view: Pose = look_at(eye=(2.4, 1.8, 1.2), target=(0.0, 0.0, 0.25))
     action_scale: float = 1.5
-    """rad from home for one unit of action ``joint_position``: who lies on the back pushes off far from home."""
+    """rad from home for one unit of action ``joint_position``: a robot on its back pushes off far from home."""
     tilt_tolerance: float = 0.25
     """rad"""
     height_tolerance: float = 0.2
@@ -175,19 +190,10 @@ class Recover(Task):
     rewards: RecoverRewards = field(default_factory=RecoverRewards)
     terminations: RecoverTerminations = field(default_factory=RecoverTerminations)
     events: RecoverEvents = field(default_factory=RecoverEvents)
-    home_height: float = field(init=False, default=1.0)
-    """Metres."""
-    speed_limits: Tensor = field(init=False)
-    """(joints,) rad/s."""
 
     def scene(self) -> Scene:
         robot = walking.scaled(common.legged(self.robot), self.action_scale)
         return Scene(robots=(robot,), terrain=(common.floor(),), physics_dt=self.physics_dt)
-
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.home_height = common.robot_of(world).spec.pose.position[2]
-        self.speed_limits = walking.speed_limits(common.robot_of(world))
 
     def randomize(self) -> None:
         """All masses, the ground's friction, the legs' gains, and noise on what a real robot estimates."""
@@ -203,17 +209,17 @@ class Recover(Task):
             joint_velocities=0.05,
         )
 
-    def success(self, world: World) -> Tensor:
-        level = tilt(world, self) < self.tilt_tolerance
-        high = (height(world, self) - 1.0).abs() < self.height_tolerance
-        return level & high & (stance(world, self) < self.stance_tolerance)
+    def success(self, env: Environment) -> Tensor:
+        level = tilt(env) < self.tilt_tolerance
+        high = (height(env) - 1.0).abs() < self.height_tolerance
+        return level & high & (stance(env) < self.stance_tolerance)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
         return {
-            "tilt_rad": tilt(world, self),
-            "height_over_home": height(world, self),
-            "stance_rad": stance(world, self),
+            "tilt_rad": tilt(env),
+            "height_over_home": height(env),
+            "stance_rad": stance(env),
         }
 
-    def expert(self, world: World) -> HomePosture:
-        return HomePosture(world, self)
+    def expert(self, env: Environment) -> HomePosture:
+        return HomePosture(env)

@@ -1,4 +1,4 @@
-"""A room drawn anew for each episode: furniture along its walls, a crate in its way, and places on the furniture.
+"""A room drawn for each episode: furniture along its walls, a crate in its way, and places on the furniture.
 
 Furniture stands with its back to a wall. In its own frame, whose origin is the middle of its top, x leads from the room
 towards the wall, so that a robot that uses it faces along x.
@@ -18,14 +18,14 @@ from orbit_core.mdp import common
 from orbit_core.scene import Articulation, Box, ObjectSpec, Pose, Shape
 from orbit_core.scene.pose import Vector3
 
+# Metres of the floor along x and y; its middle is the origin.
 LENGTH, WIDTH = 6.0, 5.0
-"""Metres of the floor along x and y; its middle is the origin."""
+# Thickness and height of the walls, m: low, so that one sees what goes on.
 WALL, WALL_HEIGHT = 0.1, 0.4
-"""Thickness and height of the walls, m: low, so that one sees what goes on."""
+# Metres of its edges.
 CRATE = 0.5
-"""Metres of its edges."""
+# Metres from the middle of the room within which the crate stands, along x and y.
 CRATE_PLACES = (0.5, 0.3)
-"""Metres from the middle of the room within which the crate stands, along x and y."""
 
 
 @dataclass(frozen=True)

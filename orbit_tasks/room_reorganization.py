@@ -4,31 +4,34 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_assets.objects import box, cylinder
-from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, Meaning, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
-from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene, look_at
+from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, RobotSpec, Scene, look_at
 from orbit_motion.experts import Expert, Phase, Retry
 from orbit_motion.planning import BasePlannerConfig
 from orbit_tasks import room
 from orbit_tasks.mdp import picking
 from orbit_tasks.mobile import Mobile, base_pose, base_radius, mobile, sag_rate, start_within, tipped
 
+# Names of what is to be tidied up.
 THINGS = ("cube", "can", "carton")
-"""Names of what is to be tidied up."""
+# Of each, m.
 HALF_HEIGHTS = (0.025, 0.04, 0.05)
-"""Of each, m."""
+# Metres from a piece's front edge to the middles of what stands on it.
 INSET = 0.1
-"""Metres from a piece's front edge to the middles of what stands on it."""
+# Metres by which the shelf's top is higher than the tables'.
 SHELF_RAISED = 0.15
-"""Metres by which the shelf's top is higher than the tables'."""
 
 
 def things() -> tuple[ObjectSpec, ...]:
@@ -40,72 +43,96 @@ def things() -> tuple[ObjectSpec, ...]:
     )
 
 
+class RoomMemory(TaskState):
+    """State of a room: the places of things in an episode, and furniture that suits the robot."""
+
+    places: Tensor = buffer(len(THINGS), 3)
+    """(N, 3, 3) of the things' middles in the environment's frame, m."""
+    docks: Tensor = buffer(len(THINGS), 2, 3)
+    """(N, 3, 2, 3) x, y and heading of the base before each thing's first stand, and before its place."""
+    surface: float
+    """Metres from the floor to the tops of desk and sideboard."""
+    standoff: float
+    """Metres from a piece's front to the middle of a base that stands before it."""
+
+    def start(self, env: Environment) -> None:
+        self.surface, self.standoff = _fit(common.robot_of(env.world).spec)
+
+
+def _fit(robot: RobotSpec) -> tuple[float, float]:
+    """Find the height of desk and sideboard, and how far off a base stands, that suit the arm, m."""
+    space = common.placed_workspace(robot)
+    return space.low[2] - 0.1, space.low[0] + 0.05
+
+
 @measured_in("m")
 @once_per_state
-def positions(world: World, task: RoomReorganization) -> Tensor:
+def positions(env: Environment[RoomReorganization]) -> Tensor:
     """(N, 3, 3) of the things."""
-    return torch.stack([world.objects[name].root_pose[:, :3] for name in THINGS], 1)
+    return torch.stack([env.world.objects[name].root_pose[:, :3] for name in THINGS], 1)
 
 
 @once_per_state
-def distances(world: World, task: RoomReorganization) -> Tensor:
+def distances(env: Environment[RoomReorganization, RoomMemory]) -> Tensor:
     """(N, 3) metres from each thing to its place."""
-    return vector_norm(positions(world, task) - task.places, dim=2)
+    return vector_norm(positions(env) - env.state.places, dim=2)
 
 
 @once_per_state
-def in_place(world: World, task: RoomReorganization) -> Tensor:
+def in_place(env: Environment[RoomReorganization]) -> Tensor:
     """(N, 3) bool: the thing rests within the tolerance of its place, and the hand has let go of it."""
-    away = vector_norm(positions(world, task) - common.hand_pose(world, task)[:, None, :3], dim=2)
-    return (distances(world, task) < task.tolerance) & (away > 0.05)
+    away = vector_norm(positions(env) - common.hand_pose(env)[:, None, :3], dim=2)
+    return (distances(env) < env.task.tolerance) & (away > 0.05)
 
 
-def share_in_place(world: World, task: RoomReorganization) -> Tensor:
+def share_in_place(env: Environment[RoomReorganization]) -> Tensor:
     """(N,) in [0, 1]"""
-    return in_place(world, task).float().mean(1)
+    return in_place(env).float().mean(1)
 
 
-def nearness(world: World, task: RoomReorganization) -> Tensor:
+def nearness(env: Environment[RoomReorganization]) -> Tensor:
     """(N,) in [0, 1]: how near the things are to their places, over metres."""
-    return common.nearness(distances(world, task), 1.0).mean(1)
+    return common.nearness(distances(env), 1.0).mean(1)
 
 
-def reaching(world: World, task: RoomReorganization) -> Tensor:
+def reaching(env: Environment[RoomReorganization]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the first thing that is not in its place; 1 where all are."""
-    away = vector_norm(positions(world, task) - common.hand_pose(world, task)[:, None, :3], dim=2)
-    done = in_place(world, task)
+    away = vector_norm(positions(env) - common.hand_pose(env)[:, None, :3], dim=2)
+    done = in_place(env)
     first = done.long().argmin(1, keepdim=True)
     return torch.where(done.all(1), 1.0, common.nearness(away.gather(1, first).squeeze(1), 0.5))
 
 
-def place_things(world: World, task: RoomReorganization, env_ids: Tensor) -> None:
+def place_things(env: Environment[RoomReorganization, RoomMemory], env_ids: Tensor) -> None:
     """Draw the room, in which slot of desk and sideboard each thing stands, a little off and turned, and its place."""
-    room.place_furniture(world, env_ids)
+    room.place_furniture(env.world, env_ids)
     slots = [(piece, y) for piece in (room.DESK, room.SIDEBOARD) for y in piece.slots]
-    taken = world.random.uniform((len(slots),), env_ids=env_ids).argsort(1)
-    order = world.random.uniform((len(THINGS),), env_ids=env_ids).argsort(1)
-    stands = torch.stack([_stand(world, task, piece, y, env_ids) for piece, y in slots], 1)
-    goals = torch.stack([_stand(world, task, room.SHELF, y, env_ids) for y in room.SHELF.slots], 1)
-    rows = torch.arange(len(env_ids), device=world.device)
-    off = world.random.uniform((len(THINGS), 3), (-0.02, -0.02, -math.pi), (0.02, 0.02, math.pi), env_ids)
+    taken = env.world.random.uniform((len(slots),), env_ids=env_ids).argsort(1)
+    order = env.world.random.uniform((len(THINGS),), env_ids=env_ids).argsort(1)
+    stands = torch.stack([_stand(env, piece, y, env_ids) for piece, y in slots], 1)
+    goals = torch.stack([_stand(env, room.SHELF, y, env_ids) for y in room.SHELF.slots], 1)
+    rows = torch.arange(len(env_ids), device=env.device)
+    off = env.world.random.uniform((len(THINGS), 3), (-0.02, -0.02, -math.pi), (0.02, 0.02, math.pi), env_ids)
     for number, name in enumerate(THINGS):
         start, goal = stands[rows, taken[:, number]], goals[rows, order[:, number]]
-        up = torch.tensor([0.0, 0.0, HALF_HEIGHTS[number]], device=world.device)
+        up = torch.tensor([0.0, 0.0, HALF_HEIGHTS[number]], device=env.device)
         place = torch.cat((start[:, :3] + up, start[:, 3:4]), 1)
         place[:, [0, 1, 3]] += off[:, number]
-        world.objects[name].set_root_pose(common.standing(place), env_ids)
-        task.places[env_ids, number] = goal[:, :3] + up
-        task.docks[env_ids, number, 0], task.docks[env_ids, number, 1] = start[:, 4:], goal[:, 4:]
-    common.place_markers(world, [f"{name}_place" for name in THINGS], task.places[env_ids], env_ids)
+        env.world.objects[name].set_root_pose(common.standing(place), env_ids)
+        env.state.places[env_ids, number] = goal[:, :3] + up
+        env.state.docks[env_ids, number, 0], env.state.docks[env_ids, number, 1] = start[:, 4:], goal[:, 4:]
+    common.place_markers(env.world, [f"{name}_place" for name in THINGS], env.state.places[env_ids], env_ids)
 
 
-def _stand(world: World, task: RoomReorganization, piece: room.Furniture, y: float, env_ids: Tensor) -> Tensor:
+def _stand(
+    env: Environment[RoomReorganization, RoomMemory], piece: room.Furniture, y: float, env_ids: Tensor
+) -> Tensor:
     """(n, 7): where a thing stands on a piece of furniture and the piece's yaw; where a base stands before it."""
-    pose = world.objects[piece.name].root_pose[env_ids]
+    pose = env.world.objects[piece.name].root_pose[env_ids]
     slot = torch.full_like(pose[:, 0], y)
     yaw = torch.full_like(slot, piece.yaw)[:, None]
     front = -0.5 * piece.depth
-    thing, base = piece.local(front + INSET, slot, pose), piece.local(front - task.standoff, slot, pose)
+    thing, base = piece.local(front + INSET, slot, pose), piece.local(front - env.state.standoff, slot, pose)
     return torch.cat((thing, pose[:, 2:3], yaw, base, yaw), 1)
 
 
@@ -119,7 +146,7 @@ class RoomState(ObservationGroup):
     base_pose: ObservationTerm | None = ObservationTerm(base_pose)
     positions: ObservationTerm | None = ObservationTerm(positions)
     places: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.places,
+        lambda env: env.state.places,
         unit="m",
         meaning=Meaning("positions of the places, one after the other", ENVIRONMENT),
     )
@@ -153,7 +180,7 @@ class RoomTerminations:
 
 @dataclass
 class RoomEvents:
-    """The room, the robot in its free part and the things are placed anew for each episode."""
+    """The room, the robot in its free part and the things are placed for each episode."""
 
     place_robot: EventTerm | None = EventTerm(start_within((-1.2, -1.8), (1.2, -1.4)))
     place_things: EventTerm | None = EventTerm(place_things)
@@ -168,30 +195,24 @@ class RoomReorganization(Mobile, Task):
     sum of their distances.
     """
 
+    state_type: ClassVar[type[TaskState]] = RoomMemory
     robot: str = "base_omni_franka_panda"
     action: str = "joint_position"
     episode_length: float = 60.0
-    view: Pose = look_at(eye=(-0.2, -4.6, 4.8), target=(0.0, -0.1, 0.0))
+    metadata: TaskMetadata = TaskMetadata(
+        view=look_at(eye=(-0.2, -4.6, 4.8), target=(0.0, -0.1, 0.0)),
+    )
     tolerance: float = 0.05
     """Metres."""
     observations: RoomObservations = field(default_factory=RoomObservations)
     rewards: RoomRewards = field(default_factory=RoomRewards)
     terminations: RoomTerminations = field(default_factory=RoomTerminations)
     events: RoomEvents = field(default_factory=RoomEvents)
-    places: Tensor = field(init=False)
-    """(N, 3, 3) of the things' middles in the environment's frame, m."""
-    docks: Tensor = field(init=False)
-    """(N, 3, 2, 3) x, y and heading of the base before each thing's first stand, and before its place."""
-    standoff: float = field(init=False)
-    """Metres from a piece's front to the middle of a base that stands before it."""
-    surface: float = field(init=False)
-    """Metres from the floor to the tops of desk and sideboard."""
 
     def scene(self) -> Scene:
         robot = mobile(self.robot)
-        space = common.placed_workspace(robot)
-        self.surface, self.standoff = space.low[2] - 0.1, space.low[0] + 0.05
-        heights = {piece.name: self.surface for piece in room.PIECES} | {"shelf": self.surface + SHELF_RAISED}
+        surface, _ = _fit(robot)
+        heights = {piece.name: surface for piece in room.PIECES} | {"shelf": surface + SHELF_RAISED}
         marks = tuple(
             MarkerSpec(
                 f"{thing.name}_place", MarkerShape.SPHERE, size=0.03, color=thing.articulation.root.visuals[0].color
@@ -212,46 +233,41 @@ class RoomReorganization(Mobile, Task):
         laid = zip(things(), HALF_HEIGHTS, (-0.3, 0.0, 0.3), strict=True)
         return tuple(replace(thing, pose=Pose((x, 1.0, half))) for thing, half, x in laid)
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.places = torch.zeros(world.num_envs, len(THINGS), 3, device=world.device)
-        self.docks = torch.zeros(world.num_envs, len(THINGS), 2, 3, device=world.device)
+    def success(self, env: Environment) -> Tensor:
+        return in_place(env).all(1)
 
-    def success(self, world: World) -> Tensor:
-        return in_place(world, self).all(1)
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"objects_in_place": share_in_place(env), "distance_m": distances(env).sum(1)}
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"objects_in_place": share_in_place(world, self), "distance_m": distances(world, self).sum(1)}
-
-    def expert(self, world: World) -> Expert:
-        spec = common.robot_of(world).spec
+    def expert(self, env: Environment[Any, RoomMemory]) -> Expert:
+        spec = common.robot_of(env.world).spec
         half = (0.5 * room.LENGTH, 0.5 * room.WIDTH)
         planner = BasePlannerConfig(
-            radius=base_radius(spec), height=self.surface, low=(-half[0], -half[1]), high=(half[0], half[1])
+            radius=base_radius(spec), height=env.state.surface, low=(-half[0], -half[1]), high=(half[0], half[1])
         )
-        phases = [phase for number in range(len(THINGS)) for phase in tidying(world, number, self.surface)]
-        return Expert(world, self, phases, planner=planner, sag_rate=sag_rate(world))
+        phases = [phase for number in range(len(THINGS)) for phase in tidying(env.world, number, env.state.surface)]
+        return Expert(env, phases, planner=planner, sag_rate=sag_rate(env.world))
 
 
 def tidying(world: World, number: int, surface: float) -> tuple[Phase, ...]:
     """The phases that bring one thing to its place: to it, take it, to the shelf, put it down."""
     name, high = THINGS[number], surface + SHELF_RAISED + 0.25
 
-    def pose(world: World, task: RoomReorganization) -> Tensor:
-        return world.objects[name].root_pose
+    def pose(env: Environment[RoomReorganization]) -> Tensor:
+        return env.world.objects[name].root_pose
 
-    def grasp(world: World, task: RoomReorganization) -> Tensor:
-        thing, facing = world.objects[name].root_pose, task.docks[:, number, 0, 2]
+    def grasp(env: Environment[RoomReorganization, RoomMemory]) -> Tensor:
+        thing, facing = env.world.objects[name].root_pose, env.state.docks[:, number, 0, 2]
         turned = 2.0 * torch.atan2(thing[:, 6], thing[:, 3]) - facing
         quarter = 0.5 * math.pi
         yaw = facing + turned - quarter * torch.round(turned / quarter)
         return torch.cat((thing[:, :3], common.facing_down(yaw)), 1)
 
-    def place(world: World, task: RoomReorganization) -> Tensor:
-        return torch.cat((task.places[:, number], common.facing_down(task.docks[:, number, 1, 2])), 1)
+    def place(env: Environment[RoomReorganization, RoomMemory]) -> Tensor:
+        return torch.cat((env.state.places[:, number], common.facing_down(env.state.docks[:, number, 1, 2])), 1)
 
-    def lifted(world: World, task: RoomReorganization) -> Tensor:
-        return pose(world, task)[:, 2] > surface + 0.1
+    def lifted(env: Environment[RoomReorganization]) -> Tensor:
+        return pose(env)[:, 2] > surface + 0.1
 
     up = Phase(picking.straight_up(high), False, 0.03, timeout=2.0, retry=Retry(4, lifted))
     return (
@@ -264,7 +280,7 @@ def tidying(world: World, number: int, surface: float) -> tuple[Phase, ...]:
 
 
 def _drive(number: int, end: int, gripper_open: bool) -> Phase:
-    def dock(world: World, task: RoomReorganization) -> Tensor:
-        return task.docks[:, number, end]
+    def dock(env: Environment[RoomReorganization, RoomMemory]) -> Tensor:
+        return env.state.docks[:, number, end]
 
     return Phase(None, gripper_open, 0.03, 0.05, base=dock, timeout=14.0)

@@ -1,8 +1,9 @@
-"""Rope-Reshaping: bend a rope that lies straight on a table into a corner of a sampled angle."""
+"""Rope-Reshaping: bend a straight rope on a table into a corner of a sampled angle."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -12,60 +13,84 @@ from torch.linalg import vector_norm
 
 from orbit_assets.deformables import line
 from orbit_assets.objects import BENCH_HEIGHT, work_bench
-from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task
+from orbit_core.envs import CommandTerm, Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
-from orbit_core.envs.terms import ENVIRONMENT, Meaning, once_per_state
-from orbit_core.interfaces import World
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
+from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import KeyPoint, MarkerShape, MarkerSpec, Pose, Rope, Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import matter
 
 ROPE = "rope"
+# Evenly along the rope; the goal has a place for each.
 KEY_POINTS = 5
-"""Evenly along the rope; the goal has a place for each."""
+# Parts of the angle by which the expert leads the rope's end.
 WAYPOINTS = (0.35, 0.7, 1.0)
-"""Parts of the angle by which the expert leads the rope's end."""
+
+
+class RopeMemory(TaskState):
+    """State of a rope: its place when the episode began."""
+
+    points: Tensor = buffer(KEY_POINTS, 3)
+    """(N, 5, 3) its key points, in the environment's frame."""
 
 
 @once_per_state
-def key_points(world: World, task: RopeReshaping) -> Tensor:
+def key_points(env: Environment[RopeReshaping]) -> Tensor:
     """(N, 5, 3) along the rope, in the environment's frame."""
-    return world.deformables[ROPE].key_points
+    return env.world.deformables[ROPE].key_points
 
 
 @once_per_state
-def shape_distance(world: World, task: RopeReshaping) -> Tensor:
+def shape_distance(env: Environment[RopeReshaping]) -> Tensor:
     """(N,) metres: mean over the key points of the way to their places."""
-    return vector_norm(key_points(world, task) - task.goal, dim=2).mean(1)
+    return vector_norm(key_points(env) - goal(env), dim=2).mean(1)
 
 
-def end(world: World, task: RopeReshaping) -> Tensor:
+def end(env: Environment[RopeReshaping]) -> Tensor:
     """(N, 3) the key point that is taken: the rope's last, less its half centimetre of end."""
-    return key_points(world, task)[:, -1]
+    return key_points(env)[:, -1]
 
 
-def reaching(world: World, task: RopeReshaping) -> Tensor:
+def reaching(env: Environment[RopeReshaping]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the rope's end."""
-    return common.nearness(vector_norm(end(world, task) - common.hand_pose(world, task)[:, :3], dim=1), 0.1)
+    return common.nearness(vector_norm(end(env) - common.hand_pose(env)[:, :3], dim=1), 0.1)
 
 
-def shaping(world: World, task: RopeReshaping, scale: float) -> Tensor:
+def shaping(env: Environment[RopeReshaping], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the rope is to its shape."""
-    return common.nearness(shape_distance(world, task), scale)
+    return common.nearness(shape_distance(env), scale)
 
 
-def sample_goal(world: World, task: RopeReshaping, env_ids: Tensor) -> None:
-    """The rope's second half is to be turned by 40 to 80 degrees either way about its middle."""
-    points = world.deformables[ROPE].key_points[env_ids]
-    u = world.random.uniform((2,), env_ids=env_ids)
-    angle = torch.deg2rad(40.0 + 40.0 * u[:, 0]) * torch.where(u[:, 1] < 0.5, -1.0, 1.0)
-    task.angle[env_ids] = angle
-    task.start_end[env_ids] = points[:, -1]
-    task.middle[env_ids] = points[:, KEY_POINTS // 2]
-    task.goal[env_ids] = _bent(points, angle)
-    common.place_markers(world, [f"goal{number}" for number in range(KEY_POINTS)], task.goal[env_ids], env_ids)
+def remember_rope(env: Environment[RopeReshaping, RopeMemory], env_ids: Tensor) -> None:
+    """Note where the rope's key points lie when the episode begins."""
+    env.state.points[env_ids] = key_points(env)[env_ids]
+
+
+@once_per_state
+def goal(env: Environment[RopeReshaping, RopeMemory]) -> Tensor:
+    """(N, 5, 3) places of the key points, in the environment's frame."""
+    return _bent(env.state.points, env.commands["bend"][:, 0])
+
+
+@dataclass(unsafe_hash=True, kw_only=True)
+class BendCommand(CommandTerm):
+    """Angle (N, 1) in rad by which the rope's second half is to be turned about its middle, to either side."""
+
+    angle: Bounds = (math.radians(40.0), math.radians(80.0))
+    """rad, to either side"""
+
+    def ranges(self, env: Environment) -> dict[str, Bounds]:
+        return {"angle": self.angle, "side": (0.0, 1.0)}
+
+    def command(self, env: Environment, drawn: Tensor, env_ids: Tensor) -> Tensor:
+        return drawn[:, :1] * torch.where(drawn[:, 1:] < 0.5, -1.0, 1.0)
+
+    def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:
+        places = _bent(env.state.points[env_ids], command[:, 0])
+        common.place_markers(env.world, [f"goal{number}" for number in range(KEY_POINTS)], places, env_ids)
 
 
 def _bent(points: Tensor, angle: Tensor) -> Tensor:
@@ -84,30 +109,31 @@ def _turn(arms: Tensor, angle: Tensor) -> Tensor:
     )
 
 
-def led(world: World, task: RopeReshaping, part: float, height: float) -> Tensor:
+def led(env: Environment[RopeReshaping, RopeMemory], part: float, height: float) -> Tensor:
     """(N, 7) the hand with the rope's end on its arc about the middle, across the rope there, at a height."""
-    arm = _turn(task.start_end - task.middle, part * task.angle)
+    angle, middle = env.commands["bend"][:, 0], env.state.points[:, KEY_POINTS // 2]
+    arm = _turn(env.state.points[:, -1] - middle, part * angle)
     # A bent rope is as long as a straight one, but not its chord: a little nearer leaves the middle where it is.
-    position = task.middle + arm * (1.0 - 0.03 * part)
-    position = torch.cat((position[:, :2], torch.full_like(position[:, :1], task.radius + height)), dim=1)
-    return torch.cat((position, _across(task, arm)), dim=1)
+    position = middle + arm * (1.0 - 0.03 * part)
+    position = torch.cat((position[:, :2], torch.full_like(position[:, :1], env.task.radius + height)), dim=1)
+    return torch.cat((position, _across(env, arm)), dim=1)
 
 
-def at_end(world: World, task: RopeReshaping, height: float) -> Tensor:
+def at_end(env: Environment[RopeReshaping], height: float) -> Tensor:
     """(N, 7) the hand around the rope's end, at a height above its middle line."""
-    points = key_points(world, task)
+    points = key_points(env)
     position = points[:, -1].clone()
-    position[:, 2] = task.radius + height
-    return torch.cat((position, _across(task, points[:, -1] - points[:, -2])), dim=1)
+    position[:, 2] = env.task.radius + height
+    return torch.cat((position, _across(env, points[:, -1] - points[:, -2])), dim=1)
 
 
-def _across(task: RopeReshaping, along: Tensor) -> Tensor:
+def _across(env: Environment[RopeReshaping], along: Tensor) -> Tensor:
     """(N, 4) pointing down, fingers on both sides of a rope that goes along (N, 3).
 
     Of the two ways to do so it is the one from which the rope's turn is towards the wrist's middle.
     """
     yaw = torch.atan2(along[:, 1], along[:, 0])
-    return common.facing_down(torch.where(task.angle > 0.0, yaw - math.pi, yaw))
+    return common.facing_down(torch.where(env.commands["bend"][:, 0] > 0.0, yaw - math.pi, yaw))
 
 
 @dataclass
@@ -119,7 +145,7 @@ class RopeReshapingState(ObservationGroup):
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     key_points: ObservationTerm | None = ObservationTerm(matter.key_points(ROPE))
     goal: ObservationTerm | None = ObservationTerm(
-        lambda world, task: task.goal.flatten(1),
+        lambda env: goal(env).flatten(1),
         unit="m",
         meaning=Meaning("positions that the rope's key points are to have, one after the other", ENVIRONMENT),
     )
@@ -139,8 +165,8 @@ class RopeReshapingRewards:
     """Rewards of the hand at the rope's end and the rope in its shape, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
-    shape: RewardTerm | None = RewardTerm(lambda world, task: shaping(world, task, 0.1), 10.0)
-    shape_finely: RewardTerm | None = RewardTerm(lambda world, task: shaping(world, task, 0.02), 5.0)
+    shape: RewardTerm | None = RewardTerm(lambda env: shaping(env, 0.1), 10.0)
+    shape_finely: RewardTerm | None = RewardTerm(lambda env: shaping(env, 0.02), 5.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -151,33 +177,44 @@ class RopeReshapingTerminations:
 
 
 @dataclass
+class RopeReshapingCommands:
+    """Commanded turn of half of the rope."""
+
+    bend: CommandTerm | None = BendCommand()
+
+
+@dataclass
 class RopeReshapingEvents:
-    """Robot, rope and goal are placed anew for each episode."""
+    """Robot and rope are placed for each episode."""
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_rope: EventTerm | None = EventTerm(matter.place_deformable(ROPE, (0.04, 0.04), 0.3))
-    sample_goal: EventTerm | None = EventTerm(sample_goal)
+    remember_rope: EventTerm | None = EventTerm(remember_rope)
 
 
 @dataclass(kw_only=True)
 class RopeReshaping(Task):
-    """The rope lies straight across the robot's front, a little off and turned; half of it is to be turned.
+    """The rope is straight across the robot's front, a little off and turned; half of it is to be turned.
 
     Succeeds when the key points are within ``tolerance`` of their places, on average, at the episode's end. Metric:
     that mean distance.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.VELOCITY_LIMITS, "fingers snap shut on a thin rope; the arm keeps its limits"),
-        TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+    state_type: ClassVar[type[TaskState]] = RopeMemory
+    renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.bend"}
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
+        view=look_at(eye=(1.3, 0.8, 0.7), target=(0.45, 0.0, 0.05)),
+        exceptions=(
+            TaskException(TaskCheck.VELOCITY_LIMITS, "fingers snap shut on a thin rope; the arm keeps its limits"),
+            TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+        ),
     )
     robot: str = "franka_panda"
     action: str = "joint_position"
     physics_dt: float = 0.0025
     decimation: int = 8
     episode_length: float = 8.0
-    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
-    view: Pose = look_at(eye=(1.3, 0.8, 0.7), target=(0.45, 0.0, 0.05))
     length: float = 0.4
     """Metres."""
     radius: float = 0.008
@@ -191,14 +228,7 @@ class RopeReshaping(Task):
     rewards: RopeReshapingRewards = field(default_factory=RopeReshapingRewards)
     terminations: RopeReshapingTerminations = field(default_factory=RopeReshapingTerminations)
     events: RopeReshapingEvents = field(default_factory=RopeReshapingEvents)
-    goal: Tensor = field(init=False)
-    """(N, 5, 3) places of the key points, in the environment's frame."""
-    angle: Tensor = field(init=False)
-    """(N,) by which the second half is to be turned."""
-    start_end: Tensor = field(init=False)
-    """(N, 3) where the rope's end lay."""
-    middle: Tensor = field(init=False)
-    """(N, 3) where its middle lay."""
+    commands: RopeReshapingCommands = field(default_factory=RopeReshapingCommands)
 
     def scene(self) -> Scene:
         points = line(self.length, self.particles)
@@ -216,35 +246,27 @@ class RopeReshaping(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, KEY_POINTS, 3, device=world.device)
-        self.angle = torch.zeros(world.num_envs, device=world.device)
-        self.start_end = torch.zeros(world.num_envs, 3, device=world.device)
-        self.middle = torch.zeros(world.num_envs, 3, device=world.device)
+    def success(self, env: Environment) -> Tensor:
+        return shape_distance(env) < self.tolerance
 
-    def success(self, world: World) -> Tensor:
-        return shape_distance(world, self) < self.tolerance
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"shape_distance_m": shape_distance(env)}
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"shape_distance_m": shape_distance(world, self)}
+    def expert(self, env: Environment) -> Expert:
+        def over(env: Environment[RopeReshaping]) -> Tensor:
+            return at_end(env, 0.1)
 
-    def expert(self, world: World) -> Expert:
-        def over(world: World, task: RopeReshaping) -> Tensor:
-            return at_end(world, task, 0.1)
-
-        def around(world: World, task: RopeReshaping) -> Tensor:
-            return at_end(world, task, 0.003)  # the pads reach 9 mm further, not quite to the table
+        def around(env: Environment[RopeReshaping]) -> Tensor:
+            return at_end(env, 0.003)  # the pads reach 9 mm further, not quite to the table
 
         def lead(part: float):
-            return lambda world, task: led(world, task, part, 0.01)
+            return lambda env: led(env, part, 0.01)
 
-        def above(world: World, task: RopeReshaping) -> Tensor:
-            return led(world, task, 1.0, 0.12)
+        def above(env: Environment[RopeReshaping]) -> Tensor:
+            return led(env, 1.0, 0.12)
 
         return Expert(
-            world,
-            self,
+            env,
             (
                 Phase(over, position_tolerance=0.02, free=True),
                 Phase(around, position_tolerance=0.005, timeout=1.2),

@@ -6,78 +6,102 @@ their scale Makoviychuk et al., Isaac Gym (2021).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import (
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import measured_in, once_per_state
-from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
-from orbit_core.scene import Pose, Scene, look_at
+from orbit_core.scene import Scene, look_at
 from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
 
+class RunningMemory(TaskState):
+    """State of a run: the distance in the episode."""
+
+    way: Tensor = buffer()
+    """(N,) m along x since the episode began."""
+
+    def update(self, env: Environment) -> None:
+        self.way += speed(env) * env.step_dt
+
+
+def mean_speed(env: Environment[Any, RunningMemory]) -> Tensor:
+    """(N,) m/s along x in the episode so far."""
+    return env.state.way / (env.state.episode_step.clamp_min(1) * env.step_dt)
+
+
 @measured_in("m")
-def height(world: World, task: Running) -> Tensor:
+def height(env: Environment[Running]) -> Tensor:
     """(N, 1) of the trunk above the ground."""
-    return common.robot_of(world).root_pose[:, 2:3]
+    return common.robot_of(env.world).root_pose[:, 2:3]
 
 
 @measured_in("1")
 @once_per_state
-def heading(world: World, task: Running) -> Tensor:
+def heading(env: Environment[Running]) -> Tensor:
     """(N, 2) cosine and sine of the angle between the way that the trunk faces, seen from above, and x."""
-    pose = common.robot_of(world).root_pose
+    pose = common.robot_of(env.world).root_pose
     ahead = torch.zeros_like(pose[:, :3])
     ahead[:, 0] = 1.0
     return torch.nn.functional.normalize(quat_rotate(pose[:, 3:], ahead)[:, :2], dim=1)
 
 
 @once_per_state
-def speed(world: World, task: Running) -> Tensor:
+def speed(env: Environment[Running]) -> Tensor:
     """(N,) m/s of the trunk along x."""
-    return common.robot_of(world).root_velocity[:, 0]
+    return common.robot_of(env.world).root_velocity[:, 0]
 
 
-def alive(world: World, task: Running) -> Tensor:
+def alive(env: Environment[Running]) -> Tensor:
     """(N,) ones."""
-    return torch.ones_like(speed(world, task))
+    return torch.ones_like(speed(env))
 
 
-def facing_ahead(world: World, task: Running) -> Tensor:
+def facing_ahead(env: Environment[Running]) -> Tensor:
     """(N,) in [-1, 1]: 1 where the robot faces along x."""
-    return heading(world, task)[:, 0]
+    return heading(env)[:, 0]
 
 
-def standing_up(world: World, task: Running) -> Tensor:
+def standing_up(env: Environment[Running]) -> Tensor:
     """(N,) in [-1, 1]: 1 where the trunk stands upright."""
-    return -projected_gravity(world, task)[:, 2]
+    return -projected_gravity(env)[:, 2]
 
 
-def energy(world: World, task: Running) -> Tensor:
+def energy(env: Environment[Running]) -> Tensor:
     """(N,) sum over joints of the action's size times how fast the joint turns, in rad/s."""
-    return (task.last_action * common.robot_of(world).joint_velocities).abs().sum(1)
+    return (env.state.last_action * common.robot_of(env.world).joint_velocities).abs().sum(1)
 
 
 @once_per_state
-def fallen(world: World, task: Running) -> Tensor:
+def fallen(env: Environment[Running]) -> Tensor:
     """(N,) bool: the trunk is lower than the task allows."""
-    return height(world, task)[:, 0] < task.least_height
+    return height(env)[:, 0] < env.task.least_height
 
 
-def place_robot(world: World, task: Running, env_ids: Tensor) -> None:
+def place_robot(env: Environment[Running], env_ids: Tensor) -> None:
     """Place the robot at home, joints within 0.1 rad of theirs."""
-    body = common.robot_of(world)
-    pose = torch.tensor((*body.spec.pose.position, *body.spec.pose.orientation), device=world.device)
+    body = common.robot_of(env.world)
+    pose = torch.tensor((*body.spec.pose.position, *body.spec.pose.orientation), device=env.device)
     body.set_root_pose(pose.expand(len(env_ids), 7), env_ids)
-    common.randomize_robot_start(0.1)(world, task, env_ids)
+    common.randomize_robot_start(0.1)(env, env_ids)
 
 
 @dataclass
@@ -123,7 +147,7 @@ class RunningTerminations:
 
 @dataclass
 class RunningEvents:
-    """The robot is placed anew for each episode; masses and friction with domain randomisation."""
+    """The robot is placed for each episode; masses and friction with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(place_robot)
     masses: EventTerm | None = None
@@ -132,17 +156,20 @@ class RunningEvents:
 
 @dataclass(kw_only=True)
 class Running(Task):
-    """What both tasks share. Success: the robot has not fallen, and came along x at the task's ``least_speed`` or more
+    """Base of both tasks. Success: the robot has not fallen, and came along x at the task's ``least_speed`` or more
     on average. Metrics: that speed, and falls.
     """  # fmt: skip
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "a run starts at one place"),
-        TaskException(TaskCheck.START_YAW, "a run starts along x"),
+    state_type: ClassVar[type[TaskState]] = RunningMemory
+    metadata: TaskMetadata = TaskMetadata(
+        view=look_at(eye=(2.5, -4.5, 2.0), target=(1.0, 0.0, 0.5)),
+        exceptions=(
+            TaskException(TaskCheck.START_AREA, "a run starts at one place"),
+            TaskException(TaskCheck.START_YAW, "a run starts along x"),
+        ),
     )
     action: str = "joint_effort"
     episode_length: float = 10.0
-    view: Pose = look_at(eye=(2.5, -4.5, 2.0), target=(1.0, 0.0, 0.5))
     least_height: float
     """m, of the trunk."""
     least_speed: float
@@ -151,26 +178,9 @@ class Running(Task):
     rewards: RunningRewards = field(default_factory=RunningRewards)
     terminations: RunningTerminations = field(default_factory=RunningTerminations)
     events: RunningEvents = field(default_factory=RunningEvents)
-    way: Tensor = field(init=False)
-    """(N,) m along x since the episode began."""
 
     def scene(self) -> Scene:
         return Scene(robots=(common.legged(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
-
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.way = torch.zeros(world.num_envs, device=world.device)
-
-    def reset(self, env_ids: Tensor | None) -> None:
-        super().reset(env_ids)
-        self.way[slice(None) if env_ids is None else env_ids] = 0.0
-
-    def advance(self, world: World) -> None:
-        self.way += speed(world, self) * (self.physics_dt * self.decimation)
-
-    def mean_speed(self) -> Tensor:
-        """(N,) m/s along x in the episode so far."""
-        return self.way / (self.episode_step.clamp_min(1) * self.physics_dt * self.decimation)
 
     def randomize(self) -> None:
         """All masses, the ground's friction, and noise on what a real robot estimates."""
@@ -182,11 +192,11 @@ class Running(Task):
             joint_velocities=0.05,
         )  # fmt: skip
 
-    def success(self, world: World) -> Tensor:
-        return (self.mean_speed() > self.least_speed) & ~fallen(world, self)
+    def success(self, env: Environment) -> Tensor:
+        return (mean_speed(env) > self.least_speed) & ~fallen(env)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"speed_m_s": self.mean_speed(), "falls": fallen(world, self).float()}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"speed_m_s": mean_speed(env), "falls": fallen(env).float()}
 
 
 @dataclass(kw_only=True)
@@ -196,7 +206,10 @@ class Ant(Running):
     robot: str = "ant"
     least_height: float = 0.27
     least_speed: float = 1.0
-    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.6, entropy_weight=0.0, discount=0.99)
+    metadata: TaskMetadata = replace(
+        Running.metadata,
+        ppo=PpoSettings(iterations=1000, initial_std=0.6, entropy_weight=0.0, discount=0.99),
+    )
 
 
 @dataclass(kw_only=True)
@@ -207,6 +220,9 @@ class Humanoid(Running):
     least_height: float = 0.9
     least_speed: float = 1.0
     rewards: RunningRewards = field(default_factory=lambda: RunningRewards(alive=RewardTerm(alive, 2.0)))
-    ppo: PpoSettings = PpoSettings(
-        iterations=2000, hidden_sizes=(400, 200, 100), initial_std=0.6, entropy_weight=0.0, discount=0.99
+    metadata: TaskMetadata = replace(
+        Running.metadata,
+        ppo=PpoSettings(
+            iterations=2000, hidden_sizes=(400, 200, 100), initial_std=0.6, entropy_weight=0.0, discount=0.99
+        ),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import torch
@@ -13,10 +13,10 @@ from torch.linalg import vector_norm
 
 from orbit_assets.objects import box
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, ObservationTerm, PremiseTerm, RewardTerm
+from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import Subtask
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
@@ -25,141 +25,158 @@ from orbit_motion.experts import Expert, Phase, Retry
 from orbit_tasks.mdp import picking, stages, tabletop
 from orbit_tasks.pixels import ArmLabels
 
+# Of the blocks of each pyramid, by name, the first one first.
 COLORS: tuple[dict[str, Color], ...] = (
     {"red": (0.8, 0.12, 0.1, 1.0), "orange": (0.95, 0.5, 0.1, 1.0), "yellow": (0.95, 0.85, 0.15, 1.0)},
     {"blue": (0.1, 0.2, 0.8, 1.0), "turquoise": (0.1, 0.7, 0.7, 1.0), "green": (0.15, 0.55, 0.15, 1.0)},
 )
-"""Of the blocks of each pyramid, by name, the first one first."""
+# Metres, of a block's edges: every gripper of the catalogue opens that far.
 SIZE = 0.05
-"""Metres, of a block's edges: every gripper of the catalogue opens that far."""
+# Metres between the two blocks of a pyramid's base.
 GAP = 0.004
-"""Metres between the two blocks of a pyramid's base."""
+# Values of :attr:`StackPyramid.starts`.
 ANYWHERE, CORNERS = "anywhere", "corners"
-"""Values of :attr:`StackPyramid.starts`."""
+# Metres between the centres of two blocks that start anywhere: the open hand fits around one of them.
 APART = 0.12
-"""Metres between the centres of two blocks that start anywhere: the open hand fits around one of them."""
+# Places drawn for the second block. A place is too near for at most a third of them.
 _TRIES = 16
-"""Places drawn for the second block. A place is too near for at most a third of them."""
+
+
+class StackMemory(tabletop.TabletopMemory):
+    """State of pyramids, looked up once in a new world."""
+
+    opening: common.GripperOpening
+    ways: tuple[Tensor, ...]
+    """(3,) from a pyramid's first block to the places of its others, in the first one's frame."""
+
+    def start(self, env: Environment[StackPyramid]) -> None:
+        super().start(env)
+        self.opening = common.GripperOpening(env.world)
+        beside, above = SIZE + GAP, SIZE
+        ways = ((0.0, 0.0, above),) if env.task.blocks == 2 else ((beside, 0.0, 0.0), (0.5 * beside, 0.0, above))
+        self.ways = tuple(torch.tensor(way, device=env.device) for way in ways)
 
 
 @once_per_state
-def moved_positions(world: World, task: StackPyramid) -> Tensor:
+def moved_positions(env: Environment[StackPyramid]) -> Tensor:
     """(N, M, 3) of the blocks that are to be moved."""
-    return tabletop.piece_poses(world, task)[:, task.pyramids :, :3]
+    return tabletop.piece_poses(env)[:, env.task.pyramids :, :3]
 
 
 @once_per_state
-def places(world: World, task: StackPyramid) -> Tensor:
-    """(N, M, 3) where those belong: beside the first block of their pyramid along its x axis, or on top."""
-    first = tabletop.piece_poses(world, task)[:, : task.pyramids]
+def places(env: Environment[StackPyramid, StackMemory]) -> Tensor:
+    """(N, M, 3) where those belong: next to the first block of their pyramid along its x axis, or on top."""
+    first = tabletop.piece_poses(env)[:, : env.task.pyramids]
     position, turn = first[..., :3], common.turned(picking.quarter_yaw(first[..., 3:].flatten(0, 1)))
-    return torch.cat([position + quat_rotate(turn, way).view_as(position) for way in task.ways], dim=1)
+    return torch.cat([position + quat_rotate(turn, way).view_as(position) for way in env.state.ways], dim=1)
 
 
 @once_per_state
-def distances(world: World, task: StackPyramid) -> Tensor:
+def distances(env: Environment[StackPyramid]) -> Tensor:
     """(N, M) metres between blocks and their places."""
-    return vector_norm(blocks_to_places(world, task), dim=2)
+    return vector_norm(blocks_to_places(env), dim=2)
 
 
 @once_per_state
-def put_down(world: World, task: StackPyramid) -> Tensor:
+def put_down(env: Environment[StackPyramid]) -> Tensor:
     """(N, M) bool: the block is at its place and the hand away from it."""
-    return (distances(world, task) < task.tolerance) & (vector_norm(hand_to_blocks(world, task), dim=2) > SIZE)
+    return (distances(env) < env.task.tolerance) & (vector_norm(hand_to_blocks(env), dim=2) > SIZE)
 
 
 @once_per_state
-def hand_to_blocks(world: World, task: StackPyramid) -> Tensor:
+def hand_to_blocks(env: Environment[StackPyramid]) -> Tensor:
     """(N, M, 3) from the hand to the blocks that are to be moved."""
-    return moved_positions(world, task) - common.hand_pose(world, task)[:, None, :3]
+    return moved_positions(env) - common.hand_pose(env)[:, None, :3]
 
 
-def blocks_to_places(world: World, task: StackPyramid) -> Tensor:
+def blocks_to_places(env: Environment[StackPyramid]) -> Tensor:
     """(N, M, 3) from the blocks to their places."""
-    return places(world, task) - moved_positions(world, task)
+    return places(env) - moved_positions(env)
 
 
 @once_per_state
-def done(world: World, task: StackPyramid) -> Tensor:
+def done(env: Environment[StackPyramid]) -> Tensor:
     """(N,) int64: how many blocks are put down, one after the other."""
-    return put_down(world, task).long().cumprod(dim=1).sum(dim=1)
+    return put_down(env).long().cumprod(dim=1).sum(dim=1)
 
 
-def staged(world: World, task: StackPyramid, values: Tensor) -> Tensor:
+def staged(env: Environment[StackPyramid], values: Tensor) -> Tensor:
     """(N,) in [0, 1]: the share of blocks put down, and for the next one its own value, of ``values`` (N, M)."""
-    count = done(world, task)
-    following = values.gather(1, count.clamp(max=len(task.moved) - 1)[:, None])[:, 0]
-    return (count + torch.where(count < len(task.moved), following, 0.0)) / len(task.moved)
+    count = done(env)
+    following = values.gather(1, count.clamp(max=len(env.task.moved) - 1)[:, None])[:, 0]
+    return (count + torch.where(count < len(env.task.moved), following, 0.0)) / len(env.task.moved)
 
 
-def reaching(world: World, task: StackPyramid) -> Tensor:
+def reaching(env: Environment[StackPyramid]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the next block."""
-    return staged(world, task, common.nearness(vector_norm(hand_to_blocks(world, task), dim=2), 0.1))
+    return staged(env, common.nearness(vector_norm(hand_to_blocks(env), dim=2), 0.1))
 
 
 @once_per_state
-def lifted(world: World, task: StackPyramid) -> Tensor:
+def lifted(env: Environment[StackPyramid]) -> Tensor:
     """(N, M) 1 where the block is off the table, or over its place."""
-    way = blocks_to_places(world, task)
-    return ((moved_positions(world, task)[..., 2] > SIZE) | (vector_norm(way[..., :2], dim=2) < 0.02)).float()
+    way = blocks_to_places(env)
+    return ((moved_positions(env)[..., 2] > SIZE) | (vector_norm(way[..., :2], dim=2) < 0.02)).float()
 
 
-def tracking(world: World, task: StackPyramid, scale: float) -> Tensor:
+def tracking(env: Environment[StackPyramid], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the next block is to its place, once it is lifted."""
-    return staged(world, task, lifted(world, task) * common.nearness(distances(world, task), scale))
+    return staged(env, lifted(env) * common.nearness(distances(env), scale))
 
 
-def letting_go(world: World, task: StackPyramid) -> Tensor:
+def letting_go(env: Environment[StackPyramid, StackMemory]) -> Tensor:
     """(N,) in [0, 1]: how far the gripper is open, and the hand has left, where a block is at its place."""
-    away = (vector_norm(hand_to_blocks(world, task), dim=2) / SIZE).clamp(max=1.0)
-    wider = (4.0 * task.opening() - 3.0).clamp_min(0.0)  # than any gripper that still holds a block
-    return staged(world, task, 0.5 * (wider[:, None] + away) * (distances(world, task) < task.tolerance))
+    away = (vector_norm(hand_to_blocks(env), dim=2) / SIZE).clamp(max=1.0)
+    wider = (4.0 * env.state.opening() - 3.0).clamp_min(0.0)  # than any gripper that still holds a block
+    return staged(env, 0.5 * (wider[:, None] + away) * (distances(env) < env.task.tolerance))
 
 
-def place_blocks(world: World, task: StackPyramid, env_ids: Tensor) -> None:
+def place_blocks(env: Environment[StackPyramid], env_ids: Tensor) -> None:
     """Place the blocks for an episode, as ``task.starts`` says."""
-    if task.starts == ANYWHERE:
-        place_pair(world, task, env_ids)
+    if env.task.starts == ANYWHERE:
+        place_pair(env, env_ids)
     else:
-        place_in_corners(world, task, env_ids)
+        place_in_corners(env, env_ids)
 
 
-def place_pair(world: World, task: StackPyramid, env_ids: Tensor) -> None:
+def place_pair(env: Environment[StackPyramid], env_ids: Tensor) -> None:
     """Place two blocks anywhere in the hand's workspace less its rim, turned by any angle, :data:`APART` or more.
 
     The second block takes the first of :data:`_TRIES` places that is far enough, or else the farthest of them.
     """
-    low, high = common.workspace(world)
+    low, high = common.workspace(env.world)
     lower = low[0] + 0.5 * SIZE, low[1] + 0.5 * SIZE
     upper = high[0] - 0.05, high[1] - 0.5 * SIZE
     height, count = 0.5 * SIZE, len(env_ids)
-    kept = world.random.uniform((4,), (*lower, height, -math.pi), (*upper, height, math.pi), env_ids)
-    other = world.random.uniform((4,), (*lower, height, -math.pi), (*upper, height, math.pi), env_ids)
-    tries = world.random.uniform((_TRIES, 2), lower, upper, env_ids)
+    kept = env.world.random.uniform((4,), (*lower, height, -math.pi), (*upper, height, math.pi), env_ids)
+    other = env.world.random.uniform((4,), (*lower, height, -math.pi), (*upper, height, math.pi), env_ids)
+    tries = env.world.random.uniform((_TRIES, 2), lower, upper, env_ids)
     distance = vector_norm(tries - kept[:, None, :2], dim=2)
     # The first that is far enough counts most; where none is, the distance decides.
     rank = torch.where(distance >= APART, 2.0 * _TRIES - torch.arange(_TRIES, device=distance.device), distance)
     other[:, :2] = tries[torch.arange(count, device=tries.device), rank.argmax(dim=1)]
-    for name, place in zip(task.pieces, (kept, other), strict=True):
-        world.objects[name].set_root_pose(common.standing(place), env_ids)
+    for name, place in zip(env.task.pieces, (kept, other), strict=True):
+        env.world.objects[name].set_root_pose(common.standing(place), env_ids)
 
 
-def place_in_corners(world: World, task: StackPyramid, env_ids: Tensor) -> None:
-    """First blocks stand in the middle, turned by up to 0.3 rad; others, by any angle, at four places beside them."""
-    low, high = common.workspace(world)
+def place_in_corners(env: Environment[StackPyramid], env_ids: Tensor) -> None:
+    """First blocks stand in the middle, turned by up to 0.3 rad; others, by any angle, at four places next to them."""
+    low, high = common.workspace(env.world)
     near, far, width = low[0], high[0] - 0.05, 0.5 * (high[1] - low[1])
     middle, height = 0.5 * (low[1] + high[1]), 0.5 * SIZE
-    bands = ((-0.11, 0.11),) if task.pyramids == 1 else ((-0.11, -0.07), (0.07, 0.11))
-    for name, (right, left) in zip(task.first, bands, strict=True):
+    bands = ((-0.11, 0.11),) if env.task.pyramids == 1 else ((-0.11, -0.07), (0.07, 0.11))
+    for name, (right, left) in zip(env.task.first, bands, strict=True):
         bounds = (near + 0.03, middle + right, height, -0.3), (near + 0.07, middle + left, height, 0.3)
-        world.objects[name].set_root_pose(common.standing(world.random.uniform((4,), *bounds, env_ids)), env_ids)
+        env.world.objects[name].set_root_pose(
+            common.standing(env.world.random.uniform((4,), *bounds, env_ids)), env_ids
+        )
     cells = [(x, middle + y) for x in (near + 0.035, far - 0.035) for y in (0.015 - width, width - 0.015)]
-    chosen = torch.tensor(cells, device=world.device)[world.random.uniform((4,), env_ids=env_ids).argsort(dim=1)]
-    for index, name in enumerate(task.moved):
+    chosen = torch.tensor(cells, device=env.device)[env.world.random.uniform((4,), env_ids=env_ids).argsort(dim=1)]
+    for index, name in enumerate(env.task.moved):
         bounds = (-0.02, -0.015, height, -math.pi), (0.02, 0.015, height, math.pi)
-        place = world.random.uniform((4,), *bounds, env_ids)
+        place = env.world.random.uniform((4,), *bounds, env_ids)
         place[:, :2] += chosen[:, index]
-        world.objects[name].set_root_pose(common.standing(place), env_ids)
+        env.world.objects[name].set_root_pose(common.standing(place), env_ids)
 
 
 @dataclass
@@ -183,9 +200,9 @@ class StackRewards:
     """
 
     reach: RewardTerm | None = RewardTerm(reaching, 0.3)
-    lift: RewardTerm | None = RewardTerm(lambda world, task: staged(world, task, lifted(world, task)), 0.6)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 0.9)
-    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 0.6)
+    lift: RewardTerm | None = RewardTerm(lambda env: staged(env, lifted(env)), 0.6)
+    track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 0.9)
+    track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 0.6)
     let_go: RewardTerm | None = RewardTerm(letting_go, 6.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
@@ -193,7 +210,7 @@ class StackRewards:
 
 @dataclass
 class StackEvents(tabletop.ArmEvents):
-    """Robot and blocks are placed anew for each episode; masses and the like with domain randomisation."""
+    """Robot and blocks are placed for each episode; masses and the like with domain randomisation."""
 
     place_blocks: EventTerm | None = EventTerm(place_blocks)
 
@@ -204,26 +221,29 @@ class StackPremises:
 
     standing: PremiseTerm | None = tabletop.pieces_stand(0.5 * SIZE)
     apart: PremiseTerm | None = PremiseTerm(
-        lambda world, task: distances(world, task).amin(1) > task.tolerance, "a block is at its place already"
+        lambda env: distances(env).amin(1) > env.task.tolerance, "a block is at its place already"
     )
 
 
 @dataclass(kw_only=True)
 class StackPyramid(tabletop.TabletopTask):
-    """Pyramids of coloured blocks, each built where its first block stands: a second beside it, and a third on both.
+    """Pyramids of coloured blocks, each built where its first block stands: a second next to it, and a third on both.
 
     A pyramid of two blocks has the second on the first. Succeeds when at the episode's end every block is within
     ``tolerance`` of its place and the hand has let go. Metric: the sum of the distances between blocks and places.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "pyramids and hand leave cells of 4 x 3 cm for the other blocks"),
+    state_type: ClassVar[type[TaskState]] = StackMemory
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005),
+        exceptions=(
+            TaskException(TaskCheck.START_AREA, "pyramids and hand leave cells of 4 x 3 cm for the other blocks"),
+        ),
     )
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {
-        "semantic": tabletop.sensed(ArmLabels, StackState)  # whose labels tell the blocks' colours
+        "semantic": tabletop.sensed(ArmLabels, StackState)  # whose labels say the blocks' colours
     }
     episode_length: float = 27.0
-    ppo: PpoSettings = PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005)
     pyramids: int = 2
     """One or two."""
     blocks: int = 3
@@ -238,9 +258,6 @@ class StackPyramid(tabletop.TabletopTask):
     terminations: tabletop.DropTerminations = field(default_factory=tabletop.DropTerminations)
     events: StackEvents = field(default_factory=StackEvents)
     premises: StackPremises = field(default_factory=StackPremises)
-    opening: common.GripperOpening = field(init=False)
-    ways: tuple[Tensor, ...] = field(init=False, default=())
-    """(3,) from a pyramid's first block to the places of its others, in the first one's frame."""
 
     @property
     def first(self) -> tuple[str, ...]:
@@ -275,73 +292,65 @@ class StackPyramid(tabletop.TabletopTask):
                 f"{len(self.pieces)}: give '{CORNERS}', or one pyramid of two blocks"
             )
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.opening = common.GripperOpening(world)
-        beside, above = SIZE + GAP, SIZE
-        ways = ((0.0, 0.0, above),) if self.blocks == 2 else ((beside, 0.0, 0.0), (0.5 * beside, 0.0, above))
-        self.ways = tuple(torch.tensor(way, device=world.device) for way in ways)
-
     def randomize(self) -> None:
         """The friction of blocks and fingers, the arm's gains, and noise on joints and blocks."""
         ways = {"block_poses": 0.002, "hand_to_blocks": 0.002, "blocks_to_places": 0.002, "block_turns": 0.02}
         fine = {"fine_hand_to_blocks": 0.2, "fine_blocks_to_places": 0.2}
         self.vary((common.ROBOT, *self.pieces, "table"), (0.5, 1.2), **ways, **fine)
 
-    def success(self, world: World) -> Tensor:
-        return put_down(world, self).all(1)
+    def success(self, env: Environment) -> Tensor:
+        return put_down(env).all(1)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"distance_m": distances(world, self).sum(1)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"distance_m": distances(env).sum(1)}
 
-    def subtasks(self) -> tuple[Subtask, ...]:
-        return tuple(part for index in range(len(self.moved)) for part in _parts(index))
+    def __post_init__(self) -> None:
+        parts = tuple(part for index in range(len(self.moved)) for part in _parts(index))
+        self.metadata = replace(self.metadata, subtasks=parts)  # their number follows from the fields
 
-    def expert(self, world: World) -> Expert:
-        phases = [phase for index in range(len(self.moved)) for phase in _moving(world, index)]
-        return Expert(world, self, phases, stage=_stage)
+    def expert(self, env: Environment) -> Expert:
+        phases = [phase for index in range(len(self.moved)) for phase in _moving(env.world, index)]
+        return Expert(env, phases, stage=_stage)
 
 
 def _block(index: int) -> TermFunction:
     """Term: (N, 7) a block that is to be moved."""
-    return lambda world, task: tabletop.piece_poses(world, task)[:, task.pyramids + index]
+    return lambda env: tabletop.piece_poses(env)[:, env.task.pyramids + index]
 
 
 def _grasp(index: int) -> TermFunction:
-    """Term: (N, 7) the hand around it, its palm beside the pyramid that was built before."""
-    return lambda world, task: picking.beside(
-        picking.grasp_square(_block(index)(world, task)), places(world, task)[:, max(index - 1, 0)]
-    )
+    """Term: (N, 7) the hand around it, its palm next to the pyramid that was built before."""
+    return lambda env: picking.beside(picking.grasp_square(_block(index)(env)), places(env)[:, max(index - 1, 0)])
 
 
 def _place(index: int) -> TermFunction:
     """Term: (N, 7) its place, with the hand turned as the pyramid is."""
-    return lambda world, task: picking.over_square(
-        places(world, task)[:, index], tabletop.piece_poses(world, task)[:, index % task.pyramids, 3:]
+    return lambda env: picking.over_square(
+        places(env)[:, index], tabletop.piece_poses(env)[:, index % env.task.pyramids, 3:]
     )
 
 
 def _moving(world: World, index: int) -> tuple[Phase, ...]:
     """Pick a block up and put it to its place, 3 mm too high, so that it does not press; again where it was lost."""
     place = picking.hand_for(picking.raised(_place(index), 0.003), _block(index))
-    came = Retry(4, lambda world, task: moved_positions(world, task)[:, index, 2] > SIZE)
+    came = Retry(4, lambda env: moved_positions(env)[:, index, 2] > SIZE)
     put = picking.put(place, height=0.22, over=1.25 * GAP, came=came)
     return picking.pick(world, _grasp(index), clearance=0.12) + put
 
 
-def _stage(world: World, task: StackPyramid) -> Tensor:
+def _stage(env: Environment[StackPyramid, StackMemory]) -> Tensor:
     """(N,) int64: the expert's phase, by the state alone."""
-    hand, closed = common.hand_pose(world, task), task.opening() < 0.7  # of which a block needs 0.6
-    ways = enumerate(blocks_to_places(world, task).unbind(1))
-    own = [stages.moving(hand, _grasp(k)(world, task), _place(k)(world, task), way, closed) for k, way in ways]
-    return stages.following(own, put_down(world, task), 8)
+    hand, closed = common.hand_pose(env), env.state.opening() < 0.7  # of which a block needs 0.6
+    ways = enumerate(blocks_to_places(env).unbind(1))
+    own = [stages.moving(hand, _grasp(k)(env), _place(k)(env), way, closed) for k, way in ways]
+    return stages.following(own, put_down(env), 8)
 
 
 def _parts(index: int) -> tuple[Subtask, Subtask]:
     """Pick a block up; put it to its place."""
     return (
-        Subtask(_grasp(index), lambda world, task: moved_positions(world, task)[:, index, 2] > SIZE),
-        Subtask(_place(index), lambda world, task: put_down(world, task)[:, index]),
+        Subtask(_grasp(index), lambda env: moved_positions(env)[:, index, 2] > SIZE),
+        Subtask(_place(index), lambda env: put_down(env)[:, index]),
     )
 
 
@@ -352,10 +361,13 @@ class Stack(StackPyramid):
     The kept policy ``stack`` was learned with ``starts="corners"``, which its own fields say.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = ()
-    training: ClassVar[Mapping[str, Any]] = {"expert_starts": 0.5, "action": "ik_relative"}
+    metadata: TaskMetadata = replace(
+        StackPyramid.metadata,
+        ppo=PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.002),
+        exceptions=(),
+        training={"expert_starts": 0.5, "action": "ik_relative"},
+    )
     episode_length: float = 8.0
-    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.002)
     pyramids: int = 1
     blocks: int = 2
     starts: str = ANYWHERE

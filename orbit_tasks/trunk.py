@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from orbit_core.envs import Task
+from orbit_core.envs import Environment
 from orbit_core.envs.terms import means, measured_in, once_per_state
-from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_tasks import walking
 
@@ -16,22 +15,22 @@ TRUNK = "trunk: axes of the robot's root link"
 @means("velocity of the root link's origin, turned into the trunk's axes: R^T v", frame=TRUNK)
 @measured_in("m/s")
 @once_per_state
-def linear_velocity(world: World, task: Task) -> Tensor:
+def linear_velocity(env: Environment) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
-    return walking.linear_velocity(common.robot_of(world))
+    return walking.linear_velocity(common.robot_of(env.world))
 
 
 @means("angular velocity of the root link, turned into the trunk's axes: R^T w", frame=TRUNK)
 @measured_in("rad/s")
 @once_per_state
-def angular_velocity(world: World, task: Task) -> Tensor:
+def angular_velocity(env: Environment) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
-    return walking.angular_velocity(common.robot_of(world))
+    return walking.angular_velocity(common.robot_of(env.world))
 
 
 @means("direction of gravity, turned into the trunk's axes: R^T (0, 0, -1)", frame=TRUNK, components=("x", "y", "z"))
 @measured_in("1")
 @once_per_state
-def projected_gravity(world: World, task: Task) -> Tensor:
+def projected_gravity(env: Environment) -> Tensor:
     """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
-    return walking.projected_gravity(common.robot_of(world))
+    return walking.projected_gravity(common.robot_of(env.world))

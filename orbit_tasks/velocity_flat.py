@@ -5,15 +5,18 @@ Rewards follow Rudin et al., Learning to Walk in Minutes Using Massively Paralle
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.envs import (
+    CommandTerm,
     CurriculumTerm,
+    Environment,
     EventTerm,
     EventTime,
     ObservationGroup,
@@ -23,12 +26,13 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
+from orbit_core.envs.state import TaskState, buffer
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import means, measured_in, once_per_state
-from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.commands import UniformVelocityCommand
 from orbit_core.mdp.randomize import Range
-from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
+from orbit_core.scene import ContactSensorSpec, Scene, look_at
 from orbit_tasks import biped, walking
 from orbit_tasks.gait import FootholdGait
 from orbit_tasks.trunk import TRUNK, angular_velocity, linear_velocity, projected_gravity
@@ -36,75 +40,83 @@ from orbit_tasks.trunk import TRUNK, angular_velocity, linear_velocity, projecte
 CONTACTS = biped.CONTACTS
 
 
+class VelocityMemory(biped.WalkingMemory):
+    """Errors of an episode."""
+
+    errors: Tensor = buffer(2)
+    """(N, 2) linear and yaw error summed over the episode."""
+
+    def update(self, env: Environment[Any, VelocityMemory]) -> None:
+        self.errors += torch.stack((linear_error(env), yaw_error(env)), dim=1)
+
+
+def mean_errors(env: Environment[Any, VelocityMemory]) -> Tensor:
+    """(N, 2) m/s and rad/s, over the episode so far."""
+    return env.state.errors / env.state.episode_step[:, None]
+
+
 @means("velocity that is commanded", frame=TRUNK, components=("forward", "left", "yaw rate"))
 @measured_in("m/s, m/s, rad/s")
-def command(world: World, task: VelocityFlat) -> Tensor:
+def command(env: Environment[VelocityFlat]) -> Tensor:
     """(N, 3) velocity forward and to the left in m/s, yaw rate in rad/s."""
-    return task.command
+    return env.commands["velocity"][:, :3]
 
 
 @once_per_state
-def linear_error(world: World, task: VelocityFlat) -> Tensor:
+def linear_error(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) m/s."""
-    return vector_norm(task.command[:, :2] - linear_velocity(world, task)[:, :2], dim=1)
+    return vector_norm(env.commands["velocity"][:, :2] - linear_velocity(env)[:, :2], dim=1)
 
 
 @once_per_state
-def yaw_error(world: World, task: VelocityFlat) -> Tensor:
+def yaw_error(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) rad/s."""
-    return (task.command[:, 2] - angular_velocity(world, task)[:, 2]).abs()
+    return (env.commands["velocity"][:, 2] - angular_velocity(env)[:, 2]).abs()
 
 
-def linear_tracking(world: World, task: VelocityFlat) -> Tensor:
+def linear_tracking(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) in (0, 1]."""
-    return torch.exp(-linear_error(world, task).square() / 0.25)
+    return torch.exp(-linear_error(env).square() / 0.25)
 
 
-def yaw_tracking(world: World, task: VelocityFlat) -> Tensor:
+def yaw_tracking(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) in (0, 1]."""
-    return torch.exp(-yaw_error(world, task).square() / 0.25)
+    return torch.exp(-yaw_error(env).square() / 0.25)
 
 
-def bouncing(world: World, task: VelocityFlat) -> Tensor:
+def bouncing(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) squared vertical velocity."""
-    return linear_velocity(world, task)[:, 2].square()
+    return linear_velocity(env)[:, 2].square()
 
 
-def rolling(world: World, task: VelocityFlat) -> Tensor:
+def rolling(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) squared roll and pitch rates."""
-    return common.squared_norm(angular_velocity(world, task)[:, :2])
+    return common.squared_norm(angular_velocity(env)[:, :2])
 
 
-def tilt(world: World, task: VelocityFlat) -> Tensor:
+def tilt(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) squared sine of the tilt."""
-    return common.squared_norm(projected_gravity(world, task)[:, :2])
+    return common.squared_norm(projected_gravity(env)[:, :2])
 
 
 @once_per_state
-def fallen(world: World, task: VelocityFlat) -> Tensor:
+def fallen(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) the trunk touches something, or leans by more than 60 degrees."""
-    touching = biped.contacts_of(world).forces[:, 0].square().sum(1) > 1.0
-    return touching | (projected_gravity(world, task)[:, 2] > -0.5)
+    touching = biped.contacts_of(env.world).forces[:, 0].square().sum(1) > 1.0
+    return touching | (projected_gravity(env)[:, 2] > -0.5)
 
 
-def fell(world: World, task: VelocityFlat) -> Tensor:
+def fell(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) 1 where the robot has fallen."""
-    return fallen(world, task).float()
+    return fallen(env).float()
 
 
-def place_robot(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
+def place_robot(env: Environment[VelocityFlat], env_ids: Tensor) -> None:
     """Place the robot at home height, facing anywhere, joints around their home; an arm that it carries anyhow."""
-    position = torch.tensor(common.robot_of(world).spec.pose.position, device=world.device)
-    common.stand_facing_anywhere(world, position.expand(len(env_ids), 3), env_ids)
-    common.randomize_robot_start(0.05)(world, task, env_ids)
-    walking.carry_anyhow(world, env_ids)
-
-
-def sample_command(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
-    """Uniform within the task's limits; within a quarter of them where nothing is difficult yet."""
-    high = torch.tensor([task.max_forward, task.max_sideways, task.max_yaw_rate], device=world.device)
-    sample = world.random.uniform((3,), -high, high, env_ids)
-    task.command[env_ids] = sample * (0.25 + 0.75 * task.difficulty[env_ids])[:, None]
+    position = torch.tensor(common.robot_of(env.world).spec.pose.position, device=env.device)
+    common.stand_facing_anywhere(env.world, position.expand(len(env_ids), 3), env_ids)
+    common.randomize_robot_start(0.05)(env, env_ids)
+    walking.carry_anyhow(env.world, env_ids)
 
 
 @dataclass
@@ -160,11 +172,17 @@ class VelocityTerminations:
 
 
 @dataclass
+class VelocityCommands:
+    """Velocity in the trunk's axes, one for each episode; a curriculum starts with a quarter of it."""
+
+    velocity: CommandTerm | None = UniformVelocityCommand(easy_share=0.25)
+
+
+@dataclass
 class VelocityEvents:
-    """Start and command are drawn for each episode; masses, pushes and the like with domain randomisation."""
+    """The start is drawn for each episode; masses, pushes and the like with domain randomisation."""
 
     place_robot: EventTerm | None = EventTerm(place_robot)
-    sample_command: EventTerm | None = EventTerm(sample_command)
     masses: EventTerm | None = None
     friction: EventTerm | None = None
     gains: EventTerm | None = None
@@ -189,20 +207,21 @@ class VelocityFlat(Task):
     tolerance. Metrics: those errors, and falls. The expert, of robots with four feet, is :class:`FootholdGait`.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),
+    state_type: ClassVar[type[TaskState]] = VelocityMemory
+    renamed: ClassVar[Mapping[str, str]] = {
+        "events.sample_command": "commands.velocity",
+        "max_forward": "commands.velocity.forward",
+        "max_sideways": "commands.velocity.left",
+        "max_yaw_rate": "commands.velocity.yaw_rate",
+    }
+    metadata: TaskMetadata = TaskMetadata(
+        ppo=PpoSettings(iterations=600, initial_std=0.6, entropy_weight=0.005, discount=0.99),
+        view=look_at(eye=(3.0, 2.2, 1.5), target=(0.0, 0.0, 0.35)),
+        exceptions=(TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),),
     )
     robot: str = "anymal_c"
     action: str = "joint_position"
     episode_length: float = 10.0
-    ppo: PpoSettings = PpoSettings(iterations=600, initial_std=0.6, entropy_weight=0.005, discount=0.99)
-    view: Pose = look_at(eye=(3.0, 2.2, 1.5), target=(0.0, 0.0, 0.35))
-    max_forward: float = 1.0
-    """m/s."""
-    max_sideways: float = 0.5
-    """m/s."""
-    max_yaw_rate: float = 1.0
-    """rad/s."""
     linear_tolerance: float = 0.25
     """m/s."""
     yaw_tolerance: float = 0.25
@@ -217,21 +236,9 @@ class VelocityFlat(Task):
     terminations: VelocityTerminations = field(default_factory=VelocityTerminations)
     events: VelocityEvents = field(default_factory=VelocityEvents)
     curriculum: VelocityCurriculum = field(default_factory=VelocityCurriculum)
-    command: Tensor = field(init=False)
-    """(N, 3)"""
-    speed_limits: Tensor = field(init=False)
-    """(joints,) rad/s."""
-    foot_links: Tensor = field(init=False)
-    """(feet,) int64 among the links of the contact sensor."""
-    other_links: Tensor = field(init=False)
-    """(k,) int64: links that are neither trunk nor feet."""
-    still_joints: Tensor = field(init=False)
-    """(joints,) 1 for those that swing no leg forward, 0 for others."""
-    errors: Tensor = field(init=False)
-    """(N, 2) linear and yaw error summed over the episode."""
+    commands: VelocityCommands = field(default_factory=VelocityCommands)
 
     def scene(self) -> Scene:
-        walking.check_commands(self.max_forward, self.max_sideways, self.max_yaw_rate)
         robot = walking.walker(self.robot, self.action_scale)
         biped.suited(self.rewards, len(robot.feet))
         return Scene(
@@ -240,30 +247,6 @@ class VelocityFlat(Task):
             sensors=(ContactSensorSpec(name=CONTACTS, entity=common.ROBOT),),
             physics_dt=self.physics_dt,
         )
-
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.command = torch.zeros(world.num_envs, 3, device=world.device)
-        self.errors = torch.zeros(world.num_envs, 2, device=world.device)
-        robot = common.robot_of(world)
-        self.speed_limits = walking.speed_limits(robot)
-        names = list(biped.contacts_of(world).link_names)
-        touching = [names.index(robot.spec.articulation.frame(foot).link) for foot in robot.spec.feet]
-        others = [link for link in range(1, len(names)) if link not in touching]
-        self.foot_links = torch.tensor(touching, device=world.device)
-        self.other_links = torch.tensor(others, dtype=torch.int64, device=world.device)
-        self.still_joints = biped.still_joints(robot)
-
-    def reset(self, env_ids: Tensor | None) -> None:
-        super().reset(env_ids)
-        self.errors[slice(None) if env_ids is None else env_ids] = 0.0
-
-    def advance(self, world: World) -> None:
-        self.errors += torch.stack((linear_error(world, self), yaw_error(world, self)), dim=1)
-
-    def mean_errors(self) -> Tensor:
-        """(N, 2) m/s and rad/s."""
-        return self.errors / self.episode_step[:, None]
 
     def randomize(self) -> None:
         """All masses, the ground's friction, the legs' gains, pushes, and noise on what a real robot estimates."""
@@ -289,13 +272,13 @@ class VelocityFlat(Task):
             joint_velocities=0.05,
         )
 
-    def success(self, world: World) -> Tensor:
-        tolerances = torch.tensor([self.linear_tolerance, self.yaw_tolerance], device=self.device)
-        return (self.mean_errors() < tolerances).all(1) & ~fallen(world, self)
+    def success(self, env: Environment) -> Tensor:
+        tolerances = torch.tensor([self.linear_tolerance, self.yaw_tolerance], device=env.device)
+        return (mean_errors(env) < tolerances).all(1) & ~fallen(env)
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        linear, yaw = self.mean_errors().unbind(1)
-        return {"linear_error_m_s": linear, "yaw_rate_error_rad_s": yaw, "falls": fallen(world, self).float()}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        linear, yaw = mean_errors(env).unbind(1)
+        return {"linear_error_m_s": linear, "yaw_rate_error_rad_s": yaw, "falls": fallen(env).float()}
 
-    def expert(self, world: World) -> FootholdGait:
-        return FootholdGait(world, self, self.command)
+    def expert(self, env: Environment) -> FootholdGait:
+        return FootholdGait(env, env.commands["velocity"][:, :3])

@@ -9,32 +9,36 @@ Reinforcement Learning (2021); settings of the learning are those that the field
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
-import torch
 from torch import Tensor
 
 from orbit_core.envs import (
+    CommandTerm,
     CurriculumTerm,
+    Environment,
     EventTerm,
     ObservationGroup,
     ObservationTerm,
     RewardTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskCheck, TaskException
-from orbit_core.interfaces import World
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.mdp import common
+from orbit_core.mdp.commands import HeadingVelocityCommand
 from orbit_core.mdp.scans import height_scan
 from orbit_core.scene import Pose, RayCasterSpec, Scene, look_at
 from orbit_core.sensors import grid_pattern
-from orbit_tasks import walking
 from orbit_tasks.biped import contacts_of
-from orbit_tasks.mdp.terrain import OnTerrain, by_distance, place_on_terrain
+from orbit_tasks.mdp.terrain import OnTerrain, TerrainMemory, by_distance, place_on_terrain
 from orbit_tasks.velocity_flat import (
+    VelocityCommands,
     VelocityEvents,
     VelocityFlat,
+    VelocityMemory,
     VelocityRewards,
     VelocityState,
     command,
@@ -43,10 +47,8 @@ from orbit_tasks.velocity_flat import (
 )
 
 SCAN = "height_scan"
-_HEADING_GAIN = 0.5
-"""1/s: the yaw rate that is commanded over the heading that is wrong."""
+# Seconds in the air from which on a step is rewarded.
 _LEAST_FLIGHT = 0.5
-"""Seconds in the air from which on a step is rewarded."""
 
 
 def scanner(robot: str, trunk: str) -> RayCasterSpec:
@@ -58,39 +60,33 @@ def scanner(robot: str, trunk: str) -> RayCasterSpec:
     )  # fmt: skip
 
 
-def flight(world: World, task: VelocityRough) -> Tensor:
-    """(N,) seconds beyond half a second that feet which touch down now were in the air, summed; 0 when told to stand.
+class RoughMemory(VelocityMemory, TerrainMemory):
+    """State of walking and of terrain."""
+
+    def start(self, env: Environment[VelocityRough]) -> None:
+        super().start(env)
+        self.start_on_terrain(env)
+
+
+def flight(env: Environment[VelocityRough, RoughMemory]) -> Tensor:
+    """(N,) seconds beyond half a second that feet which land now were in the air, summed; 0 if commanded to stand.
 
     Rudin et al. (2021), feet air time.
     """
-    timer = contacts_of(world).timer()
-    landed = timer.touched_down(task.physics_dt * task.decimation)[:, task.foot_links]
-    longer = (timer.last_air_time[:, task.foot_links] - _LEAST_FLIGHT) * landed
-    return longer.sum(1) * (task.command[:, :2].norm(dim=1) > 0.1)
+    timer = contacts_of(env.world).timer()
+    landed = timer.touched_down(env.step_dt)[:, env.state.foot_links]
+    longer = (timer.last_air_time[:, env.state.foot_links] - _LEAST_FLIGHT) * landed
+    return longer.sum(1) * (env.commands["velocity"][:, :2].norm(dim=1) > 0.1)
 
 
-def bumps(world: World, task: VelocityRough) -> Tensor:
+def bumps(env: Environment[VelocityRough, RoughMemory]) -> Tensor:
     """(N,) how many links that are neither feet nor the trunk touch something."""
-    return contacts_of(world).in_contact()[:, task.other_links].float().sum(1)
-
-
-def turn_to_heading(world: World, task: VelocityRough, env_ids: Tensor) -> None:
-    """Draw a velocity in the trunk's axes, within the task's limits, and a heading to turn to."""
-    high = torch.tensor([task.max_forward, task.max_sideways], device=world.device)
-    task.command[env_ids, :2] = world.random.uniform((2,), -high, high, env_ids)
-    task.heading[env_ids] = world.random.uniform((), -torch.pi, torch.pi, env_ids)
-    task.command[env_ids, 2] = _yaw_rate(world, task)[env_ids]
-
-
-def _yaw_rate(world: World, task: VelocityRough) -> Tensor:
-    """(N,) rad/s towards the heading."""
-    error = common.wrapped(task.heading - walking.heading(common.robot_of(world)))
-    return (_HEADING_GAIN * error).clamp(-task.max_yaw_rate, task.max_yaw_rate)
+    return contacts_of(env.world).in_contact()[:, env.state.other_links].float().sum(1)
 
 
 @dataclass
 class RoughState(VelocityState):
-    """What Velocity-Flat shows, and the distance down to the ground around the robot."""
+    """State of Velocity-Flat, and the distance down to the ground around the robot."""
 
     height_scan: ObservationTerm | None = None
     """Set by the task, which knows the robot's trunk."""
@@ -106,7 +102,7 @@ class RoughObservations:
 
 @dataclass
 class RoughRewards(VelocityRewards):
-    """As on the plane, but tilt costs less, for the ground tilts; long steps, no knocks of other links, no falls."""
+    """Rewards of the plane, but tilt costs less, for the ground tilts; long steps, no knocks and no falls."""
 
     tilt: RewardTerm | None = RewardTerm(tilt, -0.5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.04)
@@ -117,11 +113,17 @@ class RoughRewards(VelocityRewards):
 
 
 @dataclass
+class RoughCommands(VelocityCommands):
+    """Velocity in the trunk's axes, and a heading that the robot turns to."""
+
+    velocity: CommandTerm | None = HeadingVelocityCommand(left=(-1.0, 1.0))
+
+
+@dataclass
 class RoughEvents(VelocityEvents):
-    """Robots start on their cells; a heading is commanded in place of a yaw rate."""
+    """Robots start on their cells."""
 
     place_robot: EventTerm | None = EventTerm(place_on_terrain)
-    sample_command: EventTerm | None = EventTerm(turn_to_heading)
 
 
 BY_DISTANCE = by_distance(command)
@@ -139,35 +141,45 @@ class VelocityRough(VelocityFlat, OnTerrain):
     """Velocity-Flat on a grid of terrain, for any robot with feet.
 
     A velocity in the trunk's own axes and a heading are commanded for one episode; the yaw rate commanded turns the
-    robot towards the heading. Succeeds as Velocity-Flat does, within wider tolerances. Metrics: besides those of
-    Velocity-Flat, the level of the terrain.
+    robot towards the heading. Succeeds as Velocity-Flat does, within wider tolerances. Metrics: those of
+    Velocity-Flat, and, the level of the terrain.
     """
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (
-        TaskException(TaskCheck.EXPERT_BEATS_ZERO, "the gait does not see the ground: it falls, and standing does not"),
-        TaskException(
-            TaskCheck.VELOCITY_LIMITS,
-            "the gait does not see the ground: falls throw its joints about",
+    state_type: ClassVar[type[TaskState]] = RoughMemory
+    renamed: ClassVar[Mapping[str, str]] = {
+        "events.sample_command": "commands.velocity",
+        "max_forward": "commands.velocity.forward",
+        "max_sideways": "commands.velocity.left",
+        "max_yaw_rate": "commands.velocity.max_yaw_rate",
+    }
+    metadata: TaskMetadata = replace(
+        VelocityFlat.metadata,
+        ppo=PpoSettings(
+            iterations=1500, hidden_sizes=(512, 256, 128), initial_std=0.3, entropy_weight=0.005, discount=0.99
+        ),
+        view=look_at(eye=(14.0, 10.0, 9.0), target=(0.0, 0.0, 0.0)),
+        expert_success=0.0,  # the gait does not see the ground
+        exceptions=(
+            TaskException(
+                TaskCheck.EXPERT_BEATS_ZERO, "the gait does not see the ground: it falls, and standing does not"
+            ),
+            TaskException(
+                TaskCheck.VELOCITY_LIMITS,
+                "the gait does not see the ground: falls throw its joints about",
+            ),
         ),
     )
-    expert_success: ClassVar[float] = 0.0  # the gait does not see the ground
     episode_length: float = 20.0
-    max_sideways: float = 1.0
     action_scale: float | None = 1.0
     linear_tolerance: float = 0.35
     yaw_tolerance: float = 0.35
-    ppo: PpoSettings = PpoSettings(
-        iterations=1500, hidden_sizes=(512, 256, 128), initial_std=0.3, entropy_weight=0.005, discount=0.99
-    )
-    view: Pose = look_at(eye=(14.0, 10.0, 9.0), target=(0.0, 0.0, 0.0))
     observations: RoughObservations = field(default_factory=RoughObservations)
     rewards: RoughRewards = field(default_factory=RoughRewards)
     events: RoughEvents = field(default_factory=RoughEvents)
+    commands: VelocityCommands = field(default_factory=RoughCommands)
     curriculum: RoughCurriculum = field(default_factory=RoughCurriculum)
     scan: bool = True
     """Whether the policy sees the ground."""
-    heading: Tensor = field(init=False)
-    """(N,) rad, commanded."""
 
     def scene(self) -> Scene:
         scene = replace(super().scene(), terrain=self.terrain.shapes())
@@ -177,14 +189,5 @@ class VelocityRough(VelocityFlat, OnTerrain):
             self.observations.policy.height_scan = seen
         return scene
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.start_on_terrain(world)
-        self.heading = torch.zeros(world.num_envs, device=world.device)
-
-    def advance(self, world: World) -> None:
-        super().advance(world)
-        self.command[:, 2] = _yaw_rate(world, self)
-
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {**super().metrics(world), "terrain_level": self.level.float()}
+    def metrics(self, env: Environment[Any, RoughMemory]) -> dict[str, Tensor]:
+        return {**super().metrics(env), "terrain_level": env.state.level.float()}

@@ -1,11 +1,11 @@
-"""What a walking robot's policy is shown of the robot itself, and how it drives it."""
+"""Observations of walking robots' policies, and the drives that they learn with."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,17 +13,19 @@ from torch import Tensor
 from orbit_core.actions import joint_commands
 from orbit_core.actions.embodiment import leg_joints
 from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
-from orbit_core.interfaces import ConfigurationError, Robot, World, match_names
+from orbit_core.envs import Environment
+from orbit_core.envs.state import TaskState
+from orbit_core.interfaces import Robot, World, match_names
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
 from orbit_core.scene import ActuatorConfig, RobotSpec
 
+# rad from home for one unit of action. On one leg a robot's weight takes targets far beyond where the leg goes.
 _BIPED_SCALE = 1.0
-"""rad from home for one unit of action. On one leg a robot's weight takes targets far beyond where the leg goes."""
+# rad
 _ARM_SPREAD = 0.5
-"""rad"""
+# Of joint velocities in observations.
 JOINT_SPEED_SCALE = 0.05
-"""Of joint velocities in observations."""
 COMMAND = "command"
 LAST_ACTION = "last_action"
 
@@ -57,20 +59,8 @@ def scaled(spec: RobotSpec, scale: float) -> RobotSpec:
     return replace(spec, joint_commands=replace(joint_commands(spec), position_scale=scale))
 
 
-def check_commands(max_forward: float, max_sideways: float, max_yaw_rate: float) -> None:
-    """See that velocities can be drawn between these, in m/s and rad/s, and their opposites.
-
-    Raises:
-        ConfigurationError: one is below zero.
-    """
-    limits = {"max_forward": max_forward, "max_sideways": max_sideways, "max_yaw_rate": max_yaw_rate}
-    for name, most in limits.items():
-        if most < 0.0:
-            raise ConfigurationError(f"field '{name}' of a task of walking is {most:g}: give zero or more")
-
-
 def carries_arm(spec: RobotSpec) -> bool:
-    """Whether a robot on more than two feet has an arm: a biped's arms swing as it walks, this one is only carried."""
+    """Return True if a robot on more than two feet has an arm, which it only carries: a biped's swing."""
     return spec.has_arm and len(spec.feet) > 2
 
 
@@ -119,6 +109,7 @@ def heading(robot: Robot) -> Tensor:
     return yaw_angle(robot.root_pose[:, 3:])
 
 
+# By the names that observations give them, except :data:`COMMAND` and :data:`LAST_ACTION`.
 READINGS: Mapping[str, Callable[[Robot], Tensor]] = {
     "linear_velocity": linear_velocity,
     "angular_velocity": angular_velocity,
@@ -126,17 +117,19 @@ READINGS: Mapping[str, Callable[[Robot], Tensor]] = {
     "joint_positions": lambda robot: robot.joint_positions - robot.home_positions,
     "joint_velocities": lambda robot: JOINT_SPEED_SCALE * robot.joint_velocities,
 }
-"""By the names that observations give them, besides :data:`COMMAND` and :data:`LAST_ACTION`."""
 
+# Those with a component for each joint.
 JOINT_READINGS = ("joint_positions", "joint_velocities")
-"""Those with a component for each joint."""
 
 
-class SpeedLimited(Protocol):
-    """What :func:`overspeed` reads of a task."""
+class SpeedLimited(TaskState):
+    """State of a task whose joints :func:`overspeed` judges."""
 
     speed_limits: Tensor
     """(joints,) rad/s."""
+
+    def start(self, env: Environment) -> None:
+        self.speed_limits = speed_limits(common.robot_of(env.world))
 
 
 def speed_limits(robot: Robot) -> Tensor:
@@ -145,7 +138,7 @@ def speed_limits(robot: Robot) -> Tensor:
     return torch.as_tensor(limits, dtype=torch.float32, device=robot.home_positions.device)
 
 
-def overspeed(world: World, task: SpeedLimited) -> Tensor:
+def overspeed(env: Environment[Any, SpeedLimited]) -> Tensor:
     """(N,) rad/s, summed over joints: what they are beyond their velocity limits, which few engines hold."""
-    speeds = common.robot_of(world).joint_velocities.abs()
-    return (speeds - task.speed_limits).clamp_min(0.0).sum(1)
+    speeds = common.robot_of(env.world).joint_velocities.abs()
+    return (speeds - env.state.speed_limits).clamp_min(0.0).sum(1)

@@ -171,7 +171,7 @@ def test_an_output_that_would_destroy_what_is_read_is_refused(tmp_path: Path, mo
         (source, (source,), "is what is read"),
         (Path("../in.hdf5"), (source,), "is what is read"),
         (tmp_path / "link", (source,), "holds .*in.hdf5, which is read"),
-        (tmp_path / "link" / "inner" / "out", (tmp_path / "proj",), "lies in .*proj, which is read"),
+        (tmp_path / "link" / "inner" / "out", (tmp_path / "proj",), "is in .*proj, which is read"),
         (Path(), (), "is the working folder, or holds it"),
         (Path(".."), (), "is the working folder, or holds it"),
         (tmp_path, (), "is the working folder, or holds it"),

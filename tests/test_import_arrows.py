@@ -21,6 +21,7 @@ CORE = ROOT / "orbit_core"
 # Each package may import those of lower rank, and its own.
 RANKS = {
     "scene": 0,
+    "exports": 0.5,
     "interfaces": 1,
     "files": 1.5,
     "registry": 1.5,
@@ -30,6 +31,7 @@ RANKS = {
     "moved": 1.6,
     "backends": 2,
     "objects": 2,
+    "pretrained": 2,
     "robots": 2,
     "dynamics": 2,
     "preparation": 2.5,

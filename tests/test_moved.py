@@ -35,6 +35,10 @@ def test_an_old_name_gives_the_same_module() -> None:
         ("orbit_core.assets.object_kinds", "orbit_core.objects", "ObjectConfig"),
         ("orbit_core.envs", "orbit_motion.experts", "Expert"),
         ("orbit_core.mdp.common", "orbit_assets.objects", "work_bench"),
+        ("orbit_core.dynamics.drive_design", "orbit_core.dynamics.workspace", "drive_responses"),
+        ("orbit_core.cli.settings", "orbit_learn.cli.trained", "PlaySettings"),
+        ("orbit_core.sensors", "orbit_data.bounding_boxes", "BoundingBoxes2d"),
+        ("orbit_core.preparation.inertia", "orbit_core.preparation.merge", "combine"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::FutureWarning")

@@ -1,7 +1,7 @@
 """Reads every published model that is installed, and holds what it reads against other readers.
 
-``python tools/asset_corpus.py [--only WORD] [--page docs/assets-corpus.md]`` reads each file in bounded time, in
-processes of their own, prints a line on each, and writes the page that tests/audit/test_corpus.py holds to be true.
+``python tools/asset_corpus.py [--only WORD] [--page docs/measured/assets-corpus.md]`` reads each file in bounded time,
+in processes of their own, prints a line on each, and writes the page that tests/audit/test_corpus.py holds to be true.
 """
 
 from __future__ import annotations
@@ -169,8 +169,9 @@ def page(outcomes: Iterable[Outcome]) -> str:
     exact = [each.comparison for each in strict if each.comparison]
     parts = [
         "# Published models, read and compared\n",
-        "Made by `python tools/asset_corpus.py --page docs/assets-corpus.md`; `tests/audit/test_corpus.py` reads the "
-        "same files, without shapes where they are URDF, and holds them to the tolerances and to this page.\n",
+        "Made by `python tools/asset_corpus.py --page docs/measured/assets-corpus.md`; `tests/audit/test_corpus.py` "
+        "reads the same files, without shapes where they are URDF, and holds them to the tolerances and to this "
+        "page.\n",
         f'{len(listed)} files: {len(strict)} read as they are, {len(lenient)} with `unsupported="drop"` and '
         f'`repair="balance"` (what was left out or mended stands in the notes), {len(refused)} are refused. '
         f"{len(compared)} could be compared with Pinocchio (URDF) or MuJoCo (MJCF). Of those read as they are: masses "

@@ -1,4 +1,4 @@
-"""Writes docs/checked-tasks.md from the figures of `orbit check-task`.
+"""Writes docs/measured/checked-tasks.md from the figures of `orbit check-task`.
 
 orbit check-task --backend mujoco --json docs/figures/checked_tasks.json --overwrite
 python tools/checked_tasks.py
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE, FIGURES = DOCS / "checked-tasks.md", DOCS / "figures" / "checked_tasks.json"
+PAGE, FIGURES = DOCS / "measured" / "checked-tasks.md", DOCS / "figures" / "checked_tasks.json"
 START, END = "<!-- checked tasks -->\n", "<!-- end -->"
 MARKS = {"holds": "", "declared": " ≈", "fails": " ✗", "stale": " !", "not applicable": "–"}
 

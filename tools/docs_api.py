@@ -118,6 +118,31 @@ def resolve(name: str) -> tuple[str, str] | None:
     return None
 
 
+def import_path(name: str) -> str:
+    """Return the full name by which a class is imported: from a package that exports it, else from its module.
+
+    Empty if no class has that name, or several have.
+    """
+    return _import_paths().get(name, "")
+
+
+@cache
+def _import_paths() -> dict[str, str]:
+    found: dict[str, set[tuple[str, str]]] = {}
+    for module in modules().values():
+        for name in module.own:
+            found.setdefault(name, set()).add((module.name, name))
+    exported = {
+        (name, resolve(f"{m.name}.{name}")): m.name for m in reversed(modules().values()) for name in m.exported
+    }
+    paths: dict[str, str] = {}
+    for name, places in found.items():
+        if len(places) == 1:
+            ((module, _),) = places
+            paths[name] = f"{exported.get((name, (module, f'{module}.{name}')), module)}.{name}"
+    return paths
+
+
 def page_of(module: str) -> str:
     """Return the path of a module's page, below the folder of the pages."""
     return f"api/{module}.md"

@@ -33,7 +33,8 @@ CODE_PAGES = "source"
 
 _FENCE = re.compile(r"(^ *```.*?^ *```[^\n]*\n)", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(\]\()(?!https?:|mailto:|#)([^)\s#]+)(#[^)\s]+)?(\))")
-_NAME = re.compile(r"(?<![\[`])`(orbit_\w+(?:\.\w+)+)`(?!\])")
+_NAME = re.compile(r"(?<![\[`])`(orbit_\w+(?:\.\w+)*)`(?!\])")
+_CLASS = re.compile(r"(?<![\[`])`((?:[A-Z][a-z0-9]+){2,})(\([^`]*\))?`(?!\])")
 _RESOURCE = re.compile(
     r"<(?:script|img|source|iframe|video|link)\b[^>]*?\b(?:src|srcset|href)=[\"']?(?:https?:)?//[^\"'\s>]+",
     re.IGNORECASE,
@@ -82,6 +83,7 @@ class Stage:
         for index in range(0, len(parts), 2):  # what is between the blocks of code
             parts[index] = _LINK.sub(lambda link: self._link(link, source, target), parts[index])
             parts[index] = _NAME.sub(lambda name: self._name(name, source, target), parts[index])
+            parts[index] = _CLASS.sub(lambda name: self._class(name, target), parts[index])
         return (_FRONT if source == PurePosixPath("docs/index.md") else "") + "".join(parts)
 
     def _link(self, link: re.Match[str], source: PurePosixPath, target: PurePosixPath) -> str:
@@ -116,7 +118,17 @@ class Stage:
             self.problems.append(f"{source}: there is no {name[1]}")
             return name[0]
         page = _relative(PurePosixPath(docs_api.page_of(place[0])), target)
-        return f"[{name[0]}]({page}{'#' if place[1] else ''}{place[1]})"
+        shown = name[1].replace(".", ".<wbr>")  # long names break at their dots
+        return f"[<code>{shown}</code>]({page}{'#' if place[1] else ''}{place[1]})"
+
+    def _class(self, name: re.Match[str], target: PurePosixPath) -> str:
+        """Return a class's bare name as a link whose title is its import path, if only one class has that name."""
+        path = docs_api.import_path(name[1])
+        place = docs_api.resolve(path) if path else None
+        if place is None:
+            return name[0]
+        page = _relative(PurePosixPath(docs_api.page_of(place[0])), target)
+        return f'[{name[0]}]({page}#{place[1]} "{path}")'
 
 
 _FRONT = "---\nhide: [navigation, toc]\n---\n\n"

@@ -1,4 +1,4 @@
-"""Fills in the parts of the documentation that come from the code and the committed report: tables and quoted files.
+"""Fill in the parts of the documentation that come from the code and the committed report: tables and quoted files.
 
     python tools/readme_tables.py          rewrite the README and the pages of docs/
 

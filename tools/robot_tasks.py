@@ -1,4 +1,4 @@
-"""Runs tasks with the catalogue's arms on several engines, and writes the figures into docs/robots-tasks.md.
+"""Runs tasks with the catalogue's arms on several engines, and writes the figures into docs/measured/robots-tasks.md.
 
     python tools/robot_tasks.py                                                write the page from the figures kept
     python tools/robot_tasks.py --task Lift --robot jaco2 --backend bullet     make some figures again before
@@ -22,7 +22,7 @@ from orbit_core.cli.settings import RunSettings
 from orbit_core.rollout.estimates import proportion
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE, FIGURES = DOCS / "robots-tasks.md", DOCS / "figures" / "robots_tasks.jsonl"
+PAGE, FIGURES = DOCS / "measured" / "robots-tasks.md", DOCS / "figures" / "robots_tasks.jsonl"
 START, END = "<!-- robot tasks -->\n", "<!-- end -->"
 ARMS = (
     "ur5", "ur10", "jaco2", "franka_panda", "kinova_gen3", "xarm7", "kuka_iiwa7", "baxter_arm", "tiago_arm",

@@ -103,7 +103,7 @@ def draw(name: str) -> Image.Image:
     with torch.inference_mode():
         for _ in range(round(environment.max_episode_steps * MOMENTS.get(name, 0.5))):
             environment.step(actor.act())
-    view = environment.task.view
+    view = environment.task.metadata.view
     if name in FOLLOWED:
         x, y, z = environment.world.robots[ROBOT].root_pose[0, :3].tolist()
         away = FOLLOWED[name]

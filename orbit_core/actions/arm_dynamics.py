@@ -17,9 +17,9 @@ from orbit_core.interfaces import Robot
 from orbit_core.interfaces.layout import joint_constants
 
 _GRAVITY = (0.0, 0.0, -9.81)
+# Share of the dry friction that is compensated; s after which the wanted motion counts; and rad/s or m/s of it at which
+# all of that share is
 _FRICTION_SHARE, _FRICTION_TIME, _FRICTION_SPEED = 0.95, 0.02, 0.02
-"""Share of the dry friction that is compensated; s after which the wanted motion counts; and rad/s or m/s of it at
-which all of that share is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,16 +88,16 @@ class ArmDynamics:
         return efforts + self._friction * torch.clamp(soon, -1.0, 1.0)
 
     def measured(self) -> dict[str, Tensor]:
-        """What :meth:`state_of` takes, of the present."""
+        """Return the present arguments of :meth:`state_of`."""
         robot = self.robot
         return {"poses": robot.link_poses, "positions": robot.joint_positions, "velocities": robot.joint_velocities}
 
     def state(self) -> ArmState:
-        """Of the present."""
+        """Return the present state."""
         return self.state_of(**self.measured())
 
     def state_of(self, poses: Tensor, positions: Tensor, velocities: Tensor) -> ArmState:
-        """Of link poses (N, L, 7), and positions and velocities (N, J) of all joints."""
+        """Return the state of link poses (N, L, 7), and positions and velocities (N, J) of all joints."""
         joints = self._joints
         moving = velocities.index_select(1, joints)
         at_rest = velocities.new_zeros((velocities.shape[0], 6))

@@ -1,25 +1,17 @@
-"""What every motion generator is: commands in [-1, 1] in, joint targets out, and the way back from a wanted pose."""
+"""Base of motion generators: commands in [-1, 1] in, joint targets out, and the way back from a wanted pose."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import Enum
 
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import columns_of
-from orbit_core.interfaces import Node, Port, Robot, World
+from orbit_core.dynamics.indexing import columns_of, write_rows
+from orbit_core.interfaces import JointTarget, Node, Port, Robot, World
 from orbit_core.interfaces.layout import joint_limits
-
-
-class JointTarget(Enum):
-    """What a joint is told; the value names the port that carries it, (N, k) for k joints."""
-
-    POSITION = "position_targets"
-    VELOCITY = "velocity_targets"
-    EFFORT = "effort_targets"
 
 
 class MotionGenerator(Node):
@@ -30,8 +22,12 @@ class MotionGenerator(Node):
         robot: that moves.
         joints: indices of the joints that the generator moves.
         command_size: number of components.
-        targets: what the joints are told.
+        targets: quantities that are commanded to the joints.
     """
+
+    bounded: bool = False
+    """True if the targets of every finite command are finite and within the joints' limits. An environment, which has
+    checked its action, then writes them without another check."""
 
     def __init__(
         self, name: str, robot: Robot, joints: Sequence[int], command_size: int, targets: Sequence[JointTarget]
@@ -48,7 +44,7 @@ class MotionGenerator(Node):
         self._columns = columns_of(self.joints, self.device)
 
     def enter(self, world: World, step_dt: float) -> None:
-        """Take up what the generator needs of the world besides its robot; called once, before the first turn.
+        """Prepare for a world: read what the generator needs beyond its robot. Called once, before the first turn.
 
         Args:
             world: of the robot.
@@ -73,7 +69,7 @@ class MotionGenerator(Node):
         """
 
     def encode_posture(self, positions: Tensor, pose: Tensor, gripper_open: Tensor) -> Tensor:
-        """As :meth:`encode`, where it is known as well at which positions (N, J) of all joints the pose is wanted.
+        """Return the command of :meth:`encode` for a pose that is wanted at known positions (N, J) of all joints.
 
         Spaces of poses have no use for them.
         """
@@ -103,7 +99,7 @@ class MotionGenerator(Node):
 
     @property
     def base_limits(self) -> Tensor | None:
-        """(3,) m/s forward, m/s to the left, rad/s that a command of 1 stands for, where a command is the velocity of
+        """(3,) m/s forward, m/s to the left, rad/s of a command of 1, if a command is the velocity of
         what carries the robot, in its own axes; None elsewhere. On two wheels the second is zero, and a command has no
         such component."""
         return None
@@ -135,3 +131,68 @@ def speed_limited_lead(robot: Robot, joints: Sequence[int]) -> Tensor:
                 braking = fastest[joint] * group.damping if group.damping > 0.0 else 0.0
                 leads[joint] = max(braking, strongest[joint]) / group.stiffness
     return leads[list(joints)]
+
+
+class CommandMode(Enum):
+    """Origin that a command is added to."""
+
+    ABSOLUTE = "absolute"
+    """Home, or zero: the same command always asks for the same."""
+    RELATIVE = "relative"
+    """What is measured: nothing winds up, and under a steady load zero commands creep."""
+    INTEGRATED = "integrated"
+    """What was asked for last, from what is measured at the beginning of an episode: nothing creeps."""
+
+
+class LastTargets:
+    """Return the last targets (N, *shape); the measured values in environments that have just begun.
+
+    The measured state is taken at the first turn and not at the reset, for events may place the joints after it.
+    """
+
+    def __init__(self, num_envs: int, shape: tuple[int, ...], device: torch.device) -> None:
+        self._targets = torch.zeros(num_envs, *shape, device=device)
+        self._stale = torch.ones(num_envs, *(1 for _ in shape), dtype=torch.bool, device=device)
+
+    def read(self, measured: Tensor) -> Tensor:
+        """(N, *shape)"""
+        return torch.where(self._stale, measured, self._targets)
+
+    def parts(self) -> dict[str, Tensor]:
+        """Return the arguments of :meth:`read_of`, for laws that are functions of tensors."""
+        return {"targets": self._targets, "stale": self._stale}
+
+    @staticmethod
+    def read_of(parts: Mapping[str, Tensor], measured: Tensor) -> Tensor:
+        """(N, *shape) of :meth:`parts`."""
+        return torch.where(parts["stale"], measured, parts["targets"])
+
+    def keep(self, targets: Tensor) -> None:
+        """Remember what is asked for now."""
+        self._targets.copy_(targets)
+        self._stale.zero_()
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Forget what some environments were asked for."""
+        write_rows(self._stale, True, env_ids)
+
+    def memory(self) -> Mapping[str, Tensor]:
+        """Return the tensors of :meth:`orbit_core.interfaces.Node.memory`."""
+        return {"targets": self._targets, "stale": self._stale}
+
+
+class Actuate(Node):
+    """Writes a motion generator's outputs to its joints."""
+
+    def __init__(self, robot: Robot, generator: MotionGenerator) -> None:
+        self.name = f"actuate_{generator.name}"
+        self.inputs = generator.outputs
+        self.robot = robot
+        self._writers = [
+            (port.name, robot.target_writer(JointTarget(port.name), generator.joints)) for port in self.inputs
+        ]
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        for name, write in self._writers:
+            write(inputs[name])
+        return {}

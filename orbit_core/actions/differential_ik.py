@@ -1,4 +1,4 @@
-"""Commands are poses of the end effector, or changes of its pose, followed by differential inverse kinematics."""
+"""Action terms of inverse kinematics: one differential step, and full solutions at each command."""
 
 from __future__ import annotations
 
@@ -10,25 +10,26 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.actions.base import JointTarget, MotionGenerator
+from orbit_core.actions.base import CommandMode, JointTarget, MotionGenerator, speed_limited_lead
 from orbit_core.actions.embodiment import arm_joints_of, end_effector_of, joints_above
-from orbit_core.actions.ik import IkMethod, damped_least_squares, joint_delta, steadying
-from orbit_core.actions.modes import CommandMode
-from orbit_core.actions.pose_command import COMPONENTS, PoseCommand
-from orbit_core.actions.reach import PoseFollower
+from orbit_core.actions.full_ik import FullIk, FullIkConfig
+from orbit_core.actions.ik import COMPONENTS, IkMethod, PoseCommand, damped_least_squares, joint_delta, steadying
 from orbit_core.actions.term import ActionTerm
+from orbit_core.actions.workspace import PoseFollower
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.scene import RobotSpec
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseTermConfig(ActionTerm):
-    """What terms have in common whose command is the pose of a frame, or its change.
+    """Settings that terms share whose command is the pose of a frame, or its change.
 
     It is (x, y, z, rotation vector), scaled by ``position_scale`` and ``rotation_scale``.
 
     Relative: a displacement of the measured pose, in world axes. Starting from the measured pose, and not from the last
-    one commanded, a command means the same whatever came before, and pushing against an obstacle winds nothing up. The
+    one commanded, a command's meaning does not depend on earlier ones, and pushing on an obstacle winds nothing up. The
     price: under a steady load that the drives' stiffness holds only by deflection, zero commands let the hand creep.
     Gravity compensation takes the arm's own weight out of that load; a closed loop (a policy, an expert) corrects the
     rest. Absolute and integrated commands do not creep.
@@ -88,7 +89,7 @@ class PoseTermConfig(ActionTerm):
         return frame
 
     def pose_command(self, robot: Robot) -> PoseCommand:
-        """What commands mean."""
+        """Return the meaning of commands."""
         scales, leads = (self.position_scale, self.rotation_scale), (self.position_lead, self.rotation_lead)
         return PoseCommand(robot, self.frame_of(robot), self.mode, scales, leads)
 
@@ -124,6 +125,7 @@ class DifferentialIk(PoseFollower):
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
         damped = config.method is IkMethod.DAMPED_LEAST_SQUARES
+        self.bounded = damped and config.damping > 0.0  # other inverses are not finite where the Jacobian is singular
         self._settles = damped and config.mode is not CommandMode.RELATIVE
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -133,7 +135,7 @@ class DifferentialIk(PoseFollower):
             delta = damped_least_squares(jacobian, displacement, self.config.damping, steadying(displacement))
         else:
             delta = joint_delta(self.config.method, jacobian, displacement, self.config.damping)
-        return {JointTarget.POSITION.value: bounded_targets(self, delta, self.config.max_joint_step)}
+        return {JointTarget.POSITION: bounded_targets(self, delta, self.config.max_joint_step)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self._pose.encode(pose)
@@ -151,6 +153,67 @@ def bounded_targets(generator: MotionGenerator, delta: Tensor, max_joint_step: f
     They are clipped to the joints' limits.
     """
     largest = torch.linalg.vector_norm(delta, math.inf, dim=-1, keepdim=True)
-    shrink = (max_joint_step / largest).clamp(max=1.0)
+    shrink = (largest.reciprocal() * max_joint_step).clamp(max=1.0)
     targets = torch.addcmul(generator.positions, delta, shrink)
     return torch.clamp(targets, generator.lower_limits, generator.upper_limits)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FullIkTermConfig(PoseTermConfig):
+    """A command is a pose of the hand, to whose joint positions the joints go together; the hand's path is free.
+
+    Levenberg and Marquardt's method from several seeds (:mod:`orbit_core.actions.full_ik`). Where no seed converges the
+    joints hold still, and :attr:`FullIkTerm.missing` says by how much the pose is out of reach.
+    """
+
+    name: ClassVar[str] = "full_ik"
+    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "seeds", "iterations")
+
+    mode: CommandMode = CommandMode.ABSOLUTE
+    position_scale: float = 0.5
+    rotation_scale: float = 3.141592653589793
+    seeds: int = 4
+    """Starts: the measured positions, home, and others within the limits."""
+    iterations: int = 20
+    limit_speed: bool = True
+    """Keep targets within :func:`orbit_core.actions.base.speed_limited_lead` of the measured positions."""
+
+    def build(self, name: str, robot: Robot) -> FullIkTerm:
+        return FullIkTerm(name, robot, self)
+
+
+class FullIkTerm(PoseFollower):
+    """Six commands, :class:`FullIkTermConfig`. Targets are within the joints' limits."""
+
+    def __init__(self, name: str, robot: Robot, config: FullIkTermConfig) -> None:
+        super().__init__(name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION,))
+        self.config = config
+        self.frame = config.frame_of(robot)
+        self._pose = config.pose_command(robot)
+        tree = KinematicTree(robot.spec.articulation, self.device)
+        search = FullIkConfig(seeds=config.seeds, iterations=config.iterations)
+        self._solver = FullIk(tree, self.frame, self.joints, robot.position_limits, robot.home_positions, search)
+        self._lead = speed_limited_lead(robot, self.joints) if config.limit_speed else None
+        self.missing = torch.zeros(self.num_envs, 2, device=self.device)
+        """(N, 2) m and rad from the nearest pose found to the one last asked for."""
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        local = pose_multiply(pose_inverse(self.robot.root_pose), self._pose.target(inputs["command"]))
+        solution = self._solver.solve(local, self.robot.joint_positions)
+        self.missing.copy_(torch.stack((solution.position_error, solution.rotation_error), 1))
+        positions = self.positions
+        targets = torch.where(solution.converged.unsqueeze(1), solution.positions, positions)
+        if self._lead is not None:
+            # Slowed down together, so that all joints arrive at once.
+            share = (self._lead / (targets - positions).abs().clamp_min(1e-9)).amin(1, keepdim=True).clamp_max(1.0)
+            targets = positions + share * (targets - positions)
+        return {JointTarget.POSITION: torch.clamp(targets, self.lower_limits, self.upper_limits)}
+
+    def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        return self._pose.encode(pose)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self._pose.reset(env_ids)
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return {**self._pose.memory(), "missing": self.missing}

@@ -1,4 +1,4 @@
-"""What a robot's description says of how it is commanded, where an action term does not."""
+"""Defaults of action terms that a robot's description gives."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from orbit_core.interfaces import ConfigurationError, UnknownNameError, match_names
 from orbit_core.scene import EndEffector, JointCommands, RobotSpec
 
+# rad from home for one unit of action
 _ARM_SCALE, _LEG_SCALE = 2.0, 0.5
-"""rad from home for one unit of action."""
 
 
 def driven_joints(spec: RobotSpec) -> list[int]:

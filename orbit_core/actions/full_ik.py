@@ -17,15 +17,15 @@ from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error
 
+# rad or m by which a joint moves in one iteration
 _LARGEST_STEP = 0.5
-"""rad or m by which a joint moves in one iteration."""
+# Damping, m^2 or rad^2, that stays at the solution: it bounds the step in singular poses
 _BIAS = 1e-6
-"""Damping, m^2 or rad^2, that stays at the solution: it bounds the step in singular poses."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FullIkConfig:
-    """How long to search, and when a pose counts as reached."""
+    """Limits of the search, and the tolerances within which a pose counts as reached."""
 
     seeds: int = 16
     """Starts for each environment: the positions given, home, and others drawn evenly within the limits."""

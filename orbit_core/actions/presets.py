@@ -1,29 +1,79 @@
-"""Action spaces by one word: the action terms that it stands for, for a given robot."""
+"""Registry of action terms, their presets by name, and the drives that they need."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
-from orbit_core.actions.base_velocity import BaseVelocityConfig
-from orbit_core.actions.binary_gripper import BinaryGripperConfig
-from orbit_core.actions.differential_drive import DifferentialDriveConfig
-from orbit_core.actions.differential_ik import DifferentialIkConfig
+from orbit_core.actions.base import CommandMode
+from orbit_core.actions.differential_ik import DifferentialIkConfig, FullIkTermConfig
 from orbit_core.actions.embodiment import joint_commands
-from orbit_core.actions.joint_effort import JointEffortConfig
-from orbit_core.actions.joint_position import JointPositionConfig
-from orbit_core.actions.joint_velocity import JointVelocityConfig
-from orbit_core.actions.modes import CommandMode
-from orbit_core.actions.registry import generator_descriptions, motion_generators
+from orbit_core.actions.grippers import BinaryGripperConfig, GraspSynergiesConfig
+from orbit_core.actions.joints import JointEffortConfig, JointPositionConfig, JointVelocityConfig
+from orbit_core.actions.mobile_base import BaseVelocityConfig, DifferentialDriveConfig
 from orbit_core.actions.term import ActionTerm
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.scene import RobotSpec
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, match_names
+from orbit_core.registry import ClassRegistry
+from orbit_core.scene import ActuatorConfig, RobotSpec
+
+GROUP = "orbit.motion"
+_OWN = (
+    DifferentialIkConfig,
+    FullIkTermConfig,
+    JointPositionConfig,
+    JointVelocityConfig,
+    JointEffortConfig,
+    BinaryGripperConfig,
+    GraspSynergiesConfig,
+    BaseVelocityConfig,
+    DifferentialDriveConfig,
+)
+
+
+@cache
+def motion_generators() -> ClassRegistry[ActionTerm]:
+    """The configurations of all installed motion generators, read once."""
+    return ClassRegistry[ActionTerm]("motion generator", GROUP, _OWN, ActionTerm)
+
+
+def generator_descriptions() -> dict[str, str]:
+    """The first line that each configuration says of itself, by the generator's name."""
+    return motion_generators().descriptions
+
+
+def with_drives_for(spec: RobotSpec, terms: Mapping[str, ActionTerm]) -> RobotSpec:
+    """The robot with drives that do not work against its action terms, by name.
+
+    The joints of a term lose the gains that it says are unwanted; other joints keep their drives as they are.
+    """
+    names = spec.articulation.joint_names
+    unwanted = {
+        names[joint]: term.unwanted_gains
+        for name, term in terms.items()
+        if term.unwanted_gains
+        for joint in term.joint_indices(spec, name)
+    }
+    if not unwanted:
+        return spec
+    groups = [part for group in spec.actuators for part in _split(group, spec, unwanted)]
+    return replace(spec, actuators=tuple(groups))
+
+
+def _split(group: ActuatorConfig, spec: RobotSpec, unwanted: Mapping[str, tuple[str, ...]]) -> list[ActuatorConfig]:
+    """The group in parts, each of joints that lose the same gains."""
+    names = spec.articulation.joint_names
+    parts: dict[tuple[str, ...], list[str]] = {}
+    for joint in match_names(group.joints, names, "joint", f"'{spec.name}'"):
+        parts.setdefault(unwanted.get(names[joint], ()), []).append(re.escape(names[joint]))
+    return [replace(group, joints=tuple(part), **dict.fromkeys(gains, 0.0)) for gains, part in parts.items()]
 
 
 @dataclass(frozen=True)
 class ActionPreset:
-    """What a word stands for: the term that moves the joints of a robot."""
+    """Preset of an action word: the term that moves the joints of a robot."""
 
     description: str
     """What one unit of action is, in one line."""

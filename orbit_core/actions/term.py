@@ -21,7 +21,7 @@ _CHECKER = TypeChecker()
 
 @dataclass(frozen=True, kw_only=True)
 class ActionTerm(ABC):
-    """Which joints of which robot a motion generator moves, and how: a subclass is that generator's configuration.
+    """Configuration of a motion generator: its robot, its joints, and the settings that a subclass adds.
 
     Raises:
         ArgumentError: a field is not what its annotation says, or NaN.
@@ -81,7 +81,7 @@ class ActionTerm(ABC):
         return joint_commands(spec).joints
 
     def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
-        """What each component of the command is called; as a rule by its joint."""
+        """Return the name of each component of the command; usually that of its joint."""
         return tuple(spec.articulation.joint_names[joint] for joint in self.joint_indices(spec, name))
 
     @property

@@ -10,13 +10,14 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import Bounds
-from orbit_core.dynamics.indexing import Masking, write_rows
+from orbit_core.dynamics.indexing import RowSelector, write_rows
 from orbit_core.interfaces import ConfigurationError, Object, UnknownNameError
 from orbit_core.interfaces.names import find_name
 from orbit_core.registry import Registry
 from orbit_core.scene import ActiveModel, MagneticSeal
 
 NOT_NEGATIVE = Bounds(0.0, 1e9)
+GROUP = "orbit.active"
 
 
 class ActiveLaw:
@@ -31,7 +32,7 @@ class ActiveLaw:
         thing: the object, whose state it reads.
         num_envs: N.
         device: of all tensors.
-        masking: which environments a call is for.
+        selector: which environments a call is for.
     """
 
     joints: Sequence[int] = ()
@@ -40,13 +41,13 @@ class ActiveLaw:
     """Indices among the object's links that :meth:`wrenches` are of."""
 
     def __init__(
-        self, model: ActiveModel, thing: Object, num_envs: int, device: torch.device, masking: Masking
+        self, model: ActiveModel, thing: Object, num_envs: int, device: torch.device, selector: RowSelector
     ) -> None:
         self.model = model
         self.thing = thing
         self.num_envs = num_envs
         self.device = device
-        self._masking = masking
+        self._selector = selector
         self._parameters: dict[str, Tensor] = {}
         self._nominal: dict[str, float] = {}
         self.memory: dict[str, Tensor] = {}
@@ -54,7 +55,7 @@ class ActiveLaw:
 
     @property
     def parameters(self) -> Mapping[str, Tensor]:
-        """(N,) values of each parameter, by name."""
+        """Values (N,) of each parameter, by name."""
         return self._parameters
 
     @property
@@ -78,7 +79,7 @@ class ActiveLaw:
         """
         if name not in self._parameters:
             raise UnknownNameError("parameter", name, self._parameters, f"active model '{self.model.name}'")
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         what = f"{name} of active model '{self.model.name}' of '{self.thing.name}'"
         # In place: captured steps hold on to the tensor.
         write_rows(self._parameters[name], chosen.values(values, (), what, NOT_NEGATIVE), chosen.rows)
@@ -106,9 +107,9 @@ class MagneticSealLaw(ActiveLaw):
     """
 
     def __init__(
-        self, model: MagneticSeal, thing: Object, num_envs: int, device: torch.device, masking: Masking
+        self, model: MagneticSeal, thing: Object, num_envs: int, device: torch.device, selector: RowSelector
     ) -> None:
-        super().__init__(model, thing, num_envs, device, masking)
+        super().__init__(model, thing, num_envs, device, selector)
         joint = find_name(model.joint, thing.joint_names, "joint", f"'{thing.name}'")
         self.joints = (joint,)
         for name in ("force", "decay", "arm"):
@@ -130,6 +131,7 @@ class MagneticSealLaw(ActiveLaw):
 
     def gap(self) -> Tensor:
         """Return (N,) metres of gap at the seal."""
+        # Small angles: the gap grows by the arm times the turn.
         position = self.thing.joint_positions[:, self.joints[0]]
         return (self._arm * self._way * (position - self._shut)).clamp_min(0.0)
 
@@ -137,9 +139,6 @@ class MagneticSealLaw(ActiveLaw):
         # The lower bound keeps a randomised decay of zero from dividing by zero.
         falls = 1.0 + self.gap() / self._decay.clamp_min(1e-9)
         return (-self._way * self._arm * self._force / falls.square())[:, None]
-
-
-GROUP = "orbit.active"
 
 
 @cache
@@ -153,7 +152,9 @@ def active_laws() -> Registry[type[ActiveLaw]]:
     return registry
 
 
-def create_law(model: ActiveModel, thing: Object, num_envs: int, device: torch.device, masking: Masking) -> ActiveLaw:
+def create_law(
+    model: ActiveModel, thing: Object, num_envs: int, device: torch.device, selector: RowSelector
+) -> ActiveLaw:
     """Return the law of a model. A model derived from another has that one's, unless it has its own.
 
     Raises:
@@ -169,6 +170,6 @@ def create_law(model: ActiveModel, thing: Object, num_envs: int, device: torch.d
     if not (isinstance(law, type) and issubclass(law, ActiveLaw)):
         raise ConfigurationError(
             f"{registry.origin(name)} of group {GROUP} names {law!r}, which is no subclass of "
-            "orbit_core.active.ActiveLaw: mend or uninstall it"
+            "orbit_core.active.ActiveLaw: fix or uninstall it"
         )
-    return law(model, thing, num_envs, device, masking)
+    return law(model, thing, num_envs, device, selector)

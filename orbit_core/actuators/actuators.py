@@ -18,6 +18,9 @@ from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.registry import Registry
 from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
 
+GROUP = "orbit.actuators"
+_ORDER = (PdModel, DcMotorModel)
+
 
 @dataclass(frozen=True)
 class DelayState:
@@ -68,6 +71,7 @@ class CommandDelay:
 
     def push(self, targets: Tensor) -> Tensor:
         """Take the commands of this step (3, N, k) and return those in effect."""
+        # A ring buffer: slots are reused, and nothing is moved at a step.
         newest = torch.remainder(self._age, self._length)  # each environment writes in turn, from its reset on
         self._history.scatter_(0, newest.expand(1, *targets.shape), targets[None])
         steps_back = torch.minimum(self._delays, self._age)
@@ -84,9 +88,6 @@ class CommandDelay:
         self._history.copy_(state.history)
         self._delays.copy_(state.delays)
         self._age.copy_(state.age)
-
-
-GROUP = "orbit.actuators"
 
 
 @cache
@@ -132,19 +133,16 @@ def model_of(group: ActuatorConfig, entity: str) -> type[ActuatorModel] | None:
         return None
     if issubclass(kind, ImplicitPd):
         raise ConfigurationError(
-            f"actuator {kind.__name__} of '{entity}' has a model of its own, and derives from ImplicitPd, which the "
+            f"actuator {kind.__name__} of '{entity}' has its own model, and derives from ImplicitPd, which the "
             "engine drives: derive it from ActuatorConfig or IdealPd"
         )
     model = registry.get(found.__name__)
     if not (isinstance(model, type) and issubclass(model, ActuatorModel)):
         raise ConfigurationError(
             f"{registry.origin(found.__name__)} of group {GROUP} names {model!r}, which is no subclass of "
-            "orbit_core.actuators.ActuatorModel: mend or uninstall it"
+            "orbit_core.actuators.ActuatorModel: fix or uninstall it"
         )
     return model
-
-
-_ORDER = (PdModel, DcMotorModel)
 
 
 @dataclass(frozen=True)
@@ -220,11 +218,6 @@ class Actuators:
         joints = self._engine.layout.joints
         return {f"{type(model).__name__} of joint '{joints[model.joints[0]].name}'": model for model in self._models}
 
-    def memory(self) -> dict[str, Tensor]:
-        """Return memory of the models between steps, by name."""
-        own = {f"{name}, {number}": model for number, (name, model) in enumerate(self.models.items())}
-        return {f"{part} of {name}": value for name, model in own.items() for part, value in model.memory.items()}
-
     def temperatures(self) -> Tensor | None:
         """Return winding temperatures (N, J) in degrees Celsius, 25 for joints without; None if no joint has any."""
         warm = [(model.columns, model.temperatures) for model in self._models]
@@ -288,6 +281,7 @@ class Actuators:
 
     def save_state(self) -> ActuatorState:
         """Return a detached copy."""
+        # Gains are saved too, because events randomise them.
         gains = tuple(tuple(part.clone() for part in model.gains or ()) for model in self._models)
         delays = tuple(None if delay is None else delay.save_state() for delay in self._delays)
         memory = tuple({name: value.clone() for name, value in model.memory.items()} for model in self._models)

@@ -26,6 +26,8 @@ _DIRECT = Transmission(ratios=(1.0,))
 _TINY = 1e-9
 REFERENCE = 25.0
 """Degrees Celsius at which resistances are described, and of motors of which nothing is known."""
+# rad/s or m/s, below which power is not looked at
+_STANDSTILL = 1e-6
 
 
 class Ratios:
@@ -112,7 +114,7 @@ class ActuatorContext:
 
     @property
     def effort_limits(self) -> Tensor:
-        """(k,) N m or N, as groups or the articulation say."""
+        """Effort limits (k,), N m or N, as groups or the articulation say."""
         limits = self.layout.joint_parameters.effort_limit[list(self.joints)]
         return torch.as_tensor(limits, dtype=torch.float32, device=self.device)
 
@@ -153,7 +155,7 @@ class ActuatorModel(ABC):
 
     @property
     def temperatures(self) -> Tensor | None:
-        """(N, k) degrees Celsius of the motors; None where the model knows of none."""
+        """Temperatures (N, k), degrees Celsius of the motors; None where the model knows of none."""
         return None
 
     def fresh(self, name: str) -> Tensor | float:
@@ -169,10 +171,6 @@ class ActuatorModel(ABC):
     def shared_by(cls, group: Any) -> Hashable:
         """Return a key: groups that agree in it share one model. All groups of a class do unless this is overridden."""
         return None
-
-
-# rad/s or m/s, below which power is not looked at
-_STANDSTILL = 1e-6
 
 
 class PdModel(ActuatorModel):

@@ -1,8 +1,6 @@
 """Agents: directed graphs of timed nodes between sensors and actuators, and the cut that makes one learnable."""
 
-from orbit_core.agent.cut import Cut
-from orbit_core.agent.graph import AgentGraph, GraphState
-from orbit_core.agent.nodes import Concatenate, FunctionNode
-from orbit_core.agent.wiring import Edge
+from orbit_core.agent.graph import AgentGraph, Cut, GraphState
+from orbit_core.agent.wiring import Concatenate, Edge, FunctionNode
 
 __all__ = ["AgentGraph", "Concatenate", "Cut", "Edge", "FunctionNode", "GraphState"]

@@ -1,15 +1,184 @@
-"""The agent: a directed graph of timed nodes, run in order, each at its own rate."""
+"""Agents: directed graphs of timed nodes, run in order, each at its own rate, and cut at a node to be learned."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import torch
 from torch import Tensor
 
-from orbit_core.agent.runner import NodeRunner, RunnerState, checked
 from orbit_core.agent.wiring import Edge, Endpoint, Wiring, label, wire
-from orbit_core.interfaces import ConfigurationError, Node, Port, find_name
+from orbit_core.dynamics.indexing import write_rows
+from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError, find_name
+from orbit_core.interfaces.capture import Schedule
+
+
+@dataclass(frozen=True)
+class RunnerState:
+    """A snapshot of one node and its place in the schedule."""
+
+    memory: Mapping[str, Tensor]
+    last_turn: int
+    pending: bool
+    waiting: Tensor | None
+
+
+class NodeRunner:
+    """Runs a node of a graph.
+
+    Args:
+        node: to run.
+        period: agent steps from one turn to the next.
+        sources: what feeds each input.
+        slots: where each value stands in ``values``.
+        values: the graph's, shared by all its runners.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        period: int,
+        sources: Mapping[Endpoint, Endpoint],
+        slots: Mapping[Endpoint, int],
+        values: list[Tensor | None],
+    ) -> None:
+        self.node = node
+        self.period = period
+        self.last_turn = -1
+        """Step of the last turn; -1 before the first."""
+        self.pending = False
+        """Whether some environments were reset since the last turn."""
+        self.carries = period > 1
+        """Whether its outputs are read in a later step than the one that computes them; they then stay in one place."""
+        # (N,) which were reset; None before the first turn, after which none differ
+        self._waiting: Tensor | None = None
+        self._sources = [(port.name, slots[sources[node.name, port.name]]) for port in node.inputs]
+        self._targets = [(port.name, slots[node.name, port.name]) for port in node.outputs]
+        self._ports = list(zip(node.outputs, (slot for _, slot in self._targets), strict=True))
+        self._values = values
+        self._ports_checked = False
+
+    def turn(self, step: int) -> None:
+        """Run the node for all environments."""
+        outputs = self._compute()
+        for name, slot in self._targets:
+            self._keep(slot, outputs[name])
+            self._make_room(outputs[name])
+        self._took_turn(step)
+
+    def renew(self) -> None:
+        """Run the node, but keep its outputs and memory of all environments other than those reset."""
+        held = {slot: value.clone() for _, slot in self._targets if (value := self._values[slot]) is not None}
+        remembered = {name: tensor.clone() for name, tensor in self.node.memory().items()}
+        outputs = self._compute()
+        for name, slot in self._targets:
+            self._keep(slot, self._where_reset(outputs[name], held[slot]))
+        for name, tensor in self.node.memory().items():
+            tensor.copy_(self._where_reset(tensor, remembered[name]))
+        self._none_waits()
+
+    def _make_room(self, value: Tensor) -> None:
+        if self._waiting is None:
+            self._waiting = torch.zeros(len(value), dtype=torch.bool, device=value.device)
+
+    def _keep(self, slot: int, value: Tensor) -> None:
+        own = self._values[slot]
+        if not self.carries:
+            self._values[slot] = value
+        elif own is None:  # what is held must not change with a buffer that the node, or an engine, writes again
+            self._values[slot] = value.clone()
+        else:
+            own.copy_(value)
+
+    def _where_reset(self, fresh: Tensor, held: Tensor) -> Tensor:
+        assert self._waiting is not None  # an environment waits only after the first turn
+        return torch.where(self._waiting.view(-1, *(1 for _ in held.shape[1:])), fresh, held)
+
+    def _took_turn(self, step: int) -> None:
+        self.last_turn = step
+        self._none_waits()
+
+    def _none_waits(self) -> None:
+        if self.pending and self._waiting is not None:
+            self._waiting.zero_()
+        self.pending = False
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Make the node forget some environments, or all."""
+        self.node.reset(env_ids)
+        if env_ids is None:
+            self.last_turn = -1
+            self._none_waits()
+        elif self._waiting is not None:
+            write_rows(self._waiting, True, env_ids)
+            self.pending = True
+
+    def put(self, values: Mapping[str, Tensor], step: int) -> None:
+        """Take outputs from outside in place of a turn, or of a renewal."""
+        given = [(slot, checked(values, port, f"output of '{self.node.name}'")) for port, slot in self._ports]
+        if self.due(step):
+            for slot, value in given:
+                self._keep(slot, value)
+                self._make_room(value)
+            self._took_turn(step)
+        elif self.pending:
+            for slot, value in given:
+                held = self._values[slot]
+                assert held is not None  # a node that is not due has had a turn
+                self._keep(slot, self._where_reset(value, held))
+            self._none_waits()
+
+    def due(self, step: int) -> bool:
+        """Return True if it is the node's turn."""
+        return step % self.period == 0 and self.last_turn != step
+
+    def save_state(self) -> RunnerState:
+        """Return the state that the node's next turns depend on."""
+        memory = {name: tensor.clone() for name, tensor in self.node.memory().items()}
+        return RunnerState(
+            memory, self.last_turn, self.pending, None if self._waiting is None else self._waiting.clone()
+        )
+
+    def load_state(self, state: RunnerState) -> None:
+        """Return to a saved state."""
+        for name, tensor in self.node.memory().items():
+            tensor.copy_(state.memory[name])
+        self.last_turn, self.pending = state.last_turn, state.pending
+        if state.waiting is not None:
+            self._waiting = state.waiting.clone() if self._waiting is None else self._waiting.copy_(state.waiting)
+        elif self._waiting is not None:
+            self._waiting.zero_()
+
+    def _compute(self) -> Mapping[str, Tensor]:
+        values = self._values
+        # Every source comes before its targets, so each slot holds a tensor by now.
+        inputs: dict[str, Tensor] = {name: values[slot] for name, slot in self._sources}  # pyright: ignore
+        outputs = self.node.compute(inputs)
+        if not self._ports_checked:
+            for port in self.node.outputs:
+                checked(outputs, port, f"output of node '{self.node.name}'")
+            self._ports_checked = True
+        return outputs
+
+
+def checked(values: Mapping[str, Tensor], port: Port, what: str) -> Tensor:
+    """The value of a port.
+
+    Raises:
+        ConfigurationError: it is missing.
+        ShapeError: its shape is not (num_envs, *port.shape).
+    """
+    value = values.get(port.name)
+    if value is None:
+        given = ", ".join(sorted(values)) or "nothing"
+        raise ConfigurationError(f"{what} '{port.name}' is missing: given are {given}")
+    if value.shape[1:] != port.shape:
+        expected = ", ".join(("num_envs", *map(str, port.shape)))
+        raise ShapeError(f"{what} '{port.name}' must have shape ({expected}), not {tuple(value.shape)}")
+    return value
 
 
 @dataclass(frozen=True)
@@ -104,14 +273,14 @@ class AgentGraph:
         return AgentGraph(nodes, edges, self.rate, self.inputs, self.outputs)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        """Make nodes forget some environments; with all of them (None) the schedule starts anew."""
+        """Make nodes forget some environments; with all of them (None) the schedule starts again."""
         if env_ids is None:
             self.step_count = 0
         for runner in self.runners:
             runner.reset(env_ids)
 
     def save_state(self) -> GraphState:
-        """What the continuation depends on: the step count, held values, and the nodes' memory."""
+        """Return the state that the continuation depends on: step count, held values and the nodes' memory."""
         values = tuple(None if value is None else value.clone() for value in self.values)
         return GraphState(self.step_count, values, tuple(runner.save_state() for runner in self.runners))
 
@@ -126,6 +295,11 @@ class AgentGraph:
                 own.copy_(saved)
         for runner, saved in zip(self.runners, state.runners, strict=True):
             runner.load_state(saved)
+
+    @property
+    def schedule(self) -> Schedule:
+        """Counters of the graph's steps, which a captured step moves on."""
+        return _GraphSchedule(self)
 
     # What a step consists of; a cut puts it together otherwise
 
@@ -148,7 +322,112 @@ class AgentGraph:
         return {name: self.value(slot) for name, slot in self._outputs}
 
     def value(self, slot: int) -> Tensor:
-        """What stands in a slot of :attr:`values`, a copy where a later step writes it in place."""
+        """Return the value of a slot of :attr:`values`; a copy if a later step writes it in place."""
         value = self.values[slot]
         assert value is not None  # every slot that anything reads has been written by a source before it
         return value.clone() if slot in self._runner_of and self._runner_of[slot].carries else value
+
+
+class _GraphSchedule(Schedule):
+    """Step count of a graph, and which nodes must renew their outputs."""
+
+    def __init__(self, graph: AgentGraph) -> None:
+        self._graph = graph
+
+    @property
+    def period(self) -> int:
+        return math.lcm(*(runner.period for runner in self._graph.runners))
+
+    @property
+    def key(self) -> Hashable:
+        step = self._graph.step_count
+        return tuple([(step % r.period, r.pending and r.period > 1) for r in self._graph.runners])
+
+    @property
+    def count(self) -> int:
+        return self._graph.step_count
+
+    def move(self, key: Any, steps: int) -> None:
+        self._graph.step_count += steps
+        for runner, (_, pending) in zip(self._graph.runners, key, strict=True):
+            runner.last_turn = (self._graph.step_count - 1) // runner.period * runner.period
+            runner.pending = pending
+
+
+class Cut:
+    """An agent without one of its nodes.
+
+    One step of the agent is :meth:`observe`, then :meth:`act`. Nodes that the cut node depends on run with the first,
+    all others with the second. To observe again within one step runs nothing twice; it renews what environments that
+    were reset meanwhile see.
+
+    Args:
+        graph: of the whole agent; the cut steps it.
+        name: of the node that is taken out, in whose place stands what :meth:`act` is given.
+
+    Raises:
+        UnknownNameError: no node has that name.
+    """
+
+    def __init__(self, graph: AgentGraph, name: str) -> None:
+        find_name(name, list(graph.nodes), "node", "the agent")
+        self.graph = graph
+        self.node = graph.nodes[name]
+        before = graph.wiring.ancestors(name)
+        self._upstream = [runner for runner in graph.runners if runner.node.name in before]
+        self._downstream = [runner for runner in graph.runners if runner.node.name not in (*before, name)]
+        (self._replaced,) = (runner for runner in graph.runners if runner.node is self.node)
+        for runner in self._upstream:  # what was observed in one step is acted on in the next
+            runner.carries |= any(
+                source[0] == runner.node.name and target[0] not in before
+                for target, source in graph.wiring.sources.items()
+                if target[0] not in ("", name)
+            )
+        slots = {endpoint: slot for slot, endpoint in enumerate(graph.wiring.ports)}
+        self._observed_step = -1
+        self._inputs = [(port.name, slots[graph.wiring.sources[name, port.name]]) for port in self.node.inputs]
+
+    @property
+    def due(self) -> bool:
+        """True if new outputs count for all environments at this step; a node slower than the agent holds them."""
+        return self._replaced.due(self.graph.step_count)
+
+    def observe(self, external: Mapping[str, Tensor] | None = None) -> dict[str, Tensor]:
+        """Run everything before the cut.
+
+        Args:
+            external: a tensor (num_envs, ...) for each input of the graph.
+
+        Returns:
+            each input of the node taken out; the tensors may be nodes' own, so clone what you keep.
+        """
+        self.graph.take_inputs(external or {})
+        self.graph.run(self._upstream)
+        self._observed_step = self.graph.step_count
+        return {name: self.graph.value(slot) for name, slot in self._inputs}
+
+    def act(self, outputs: Mapping[str, Tensor] | None = None) -> dict[str, Tensor]:
+        """Run everything after the cut, and all else that is left; end the step.
+
+        Args:
+            outputs: in place of the node's. Where the node is not :attr:`due` they count only for environments reset
+                since its turn, and None holds those of before.
+
+        Returns:
+            each output of the graph.
+
+        Raises:
+            ConfigurationError: an output is missing, or the step has not been observed.
+            ShapeError: an output has another shape than its port.
+        """
+        step = self.graph.step_count
+        stale = any(runner.pending or runner.due(step) for runner in self._upstream)
+        if stale or (self.graph.inputs and self._observed_step != step):
+            raise ConfigurationError(f"nothing has been observed at step {step}, or since a reset: observe, then act")
+        if outputs is not None:
+            self._replaced.put(outputs, step)
+        elif self._replaced.due(step) or self._replaced.pending:
+            raise ConfigurationError(f"node '{self.node.name}' is due: act needs its outputs")
+        self.graph.run(self._downstream)
+        self.graph.step_count += 1
+        return self.graph.read_outputs()

@@ -1,10 +1,14 @@
-"""Which port feeds which, checked when the graph is built: every mistake of wiring is an error before anything runs."""
+"""Nodes of general use, and edges between ports: every mistake of wiring is an error before anything runs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
+
+import torch
+from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError, UnknownNameError
 
@@ -14,7 +18,7 @@ Endpoint = tuple[str, str]
 
 @dataclass(frozen=True)
 class Edge:
-    """From an output port to an input port, each ``"node.port"``; a port of the graph itself is its bare name."""
+    """Edge from an output port to an input port, each ``"node.port"``; a port of the graph itself is its bare name."""
 
     source: str
     target: str
@@ -162,3 +166,38 @@ def _period(node: Node, rate: float) -> int:
             f"use {' or '.join(nearest)}"
         )
     return period
+
+
+class FunctionNode(Node):
+    """A function without memory as a node."""
+
+    def __init__(
+        self,
+        name: str,
+        function: Callable[[Mapping[str, Tensor]], Mapping[str, Tensor]],
+        inputs: Sequence[Port] = (),
+        outputs: Sequence[Port] = (),
+        rate: float | None = None,
+    ) -> None:
+        self.name = name
+        self.inputs = tuple(inputs)
+        self.outputs = tuple(outputs)
+        self.rate = rate
+        self._function = function
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        return self._function(inputs)
+
+
+class Concatenate(Node):
+    """Puts its inputs, each flattened to (num_envs, k), side by side in their declared order."""
+
+    def __init__(self, name: str, inputs: Sequence[Port], output: str = "value", rate: float | None = None) -> None:
+        self.name = name
+        self.inputs = tuple(inputs)
+        self.outputs = (Port(output, (sum(math.prod(port.shape) for port in inputs),)),)
+        self.rate = rate
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        parts = [inputs[port.name].flatten(1) for port in self.inputs]
+        return {self.outputs[0].name: torch.cat(parts, dim=1)}

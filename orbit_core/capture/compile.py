@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import types
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -42,7 +43,7 @@ def compiled(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callab
 
     Args:
         graph: of operations.
-        inputs: that it takes; what lies elsewhere than the rest is replaced by a copy beside it.
+        inputs: that it takes; a tensor on another device than the rest is replaced by a copy on theirs.
         fixed: whether it always takes these very tensors. What it gives may then be the same tensors each time.
 
     Raises:
@@ -88,8 +89,8 @@ def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callabl
     return (_launches(call, inputs) if fixed else None) or (lambda *tensors: call(list(tensors)))
 
 
+# Names in inductor's code that only make room for what its kernels write
 _OF_MEMORY = {"clear", "empty_strided_cpu", "reinterpret_tensor", "torch"}
-"""Names in inductor's code that only make room for what its kernels write."""
 
 
 def _launches(call: Any, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]] | None:
@@ -107,13 +108,12 @@ def _launches(call: Any, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]
     def noting(kernel: Callable[..., None]) -> Callable[..., None]:
         return lambda *arguments: launches.append((kernel, arguments))
 
+    # A copy of the function with its own globals: inductor's module stays as it is.
     module = function.__globals__
-    own = {name: module[name] for name in kernels}
-    module.update({name: noting(kernel) for name, kernel in own.items()})
-    try:
-        outputs = call(list(inputs))
-    finally:
-        module.update(own)
+    noted = {**module, **{name: noting(module[name]) for name in kernels}}
+    copy = types.FunctionType(function.__code__, noted, function.__name__, function.__defaults__, function.__closure__)
+    owner = getattr(call, "__self__", None)
+    outputs = copy(list(inputs)) if owner is None else copy(owner, list(inputs))
 
     def launch(*_: Tensor) -> Sequence[Tensor]:
         for kernel, arguments in launches:

@@ -24,12 +24,12 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import World
-from orbit_core.interfaces.capture import Watched
+from orbit_core.interfaces.capture import Traceable
 
 _PARTS: Final = ("core", "assets", "motion", "learn", "data", "viewer", "conformance")
 _OWN: Final = frozenset(f"orbit_{part}" for part in _PARTS)
+# Packages whose code is not searched: it keeps no state of a task
 _OTHERS: Final = (_OWN | {"torch", "numpy", "builtins"} | sys.stdlib_module_names) - {"__main__"}
-"""Packages whose code is not searched: it keeps no state of a task."""
 _LEAVES: Final = (
     bool,
     int,
@@ -48,8 +48,8 @@ _CONTENTS: Final = operator.attrgetter("cell_contents")
 _END: Final = (object(),)
 _ABSENT: Final = object()
 REMEDY: Final = "keep it in a tensor that is written in place, or give capture=False (--no-capture)"
+# Functions that set values up, so that they are not the place where a step changes them
 _SET_UP: Final = frozenset({"__init__", "__post_init__", "start"})
-"""Functions that set values up, so that they are not the place where a step changes them."""
 
 Change = tuple["Holder", Any]
 
@@ -98,8 +98,8 @@ class _Global:
     name: str
 
 
+# Holders that :class:`Values` compares
 _COMPARED_AT_ONCE: Final = (dict, list, types.MappingProxyType, types.CellType, _Global)
-"""Holders that :class:`Values` compares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +136,8 @@ class Holder:
 class PythonState:
     """Python values that can be reached from some objects: attributes, elements, closures, globals that they use.
 
-    Objects of ORBIT's own classes are left out but for configuration, and so are worlds and engines: they tell the
-    tracer themselves what changes.
+    Objects of ORBIT's own classes are left out but for configuration, and so are worlds and engines: they report
+    their changes to the tracer.
 
     Args:
         roots: objects by the name that messages give them.
@@ -208,7 +208,7 @@ class PythonState:
             self._visit_object(path, value)
 
     def _is_walked(self, value: object) -> bool:
-        if isinstance(value, World | Watched):
+        if isinstance(value, World | Traceable):
             return False
         return isinstance(value, self._configuration) or _package(type(value)) not in _OTHERS
 
@@ -273,6 +273,8 @@ def frozen_by_trace(before: PythonState) -> tuple[str, bool]:
         known = holder.known.get(key) if isinstance(holder.known, dict) else holder.known
         if known is not None:
             what = before.describe((holder, key))
+            if isinstance(known, Tensor):
+                return f"{what} is another tensor after each step: write it in place", False
             return f"{what} changes in Python, which a captured step would freeze: {REMEDY}", False
     return "", bool(changes)
 

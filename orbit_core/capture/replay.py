@@ -1,71 +1,82 @@
-"""Parts of a step without their Python: traced once, then replayed, compiled or recorded by the engine."""
+"""Functions without their Python: traced once per state of a schedule, then replayed, compiled or recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import torch
 from torch import Tensor, fx
 
 from orbit_core.capture.compile import compiled
-from orbit_core.capture.kernels import fusing
 from orbit_core.capture.python_state import PythonState, frozen_by_trace
-from orbit_core.capture.stages import Trace
-from orbit_core.capture.trace import NotTraceable, Tracer
+from orbit_core.capture.trace import CapturedTrace, NotTraceable, Tracer
 from orbit_core.interfaces import World
+from orbit_core.interfaces.capture import Schedule
+
+_wanted: ContextVar[bool] = ContextVar("kernels wanted", default=False)
+
+
+@contextmanager
+def fusing(wanted: bool) -> Iterator[None]:
+    """Ask functions that can be one kernel, such as a servo's law, to be one within this context."""
+    token = _wanted.set(wanted)
+    try:
+        yield
+    finally:
+        _wanted.reset(token)
+
+
+def kernels_wanted() -> bool:
+    """Return whether :func:`fusing` asks for kernels here."""
+    return _wanted.get()
 
 
 class CapturedFunction:
-    """Runs operations as they are the first time, watching them, and from then on does the same without their Python.
+    """Operations that run in Python once, while they are traced, and are replayed without it from then on.
 
-    What they give holds until the next call: clone what is kept.
-    What they count on the host is their caller's to keep right. Where the engine makes recordings, a replay is one.
+    Results hold until the next call: clone what is kept.
+    Counters on the host are the caller's. Where the engine makes recordings, a replay is one.
 
     Args:
         world: that they work on.
-        operations: on tensors and on the world; what they give are tensors.
-        memory: the tensors that stand for the past, by name; they must be written in place.
-        compile: whether to compile what lies between uses of the engine.
-        python: the values of plain Python that the operations read; they must not change them.
+        operations: on tensors and on the world; they return tensors.
+        compile: True to compile the stages between calls to the engine.
+        python: values of plain Python that the operations read, and must not change.
     """
 
     def __init__(
         self,
         world: World,
         operations: Callable[[], tuple[Tensor, ...]],
-        memory: Callable[[], Mapping[str, Tensor]],
         compile: bool,
         python: Callable[[], PythonState] = lambda: PythonState({}),
     ) -> None:
         self._world = world
         self._operations = operations
-        self._memory = memory
         self._python = python
         self._build = compiled if compile else _as_it_is
         self._compiles = compile
         self.replay: Callable[[], tuple[Tensor, ...]] | None = None
         self.refusal = ""
-        """Why the operations cannot be repeated without Python; empty if they can, or have not run."""
+        """Reason why the operations cannot be repeated without Python; empty if they can, or have not run."""
 
     def __call__(self) -> tuple[Tensor, ...]:
         return self._traced() if self.replay is None else self.replay()
 
     def _traced(self) -> tuple[Tensor, ...]:
-        world, before, python = self._world, self._memory(), self._python()
+        world, python = self._world, self._python()
         tracer = Tracer(world.engine)
-        world.touch()  # what was derived before must not be taken for part of the step
-        world.masking.traced = True
-        try:
-            with torch.no_grad(), fusing(self._compiles), tracer.tracing():
-                outputs = self._operations()
-        finally:
-            world.masking.traced = False
-        after = self._memory()
+        if world.schedule is not None:
+            world.schedule.move(world.schedule.key, 0)  # what was derived before must not be taken for part of the step
+        with torch.no_grad(), fusing(self._compiles), tracer.tracing():
+            outputs = self._operations()
         frozen, set_up = frozen_by_trace(python)
-        self.refusal = tracer.refusal or _rebound(before, after) or frozen
-        if not self.refusal and not set_up and before.keys() == after.keys():  # else a next trace finds what is new
+        self.refusal = tracer.refusal or frozen
+        if not (self.refusal or set_up or tracer.incomplete):  # else a next trace finds what is new
             try:
-                trace = Trace(world.engine, tracer.stages, outputs, self._build)
+                trace = CapturedTrace(world.engine, tracer.stages, outputs, self._build)
                 self.replay = _recorded(trace, world.engine.capture.record)
             except NotTraceable as reason:
                 self.refusal = str(reason)
@@ -79,7 +90,7 @@ def _as_it_is(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> fx.Gr
 def _recorded(
     operations: Callable[[], tuple[Tensor, ...]], record: Callable[[Callable[[], None]], Callable[[], None]]
 ) -> Callable[[], tuple[Tensor, ...]]:
-    """The operations as the engine's recording, if it makes one."""
+    """Return the operations as the engine's recording, if it makes one."""
     outputs: tuple[Tensor, ...] = ()
 
     def run() -> None:
@@ -97,6 +108,61 @@ def _recorded(
     return replay
 
 
-def _rebound(before: Mapping[str, Tensor], after: Mapping[str, Tensor]) -> str:
-    names = [name for name, tensor in before.items() if tensor is not after.get(name)]
-    return f"{names[0]} is another tensor after each step: write it in place" if names else ""
+_Keys = tuple[Hashable, ...]
+
+
+class ScheduledFunction:
+    """Captures operations once for each key of their schedules, and replays what it has captured.
+
+    Args:
+        schedules: counters that decide which operations run, and that the operations move on.
+        capture: makes a captured function of the operations.
+    """
+
+    def __init__(self, schedules: Sequence[Schedule], capture: Callable[[], CapturedFunction]) -> None:
+        self._schedules = tuple(schedules)
+        self._capture = capture
+        # Function of each key, with the key after it and the steps that each schedule counts meanwhile
+        self._known: dict[_Keys, tuple[CapturedFunction, _Keys, tuple[int, ...]]] = {}
+        self.refusal = ""
+        """Reason why the operations cannot be repeated without Python; empty as far as they can."""
+
+    @property
+    def captured(self) -> int:
+        """Number of keys that were captured."""
+        return len(self._known)
+
+    @property
+    def functions(self) -> tuple[CapturedFunction, ...]:
+        """Captured functions, one for each key."""
+        return tuple(function for function, _, _ in self._known.values())
+
+    def forget(self) -> None:
+        """Capture every key again when it is next met."""
+        self._known.clear()
+
+    @property
+    def ready(self) -> bool:
+        """True if the operations of the present key were captured."""
+        return self._key() in self._known
+
+    def __call__(self) -> tuple[Tensor, ...]:
+        key = self._key()
+        known = self._known.get(key)
+        if known is not None:
+            function, following, steps = known
+            outputs = function()
+            for schedule, own, count in zip(self._schedules, following, steps, strict=True):
+                schedule.move(own, count)
+            return outputs
+        before = [schedule.count for schedule in self._schedules]
+        function = self._capture()
+        outputs = function()
+        self.refusal = function.refusal
+        if function.replay is not None:
+            steps = tuple(schedule.count - old for schedule, old in zip(self._schedules, before, strict=True))
+            self._known[key] = function, self._key(), steps
+        return outputs
+
+    def _key(self) -> _Keys:
+        return tuple([schedule.key for schedule in self._schedules])

@@ -1,27 +1,27 @@
-"""What a step does, as data: tensor operations in stages, between calls to the engine.
+"""Traced steps as data: tensor operations in stages, between calls to the engine.
 
-A :class:`Tracer` watches a step while it runs. Each operation of torch and each use of an engine or renderer is noted,
-with the tensors that they took; what comes of it, a :class:`orbit_core.capture.stages.Trace`, does the same to the same
-memory without the Python around.
-"""
+A :class:`Tracer` notes each operation of torch and each call of an engine or renderer while a step runs, with the
+tensors that they took. A :class:`orbit_core.capture.trace.CapturedTrace` repeats them on the same memory, without the
+Python around them."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, fx
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode, _get_current_dispatch_mode_stack
-from torch.utils._pytree import tree_leaves, tree_map_only
+from torch.utils._pytree import tree_leaves, tree_map, tree_map_only
 
 from orbit_core.dynamics.indexing import is_mask
 from orbit_core.interfaces import Engine
-from orbit_core.interfaces.capture import Use, Watched, watched_by
+from orbit_core.interfaces.capture import EngineCall, Traceable, traced_by
 
 _HOST_READS = frozenset({Tensor.numpy, Tensor.tolist, Tensor.__array__, Tensor.__dlpack__})
 _DECIDING = (torch.Tag.data_dependent_output, torch.Tag.dynamic_output_shape)
@@ -45,30 +45,30 @@ class Operation:
 class NotedCall:
     """One call to an engine or renderer, and what it measured."""
 
-    use: Use
+    call: EngineCall
     results: list[Tensor]
     """Memory of the trace's own, that later operations read."""
 
     @property
     def taken(self) -> list[Tensor]:
         """Tensors among its arguments."""
-        return tensors_of(dict(self.use.arguments))
+        return tensors_of(dict(self.call.arguments))
 
-    def repeat(self, values: dict[int, Tensor]) -> None:
-        """Call again, with values in the place of those tensors that earlier stages made."""
-        given = {name: _replaced(argument, values) for name, argument in self.use.arguments.items()}
+    def repeat(self, arguments: Mapping[str, Any]) -> None:
+        """Call again, with these arguments."""
+        given = dict(arguments)
         env_ids = given.get("env_ids")
-        if by_index(self.use) and is_mask(env_ids):
+        if by_index(self.call) and is_mask(env_ids):
             rows = env_ids.nonzero().squeeze(-1)
             if not len(rows):
                 return
-            for name in self.use.kind.rows:
+            for name in self.call.kind.rows:
                 given[name] = None if given[name] is None else given[name][rows]
             given["env_ids"] = rows
-            for kept, measured in zip(self.results, _fields(self.use.function(**given)), strict=True):
+            for kept, measured in zip(self.results, _fields(self.call.function(**given)), strict=True):
                 kept[rows] = measured
         else:
-            for kept, measured in zip(self.results, _fields(self.use.function(**given)), strict=True):
+            for kept, measured in zip(self.results, _fields(self.call.function(**given)), strict=True):
                 kept.copy_(measured)
 
 
@@ -96,13 +96,14 @@ class Tracer(TorchDispatchMode):
         self.stages = [Stage()]
         self.refusal = ""
         """What no trace can repeat; empty if nothing."""
+        self.incomplete = False
         self._engine = engine
         self.paused = False
 
     @contextmanager
     def tracing(self) -> Iterator[None]:
         """Note torch's operations, and the uses of the engine in the place of the operations within them."""
-        with watched_by(self), self, _HostReads(self):
+        with traced_by(self), self, _HostReads(self):
             yield
 
     def __torch_dispatch__(
@@ -119,7 +120,7 @@ class Tracer(TorchDispatchMode):
         self.stages[-1].operations.append(Operation(func, _without_copy(func, args), keywords, result))
         return result
 
-    def read(self, owner: Watched, name: str, function: Callable[[], Tensor]) -> Tensor:
+    def read(self, owner: Traceable, name: str, function: Callable[[], Tensor]) -> Tensor:
         """Note what is read of the engine, once between two calls: it shows the state since the last."""
         if self.paused:
             return function()
@@ -136,21 +137,21 @@ class Tracer(TorchDispatchMode):
         with self._silence():
             return reads.setdefault(name, function())
 
-    def call(self, use: Use) -> Any:
+    def call(self, call: EngineCall) -> Any:
         """Make a call, and end the stage with it."""
         if self.paused:
-            return use.function(**use.arguments)
+            return call.function(**call.arguments)
         with self._silence():
-            on_host = by_index(use)
+            on_host = by_index(call)
             if on_host and self._engine.device.type != "cpu":
-                self.refusal = f"{type(use.owner).__name__}'s {use.name} takes no mask"
-            if use.kind.measures:
-                result = use.function(**{**use.arguments, **({"env_ids": None} if on_host else {})})
+                self.refusal = f"{type(call.owner).__name__}'s {call.name} takes no mask"
+            if call.kind.measures:
+                result = call.function(**{**call.arguments, **({"env_ids": None} if on_host else {})})
                 result = _kept(result)
-                noted = NotedCall(use, _fields(result))
+                noted = NotedCall(call, _fields(result))
             else:
-                result, noted = None, NotedCall(use, [])
-                noted.repeat({})
+                result, noted = None, NotedCall(call, [])
+                noted.repeat(call.arguments)
         self.stages[-1].call = noted
         self.stages.append(Stage())
         return result
@@ -184,19 +185,9 @@ def tensors_of(tree: Any) -> list[Tensor]:
     return [leaf for leaf in tree_leaves(tree) if isinstance(leaf, Tensor)]
 
 
-def by_index(use: Use) -> bool:
-    """Whether environments are given by a mask that the method does not take: to find them is to look at the mask."""
-    return is_mask(use.arguments.get("env_ids")) and use.name not in use.owner.capture.takes_masks
-
-
-def _replaced(argument: Any, values: dict[int, Tensor]) -> Any:
-    if isinstance(argument, Tensor):
-        return values.get(id(argument), argument)
-    if argument is None or isinstance(argument, bool | int | float | str):
-        return argument
-    if type(argument) is list:  # torch's own way through a structure takes longer than many a call
-        return [_replaced(part, values) for part in argument]
-    return tree_map_only(Tensor, lambda tensor: values.get(id(tensor), tensor), argument)
+def by_index(call: EngineCall) -> bool:
+    """Return True if environments are given by a mask that the method does not take, so that the mask must be read."""
+    return is_mask(call.arguments.get("env_ids")) and call.name not in call.owner.capture.takes_masks
 
 
 def _fields(measured: Any) -> list[Tensor]:
@@ -207,7 +198,7 @@ def _fields(measured: Any) -> list[Tensor]:
 
 
 def _kept(measured: Any) -> Any:
-    """The same in memory of its own."""
+    """Return a copy."""
     if isinstance(measured, Tensor):
         return measured.clone()
     names = [f.name for f in dataclasses.fields(measured) if getattr(measured, f.name) is not None]
@@ -215,7 +206,7 @@ def _kept(measured: Any) -> Any:
 
 
 def _decides(function: Any, arguments: tuple[Any, ...]) -> bool:
-    """Whether the values of an operation's tensors decide what Python sees of it."""
+    """Return True if Python sees values of an operation's tensors, or shapes that depend on them."""
     if function is torch.ops.aten.index.Tensor:
         return any(index is not None and index.dtype == torch.bool for index in arguments[1])
     return any(tag in function.tags for tag in _DECIDING)
@@ -228,7 +219,7 @@ def _comes_from_host(taken: Any, result: Any) -> bool:
 
 
 def _without_copy(function: Any, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The arguments, with a number that is written to places given by index beside them, and not on the host.
+    """Return the arguments of an operation, a number that is written by index moved to the device of its target.
 
     Torch would copy it to the device each time. What is written by mask is given with the launch, and must stay.
     """
@@ -238,3 +229,221 @@ def _without_copy(function: Any, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
     if value.dim() or any(index is not None and index.dtype == torch.bool for index in indices):
         return arguments
     return (target, indices, value.to(target.device), *rest)
+
+
+Build = Callable[[fx.GraphModule, list[Tensor], bool], Callable[..., Sequence[Tensor]]]
+
+
+class CapturedTrace:
+    """A traced step, to be run again.
+
+    Each tensor that one stage makes and a later one takes has a slot in a list, so that a run looks nothing up.
+
+    Args:
+        engine: that was used.
+        stages: as a :class:`Tracer` noted them.
+        outputs: tensors of the traced step; running the trace returns their new values, which hold until the next run.
+        build: makes a stage's graph and the tensors that it takes, always these or others like them, into a function.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        stages: Sequence[Stage],
+        outputs: Sequence[Tensor],
+        build: Build,
+    ) -> None:
+        self._engine = engine
+        memory = _Memory(stages)
+        # Tensors hash by identity, and the stages hold them, so that none is taken for another.
+        maker = {tensor: number for number, stage in enumerate(stages) for tensor in _results(stage)}
+        wanted: list[dict[Tensor, None]] = [{} for _ in stages]
+        for tensor in outputs:
+            wanted[-1 if memory.lasts(tensor) else maker[tensor]][tensor] = None
+        for number, stage in enumerate(stages):
+            taken = [(number, t) for op in stage.operations for t in tensors_of((op.arguments, op.keywords))]
+            # The call comes after the operations.
+            taken += [(number + 1, t) for t in (() if stage.call is None else stage.call.taken)]
+            for place, tensor in taken:
+                made = maker.get(tensor, place)
+                if made < place and not memory.lasts(tensor):
+                    wanted[made][tensor] = None
+        slots: dict[Tensor, int] = {}
+        for own in wanted:
+            for tensor in own:
+                slots.setdefault(tensor, len(slots))
+        self._values: list[Tensor] = list(slots)
+        self._outputs = [slots[tensor] for tensor in outputs]
+        self._stages = [
+            _BuiltStage(stage, memory, list(own), slots, build) for stage, own in zip(stages, wanted, strict=True)
+        ]
+
+    def __call__(self) -> tuple[Tensor, ...]:
+        engine, values = self._engine, self._values
+        for stage in self._stages:
+            stage.run(engine, values)
+        return tuple([values[slot] for slot in self._outputs])
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """Argument of a call that an earlier stage makes."""
+
+    number: int
+
+
+class _Memory:
+    """Tensors that outlast a step, found by the memory that they occupy."""
+
+    def __init__(self, stages: Sequence[Stage]) -> None:
+        self._lasting: set[int] = set()
+        made: set[int] = set()
+        for stage in stages:
+            for operation in stage.operations:
+                taken = {_address(t) for t in tensors_of((operation.arguments, operation.keywords))}
+                self._lasting |= taken - made
+                made |= {_address(t) for t in tensors_of(operation.result)} - self._lasting
+
+    def lasts(self, tensor: Tensor) -> bool:
+        """Return True if the tensor occupies memory that existed before the step."""
+        return _address(tensor) in self._lasting
+
+
+class _BuiltStage:
+    """One stage, ready to run."""
+
+    def __init__(
+        self,
+        stage: Stage,
+        memory: _Memory,
+        wanted: list[Tensor],
+        slots: Mapping[Tensor, int],
+        build: Build,
+    ) -> None:
+        self._reads = tuple(stage.reads.items())
+        self._settles = bool(stage.expressed)
+        self._results = [slots[tensor] for tensor in wanted]
+        graph = _StageGraph(stage, memory, wanted)
+        self._inputs = graph.inputs
+        self._passed = [(position, slots[tensor]) for position, tensor in graph.passed]
+        some = stage.operations or wanted
+        self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
+        self._call = stage.call
+        # Arguments of the call, with slots in the place of tensors that this stage or an earlier one makes
+        self._arguments: dict[str, Any] = {}
+        if stage.call is not None:
+            self._arguments = {
+                name: tree_map_only(Tensor, lambda t: _Slot(slots[t]) if t in slots else t, argument)
+                for name, argument in stage.call.call.arguments.items()
+            }
+        self._filled = [name for name, own in self._arguments.items() if _has_slots(own)]
+
+    def run(self, engine: Engine, values: list[Tensor]) -> None:
+        """Run the stage, and its call."""
+        if self._settles:
+            engine.capture.settle()
+        for name, taken in self._reads:
+            if (value := getattr(engine, name)) is not taken:
+                taken.copy_(value)  # the engine hands out another tensor each time
+        inputs = self._inputs
+        for position, slot in self._passed:
+            inputs[position] = values[slot]
+        for slot, value in zip(self._results, self._function(*inputs), strict=True):
+            values[slot] = value
+        if self._call is not None:
+            given = self._arguments.copy()
+            for name in self._filled:
+                given[name] = _filled(given[name], values)
+            self._call.repeat(given)
+
+
+def _has_slots(argument: Any) -> bool:
+    return any(isinstance(leaf, _Slot) for leaf in tree_leaves(argument))
+
+
+def _filled(argument: Any, values: list[Tensor]) -> Any:
+    if isinstance(argument, _Slot):
+        return values[argument.number]
+    return tree_map_only(_Slot, lambda slot: values[slot.number], argument)
+
+
+class _StageGraph:
+    """A stage's operations as a graph whose inputs share no memory with each other.
+
+    Where several tensors lie in the same memory, the input is that memory as a whole, and they are views made of it.
+    """
+
+    def __init__(self, stage: Stage, memory: _Memory, wanted: list[Tensor]) -> None:
+        self.inputs: list[Tensor] = []
+        self.passed: list[tuple[int, Tensor]] = []
+        """Inputs that an earlier stage made, with their positions."""
+        self._graph = fx.Graph()
+        self._nodes: dict[Tensor, fx.Node] = {}
+        self._add_inputs(stage, memory, wanted)
+        for operation in stage.operations:
+            self._add(operation)
+        outputs = [self._nodes[tensor] for tensor in wanted]
+        copied = [
+            self._graph.call_function(torch.ops.aten.clone.default, (node,)) if memory.lasts(tensor) else node
+            for node, tensor in zip(outputs, wanted, strict=True)
+        ]
+        self._graph.output(tuple(copied))
+        self.module = fx.GraphModule({}, self._graph)
+
+    def _add_inputs(self, stage: Stage, memory: _Memory, wanted: list[Tensor]) -> None:
+        groups: dict[int, dict[Tensor, None]] = {}
+        made: set[Tensor] = set()
+
+        def take(tensors: list[Tensor]) -> None:
+            for tensor in tensors:
+                if tensor not in made:
+                    groups.setdefault(_address(tensor), {})[tensor] = None
+
+        for operation in stage.operations:
+            take(tensors_of((operation.arguments, operation.keywords)))
+            made |= set(tensors_of(operation.result))
+        take(wanted)
+        placeholders = [self._graph.placeholder(f"memory_{i}") for i in range(len(groups))]
+        for node, group in zip(placeholders, groups.values(), strict=True):
+            first = next(iter(group))
+            if len(group) == 1:
+                self._nodes[first] = node
+                node.meta["shape"] = first.shape
+                if not memory.lasts(first):
+                    self.passed.append((len(self.inputs), first))
+                self.inputs.append(first)
+                continue
+            if not memory.lasts(first) or len({tensor.dtype for tensor in group}) > 1:
+                raise NotTraceable("tensors made in one stage share memory in the next")
+            self.inputs.append(torch.empty(0, dtype=first.dtype, device=first.device).set_(first.untyped_storage()))
+            for tensor in group:
+                view = (node, list(tensor.shape), list(tensor.stride()), tensor.storage_offset())
+                self._nodes[tensor] = self._graph.call_function(torch.ops.aten.as_strided.default, view)
+                self._nodes[tensor].meta["shape"] = tensor.shape
+
+    def _add(self, operation: Operation) -> None:
+        arguments, keywords = tree_map(self._node_of, (operation.arguments, operation.keywords))
+        node = self._graph.call_function(operation.function, arguments, keywords)
+        if isinstance(operation.result, Tensor):
+            node.meta["shape"] = operation.result.shape
+            self._nodes.setdefault(operation.result, node)  # one that was written in place keeps its name
+        else:
+            for index, part in enumerate(operation.result or ()):
+                if isinstance(part, Tensor):
+                    self._nodes.setdefault(part, self._graph.call_function(operator.getitem, (node, index)))
+
+    def _node_of(self, argument: Any) -> Any:
+        return self._nodes[argument] if isinstance(argument, Tensor) else argument
+
+
+def _nothing() -> tuple[()]:
+    return ()
+
+
+def _results(stage: Stage) -> list[Tensor]:
+    return [tensor for operation in stage.operations for tensor in tensors_of(operation.result)]
+
+
+def _address(tensor: Tensor) -> int:
+    """Return the address of the tensor's memory; a unique number for an empty tensor."""
+    return tensor.untyped_storage().data_ptr() or -id(tensor)

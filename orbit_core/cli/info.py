@@ -112,7 +112,7 @@ def main(words: Sequence[str]) -> None:
 
 def _show_task(console: Console, name: str) -> None:
     from orbit_core.envs.configuration import DEFAULT_PRESET, configure
-    from orbit_core.envs.observation_groups import groups_of, terms_of_group
+    from orbit_core.envs.observation_layout import groups_of, terms_of_group
     from orbit_core.interfaces.capabilities import required_capabilities
 
     entry = task_entries()[name]
@@ -126,13 +126,13 @@ def _show_task(console: Console, name: str) -> None:
         print_line(console, f"observations, {name} ({kind})", ", ".join(terms_of_group(group)))
     presets = ", ".join((f"{DEFAULT_PRESET} (default)", *task.observation_presets))
     print_line(console, "presets of observations, --set observations=NAME", presets)
-    for part in ("rewards", "terminations", "events"):
+    for part in ("commands", "rewards", "terminations", "events"):
         print_line(console, part, _terms(task, part))
     print_line(console, "robots", _robots_like(task.robot))
     scene = task.scene()
     _show_actions(console, task, scene)
     needs = required_capabilities(scene)
-    print_rows(console, "ppo, in training", "default", dataclasses.asdict(task.ppo).items())
+    print_rows(console, "ppo, in training", "default", dataclasses.asdict(task.metadata.ppo).items())
     print_rows(console, "needs", "for", ((need.value, culprit) for need, culprit in needs.items()))
 
 
@@ -157,6 +157,8 @@ def _is_plain(field: dataclasses.Field[Any]) -> bool:
 
 def _terms(task: Task, part: str) -> str:
     collection = getattr(task, part)
+    if collection is None:
+        return "none"
     names = [field.name for field in dataclasses.fields(collection) if getattr(collection, field.name) is not None]
     return ", ".join(names) or "none"
 

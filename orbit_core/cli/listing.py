@@ -20,8 +20,11 @@ Rows = list[tuple[str, str]]
 
 @dataclass(frozen=True)
 class ListSettings:
-    """Names of all tasks, robots, objects, sensors, backends, renderers, matter solvers, kept policies, learning
-    libraries, action spaces or motion generators."""
+    """Names of all tasks, robots, objects, sensors, backends and the like.
+
+    Further kinds are renderers, matter solvers, kept policies, action spaces and motion generators; with orbit-learn
+    learning libraries.
+    """
 
     kind: Annotated[Positional[str], arg(metavar="KIND")]
     """What to list."""
@@ -100,6 +103,12 @@ def _matter() -> list[tuple[str, str]]:
     return rows + _missing(installable_matter())
 
 
+def _policies() -> Rows:
+    from orbit_core.pretrained import pretrained_policies
+
+    return [(policy.name, policy.description) for policy in pretrained_policies().values()]
+
+
 def _actions() -> list[tuple[str, str]]:
     from orbit_core.actions import action_words
 
@@ -135,6 +144,7 @@ _LISTS = {
     "backends": _backends,
     "renderers": _renderers,
     "matter": _matter,
+    "policies": _policies,
     "actions": _actions,
     "motion": _motion,
 }

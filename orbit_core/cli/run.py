@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from orbit_core.envs.premises import PremiseCheck
     from orbit_core.rollout.video import VideoRecorder
 
+# Share of looks at hands' targets that must find one out of reach for the table to report it
+_REPORTED_SHARE = 0.01
+
 
 @dataclass(frozen=True)
 class RunResult:
@@ -149,10 +152,6 @@ def _video(environment: Environment, settings: RunSettings) -> AbstractContextMa
 
     width, height = settings.video_size
     return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
-
-
-# Share of looks at hands' targets that must find one out of reach for the table to report it
-_REPORTED_SHARE = 0.01
 
 
 def main(words: Sequence[str]) -> None:

@@ -21,10 +21,14 @@ from tyro.conf import Positional, Suppress, UseAppendAction, arg
 from orbit_core.configuration import configured, field_types, read_toml
 from orbit_core.files import storage_faults, sweep
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.moved import moved_name
 
 Name = Annotated[str | None, arg(metavar="NAME")]
 File = Annotated[Path | None, arg(metavar="FILE")]
 KeyValues = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")]
+_Parsed = TypeVar("_Parsed")
+# A file has tables ([fields], [settings] ...) in place of these, and names no other file.
+_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,9 +121,14 @@ class BenchSettings(EnvironmentSettings):
 
 
 def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
-    """Refuse a file that could not be written, or is there already, before the work whose result it is to hold.
+    """Reject an output file that cannot be written, before the work whose result it is to hold.
 
     What a program that was killed has left in its folder is deleted.
+
+    Args:
+        path: of the file; None is no file.
+        suffix: that its name must have.
+        overwrite: whether it may exist.
     """
     if path is None:
         return
@@ -174,14 +183,15 @@ def check_size(name: str, size: tuple[int, ...]) -> None:
 
 
 _Settings = TypeVar("_Settings", bound=EnvironmentSettings)
-_Parsed = TypeVar("_Parsed")
-
-# A file has tables ([fields], [settings] ...) in place of these, and names no other file.
-_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
 
 
 def parse_settings(settings_type: type[_Settings], words: Sequence[str], program: str) -> _Settings:
     """Return settings from the words of the command line, and from the file that they name.
+
+    Args:
+        settings_type: dataclass of the command's settings.
+        words: of the command line.
+        program: name of the command, for messages.
 
     Raises:
         ConfigurationError: the file is not readable or not TOML, or a value is not of its key's type.
@@ -247,3 +257,7 @@ def _hints(kind: type) -> dict[str, Any]:
 def _is_option(hint: Any) -> bool:
     marks = getattr(hint, "__metadata__", ())
     return tyro.conf.Positional not in marks and tyro.conf.Suppress not in marks
+
+
+def __getattr__(name: str) -> object:
+    return moved_name(__name__, name)

@@ -1,1 +1,5 @@
 """Batched torch: frames and rotations, kinematics and dynamics of articulations."""
+
+from orbit_core.exports import lazy_modules
+
+__getattr__, __dir__ = lazy_modules(__name__)

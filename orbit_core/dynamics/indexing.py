@@ -21,10 +21,12 @@ from orbit_core.dynamics.arguments import (
     check_shape,
 )
 from orbit_core.interfaces import ArgumentError, ConfigurationError
+from orbit_core.interfaces.capture import is_tracing
 from orbit_core.plugin_kit.rows import is_mask, take_rows, write_columns, write_rows
 
 __all__ = [
-    "Choice", "Columns", "Masking", "columns_of", "is_mask", "take_rows", "write_block", "write_columns", "write_rows",
+    "Columns", "RowSelection", "RowSelector", "columns_of", "is_mask", "take_rows", "write_block",
+    "write_columns", "write_rows",
 ]  # fmt: skip
 
 Columns = slice | Tensor
@@ -51,21 +53,38 @@ def write_block(target: Tensor, columns: Columns, values: Tensor, env_ids: Tenso
 
 
 @dataclass(slots=True)
-class Choice:
+class RowSelection:
     """Environments that a call is for, and checks of the values that come with it."""
 
     rows: Tensor | None
-    """Indices (n,), a mask (N,) bool within a traced step, None for all: what an engine is given."""
+    """Indices (n,), a mask (N,) bool within a traced step, None for all: the form that engines take."""
     count: int
     """Rows that are given of each value."""
     device: torch.device
     taken: bool = False
-    """True if values have N rows and must be indexed by ``rows``."""
-    seen: bool = True
-    """True if values of tensors may be checked."""
+    """True if values are given for all environments, and those of ``rows`` must be taken."""
+    masked: bool = False
+    """True if rows outside of a mask count for nothing, so that their numbers are not checked."""
+
+    @property
+    def readable(self) -> bool:
+        """True if numbers of the values may be looked at: not under a mask, and not in a traced step."""
+        return not (self.masked or is_tracing())
 
     def values(self, value: Tensor, shape: tuple[int, ...], what: str, bounds: Bounds) -> Tensor:
-        """Return numbers (n, *shape) as an engine takes them: float32, on the device, without gradient.
+        """Return numbers (n, *shape) in the form that an engine takes: float32, on the device, without gradient.
+
+        Args:
+            value: that a caller gave.
+            shape: of one environment's values.
+            what: they are, for the message.
+            bounds: that the numbers must keep.
+
+        Args:
+            value: given by a caller.
+            shape: of one environment's value.
+            what: name of the value, for messages.
+            bounds: of each number.
 
         Raises:
             ArgumentError: another type, dtype or device, or out of bounds.
@@ -76,7 +95,7 @@ class Choice:
         check_shape(value, (self.count, *shape), what)
         if self.taken:
             value = value[self.rows]
-        if self.seen:
+        if self.readable:
             check_numbers(value, bounds, what, self.rows)
         return value
 
@@ -91,50 +110,76 @@ class Choice:
         check_shape(value, (self.count, *shape), what)
         if self.taken:
             value = value[self.rows]
-        if self.seen and not bool(((value >= least) & (value <= most)).all()):
+        if self.readable and not bool(((value >= least) & (value <= most)).all()):
             raise ArgumentError(f"{what} are indices from {least} to {most}, not {value.flatten().tolist()[:8]}")
         return value
 
     def poses(self, pose: Tensor, what: str) -> Tensor:
         """Return poses (n, 7); errors as of :meth:`values`, and for quaternions that are not of length 1."""
         pose = self.values(pose, (7,), what, POSITIONS)
-        if self.seen:
+        if self.readable:
             check_quaternions(pose, what, self.rows)
         return pose
 
 
-class Masking:
-    """Checked selection of the environments that a call is for; while a mask is set, only those of the mask.
+class RowSelector:
+    """Check of the environments that calls are for; under a mask, restricts every call to the environments in it.
 
-    Under a mask, what is written or drawn for all environments counts for those of the mask: code which takes indices
-    runs without knowing how many there are, for it is given all of them.
+    A captured step resets by mask: events are given the indices of all environments, so that they run without knowing
+    how many episodes ended, and what they write or draw counts for the environments of the mask only.
+
+    Args:
+        num_envs: number of environments, N.
+        device: of the tensors that callers give.
     """
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self.mask: Tensor | None = None
         """(N,) bool"""
-        self.traced = False
-        """True while a step is traced: no code may read the values of tensors then."""
+        self._all = torch.arange(num_envs, device=device)
         self._num_envs = num_envs
         self._device = device
         # Indices that were found good, and their version, for one choice goes through many calls
         self._known: tuple[Tensor, int] | None = None
+        """Indices that were checked, and their version, since one selection goes through many calls."""
 
     @contextmanager
     def only(self, mask: Tensor | None) -> Iterator[None]:
-        """Set a mask, in the place of one that is set; None lifts it."""
-        # Masks nest: an event under a mask may reset a part of its environments.
+        """Set a mask (N,) in the place of the present one; None lifts it."""
         before, self.mask = self.mask, mask
         try:
             yield
         finally:
             self.mask = before
 
-    def choose(self, env_ids: Tensor | None) -> Choice:
-        """Return the selection for ``env_ids``, or for the mask that is set.
+    @contextmanager
+    def given(self, env_ids: Tensor | None) -> Iterator[Tensor]:
+        """Yield indices of environments (n,) for code that takes indices; for a mask (N,) all indices, under the mask.
 
-        A mask that a caller gives comes with values of all environments; outside of a traced step it is converted to
-        indices.
+        Args:
+            env_ids: indices, a mask, or None for all environments.
+        """
+        if is_mask(env_ids):
+            with self.only(env_ids):
+                yield self._all
+        else:
+            yield self._all if env_ids is None else env_ids
+
+    def where(self, mask: Tensor) -> Tensor | None:
+        """Return the environments of a mask (N,) as indices (n,), None if there are none; in a traced step the mask.
+
+        A traced step must not look at what the mask holds; elsewhere the look saves the work if no row is set.
+        """
+        if is_tracing():
+            return mask
+        rows = mask.nonzero().squeeze(-1)
+        return rows if len(rows) else None
+
+    def select(self, env_ids: Tensor | None) -> RowSelection:
+        """Return the environments that a call for ``env_ids`` means: they themselves, or the mask that is set.
+
+        A mask that a caller gives comes with values of all environments; outside of a traced step its indices are
+        taken.
 
         Raises:
             ArgumentError: no environments: of another type, dtype or device, out of range, or one twice.
@@ -143,31 +188,27 @@ class Masking:
         """
         mask = self.mask
         if mask is None:
-            if env_ids is None:
-                return Choice(None, self._num_envs, self._device, seen=not self.traced)
-            return self._checked(env_ids)
+            return RowSelection(None, self._num_envs, self._device) if env_ids is None else self._checked(env_ids)
         if env_ids is not None and len(env_ids) != len(mask):
             raise ConfigurationError(
                 f"{len(env_ids)} of {len(mask)} environments are written under a mask: give env_ids as they came"
             )
-        return Choice(mask, self._num_envs, self._device, seen=False)
+        return RowSelection(mask, self._num_envs, self._device, masked=True)
 
-    def rows(self, env_ids: Tensor | None) -> Tensor | None:
-        """Return the rows of :meth:`choose`, for calls without values."""
-        if env_ids is None:
-            return self.mask
-        return self.choose(env_ids).rows
+    def resolve(self, env_ids: Tensor | None) -> Tensor | None:
+        """Return the rows of :meth:`select`, for a call that comes without values."""
+        return self.mask if env_ids is None else self.select(env_ids).rows
 
-    def _checked(self, env_ids: Tensor) -> Choice:
+    def _checked(self, env_ids: Tensor) -> RowSelection:
         known = self._known
         if known is not None and known[0] is env_ids and known[1] == env_ids._version:
-            return Choice(env_ids, len(env_ids), self._device)
+            return RowSelection(env_ids, len(env_ids), self._device)
         check_index_tensor(env_ids, self._num_envs, self._device)
-        if self.traced:
-            return Choice(env_ids, len(env_ids), self._device, seen=False)
+        if is_tracing():
+            return RowSelection(env_ids, len(env_ids), self._device)
         if env_ids.dtype == torch.bool:
-            return Choice(env_ids.nonzero().squeeze(-1), len(env_ids), self._device, taken=True)
+            return RowSelection(env_ids.nonzero().squeeze(-1), len(env_ids), self._device, taken=True)
         check_indices(env_ids, self._num_envs)
         if not env_ids.is_inference():  # those have no version
             self._known = env_ids, env_ids._version
-        return Choice(env_ids, len(env_ids), self._device)
+        return RowSelection(env_ids, len(env_ids), self._device)

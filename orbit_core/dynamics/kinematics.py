@@ -195,7 +195,13 @@ class KinematicTree:
         return torch.cat((linear, angular), -1)
 
     def link_velocities(self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
-        """Return (N, L, 6) of the link frames' origins, from poses (N, L, 7), the root's velocity (N, 6) and (N, J)."""
+        """Return velocities (N, L, 6) of the link frames' origins.
+
+        Args:
+            link_poses: (N, L, 7).
+            root_velocity: (N, 6).
+            joint_velocities: (N, J) rad/s or m/s.
+        """
         origin = link_poses[:, 0, :3]
         joint_twists = self.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
         twists = root_velocity[:, None] + self._moves @ joint_twists
@@ -212,10 +218,18 @@ class KinematicTree:
         return pose_multiply(link_poses[:, link], offset)
 
     def jacobian(self, link_poses: Tensor, frame: str, floating_base: bool = False) -> Tensor:
-        """Return (N, 6, J) of a link or named frame; (N, 6, 6 + J) with the floating base's columns first.
+        """Return the geometric Jacobian of a link or named frame.
 
         The base's columns are for the linear velocity of the root frame's origin, then its angular velocity, both in
         world axes.
+
+        Args:
+            link_poses: (N, L, 7).
+            frame: name of the link or frame.
+            floating_base: whether the base's six columns come first.
+
+        Returns:
+            (N, 6, J), or (N, 6, 6 + J) with a floating base.
 
         Raises:
             UnknownNameError: no link or frame has that name.
@@ -281,9 +295,14 @@ class KinematicTree:
 
 
 def drift_at(twist: Tensor, spatial: Tensor, arm: Tensor) -> Tensor:
-    """Return (..., 6) acceleration of a point at ``arm`` (..., 3) from the root's origin, then of its body's turning.
+    """Return the acceleration (..., 6) of a point of a body: linear, then angular of the body.
 
     Of its body's twist and spatial acceleration (..., 6) about the root's origin.
+
+    Args:
+        twist: (..., 6) of the body about the root's origin.
+        spatial: (..., 6) spatial acceleration of the body about the root's origin.
+        arm: (..., 3) from the root's origin to the point.
     """
     angular = twist[..., 3:]
     velocity = twist[..., :3] + torch.linalg.cross(angular, arm)

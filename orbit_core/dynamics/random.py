@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import seed_number
-from orbit_core.dynamics.indexing import Masking, is_mask, write_rows
+from orbit_core.dynamics.indexing import RowSelector, is_mask, take_rows, write_rows
+from orbit_core.interfaces.capture import is_tracing
 
 _INCREMENT = -7046029254386353131  # 0x9E3779B97F4A7C15, as a signed 64-bit integer
 _MIX_1 = -4658895280553007687  # 0xBF58476D1CE4E5B9
@@ -28,9 +29,9 @@ class RandomStreams:
     finaliser takes any counter to 64 well-mixed bits, so that all environments draw in one batched call.
     """
 
-    def __init__(self, num_envs: int, seed: int, device: torch.device, masking: Masking | None = None) -> None:
+    def __init__(self, num_envs: int, seed: int, device: torch.device, selector: RowSelector | None = None) -> None:
         self.device = device
-        self.masking = masking or Masking(num_envs, device)
+        self.selector = selector or RowSelector(num_envs, device)
         self._envs: _Array = _array(torch.arange(num_envs, dtype=torch.int64, device=device))
         self._key: _Array = self._envs * 0
         self._episode: _Array = self._envs * 0
@@ -45,13 +46,13 @@ class RandomStreams:
             ArgumentError: the seed is not 0 to 2^63 - 1, or ``env_ids`` are no environments.
         """
         seed = seed_number(seed)
-        ids = self._rows(self.masking.rows(env_ids))
+        ids = self._rows(self.selector.resolve(env_ids))
         self._key[ids] = _mix(_mix(ids * 0 + seed + _INCREMENT) + ids * _INCREMENT)
         self._begin_stream(ids, ids * 0 - 1)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Begin the next episode's stream; what the last episode drew does not matter to it."""
-        env_ids = self.masking.rows(env_ids)
+        env_ids = self.selector.resolve(env_ids)
         if is_mask(env_ids):
             key, episode, counter = self._tensors
             following = episode + 1
@@ -63,7 +64,7 @@ class RandomStreams:
 
     @property
     def episode(self) -> Tensor:
-        """(N,) number of each environment's episode, from 0; -1 before the first."""
+        """Number (N,) of each environment's episode, from 0; -1 before the first."""
         return self._tensors[1]
 
     def begin(self, episode: Tensor) -> None:
@@ -123,10 +124,10 @@ class RandomStreams:
         self._counter[ids] = _mix(self._key[ids] + episode * _INCREMENT)
 
     def _bits(self, draws: int, env_ids: Tensor | None) -> _Array:
-        env_ids = self.masking.rows(env_ids)
-        if self.masking.traced or is_mask(env_ids):
+        env_ids = self.selector.resolve(env_ids)
+        if is_tracing() or is_mask(env_ids):
             counter = self._tensors[2]
-            chosen = counter if env_ids is None or is_mask(env_ids) else counter[env_ids]
+            chosen = take_rows(counter, env_ids)
             counters = chosen[:, None] + torch.as_tensor(_increments(draws, self.device))
             write_rows(counter, counters[:, -1], env_ids)
         else:

@@ -110,7 +110,7 @@ class RigidBodyModel:
         return upper + upper.transpose(1, 2) + torch.diag_embed(diagonal)
 
     def _bias_of(self, subspaces: Tensor, inertias: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
-        """Return (N, D)"""
+        """Return the bias forces (N, D)."""
         root = torch.zeros_like(root_velocity) if self.fixed_base else root_velocity
         base = 0 if self.fixed_base else 6
         joint_twists = subspaces[:, base:] * joint_velocities[..., None]

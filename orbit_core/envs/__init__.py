@@ -5,9 +5,9 @@ Names load on first use, so that listing tasks does not load the tensor library.
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
 
+from orbit_core.exports import lazy_names
 from orbit_core.moved import moved_name
 
 if TYPE_CHECKING:
@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from orbit_core.envs.making import make
     from orbit_core.envs.ppo import PpoSettings
     from orbit_core.envs.registry import TaskEntry, TaskRegistry, task_entries, task_entry
-    from orbit_core.envs.task import Task
+    from orbit_core.envs.state import TaskState, buffer
+    from orbit_core.envs.task import Subtask, Task, TaskMetadata
     from orbit_core.envs.terms import (
+        CommandTerm,
         CurriculumTerm,
         EventTerm,
         EventTime,
@@ -36,8 +38,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "making": ("make",),
     "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
-    "task": ("Task",),
+    "state": ("TaskState", "buffer"),
+    "task": ("Subtask", "Task", "TaskMetadata"),
     "terms": (
+        "CommandTerm",
         "CurriculumTerm",
         "EventTerm",
         "EventTime",
@@ -50,16 +54,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "once_per_state",
     ),
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
 __all__ = [
-    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ExpertStarts", "ModifyTerm", "ObservationGroup",
-    "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Task", "TaskEntry", "TaskRegistry",
-    "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+    "CommandTerm", "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ExpertStarts", "ModifyTerm",
+    "ObservationGroup", "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Subtask", "Task", "TaskEntry",
+    "TaskMetadata", "TaskRegistry", "TaskState", "TerminationTerm", "buffer", "make", "once_per_state", "task_entries",
+    "task_entry",
 ]  # fmt: skip
 
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
-        return moved_name(__name__, name)
-    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _MODULES, moved_name)

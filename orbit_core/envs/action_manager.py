@@ -4,56 +4,109 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+import torch
 from torch import Tensor
 
 from orbit_core.actions import ActionTerm, Actuate, MotionGenerator
-from orbit_core.agent import Edge, FunctionNode
+from orbit_core.agent import AgentGraph, Edge, FunctionNode
+from orbit_core.agent.graph import checked
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import COMPOSED, Task
-from orbit_core.interfaces import ConfigurationError, Node, Port, World
+from orbit_core.interfaces import ConfigurationError, JointTarget, Node, Port, World
+from orbit_core.interfaces.capture import Schedule
 
 _SPLIT = "split"
 
 
 class ActionManager:
-    """What moves the robots of a task, and whose each component of the action is.
-
-    The task is told its ``generators`` and ``action_slices``.
+    """Motion generators of the robots that act, and the agent of each component of the action.
 
     Args:
         world: that the robots are in.
         task: whose robots act.
         terms: of the task, by name, :func:`orbit_core.envs.action_terms.action_terms`.
+        step_dt: s from one action to the next.
 
     Raises:
         ConfigurationError: a generator takes another number of components than its term names.
     """
 
-    def __init__(self, world: World, task: Task, terms: Mapping[str, ActionTerm]) -> None:
-        self._task = task
+    def __init__(self, world: World, task: Task, terms: Mapping[str, ActionTerm], step_dt: float) -> None:
         if task.actions is not None:
             task.action = COMPOSED
         self.terms = terms
-        self.generators = task.generators = tuple(_built(world, task, name, term) for name, term in terms.items())
+        self.generators = tuple(_built(world, task, name, term) for name, term in terms.items())
         """Motion generators in the order of the action's components."""
-        self.slices = task.action_slices = _slices_by_agent(self.generators)
+        self.slices = _slices_by_agent(self.generators)
         """Which components of the action are each agent's."""
         named = {name: term.components(world.robots[term.robot].spec, name) for name, term in terms.items()}
-        task.action_components = tuple(f"{name}: {component}" for name, own in named.items() for component in own)
+        self.components = tuple(f"{name}: {component}" for name, own in named.items() for component in own)
+        """Name of each component of the action: of its term, then its own."""
         self.size = sum(generator.command_size for generator in self.generators)
         """Components of the action."""
         self._sizes = [generator.command_size for generator in self.generators]
         self._commands = tuple(Port(generator.name, (generator.command_size,)) for generator in self.generators)
         self._actuators = [Actuate(generator.robot, generator) for generator in self.generators]
+        self._state: TaskState | None = None
+        self.action = torch.zeros(world.num_envs, self.size, device=world.device)
+        """(N, A) the action that :meth:`apply` takes; written in place."""
+        parts = self.action.split_with_sizes(self._sizes, dim=1)
+        self._drives = [_Drive(generator, part) for generator, part in zip(self.generators, parts, strict=True)]
+        # The agent from the action on, where a generator has a rate of its own; the others need no schedule.
+        self._graph: AgentGraph | None = None
+        if any(generator.rate is not None for generator in self.generators):
+            given = Port("action", (self.size,))
+            self._graph = AgentGraph(self.nodes, self.edges("action"), rate=1.0 / step_dt, inputs=(given,))
+
+    def attach(self, state: TaskState) -> None:
+        """Take the state whose ``last_action`` and ``action_before`` are written when an action is applied."""
+        self._state = state
+
+    def apply(self) -> None:
+        """Run the motion generators on :attr:`action`, and write their targets to the joints."""
+        if self._graph is not None:
+            self._graph.step({"action": self.action})
+            return
+        state = self._state
+        assert state is not None  # attached before the first step
+        state.action_before.copy_(state.last_action)
+        state.last_action.copy_(self.action)
+        for drive in self._drives:
+            outputs = drive.generator.compute(drive.inputs)
+            if not drive.checked:
+                drive.check(outputs)
+            for name, write in drive.writers:
+                write(outputs[name])
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Make the generators forget some environments, by index or mask."""
+        if self._graph is not None:
+            self._graph.reset(env_ids)
+        else:
+            for generator in self.generators:
+                generator.reset(env_ids)
+
+    @property
+    def schedule(self) -> Schedule | None:
+        """Counters of the generators' turns; None where all take their turn in every step."""
+        return None if self._graph is None else self._graph.schedule
+
+    @property
+    def node_memory(self) -> dict[str, dict[str, Tensor]]:
+        """Tensors that generators keep from step to step, by name, for each generator."""
+        return {f"node '{generator.name}'": dict(generator.memory()) for generator in self.generators}
+
+    # For a graph of the whole agent
 
     @property
     def nodes(self) -> list[Node]:
-        """The tail of the agent's graph: each generator gets its part of the action, and its joints their targets."""
+        """Last nodes of the agent's graph: each generator gets its part of the action, and its joints their targets."""
         action = Port("action", (self.size,))
         split = FunctionNode(_SPLIT, self._split, inputs=(action,), outputs=self._commands)
         return [split, *self.generators, *self._actuators]
 
     def edges(self, source: str) -> list[Edge]:
-        """What connects :attr:`nodes` with each other, and with the output port ``source`` that gives the action."""
+        """Return the edges between :attr:`nodes`, and from the output port ``source`` that gives the action."""
         edges = [Edge(source, f"{_SPLIT}.action")]
         for generator, actuate in zip(self.generators, self._actuators, strict=True):
             edges.append(Edge(f"{_SPLIT}.{generator.name}", f"{generator.name}.command"))
@@ -62,10 +115,38 @@ class ActionManager:
 
     def _split(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         action = inputs["action"]
-        self._task.action_before.copy_(self._task.last_action)
-        self._task.last_action.copy_(action)
+        state = self._state
+        assert state is not None  # attached before the first step
+        state.action_before.copy_(state.last_action)
+        state.last_action.copy_(action)
         parts = action.split_with_sizes(self._sizes, dim=1)
         return {port.name: part for port, part in zip(self._commands, parts, strict=True)}
+
+
+class _Drive:
+    """A motion generator, its part of the action, and where its targets go."""
+
+    def __init__(self, generator: MotionGenerator, command: Tensor) -> None:
+        self.generator = generator
+        self.inputs = {"command": command}
+        self.checked = False
+        """True once the shapes of the generator's outputs were checked."""
+        robot, joints = generator.robot, generator.joints
+        # The action was checked at the environment's door, so targets that the generator clamps need no other look.
+        self.writers = [
+            (port.name, robot.target_writer(JointTarget(port.name), joints, checked=not generator.bounded))
+            for port in generator.outputs
+        ]
+
+    def check(self, outputs: Mapping[str, Tensor]) -> None:
+        """Check the shapes of the first outputs.
+
+        Raises:
+            ConfigurationError, ShapeError: an output is missing, or of another shape than its port.
+        """
+        for port in self.generator.outputs:
+            checked(outputs, port, f"output of node '{self.generator.name}'")
+        self.checked = True
 
 
 def _built(world: World, task: Task, name: str, term: ActionTerm) -> MotionGenerator:

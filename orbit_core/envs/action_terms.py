@@ -1,4 +1,4 @@
-"""Which action terms a task has, found in its scene before anything is built, and checked."""
+"""Action terms of a task, found in its scene before anything is built, and checked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from orbit_core.scene import RobotSpec, Scene
 def action_terms(task: Task, scene: Scene) -> dict[str, ActionTerm]:
     """The task's action terms by name, robot by robot in the order of ``agents``: the order of the action's components.
 
-    They are those of ``actions``; where that is None, those that the word ``action`` stands for, for each agent, with
+    They are those of ``actions``; where that is None, those of the preset that ``action`` names, for each agent, with
     the agent's name before the terms' own where there are several.
 
     Args:

@@ -1,4 +1,4 @@
-"""Who acts in an environment that is not being learned in."""
+"""Actors: sources of actions for an environment without a policy that learns."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
     from orbit_core.envs.environment import Environment
 
+# Added to the environment's seed, so that random actions are not the numbers that the task itself draws.
 _OTHER_STREAM = 0x5EED
-"""Added to the environment's seed, so that random actions are not the numbers that the task itself draws."""
 
 
 class Actor(Protocol):
@@ -79,7 +79,7 @@ class HoldActor(Actor):
         import torch
 
         self._random = RandomActor(environment, seed)
-        self._begun = environment.task.episode_step
+        self._begun = environment.state.episode_step
         self._held = torch.zeros(environment.num_envs, environment.action_size, device=environment.device)
 
     def act(self) -> Tensor:

@@ -1,4 +1,4 @@
-"""An environment's step without its Python, resets by mask: for compiled steps, and for devices that must not wait."""
+"""Environment steps without their Python, resets by mask: for compiled steps, and for devices that must not wait."""
 
 from __future__ import annotations
 
@@ -6,27 +6,85 @@ import math
 import warnings
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Protocol
 
 import torch
 from torch import Tensor
 from torch.utils._pytree import keystr, tree_leaves_with_path
 
-from orbit_core.agent import Cut
 from orbit_core.capture.compile import check_compiler
-from orbit_core.capture.phases import Moment, PhasedFunction
 from orbit_core.capture.python_state import REMEDY, Holder, PythonState
-from orbit_core.capture.replay import CapturedFunction
+from orbit_core.capture.replay import CapturedFunction, ScheduledFunction
+from orbit_core.envs.action_manager import ActionManager
+from orbit_core.envs.command_manager import CommandManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
-from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
-from orbit_core.envs.step_parts import StepParts
+from orbit_core.envs.observation_layout import GroupLayout, Observation, leaves_of, observation_of
+from orbit_core.envs.observation_manager import ObservationManager
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
+from orbit_core.envs.terms import CommandTerm, ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
 
+
+class CapturableEnvironment(Protocol):
+    """The parts of a step, which an environment runs one by one or has captured. None of them waits for the device."""
+
+    world: World
+    actions: ActionManager
+    commands: CommandManager
+    device: torch.device
+    observer: ObservationManager
+    observation: dict[str, GroupLayout]
+    """What each group of the observation is like, by name."""
+    reward_terms: dict[str, RewardTerm]
+    """The rewards, by name."""
+    reward_sums: Tensor
+    """(rewards, N) of each term over the episode."""
+    max_episode_steps: int
+    """Steps of an episode."""
+    all_ids: Tensor
+    """(N,) indices of all environments."""
+    done: Tensor
+    """(N,) whose episode ended in the last step."""
+
+    @property
+    def task(self) -> Task:
+        """Configuration of the environment."""
+        ...
+
+    @property
+    def state(self) -> TaskState:
+        """Memory of the run."""
+        ...
+
+    def observe(self) -> Observation:
+        """Return what a policy sees of the present state."""
+        ...
+
+    def advance(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Apply the action; gives reward (N,), terminated (N,) and truncated (N,); sets :attr:`done`."""
+        ...
+
+    def success(self) -> Tensor:
+        """(N,) bool: whether episodes that end now reach the goal."""
+        ...
+
+    def metrics(self) -> dict[str, Tensor]:
+        """The task's measures (N,) of the episode so far, by name."""
+        ...
+
+    def progress(self) -> None:
+        """Let episodes that have just ended decide how difficult the next will be."""
+        ...
+
+    def begin(self, env_ids: Tensor | None) -> None:
+        """New episodes in some environments: by index (n,) int64, by mask (N,) bool, or in all of them if None."""
+        ...
+
+
 _OFTEN = 8
+# Most phases of a schedule that is captured: each costs a trace, and where asked a compilation.
 MOST_PHASES = 64
-"""Most phases of a schedule that is captured: each costs a trace, and where asked a compilation."""
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
 
 
@@ -47,41 +105,37 @@ class CapturedStep:
     """
 
     def __init__(
-        self, environment: StepParts, compile: bool, whole: bool, settles: bool = False, renews: bool = True
+        self, environment: CapturableEnvironment, compile: bool, whole: bool, settles: bool = False, renews: bool = True
     ) -> None:
         if compile:
             check_compiler(environment.device)
         self._environment = environment
+        # The last observation of all environments, for the part that renews it where episodes begin.
         self._observed: list[Tensor] = [torch.empty_like(leaf) for leaf in leaves_of(environment.observer())]
-        """The last observation of all environments, for the part that renews it where episodes begin."""
         self._leaves = len(self._observed)
         self._metrics: tuple[str, ...] = ()
         self._settles, self._renews = settles, renews
+        # Python values that the captured parts took as they were; None before the first capture.
         self._python: PythonState | None = None
-        """Python values that the captured parts took as they were; None before the first capture."""
+        # Steps at which such values had changed.
         self._captures: deque[int] = deque(maxlen=_OFTEN)
-        """Steps at which such values had changed."""
         self._steps = 0
         self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
         alone = settles or not renews
         parts = (self._play,) if alone else (self._play_and_renew,) if whole else (self._play, self._renew)
-        self.parts = [self._phased(part, compile) for part in parts]
+        self.parts = [self._scheduled(part, compile) for part in parts]
 
-    def _phased(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> PhasedFunction:
-        world, task, cut = self._environment.world, self._environment.task, self._environment.cut
-
-        def memory() -> dict[str, Tensor]:
-            return {**remembered(task, cut), **cut.memory(), **world.memory()}
+    def _scheduled(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> ScheduledFunction:
+        world, actions = self._environment.world, self._environment.actions
 
         def capture() -> CapturedFunction:
-            return CapturedFunction(world, part, memory, compile, self._look)
+            return CapturedFunction(world, part, compile, self._look)
 
-        return PhasedFunction(StepSchedule(world, cut), capture)
+        schedules = [schedule for schedule in (world.schedule, actions.schedule) if schedule is not None]
+        return ScheduledFunction(schedules, capture)
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
-        if not self.parts[0].ready:
-            self._environment.cut.observe()  # in Python, acting demands it
         outputs = self.parts[0]()
         if self._python is None:
             self._python = self._look()
@@ -111,7 +165,7 @@ class CapturedStep:
         """Capture all parts again if a value of plain Python was changed between steps, other than a weight."""
         if self._python is None:
             return
-        changes = [change for change in self._python.changes() if not _is_weight(*change)]
+        changes = [change for change in self._python.changes() if not _is_live(*change)]
         if not changes:
             self._python.update()
             return
@@ -129,14 +183,14 @@ class CapturedStep:
             )
 
     def _look(self) -> PythonState:
-        task, cut = self._environment.task, self._environment.cut
-        nodes = {f"node '{runner.node.name}'": runner.node for runner in cut.graph.runners}
-        roots = {type(task).__name__: task, **nodes, **self._environment.world.python_laws}
-        return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
+        task, state = self._environment.task, self._environment.state
+        nodes = {f"node '{generator.name}'": generator for generator in self._environment.actions.generators}
+        own = {type(task).__name__: task, type(state).__name__: state}
+        return PythonState({**own, **nodes, **self._environment.world.python_laws}, (Term, ObservationGroup))
 
     @property
     def refusal(self) -> str:
-        """Why the step cannot be repeated without Python; empty if it can, as far as is known."""
+        """Reason for which the step cannot be repeated without Python; empty if it can, as far as is known."""
         return next((part.refusal for part in self.parts if part.refusal), "")
 
     def _tree(self, leaves: Sequence[Tensor]) -> Observation:
@@ -157,7 +211,7 @@ class CapturedStep:
 
     def _play(self) -> tuple[Tensor, ...]:
         """A step before resets: observation, reward, terminated, truncated, then what :meth:`_info` needs."""
-        environment, task = self._environment, self._environment.task
+        environment = self._environment
         outcome = environment.advance()
         seen = leaves_of(environment.observer())
         for observed, leaf in zip(self._observed, seen, strict=True):
@@ -165,7 +219,13 @@ class CapturedStep:
         metrics = environment.metrics()
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
-        end = (environment.done, environment.success(), task.episode_step, environment.reward_sums, *metrics.values())
+        end = (
+            environment.done,
+            environment.success(),
+            environment.state.episode_step,
+            environment.reward_sums,
+            *metrics.values(),
+        )
         return (*self._observed, *outcome, *(tensor.clone() for tensor in end))
 
     def _renew(self) -> tuple[Tensor, ...]:
@@ -173,71 +233,54 @@ class CapturedStep:
         environment, done = self._environment, self._environment.done
         environment.progress()
         environment.begin(done)
-        with environment.world.masking.only(done):
+        with environment.world.selector.only(done):
             seen = leaves_of(environment.observer())
-        return tuple(_where(done, new, last) for new, last in zip(seen, self._observed, strict=True))
+        return tuple(where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True))
 
     def _renew_in_python(self) -> list[Tensor]:
-        """As :meth:`_renew`, environments by index, outside of any trace."""
+        """Begin new episodes as :meth:`_renew` does, by index and outside of any trace."""
         environment, done = self._environment, self._environment.done
         environment.progress()
         environment.begin(done.nonzero().squeeze(-1))
-        with environment.world.masking.only(done):
+        with environment.world.selector.only(done):
             seen = leaves_of(environment.observer())
-        return [_where(done, new, last) for new, last in zip(seen, self._observed, strict=True)]
+        return [where_rows(done, new, last) for new, last in zip(seen, self._observed, strict=True)]
 
     def _play_and_renew(self) -> tuple[Tensor, ...]:
-        """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
+        """Return the outputs of :meth:`_play` with the new observation in the place of the last, which is appended."""
         played = self._play()
         return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
 
 
-def _is_weight(holder: Holder, key: object) -> bool:
-    return isinstance(holder.owner, RewardTerm) and key == "weight"  # a tensor of the reward manager's holds it
+def _is_live(holder: Holder, key: object) -> bool:
+    """Return True for configuration that managers hold in a tensor: weights of rewards, ranges of commands."""
+    owner = holder.owner
+    return (isinstance(owner, RewardTerm) and key == "weight") or (isinstance(owner, CommandTerm) and key in owner.live)
 
 
-def _where(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
+def where_rows(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
     """Rows (N, ...) of ``values`` where the mask (N,) is set."""
     return torch.where(mask.view(-1, *(1 for _ in values.shape[1:])), values, otherwise)
 
 
-def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
-    """What a task and its agent's nodes remember from step to step, by name."""
-    own = {name: value for name, value in vars(task).items() if name != "cache"}
-    memory = {f"node '{r.node.name}'": dict(r.node.memory()) for r in cut.graph.runners}
-    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": memory})
-    return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
+def remembered(environment: CapturableEnvironment) -> dict[str, Tensor]:
+    """Return the tensors that the state, the commands and motion generators keep from step to step, by name."""
+    own = {**environment.state.memory(), **environment.commands.memory()}
+    # The names are those that recordings have kept their states by since before states had a class of their own.
+    memory = {type(environment.task).__name__: own, "memory": environment.actions.node_memory}
+    return {keystr(path): leaf for path, leaf in tree_leaves_with_path(memory) if isinstance(leaf, Tensor)}
 
 
-class StepSchedule:
-    """What is due in a step of the environment: sensors, and nodes of the agent.
-
-    One clock rules all environments, so that it is a function of the step's place in the schedule's period.
-    """
-
-    def __init__(self, world: World, cut: Cut) -> None:
-        self._world, self._cut = world, cut
-
-    def moment(self) -> Moment:
-        """The place at which the schedule stands now."""
-        phase = self._world.phase, self._cut.phase()
-        return Moment(phase, self._world.clock.steps, self._cut.graph.step_count)
-
-    def move(self, phase: Any, physics_steps: int, agent_steps: int) -> None:
-        """Go on by so many steps, into that phase."""
-        self._world.enter(phase[0], physics_steps)
-        self._cut.enter(phase[1], agent_steps)
-
-
-def needs_python(world: World, cut: Cut, decimation: int) -> str:
-    """Why a step cannot be captured; empty if it can."""
-    if world.needs_python:
-        return world.needs_python
-    agent = math.lcm(*(runner.period for runner in cut.graph.runners))
-    phases = math.lcm(world.schedule_period, decimation * agent) // decimation
-    if phases <= MOST_PHASES:
+def needs_python(world: World, actions: ActionManager, decimation: int) -> str:
+    """Return the reason why a step cannot be captured; empty if it can."""
+    schedules = world.schedule, actions.schedule
+    if schedules[0] is None:
+        return f"{type(world).__name__} has no engine"
+    agent = 1 if schedules[1] is None else schedules[1].period
+    keys = math.lcm(schedules[0].period, decimation * agent) // decimation
+    if keys <= MOST_PHASES:
         return ""
     return (
-        f"what is due repeats after {phases} steps only, and each of them would be captured, of {MOST_PHASES} at most: "
+        f"what is due repeats after {keys} steps only, and each of them would be captured, of {MOST_PHASES} at most: "
         "choose rates of sensors and nodes that divide the rate of the environment's steps"
     )

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import copy
-import functools
 import warnings
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Hashable, Mapping
+from typing import Any, Generic, cast
 
 import torch
 from torch import Tensor
+from typing_extensions import TypeVar
 
-from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
+from orbit_core.agent import AgentGraph, Edge, FunctionNode
 from orbit_core.backends import default_backend
 from orbit_core.configuration import settings_table
 from orbit_core.dynamics.arguments import (
@@ -24,36 +24,51 @@ from orbit_core.dynamics.arguments import (
     whole_number,
 )
 from orbit_core.dynamics.indexing import write_rows
+from orbit_core.dynamics.linear import SingleThreaded
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.action_terms import action_terms, driven_scene
-from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
-from orbit_core.envs.episode import EpisodeEnd, StepInfo
+from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered, where_rows
+from orbit_core.envs.command_manager import CommandManager
+from orbit_core.envs.configuration import (
+    ConfigurationWatch,
+    Modifiers,
+    check_no_backend,
+    curriculum_of,
+    modifiers_of,
+    whole_steps,
+)
+from orbit_core.envs.episode import EpisodeEnd, LostEpisodes, StepInfo
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.expert_starts import ExpertStarts
-from orbit_core.envs.live_configuration import ConfigurationWatch, Modifiers
-from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
-from orbit_core.envs.observation_check import check_finite as check_observation
-from orbit_core.envs.observation_groups import POLICY, with_sensors_of_terms
-from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_of, observation_of
+from orbit_core.envs.observation_layout import (
+    POLICY,
+    Observation,
+    leaf_shapes,
+    leaves_of,
+    observation_of,
+    with_sensors_of_terms,
+)
+from orbit_core.envs.observation_layout import check_finite as check_observation
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.premises import PremiseManager
 from orbit_core.envs.reward_manager import RewardManager
-from orbit_core.envs.settings_check import check_no_backend, curriculum_of, modifiers_of, whole_steps
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import per_environment
-from orbit_core.envs.terms import TerminationTerm, terms_of
+from orbit_core.envs.terms import TerminationTerm, per_environment, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.world import WorldFactory, simulate
-from orbit_core.world.closing import close_for_good
-from orbit_core.world.threads import SingleThreaded
+from orbit_core.world.lifetime import mark_closed
+
+TaskT = TypeVar("TaskT", bound=Task, covariant=True, default=Any)
+StateT = TypeVar("StateT", bound=TaskState, covariant=True, default=Any)
 
 
-class Environment:
+class Environment(Generic[TaskT, StateT]):
     """N environments of a task, stepped together, each reset as soon as its episode ends (same-step autoreset).
 
     Observations are groups by name, as :attr:`observation` says; every task has the group ``"policy"``. Actions are
-    (N, A) in [-1, 1]; what lies outside is clipped. All tensors are on ``device``.
+    (N, A) in [-1, 1]; values outside are clipped. All tensors are on ``device``.
 
     Args:
         task: copied, so that one configuration may start many environments.
@@ -86,7 +101,7 @@ class Environment:
 
     def __init__(
         self,
-        task: Task,
+        task: TaskT,
         num_envs: int,
         backend: str | None = None,
         device: str | torch.device = "cpu",
@@ -128,8 +143,8 @@ class Environment:
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
         check_owners(task)
-        self._rewards = RewardManager(self.world, task, self.step_dt)
-        self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
+        self.cache: dict[Hashable, tuple[int, Tensor]] = {}
+        """Values of terms that are computed once per state of the world (:func:`once_per_state`)."""
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
         self._curriculum = curriculum_of(task)
         self._modifiers = Modifiers(task, modifiers_of(task))
@@ -138,41 +153,49 @@ class Environment:
         self.all_ids = torch.arange(num_envs, device=self.device)
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
+        # NumPy's view: on few numbers its operations cost a third of torch's.
+        self._ended = self.done.numpy() if self.device.type == "cpu" else self.done
         self.lost = LostEpisodes(self.world) if reset_diverged else None
         """Episodes that diverged, where these do not raise."""
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
-        self.actions = ActionManager(self.world, task, terms)
+        self.actions = ActionManager(self.world, task, terms, self.step_dt)
         self.action_size = self.actions.size
-        self._action = torch.zeros(num_envs, self.action_size, device=self.device)
-        task.last_action = torch.zeros_like(self._action)
-        task.action_before = torch.zeros_like(self._action)
-        task.start(self.world)
-        self.observer = ObservationManager(self.world, task)
+        self._action = self.actions.action
+        self.state: StateT = cast(StateT, task.state_type(self))
+        """Memory of the run, of the class that :attr:`Task.state_type` names."""
+        self.actions.attach(self.state)
+        self.state.start(self)
+        self.commands = CommandManager(self)
+        """What each environment is told to do: ``env.commands["goal"]``, (N, K)."""
+        self._rewards = RewardManager(self)
+        self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
+        self.observer = ObservationManager(self)
         self.observation = self.observer.layouts
         """What each group of the observation is like, by name."""
         self._checks = check_finite or self.device.type == "cpu"
-        self._seen: tuple[int, Observation] | None = None
-        """Version of the world's state, and the observation of it that the closed step made."""
+        # Observation of the present state; None until it is computed, which draws its noise.
+        self._seen: Observation | None = None
         several = len(task.agents) > 1
-        self.multi_agent = MultiAgentView(task, self.observation[POLICY], self.step_dt) if several else None
+        self.multi_agent = MultiAgentView(self, self.observation[POLICY]) if several else None
         """Whose each part of observation, action and reward is, where several robots act."""
-        self.cut = self._build_agent()
         if compile and not capture:
             raise ConfigurationError("compile=True needs the step to be captured: leave capture=False out, or compile")
         if not autoreset and num_envs > 1:
             raise ConfigurationError(f"autoreset=False is for one environment that waits for reset, not for {num_envs}")
         self._compile, self._capture, self._autoreset = compile, capture, autoreset
+        # True if the episode has ended and waits for a reset.
         self._over = False
-        """True if the episode has ended and waits for a reset."""
+        # Whether a step was made, and with it all that is made at first use, which a trace would make again each time.
         self._started = False
-        """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
-        self.premises = PremiseManager(self.world, task, simulated=world is None)
+        self.premises = PremiseManager(self, simulated=world is None)
         """What the task takes for granted of an episode's start, and how often it does not hold."""
-        self.starts = ExpertStarts(self.world, task) if task.expert_starts else None
+        self.starts = ExpertStarts(self) if task.expert_starts else None
         """Which episodes begin on the expert's way, where the task asks for such."""
         self._watch = ConfigurationWatch(task)
         self._closed = self._close_step()
-        self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
+        self._events = EventManager(self, lambda: remembered(self))
+        if capture:
+            self.state.lock()
         self._events.startup()
         self.premises.sample(self.begin)
         if self.starts is not None:
@@ -183,7 +206,7 @@ class Environment:
     # Gymnasium's way ------------------------------------------------------------------------------------------------
 
     def reset(self, seed: int | None = None, env_ids: Tensor | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begin new episodes in some environments; with a seed, start their random streams anew.
+        """Begin new episodes in some environments; with a seed, restart their random streams.
 
         Args:
             seed: 0 to 2^63 - 1.
@@ -192,7 +215,7 @@ class Environment:
         Raises:
             ArgumentError, ShapeError: the seed or ``env_ids`` cannot be; nothing has changed then.
         """
-        env_ids = self.world.masking.rows(env_ids)
+        env_ids = self.world.selector.resolve(env_ids)
         if seed is not None:
             self.world.random.seed(seed, env_ids)
         self._over = False
@@ -233,7 +256,8 @@ class Environment:
         if self._over:
             raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
-        self._modifiers.run(self.steps)
+        if self._modifiers.terms:
+            self._modifiers.run(self.steps)
         closed = self._closed if self._started else None
         if closed is None or not closed.holds():
             if self._watch.changed():
@@ -247,7 +271,7 @@ class Environment:
         reward, terminated, truncated = self.advance()
         if self._checks:
             self._rewards.check_finite(reward)
-        if not bool(self.done.any()):
+        if not self._ended.any():
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
         final = self._everyone(last := self._observe()).only(ended)
@@ -259,37 +283,41 @@ class Environment:
         return self._observe_new(self.done), reward, terminated, truncated, {"final": final}
 
     def observe(self) -> Observation:
-        """What a policy sees of the present state: what the last reset or step returned."""
+        """Return the observation of the present state, as the last reset or step returned it."""
         with SingleThreaded():
             return self._observe()
 
+    def agent(self, policy: Node) -> AgentGraph:
+        """Build the graph of the whole agent: observation, a policy, what turns its action into joint targets.
+
+        ``agent.step()`` and then ``environment.world.step(task.decimation)`` moves the robots as :meth:`step` does.
+        Rewards, ends of episodes and resets are the environment's alone: reset the agent with it.
+
+        Args:
+            policy: node with an input for each tensor of the observation, named ``group`` or ``group/term``, and the
+                output ``action`` (N, A).
+
+        Raises:
+            UnknownNameError, ConfigurationError, ShapeError: the policy's ports do not fit.
+        """
+        seen = tuple(Port(name, shape) for name, shape in leaf_shapes(self.observation).items())
+
+        def observe(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+            return {port.name: leaf for port, leaf in zip(seen, leaves_of(self.observer()), strict=True)}
+
+        nodes = [FunctionNode("observation", observe, outputs=seen), policy, *self.actions.nodes]
+        edges = [Edge(f"observation.{port.name}", f"{policy.name}.{port.name}") for port in seen]
+        edges += self.actions.edges(f"{policy.name}.action")
+        return AgentGraph(nodes, edges, rate=1.0 / self.step_dt)
+
     def expert(self) -> Node:
         """The task's scripted policy: call its ``compute({})`` for an action."""
-        return self.task.expert(self.world)
+        return self.task.expert(self)
 
     def close(self) -> None:
         """Free what the world holds; idempotent. Every later use raises a ClosedError."""
         self.world.close()
-        close_for_good(self, "the environment")
-
-    # The agent ------------------------------------------------------------------------------------------------------
-
-    def _build_agent(self) -> Cut:
-        """observation -> policy (the cut) -> what turns actions into joint commands."""
-        seen = tuple(Port(name, shape) for name, shape in leaf_shapes(self.observation).items())
-        action = Port("action", (self.action_size,))
-
-        def observe(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-            return {port.name: leaf for port, leaf in zip(seen, leaves_of(self._observation()), strict=True)}
-
-        nodes: list[Node] = [
-            FunctionNode("observation", observe, outputs=seen),
-            FunctionNode("policy", _no_policy, inputs=seen, outputs=(action,)),
-            *self.actions.nodes,
-        ]
-        edges = [Edge(f"observation.{port.name}", f"policy.{port.name}") for port in seen]
-        edges += self.actions.edges("policy.action")
-        return Cut(AgentGraph(nodes, edges, rate=1.0 / self.step_dt), "policy")
+        mark_closed(self, "the environment")
 
     def _refresh(self) -> None:
         """Take in the terms that the task has now."""
@@ -300,6 +328,7 @@ class Environment:
         self.termination_terms = terms_of(self.task.terminations, TerminationTerm)
         self._curriculum = curriculum_of(self.task)
         self._modifiers = Modifiers(self.task, modifiers_of(self.task))
+        self.commands.refresh()
         self._events.refresh()
         self.premises.refresh()
         self.observer.refresh()
@@ -308,7 +337,7 @@ class Environment:
 
     def _close_step(self) -> CapturedStep | None:
         """The step without its Python, where that is asked for or the device is not Python's own."""
-        reason = needs_python(self.world, self.cut, self.task.decimation)
+        reason = needs_python(self.world, self.actions, self.task.decimation)
         if self._compile and reason:
             raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
         if reason or not self._capture or (self.device.type == "cpu" and not self._compile):
@@ -318,7 +347,7 @@ class Environment:
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
-        self._seen = (self.world.clock.version, self._checked_observation(result[0]))
+        self._seen = self._checked_observation(result[0])
         if self._checks:
             self._rewards.check_finite(result[1])
         if isinstance(info := result[4], StepInfo):
@@ -328,7 +357,6 @@ class Environment:
             if self._compile:
                 raise ConfigurationError(f"the step cannot be compiled: {closed.refusal}; or leave compile out")
             self._closed = None
-            self._observe()  # from here on the agent counts its own steps
             warnings.warn(f"each step waits for the device: {closed.refusal}", RuntimeWarning, stacklevel=4)
         return result
 
@@ -338,21 +366,24 @@ class Environment:
         self._events.advance()
         if self.lost is not None:
             self.lost.forget()
-        self.cut.act({"action": self._action})
+        self._seen = None
+        self.actions.apply()
         self.world.step(task.decimation)
-        task.episode_step += 1
-        task.advance(self.world)
+        state = self.state
+        state.episode_step += 1
+        state.update(self)
         reward = self._reward()
         terminated = self._terminated()
-        late = task.episode_step >= self.max_episode_steps
+        late = state.episode_step >= self.max_episode_steps
         if self.lost is not None:
             reward, terminated, late = self.lost.end(reward, terminated, late)
         torch.logical_or(late, terminated, out=self.done)
+        self.commands.update()  # after rewards, which judge the step by the command that it was taken under
         return reward, terminated, late & ~terminated
 
     def success(self) -> Tensor:
         """(N,) bool: whether episodes that end now reach the goal."""
-        reached = self.task.success(self.world)
+        reached = self.task.success(self)
         return reached if self.lost is None else reached & ~self.lost.now
 
     def _checked(self, action: Tensor) -> Tensor:
@@ -364,22 +395,28 @@ class Environment:
         return action
 
     def _observe(self) -> Observation:
-        return self._checked_observation(observation_of(self.observation, list(self.cut.observe().values())))
+        """Return the observation of the present state, computed once."""
+        if self._seen is None:
+            self._seen = self._checked_observation(self.observer())
+        return {**self._seen}
 
     def _checked_observation(self, observation: Observation) -> Observation:
         if self._checks:
             check_observation(observation, self.observation)
         return observation
 
-    def _observation(self) -> Observation:
-        if self._seen is not None and self._seen[0] == self.world.clock.version:
-            return self._seen[1]
-        return self.observer()
-
     def _observe_new(self, began: Tensor) -> Observation:
-        """(N,) bool, the environments whose episodes began; the other environments have been observed already."""
-        with self.world.masking.only(began):
-            return self._observe()
+        """Return the observation with new rows where an episode began; the other environments keep theirs.
+
+        Args:
+            began: (N,) bool.
+        """
+        before = self._observe()
+        with self.world.selector.only(began):
+            fresh = self.observer()
+        leaves = [where_rows(began, new, old) for new, old in zip(leaves_of(fresh), leaves_of(before), strict=True)]
+        self._seen = self._checked_observation(observation_of(self.observation, leaves))
+        return {**self._seen}
 
     def _reward(self) -> Tensor:
         values = self._rewards.values()
@@ -388,54 +425,58 @@ class Environment:
         return self._rewards.total(values)
 
     def _terminated(self) -> Tensor:
-        ends = [self._ended(name, term) for name, term in self.termination_terms.items()]
-        return functools.reduce(torch.logical_or, ends) if ends else self._never.clone()
-
-    def _ended(self, name: str, term: TerminationTerm) -> Tensor:
-        what = f"termination term '{name}'"
-        value = per_environment(term.function(self.world, self.task), what, self.num_envs)
-        if value.dtype != torch.bool:
-            raise ConfigurationError(f"{what} gives {value.dtype}: its function must give torch.bool")
-        return value
+        ended: Tensor | None = None
+        for name, term in self.termination_terms.items():
+            value = term.function(self)
+            if type(value) is not Tensor or value.dtype is not torch.bool or value.shape != self.done.shape:
+                value = _checked_end(value, f"termination term '{name}'", self.num_envs)
+            ended = value if ended is None else torch.logical_or(ended, value)
+        return self._never.clone() if ended is None else ended
 
     def _everyone(self, observation: Observation) -> EpisodeEnd:
-        """What all episodes would have come to, ended now."""
+        """Return the results of every environment's episode as if it ended at this step."""
         return EpisodeEnd(
             env_ids=self.all_ids,
             observation=observation,
             success=self.success(),
             metrics=self.metrics(),
             rewards=dict(zip(self.reward_terms, self.reward_sums.unbind(), strict=True)),
-            steps=self.task.episode_step,
+            steps=self.state.episode_step,
         )
 
     def metrics(self) -> dict[str, Tensor]:
         """The task's, which premises held at the episode's start, and the difficulty where a curriculum sets it."""
-        metrics = {**self.task.metrics(self.world), **self.premises.metrics()}
+        metrics = {**self.task.metrics(self), **self.premises.metrics()}
         if self.starts is not None:
             metrics |= self.starts.metrics()
-        return {**metrics, "difficulty": self.task.difficulty} if self._curriculum else metrics
+        return {**metrics, "difficulty": self.state.difficulty} if self._curriculum else metrics
 
     def progress(self) -> None:
         """Let episodes that have just ended decide how difficult the next will be."""
         if self._curriculum:
-            changes = [term.function(self.world, self.task) for term in self._curriculum.values()]
-            following = torch.stack([self.task.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
+            changes = [term.function(self) for term in self._curriculum.values()]
+            following = torch.stack([self.state.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
             counted = self.done if self.lost is None else self.done & ~self.lost.now
-            write_rows(self.task.difficulty, following, counted)
+            write_rows(self.state.difficulty, following, counted)
 
     def begin(self, env_ids: Tensor | None) -> None:
         """New episodes in some environments, by index, or by mask where the step is traced."""
+        if env_ids is None:
+            self._seen = None
         self.world.reset(env_ids)
-        self.task.reset(env_ids)
-        self.cut.graph.reset(env_ids)
+        self.state.reset(env_ids)
+        self.actions.reset(env_ids)
         self.observer.reset(env_ids)
         self._rewards.reset(env_ids)
         self._events.reset(env_ids)
+        self.commands.reset(env_ids)
         self.premises.begin(env_ids)
         if self.starts is not None:
             self.starts.begin(env_ids)
 
 
-def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-    raise ConfigurationError("the environment's agent is cut at its policy: actions come from outside")
+def _checked_end(value: object, what: str, num_envs: int) -> Tensor:
+    value = per_environment(value, what, num_envs)
+    if value.dtype != torch.bool:
+        raise ConfigurationError(f"{what} gives {value.dtype}: its function must give torch.bool")
+    return value

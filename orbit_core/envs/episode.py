@@ -1,4 +1,4 @@
-"""How episodes end, and what a step says of it."""
+"""Results of episodes, what a step reports of them, and episodes that are lost because the engine diverged."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import torch
 from torch import Tensor
 
 from orbit_core.envs.observation_layout import Observation, map_leaves
+from orbit_core.interfaces import ConfigurationError, World
 
+# Name of the metric that is 1 where an episode began on the expert's way, else 0.
 EXPERT_START = "expert_start"
-"""Name of the metric that is 1 where an episode began on the expert's way, else 0."""
 
 
 @dataclass(frozen=True)
 class EpisodeEnd:
-    """What n episodes came to."""
+    """Results of n episodes."""
 
     env_ids: Tensor
     """(n,)"""
@@ -33,7 +34,7 @@ class EpisodeEnd:
 
     @property
     def usual(self) -> Tensor:
-        """(n,) bool: which began as the task says, not on the expert's way; these tell how far learning has come."""
+        """(n,) bool: which began as the task says, not on the expert's way; learning curves count these."""
         there = self.metrics.get(EXPERT_START)
         return torch.ones_like(self.success) if there is None else there == 0.0
 
@@ -89,3 +90,39 @@ class StepInfo(Mapping[str, EpisodeEnd]):
 
 def _rows_of(values: dict[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
     return {name: value[rows] for name, value in values.items()}
+
+
+class LostEpisodes:
+    """Restart of environments whose simulation diverged within a step, while the others go on.
+
+    The world is back at its start by the time that terms look at it. The episode counts as truncated, for what the
+    robot did is not known to be wrong: its last step earns nothing, it is no success, and no curriculum learns from it.
+
+    Args:
+        world: one that is simulated.
+
+    Raises:
+        ConfigurationError: the world cannot diverge.
+    """
+
+    def __init__(self, world: World) -> None:
+        guard = getattr(world, "guard_divergence", None)
+        if guard is None:
+            raise ConfigurationError("a world that is not simulated does not diverge: leave reset_diverged out")
+        self.now: Tensor = guard()
+        """(N,) bool: whose simulation diverged in this step."""
+        self._count = torch.zeros(1, dtype=torch.int64, device=world.device)
+
+    @property
+    def count(self) -> int:
+        """Number of lost episodes so far; waits for the device."""
+        return int(self._count)
+
+    def forget(self) -> None:
+        """Begin a step."""
+        self.now.fill_(False)
+
+    def end(self, reward: Tensor, terminated: Tensor, late: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Reward (N,), terminated (N,) and out of time (N,), with the lost episodes cut short; counts them."""
+        self._count.add_(self.now.sum())
+        return reward.masked_fill(self.now, 0.0), terminated & ~self.now, late | self.now

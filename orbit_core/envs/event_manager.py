@@ -1,41 +1,42 @@
-"""When a task's events happen."""
+"""Event manager: runs a task's events when they are due."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import is_mask, write_rows
-from orbit_core.envs.task import Task
 from orbit_core.envs.terms import EventTerm, EventTime, terms_of
 from orbit_core.interfaces import ConfigurationError, World
 
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+
 
 class EventManager:
-    """Runs the events of a task over a world.
+    """Runs the events of a task.
 
     Args:
-        world: that they change.
-        task: whose they are.
-        step_dt: seconds in a step of the environment.
-        memory: what the task and its agent remember, by name; events write it.
+        env: whose task has the terms.
+        memory: gives the tensors that the state and the agent remember, by name; events write them.
 
     Raises:
         ConfigurationError: an interval cannot be.
     """
 
-    def __init__(self, world: World, task: Task, step_dt: float, memory: Callable[[], Mapping[str, Tensor]]) -> None:
-        self._world = world
-        self._task = task
+    def __init__(self, env: Environment, memory: Callable[[], Mapping[str, Tensor]]) -> None:
+        self._env = env
+        self._world = env.world
         self._memory = memory
-        self._all = torch.arange(world.num_envs, device=world.device)
-        self._step_dt = step_dt
+        self._all = torch.arange(env.num_envs, device=env.device)
         self._timers: dict[str, _Timer] = {}
+        # Copies of the startup's terms, once they have happened.
         self._happened: list[EventTerm] | None = None
-        """Copies of the startup's terms, once they have happened."""
         self._read()
 
     def refresh(self) -> None:
@@ -55,11 +56,11 @@ class EventManager:
             self._timers[name].draw(None)
 
     def _read(self) -> None:
-        terms = terms_of(self._task.events, EventTerm)
+        terms = terms_of(self._env.task.events, EventTerm)
         self._at = {time: [term for term in terms.values() if term.time is time] for time in EventTime}
         known = self._timers
         self._timers = {
-            name: _Timer(name, term, self._step_dt, self._world)
+            name: _Timer(name, term, self._env.step_dt, self._world)
             for name, term in terms.items()
             if term.time is EventTime.INTERVAL
         }
@@ -70,43 +71,40 @@ class EventManager:
         """Once, before the first episode."""
         self._happened = [replace(term) for term in self._at[EventTime.STARTUP]]
         for term in self._happened:
-            term.function(self._world, self._task, self._all)
+            term.function(self._env, self._all)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Run the events of an episode's beginning, in environments by index or mask."""
         for timer in self._timers.values():
             timer.draw(env_ids)
-        terms = self._at[EventTime.RESET]
-        if is_mask(env_ids):
-            self._run_where(env_ids, terms)
-        else:
-            self._run(self._all if env_ids is None else env_ids, terms)
+        self._run(env_ids, self._at[EventTime.RESET])
 
     def advance(self) -> None:
         """Run the events that are due at the beginning of a step."""
         for timer in self._timers.values():
-            due = timer.left == 0
-            if self._world.masking.traced:
-                self._run_where(due, [timer.term])
+            due = self._world.selector.where(timer.left == 0)
+            if due is not None:
+                self._run(due, [timer.term])
                 timer.draw(due)
-            elif bool(due.any()):
-                env_ids = due.nonzero().squeeze(-1)
-                self._run(env_ids, [timer.term])
-                timer.draw(env_ids)
             timer.left -= 1
 
-    def _run(self, env_ids: Tensor, terms: list[EventTerm]) -> None:
-        for term in terms:
-            term.function(self._world, self._task, env_ids)
-        self._world.clock.touch()  # an event may have changed what a cached term depends on
+    def _run(self, env_ids: Tensor | None, terms: list[EventTerm]) -> None:
+        """Run events of some environments, by index or mask, and undo what they did to the memory of others."""
+        with self._kept_elsewhere(env_ids), self._world.selector.given(env_ids) as rows:
+            for term in terms:
+                term.function(self._env, rows)
+            self._world.clock.touch()  # an event may have changed what a cached term depends on
 
-    def _run_where(self, mask: Tensor, terms: list[EventTerm]) -> None:
-        """Run events as for all environments, and keep what they did to those of the mask."""
-        memory = [m for m in self._memory().values() if m.shape[:1] == mask.shape]
+    @contextmanager
+    def _kept_elsewhere(self, env_ids: Tensor | None) -> Iterator[None]:
+        """Put the task's own tensors back outside of a mask: events write them for all environments then."""
+        if not is_mask(env_ids):
+            yield
+            return
+        memory = [tensor for tensor in self._memory().values() if tensor.shape[:1] == env_ids.shape]
         before = [(tensor, tensor.clone(), tensor._version) for tensor in memory]
-        with self._world.masking.only(mask):
-            self._run(self._all, terms)
-        others = ~mask
+        yield
+        others = ~env_ids
         for tensor, old, version in before:
             if tensor._version != version:
                 write_rows(tensor, old, others)

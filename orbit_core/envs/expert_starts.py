@@ -1,4 +1,4 @@
-"""Episodes that begin on the expert's way, so that learning meets what a beginner would not come to for long.
+"""Episodes that begin on the expert's way, so that learning meets states that a beginner reaches late.
 
 Why: Nair et al., Overcoming Exploration in Reinforcement Learning with Demonstrations (2018), whose episodes begin at
 states of demonstrations; Florensa et al., Reverse Curriculum Generation for Reinforcement Learning (2017): what is
@@ -8,61 +8,63 @@ learned near the goal spreads backwards from there.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import is_mask, write_rows
+from orbit_core.dynamics.linear import SingleThreaded
+from orbit_core.envs.captured_step import CapturableEnvironment
 from orbit_core.envs.episode import EXPERT_START
-from orbit_core.envs.observation_groups import POLICY
-from orbit_core.envs.observation_layout import observation_of
-from orbit_core.envs.step_parts import StepParts
-from orbit_core.envs.task import Task
-from orbit_core.interfaces import ConfigurationError, Object, World
-from orbit_core.world.threads import SingleThreaded
+from orbit_core.envs.observation_layout import POLICY
+from orbit_core.interfaces import ConfigurationError, Object
 
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+
+# States that are kept at most, drawn from all that were recorded.
 MOST_STATES = 2**16
-"""States that are kept at most, drawn from all that were recorded."""
+# Steps from one state that is kept to the next.
 _STRIDE = 4
-"""Steps from one state that is kept to the next."""
+# Deviation of what is added to the expert's actions, so that states beside its way, and how it comes back to it, are
+# among those kept: Laskey et al., DART: Noise Injection for Robust Imitation Learning (2017).
 _STRAYING = 0.1
-"""Deviation of what is added to the expert's actions, so that states beside its way, and how it comes back to it, are
-among those kept: Laskey et al., DART: Noise Injection for Robust Imitation Learning (2017)."""
+# Names of what is kept of each moment beside the state.
 _SEEN, _DONE = "seen", "done"
-"""Names of what is kept of each moment beside the state."""
 
 
 class ExpertStarts:
-    """Has a share of all episodes begin where the task's expert came by in this very engine.
+    """Start of a share of all episodes at states that the task's expert passes in this very engine.
 
     The expert plays one episode in every environment once, when the environment is made. Kept are states of those
     episodes in which it reached the goal, up to there: joint and root positions and velocities, what motion generators
-    remember, the last action, and the episode's step, so that as much time is left as the expert had. What a task
-    remembers besides, and what a solver starts from, begins as in every episode.
+    remember, the last action, and the episode's step, so that as much time is left as the expert had. The rest of
+    a task's memory, and what a solver starts from, begins as in every episode.
 
     Args:
-        world: that is simulated.
-        task: that is learned, with :attr:`~orbit_core.envs.Task.expert_starts` above zero.
+        env: whose task is learned, with :attr:`~orbit_core.envs.Task.expert_starts` above zero.
 
     Raises:
         ConfigurationError: the share is not between 0 and 1, or nothing is simulated.
     """
 
-    def __init__(self, world: World, task: Task) -> None:
+    def __init__(self, env: Environment) -> None:
+        world, task = env.world, env.task
         share = task.expert_starts
         if not 0.0 <= share <= 1.0:
             raise ConfigurationError(f"expert_starts is the share of episodes, between 0 and 1, not {share:g}")
-        self._world, self._task, self._share = world, task, share
+        self._env, self._world, self._task, self._share = env, world, task, share
         self._entities: list[Object] = [*world.robots.values(), *world.objects.values()]
+        # (K, ...) of each part of a state that differs between states; empty until they are recorded.
         self._states: dict[str, Tensor] = {}
-        """(K, ...) of each part of a state that differs between states; empty until they are recorded."""
         self.seen, self.done = torch.empty(0), torch.empty(0)
         """(M, O) what a policy would have seen in those episodes, to their ends, so that it also sees what is done at
         the goal, and (M, A) what the expert did; empty where the observation is a dictionary."""
         self.began_there = torch.zeros(world.num_envs, dtype=torch.bool, device=world.device)
         """(N,) whether the present episode began on the expert's way."""
 
-    def record(self, environment: StepParts, action: Tensor) -> None:
+    def record(self, environment: CapturableEnvironment, action: Tensor) -> None:
         """Let the expert play an episode, and keep the states that it comes by; random streams go on as if nothing had
         been drawn.
 
@@ -77,12 +79,12 @@ class ExpertStarts:
         environment.begin(None)
         steps, moments = environment.max_episode_steps, list[Mapping[str, Tensor]]()
         failed, reached = self.began_there.clone(), self.began_there.clone()
-        reached_at = torch.full_like(self._task.episode_step, steps)
+        reached_at = torch.full_like(self._env.state.episode_step, steps)
         generator = torch.Generator(action.device).manual_seed(0)
         with torch.no_grad(), SingleThreaded():
-            expert = self._task.expert(self._world)
+            expert = self._task.expert(self._env)
             for step in range(steps - 1):
-                observed = observation_of(environment.observation, list(environment.cut.observe().values()))[POLICY]
+                observed = environment.observe()[POLICY]
                 wanted = expert.compute({})["action"]
                 if step % _STRIDE == 0:
                     shown = {_SEEN: observed, _DONE: wanted} if isinstance(observed, Tensor) else {}
@@ -91,7 +93,7 @@ class ExpertStarts:
                 action.copy_((wanted + _STRAYING * strays).clamp(-1.0, 1.0))
                 _, terminated, _ = environment.advance()
                 failed |= terminated
-                new = self._task.success(self._world) & ~reached
+                new = self._task.success(self._env) & ~reached
                 reached_at[new] = step + 1
                 reached |= new
         self._keep(moments, reached & ~failed, reached_at)
@@ -126,10 +128,10 @@ class ExpertStarts:
             return
         world = self._world
         if is_mask(env_ids):
-            with world.masking.only(env_ids):
+            with world.selector.only(env_ids):
                 draw = world.random.uniform((2,))
             chosen = env_ids & (draw[:, 0] < self._share)
-            with world.masking.only(chosen):
+            with world.selector.only(chosen):
                 self._place(draw[:, 1], None, chosen)
         else:
             rows = torch.arange(world.num_envs, device=world.device) if env_ids is None else env_ids
@@ -161,7 +163,7 @@ class ExpertStarts:
         write_rows(self.began_there, True, rows)
 
     def _parts(self) -> dict[str, Tensor]:
-        """What makes a state, (N, ...) each: of every entity, then of the agent."""
+        """Return the state tensors, (N, ...) each: entities first, then the agent."""
         parts: dict[str, Tensor] = {}
         for thing in self._entities:
             parts[f"{thing.name} pose"] = thing.root_pose
@@ -174,11 +176,11 @@ class ExpertStarts:
 
     def _memories(self) -> dict[str, Tensor]:
         """The tensors (N, ...) that the agent remembers from step to step, by name."""
-        task = self._task
-        memories = {"step": task.episode_step, "last action": task.last_action, "action before": task.action_before}
-        for number, generator in enumerate(task.generators):
+        state = self._env.state
+        memories = {"step": state.episode_step, "last action": state.last_action, "action before": state.action_before}
+        for number, generator in enumerate(self._env.actions.generators):
             held = generator.memory().items()
-            memories |= {f"{number} {name}": each for name, each in held if each.shape[:1] == (task.num_envs,)}
+            memories |= {f"{number} {name}": each for name, each in held if each.shape[:1] == (self._env.num_envs,)}
         return memories
 
 

@@ -4,35 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import check_shape
-from orbit_core.envs.observation_groups import POLICY, groups_of, terms_of_group
-from orbit_core.envs.observation_layout import GroupLayout, Observation
+from orbit_core.envs.observation_layout import POLICY, GroupLayout, Observation, groups_of, terms_of_group
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import weight_of
-from orbit_core.envs.terms import RewardTerm, terms_of
+from orbit_core.envs.terms import RewardTerm, terms_of, weight_of
 from orbit_core.interfaces import UnknownNameError
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
 
 
 class MultiAgentView:
-    """Tells apart what is each agent's, by the terms that name it; what names no agent is everyone's.
+    """View of observation, action and reward per agent: terms that name an agent are its own, others are shared.
 
     An agent earns its own terms and, in full, those that all share. So the environment's reward is the sum of the
     agents' rewards, the shared terms counted once.
 
     Args:
-        task: whose agents they are; it has started.
+        env: whose agents they are.
         layout: of the group ``"policy"``.
-        step_dt: seconds in a step of the environment.
     """
 
-    def __init__(self, task: Task, layout: GroupLayout, step_dt: float) -> None:
+    def __init__(self, env: Environment, layout: GroupLayout) -> None:
+        task = env.task
         self.agents = task.agents
-        self._actions = task.action_slices
-        self._task, self._step_dt = task, step_dt
+        self._actions = env.actions.slices
+        self._task, self._step_dt = task, env.step_dt
         owners = {name: term.agent for name, term in terms_of_group(groups_of(task)[POLICY]).items()}
         self.layouts = {
             agent: replace(layout, terms={n: t for n, t in layout.terms.items() if owners[n] in (None, agent)})
@@ -40,10 +42,10 @@ class MultiAgentView:
         }
         """What each agent's part of the group ``"policy"`` is like."""
         self._columns = {
-            agent: _columns(layout, own).to(task.device) for agent, own in self.layouts.items() if layout.concatenated
+            agent: _columns(layout, own).to(env.device) for agent, own in self.layouts.items() if layout.concatenated
         }
-        self._weights = torch.tensor(self._weights_now(), device=task.device)
-        self._rewards = torch.zeros(len(self.agents), task.num_envs, device=task.device)
+        self._weights = torch.tensor(self._weights_now(), device=env.device)
+        self._rewards = torch.zeros(len(self.agents), env.num_envs, device=env.device)
 
     def refresh(self) -> None:
         """Take the weights that the task has now; a captured step sees them too."""
@@ -64,7 +66,7 @@ class MultiAgentView:
         return {agent: part.stop - part.start for agent, part in self._actions.items()}
 
     def observations(self, policy: Tensor | dict[str, Tensor]) -> Observation:
-        """What each agent sees of the whole group ``"policy"``: its columns (N, O_agent), or its terms by name."""
+        """Return each agent's part of the group ``"policy"``: its columns (N, O_agent), or its terms by name."""
         if isinstance(policy, dict):
             return {agent: {name: policy[name] for name in own.terms} for agent, own in self.layouts.items()}
         return {agent: policy[:, columns] for agent, columns in self._columns.items()}
@@ -83,7 +85,7 @@ class MultiAgentView:
         return torch.cat([actions[agent] for agent in self.agents], dim=1)
 
     def rewards(self) -> dict[str, Tensor]:
-        """What each agent earned (N,) in the last step."""
+        """Return each agent's reward (N,) of the last step."""
         return dict(zip(self.agents, self._rewards.clone().unbind(), strict=True))
 
     def earn(self, values: Tensor) -> None:
@@ -92,7 +94,7 @@ class MultiAgentView:
 
 
 def _columns(layout: GroupLayout, own: GroupLayout) -> Tensor:
-    """Which components of a concatenated group are those of one agent's part of it."""
+    """Return the indices of one agent's components in a concatenated group."""
     chosen = [layout.columns[name] for name in own.terms]
     return torch.tensor([i for columns in chosen for i in range(columns.start, columns.stop)], dtype=torch.int64)
 

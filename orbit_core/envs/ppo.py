@@ -1,4 +1,4 @@
-"""How a task is learned unless told otherwise."""
+"""Settings of proximal policy optimisation, which tasks have defaults of."""
 
 from __future__ import annotations
 

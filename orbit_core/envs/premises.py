@@ -1,4 +1,4 @@
-"""What must hold when an episode begins, checked in the engine at hand: in starts sampled at build, and each time."""
+"""Premises: conditions of an episode's start, checked in starts that are sampled at build, and at each start."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,19 +14,21 @@ from torch import Tensor
 from orbit_core.dynamics.arguments import MOST_STEPS
 from orbit_core.dynamics.indexing import take_rows, write_rows
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import check_same_names, per_environment
-from orbit_core.envs.terms import PremiseTerm, terms_of
-from orbit_core.interfaces import ConfigurationError, PremiseError, World
+from orbit_core.envs.terms import PremiseTerm, check_same_names, per_environment, terms_of
+from orbit_core.interfaces import ConfigurationError, PremiseError
 
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+
+# Starts in which premises are checked at build, if there are not as many environments.
 LEAST_STARTS = 8
-"""Starts in which premises are checked at build, if there are not as many environments."""
+# Before a premise's name, the name of its metric: 1 where it held when the episode began, else 0.
 METRIC = "premise_"
-"""Before a premise's name, the name of its metric: 1 where it held when the episode began, else 0."""
 
 
 @dataclass(frozen=True)
 class PremiseCheck:
-    """How a premise fared in the starts that were sampled at build."""
+    """Result of a premise in the starts that were sampled at build."""
 
     name: str
     reason: str
@@ -38,8 +41,7 @@ class PremiseManager:
     """Settles environments whose episode begins, and checks the task's premises in them.
 
     Args:
-        world: that is simulated.
-        task: whose premises they are.
+        env: whose task has the premises.
         simulated: whether time may pass in the world ahead of an episode: recorded states and real robots do not wait.
 
     Raises:
@@ -47,8 +49,9 @@ class PremiseManager:
         TypeError: the premises hold something else than terms.
     """
 
-    def __init__(self, world: World, task: Task, simulated: bool) -> None:
-        self._world, self._task = world, task
+    def __init__(self, env: Environment, simulated: bool) -> None:
+        world, task = env.world, env.task
+        self._env, self._world, self._task = env, world, task
         self.terms = terms_of(task.premises, PremiseTerm)
         steps = _steps(task, "settle_time"), _steps(task, "premise_time")
         self.settle_steps, self._sampled_steps = steps if simulated else (0, 0)
@@ -139,7 +142,7 @@ class PremiseManager:
 
     def _value(self, name: str, term: PremiseTerm) -> Tensor:
         what = f"premise '{name}'"
-        value = per_environment(term.function(self._world, self._task), what, self._world.num_envs)
+        value = per_environment(term.function(self._env), what, self._world.num_envs)
         if value.dtype != torch.bool:
             raise ConfigurationError(f"{what} gives {value.dtype}: its function must give torch.bool")
         return value

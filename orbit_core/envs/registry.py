@@ -1,4 +1,4 @@
-"""Which tasks there are. Plugins add theirs through the entry-point group ``orbit.tasks``."""
+"""Registry of tasks. Plugins add theirs through the entry-point group ``orbit.tasks``."""
 
 from __future__ import annotations
 

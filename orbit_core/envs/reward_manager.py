@@ -1,36 +1,35 @@
-"""What a step earns: the weighted sum of a task's reward terms, and what each has come to in the episode."""
+"""Reward manager: the weighted sum of a task's reward terms, and the sum of each over the episode."""
 
 from __future__ import annotations
 
-import math
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import check_same_names, per_environment, weight_of
-from orbit_core.envs.terms import RewardTerm, terms_of
-from orbit_core.interfaces import ConfigurationError, NonFiniteError, World, first_few
+from orbit_core.envs.observation_layout import surely_finite
+from orbit_core.envs.terms import RewardTerm, check_same_names, per_environment, terms_of, weight_of
+from orbit_core.interfaces import ConfigurationError, NonFiniteError, first_few
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
 
 
 class RewardManager:
     """Computes the reward (N,) of a world's present state.
 
     Args:
-        world: that is looked at.
-        task: whose terms they are.
-        step_dt: seconds in a step of the environment, by which every weight is multiplied.
+        env: whose task has the terms; every weight is multiplied by the seconds of its step.
     """
 
-    def __init__(self, world: World, task: Task, step_dt: float) -> None:
-        self._world = world
-        self._task = task
-        self._step_dt = step_dt
-        self.terms = terms_of(task.rewards, RewardTerm)
-        self._weights = torch.tensor(self._scaled(), device=world.device)
+    def __init__(self, env: Environment) -> None:
+        self._env = env
+        self.terms = terms_of(env.task.rewards, RewardTerm)
+        self._weights = torch.tensor(self._scaled(), device=env.device)
         self._column = self._weights[:, None]
-        self.sums = torch.zeros(len(self.terms), world.num_envs, device=world.device)
+        self._shape = torch.Size((env.num_envs,))
+        self.sums = torch.zeros(len(self.terms), env.num_envs, device=env.device)
         """(terms, N) each term's contribution to the episode so far."""
 
     def refresh(self) -> None:
@@ -39,12 +38,14 @@ class RewardManager:
         Raises:
             ConfigurationError: a weight is no finite number, or there are other terms than before.
         """
-        check_same_names("reward", self.terms, now := terms_of(self._task.rewards, RewardTerm), "set its weight to 0")
+        check_same_names(
+            "reward", self.terms, now := terms_of(self._env.task.rewards, RewardTerm), "set its weight to 0"
+        )
         self.terms.update(now)
         self._weights.copy_(torch.tensor(self._scaled()))
 
     def _scaled(self) -> list[float]:
-        return [weight_of(name, term) * self._step_dt for name, term in self.terms.items()]
+        return [weight_of(name, term) * self._env.step_dt for name, term in self.terms.items()]
 
     def values(self) -> Tensor:
         """(terms, N) of this step, unweighted; they are added to :attr:`sums`.
@@ -54,13 +55,18 @@ class RewardManager:
         """
         if not self.terms:
             return self.sums
-        values = torch.stack([self._value(name, term) for name, term in self.terms.items()])
-        self.sums.addcmul_(values, self._column)
-        return values
+        values: list[Tensor] = []
+        for name, term in self.terms.items():  # a plain loop: a step's time is that of its Python calls
+            value = term.function(self._env)
+            if type(value) is not Tensor or value.dtype is not torch.float32 or value.shape != self._shape:
+                value = self._checked(name, value)
+            values.append(value)
+        stacked = torch.stack(values)
+        self.sums.addcmul_(stacked, self._column)
+        return stacked
 
-    def _value(self, name: str, term: RewardTerm) -> Tensor:
-        value = term.function(self._world, self._task)
-        value = per_environment(value, f"reward term '{name}'", self._world.num_envs)
+    def _checked(self, name: str, value: object) -> Tensor:
+        value = per_environment(value, f"reward term '{name}'", self._env.num_envs)
         if value.is_complex():
             raise ConfigurationError(f"reward term '{name}' gives {value.dtype}: its function must give real numbers")
         return value if value.dtype == torch.float32 else value.float()
@@ -71,7 +77,7 @@ class RewardManager:
         Raises:
             NonFiniteError: names the terms and the environments.
         """
-        if math.isfinite(float(reward.sum())) or bool(reward.isfinite().all()):
+        if surely_finite(reward) or bool(reward.isfinite().all()):
             return
         wrong = (~reward.isfinite()).nonzero().squeeze(-1).tolist()
         names = [name for name, total in zip(self.terms, self.sums, strict=True) if not total[wrong].isfinite().all()]

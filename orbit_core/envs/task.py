@@ -1,62 +1,142 @@
-"""What every task is made of."""
+"""Task: the configuration of an environment, and metadata about it."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import Field, dataclass, field, fields
+from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import torch
 from torch import Tensor
 
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task_checks import TaskException
-from orbit_core.envs.terms import CurriculumTerm
+from orbit_core.envs.state import TaskState
 from orbit_core.interfaces import ConfigurationError, Node
 from orbit_core.scene import Pose, RobotSpec, Scene, look_at
 
 if TYPE_CHECKING:
-    from orbit_core.actions import ActionTerm, MotionGenerator
-    from orbit_core.interfaces import World
+    from orbit_core.actions import ActionTerm
+    from orbit_core.envs.environment import Environment
 
+# Name of the robot that acts, where a task has one.
 ROBOT = "robot"
-"""The robot that acts, where a task has one."""
 
+# Name of the action space of a task that has action terms of its own.
 COMPOSED = "composed"
-"""The word that stands for an action space's name where a task has action terms of its own."""
+
+# Methods that tasks had, and what takes their place.
+MOVED_METHODS = {
+    "start": "TaskState.start(env)",
+    "advance": "TaskState.update(env)",
+    "reset": "TaskState.reset(env_ids), which resets the tensors that buffer() declares",
+    "subtasks": "metadata.subtasks",
+}
+# Fields that tasks had, and what takes their place.
+MOVED_FIELDS = {
+    "ppo": "metadata.ppo",
+    "view": "metadata.view",
+    "expert_success": "metadata.expert_success",
+    "exceptions": "metadata.exceptions",
+    "training": "metadata.training",
+}
+# Attributes that running tasks had, and what takes their place.
+MOVED_STATE = {
+    "num_envs": "env.num_envs",
+    "device": "env.device",
+    "generators": "env.actions.generators",
+    "action_slices": "env.actions.slices",
+    "action_components": "env.actions.components",
+    "cache": "env.cache",
+    "last_action": "env.state.last_action",
+    "action_before": "env.state.action_before",
+    "episode_step": "env.state.episode_step",
+    "difficulty": "env.state.difficulty",
+}
+
+
+class TaskCheck(Enum):
+    """A property of a task that ``orbit check-task`` measures."""
+
+    EXPERT_BEATS_RANDOM = "expert beats random"
+    """The expert's mean return is above that of uniformly random actions."""
+    EXPERT_BEATS_ZERO = "expert beats zero"
+    """The expert's mean return is above that of actions that are all zero."""
+    VELOCITY_LIMITS = "velocity limits"
+    """The expert's joints are within their velocity limits, but for a small share of samples."""
+    EFFORT_LIMITS = "effort limits"
+    """The efforts on the expert's joints are within their limits."""
+    START_AREA = "start area"
+    """Something begins its episodes at places that cover an area."""
+    START_YAW = "start yaw"
+    """Something begins its episodes turned by many angles about the vertical."""
+    TRIVIAL_AGENTS = "trivial agents"
+    """No agent that looks at nothing succeeds more often than a stated rate."""
+
+
+@dataclass(frozen=True)
+class TaskException:
+    """A task's declaration that it does not meet a check.
+
+    An exception that a measurement contradicts is stale, and fails as the check would; but that of velocity limits,
+    which some engines enforce themselves.
+    """
+
+    check: TaskCheck
+    reason: str
+    """A sentence for the table of checked tasks."""
 
 
 @dataclass(frozen=True)
 class Subtask:
-    """A stretch of a demonstration in which the hand moves relative to one frame, wherever that is."""
+    """Part of a demonstration in which the hand moves relative to one frame."""
 
     frame: Callable[..., Tensor]
-    """(world, task) -> (N, 7), read when the subtask begins."""
+    """(env) -> (N, 7), read when the subtask begins."""
     over: Callable[..., Tensor]
-    """(world, task) -> (N,) bool whether it is done; of no meaning for the last."""
+    """(env) -> (N,) bool, True where it is done; not read for the last subtask."""
+
+
+@dataclass(frozen=True)
+class TaskMetadata:
+    """Facts about a task that no step reads: for training, pictures, audits and augmentation."""
+
+    ppo: PpoSettings = PpoSettings()
+    """Settings that ``orbit train`` learns it with."""
+    view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
+    """Pose of the camera that takes pictures and videos, in the environment's frame."""
+    expert_success: float = 0.8
+    """Success rate that conformance requires of the expert, where there is one, on every engine."""
+    exceptions: tuple[TaskException, ...] = ()
+    """Checks of ``orbit check-task`` that the task does not meet, with reasons."""
+    training: Mapping[str, Any] = field(default_factory=dict)
+    """Fields by name that ``orbit train`` sets unless the command line sets them."""
+    subtasks: tuple[Subtask, ...] = ()
+    """Subtasks of a demonstration, in order (:mod:`orbit_data.augmentation`)."""
 
 
 @dataclass(kw_only=True)
 class Task(ABC):
-    """A goal over a world. Subclasses are dataclasses: their fields are the task's configuration.
+    """Configuration of an environment: the scene, and collections of terms. Subclasses are dataclasses.
 
-    ``rewards``, ``terminations``, ``events``, ``curriculum`` and ``premises`` are dataclasses of terms,
-    ``observations`` is one of :class:`~orbit_core.envs.ObservationGroup`. The attributes that are set by :meth:`start`
-    hold what a task remembers while it runs; terms read and write them.
+    ``rewards``, ``terminations``, ``events``, ``commands``, ``curriculum`` and ``premises`` are dataclasses of terms,
+    ``observations`` is one of :class:`~orbit_core.envs.ObservationGroup`; None is an empty collection. What a run
+    remembers is in ``env.state``, of the class :attr:`state_type`.
+
+    Raises:
+        ConfigurationError: a subclass has methods or fields of the form that tasks had before; names the new ones.
     """
 
     agents: ClassVar[tuple[str, ...]] = (ROBOT,)
     """Names of the scene's robots that act, in the order of the action."""
+    state_type: ClassVar[type[TaskState]] = TaskState
+    """Class of the state that a run of the task has."""
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {}
-    """Other observations, by the word that takes the place of ``observations``; ``"state"`` stands for the default."""
-    training: ClassVar[Mapping[str, Any]] = {}
-    """Fields by name that ``orbit train`` sets unless it is told otherwise."""
-    expert_success: ClassVar[float] = 0.8
-    """Success rate that the expert, where there is one, is held to on every engine: conformance fails those where it is
-    beyond chance below."""
-    exceptions: ClassVar[tuple[TaskException, ...]] = ()
-    """Checks of ``orbit check-task`` that the task does not meet, with reasons."""
+    """Other observations, by the word that takes the place of ``observations``; ``"state"`` is the default's."""
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """New paths of fields that the task had before, by their old paths, for errors."""
     robot: str
     """Name of a robot in the catalogue."""
     action: str
@@ -69,14 +149,16 @@ class Task(ABC):
     """Seconds."""
     actions: Any = None
     """Action terms in place of an action space: :class:`orbit_core.actions.ActionTerms`, or a dataclass of one's own
-    with fields of :class:`~orbit_core.actions.ActionTerm`. None takes those that ``action`` stands for."""
+    with fields of :class:`~orbit_core.actions.ActionTerm`. None takes the preset that ``action`` names."""
     observations: Any = None
     rewards: Any = None
     terminations: Any = None
     events: Any = None
+    commands: Any = None
+    """Commands, a dataclass of :class:`~orbit_core.envs.CommandTerm`."""
     curriculum: Any = None
     premises: Any = None
-    """What must hold when an episode begins, a dataclass of :class:`~orbit_core.envs.PremiseTerm`; None: nothing. Each
+    """Premises of an episode's start, a dataclass of :class:`~orbit_core.envs.PremiseTerm`. Each
     premise is a metric, ``premise_<name>``: 1 where it held at the episode's start."""
     settle_time: float = 0.0
     """Seconds simulated after each reset, commands held, before premises are checked and anything is observed. They
@@ -87,37 +169,36 @@ class Task(ABC):
     """Whether physical parameters and noise are randomised between environments, as :meth:`randomize` says."""
     curriculum_enabled: bool = False
     """Whether the curriculum sets how difficult episodes are; else they are as difficult as can be."""
-    view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
-    """Pose of the camera that takes pictures and videos, in the environment's frame."""
     expert_starts: float = 0.0
     """Share of episodes that begin on the expert's way (:class:`orbit_core.envs.ExpertStarts`), for learning what a
     beginner would not come to."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""
+    metadata: TaskMetadata = TaskMetadata()
+    """Facts that no step reads, such as the settings of its training."""
 
-    ppo: PpoSettings = PpoSettings()
-    """How it is learned."""
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        super().__init_subclass__(**arguments)
+        _check_form(cls)
 
-    # Remembered while running
+    def __setattr__(self, name: str, value: object) -> None:
+        if name not in _field_names(type(self)):
+            raise ConfigurationError(
+                f"task {type(self).__name__} has no field '{name}': a task is configuration, and its fields are "
+                f"declared in its class. What a run remembers is a tensor of the task's TaskState, "
+                f"{name}: Tensor = buffer(), which terms write as env.state.{name}"
+            )
+        object.__setattr__(self, name, value)
 
-    num_envs: int = field(init=False, default=0)
-    device: torch.device = field(init=False, default_factory=lambda: torch.device("cpu"))
-    generators: tuple[MotionGenerator, ...] = field(init=False, default=())
-    """What turns actions into joint commands, in the order of the action's components."""
-    action_slices: Mapping[str, slice] = field(init=False, default_factory=dict)
-    """Which components of the action are each agent's."""
-    action_components: tuple[str, ...] = field(init=False, default=())
-    """Name of each component of the action: of its term, then its own."""
-    last_action: Tensor = field(init=False)
-    """(N, A) the action in effect; zero after a reset."""
-    action_before: Tensor = field(init=False)
-    """(N, A) the action of the step before that."""
-    episode_step: Tensor = field(init=False)
-    """(N,) int64 steps since reset."""
-    difficulty: Tensor = field(init=False)
-    """(N,) in [0, 1], for terms to read. It starts at 0 where the curriculum is enabled and has a
-    :class:`~orbit_core.envs.CurriculumTerm`, and else stays 1; resets do not change it."""
-    cache: dict[Hashable, tuple[int, Tensor | None]] = field(init=False, default_factory=dict)
+    def __getattr__(self, name: str) -> Any:
+        moved = {**MOVED_FIELDS, **MOVED_STATE, **MOVED_METHODS}
+        if name in moved:
+            raise AttributeError(f"'{name}' of task {type(self).__name__} is now {moved[name]}")
+        if hasattr(vars(self).get("commands"), name):
+            raise AttributeError(f"'{name}' of task {type(self).__name__} is a command: env.commands['{name}']")
+        if hasattr(self.state_type, name) or name in getattr(self.state_type, "__annotations__", ()):
+            raise AttributeError(f"'{name}' of task {type(self).__name__} is state: env.state.{name}")
+        raise AttributeError(f"task {type(self).__name__} has no attribute '{name}'")
 
     def randomize(self) -> None:
         """Give the task the terms of ``domain_randomization``. Override where a task has some.
@@ -131,8 +212,8 @@ class Task(ABC):
         )
 
     def preset_terms(self, spec: RobotSpec, prefix: str) -> dict[str, ActionTerm]:
-        """The action terms that the word ``action`` stands for, of one of the robots that act. Extend where a task's
-        robots are moved by more.
+        """Return the action terms of the preset that ``action`` names, for one of the robots that act. Extend where a
+        task's robots are moved by more.
 
         Args:
             spec: of the robot.
@@ -147,10 +228,10 @@ class Task(ABC):
 
     @abstractmethod
     def scene(self) -> Scene:
-        """What to simulate."""
+        """Return the scene to simulate."""
 
     def bound(self, **limits: tuple[float, float]) -> None:
-        """Hold fields to the least and the most that they may be.
+        """Check that fields are within the least and the most that they may be.
 
         Raises:
             ConfigurationError: one is not within them.
@@ -161,48 +242,19 @@ class Task(ABC):
                     f"field '{name}' of task {type(self).__name__} must be {least} to {most}, not {getattr(self, name)}"
                 )
 
-    def start(self, world: World) -> None:
-        """Look things up in a new world and allocate what the task remembers. Extend, and call this first."""
-        self.num_envs = world.num_envs
-        self.device = world.device
-        self.episode_step = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
-        curriculum = () if self.curriculum is None else vars(self.curriculum).values()
-        easy = self.curriculum_enabled and any(isinstance(term, CurriculumTerm) for term in curriculum)
-        self.difficulty = torch.full((world.num_envs,), float(not easy), device=world.device)
-
-    def reset(self, env_ids: Tensor | None) -> None:
-        """Forget some environments' past. Extend where a subclass remembers more than its events set anew."""
-        rows = slice(None) if env_ids is None else env_ids
-        self.episode_step[rows] = 0
-        self.last_action[rows] = 0.0
-
-    def advance(self, world: World) -> None:
-        """Called after each step of the world, before rewards: accumulate, resample. Extend where needed."""
+    @abstractmethod
+    def success(self, env: Environment) -> Tensor:
+        """Return (N,) bool, True where the goal is reached now. An episode succeeds if it is at its last step."""
 
     @abstractmethod
-    def success(self, world: World) -> Tensor:
-        """(N,) bool: whether the goal is reached now. An episode succeeds if it holds at its last step."""
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        """Return what a run reports of an episode's last step, (N,) each, by name with its unit; the first leads."""
 
-    @abstractmethod
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        """What a run reports, by name with its unit, (N,) each, taken at an episode's last step; the first leads."""
-
-    def subtasks(self) -> tuple[Subtask, ...]:
-        """What a demonstration is made of, in order (:mod:`orbit_data.augmentation`). Override where it is known.
+    def expert(self, env: Environment) -> Node:
+        """Return a scripted node that reaches the goal, with the output port ``action``. Override where there is one.
 
         Raises:
-            ConfigurationError: nobody says it.
-        """
-        raise ConfigurationError(
-            f"task {type(self).__name__} does not say what subtasks it is made of: override Task.subtasks"
-        )
-
-    def expert(self, world: World) -> Node:
-        """A scripted node that reaches the goal, with the output port ``action``, in the cut's place. Override where
-        there is one.
-
-        Raises:
-            ConfigurationError: nobody wrote one.
+            ConfigurationError: the task has no expert.
         """
         raise ConfigurationError(
             f"task {type(self).__name__} has no scripted expert: learn it (orbit train), or take another agent, "
@@ -211,5 +263,38 @@ class Task(ABC):
 
     @classmethod
     def has_expert(cls) -> bool:
-        """Whether the task overrides :meth:`expert`."""
+        """Return True if the task overrides :meth:`expert`."""
         return cls.expert is not Task.expert
+
+
+@functools.cache
+def _field_names(kind: type[Task]) -> frozenset[str]:
+    return frozenset(each.name for each in fields(kind))
+
+
+def _check_form(kind: type[Task]) -> None:
+    """Refuse a class of the form that tasks had when they held their state, with the new names.
+
+    Raises:
+        ConfigurationError: a method, field or signature is an old one.
+    """
+    own = vars(kind)
+    for name, now in {**MOVED_METHODS, **MOVED_FIELDS}.items():
+        if name in own or name in own.get("__annotations__", ()):
+            raise ConfigurationError(
+                f"task {kind.__name__} has '{name}', which is now {now}: a task is configuration, and its state and "
+                "metadata stand in classes of their own (docs/write-a-task.md)"
+            )
+    for name, value in own.items():
+        if isinstance(value, Field) and not value.init:
+            raise ConfigurationError(
+                f"field '{name}' of task {kind.__name__} has init=False, as what a task remembered had: declare it in "
+                f"a TaskState, {name}: Tensor = buffer(), name that class in state_type, and write env.state.{name}"
+            )
+    for name in ("success", "metrics", "expert"):
+        method = own.get(name)
+        if inspect.isfunction(method) and list(inspect.signature(method).parameters)[1:2] == ["world"]:
+            raise ConfigurationError(
+                f"{name}(self, world) of task {kind.__name__} is now {name}(self, env): the world is env.world, what "
+                "the task remembers env.state"
+            )

@@ -1,27 +1,31 @@
-"""Terms: small functions on (world, task), collected in a task's dataclasses so that each can be changed alone."""
+"""Terms: small functions of the environment, collected in dataclasses so that each can be changed separately."""
 
 from __future__ import annotations
 
+import inspect
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from torch import Tensor
 
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, ShapeError
 
 if TYPE_CHECKING:
-    from orbit_core.interfaces import World
     from orbit_core.scene import SensorSpec
 
+
 TermFunction = Callable[..., Tensor]
-"""(world, task) -> (N, ...); of a term that names an agent, (world, task, agent) -> (N, ...)"""
-EventFunction = Callable[["World", Any, Tensor], None]
-"""(world, task, env_ids)"""
+"""(env) -> (N, ...); of a term that names an agent, (env, agent) -> (N, ...)"""
+EventFunction = Callable[[Any, Tensor], None]
+"""(env, env_ids)"""
+Bounds = tuple[float, float]
+"""Least and most of a number that is drawn uniformly."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,9 @@ class Meaning:
 
 class Term:
     """Base of all terms. Fields may be set, and act at the next step; a collection's default is shared, and may not."""
+
+    arguments: ClassVar[tuple[str, ...]] = ("env",)
+    """Arguments that the term's function is called with, before the name of an agent."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         vars(self)["_default_of"] = f"{owner.__name__}.{name}"
@@ -69,16 +76,16 @@ class ObservationTerm(Term):
     function: TermFunction
     scale: float = 1.0
     noise_std: float = 0.0
-    """Standard deviation of white noise, drawn anew at each step."""
+    """Standard deviation of white noise, drawn at each step."""
     bias_std: float = 0.0
     """Standard deviation of a bias that each episode draws once and keeps."""
     delay: tuple[int, int] = (0, 0)
     """Fewest and most steps of the environment that a measurement is late by, drawn for each episode. What was measured
     first counts as measured ever since."""
     agent: str | None = None
-    """Who sees it, where several robots act; the name is the function's third argument. None: all see it."""
+    """Who sees it, where several robots act; the name is the function's second argument. None: all see it."""
     history: int | None = None
-    """Steps that are seen, the oldest first; an episode's first value stands for those before it. None: the group's."""
+    """Steps that are seen, the oldest first; an episode's first value counts as those before it. None: the group's."""
     sensors: tuple[SensorSpec, ...] = ()
     """What the function reads that the scene need not have by itself, such as a camera: added to the scene."""
     bounds: tuple[float, float] | None = None
@@ -86,7 +93,7 @@ class ObservationTerm(Term):
     camera: str | None = None
     """Name of the camera whose picture the term is: a network takes pictures of one camera as channels of one input."""
     unit: str | None = None
-    """Unit of the value before it is scaled, for whoever reads it elsewhere; None takes the function's
+    """Unit of the value before it is scaled, for readers elsewhere; None takes the function's
     (:func:`measured_in`)."""
     meaning: Meaning | None = None
     """What the numbers are; None takes the function's (:func:`means`), or the first lines of its docstring."""
@@ -113,7 +120,7 @@ class RewardTerm(Term):
     function: TermFunction
     weight: float
     agent: str | None = None
-    """Who earns it, where several robots act; the name is the function's third argument. None: each does, in full."""
+    """Who earns it, where several robots act; the name is the function's second argument. None: each does, in full."""
 
 
 @dataclass(unsafe_hash=True)
@@ -126,15 +133,15 @@ class TerminationTerm(Term):
 @dataclass(unsafe_hash=True)
 class PremiseTerm(Term):
     """``function`` (N,) bool must hold when an episode begins, after the reset has settled
-    (:attr:`Task.settle_time`); what a run makes of starts in which it does not hold is worth nothing."""
+    (:attr:`Task.settle_time`); results of starts in which it does not hold are worthless."""
 
     function: TermFunction
     reason: str
-    """What is wrong with a start in which it does not hold, for whoever mends it; a clause without a full stop."""
+    """What is wrong with a start in which it does not hold, for its author; a clause without a full stop."""
 
 
 class EventTime(Enum):
-    """When an event happens."""
+    """Time of an event."""
 
     STARTUP = "startup"
     """Once, for all environments, when the world is new."""
@@ -152,6 +159,7 @@ class EventTerm(Term):
     time in seconds from the episode's start, or from the last time, to the next; it is rounded to whole steps.
     """
 
+    arguments: ClassVar[tuple[str, ...]] = ("env", "env_ids")
     function: EventFunction
     time: EventTime = EventTime.RESET
     interval: tuple[float, float] = (0.0, 0.0)
@@ -176,9 +184,44 @@ class ModifyTerm(Term):
     step that is compiled, or recorded on a GPU, is captured again.
     """
 
+    arguments: ClassVar[tuple[str, ...]] = ("steps", "value")
     address: str
     """Path of the value in the task: ``"rewards.lift.weight"``, ``"events.push.interval"``, ``"max_forward"``."""
     function: Callable[[int, Any], Any]
+
+
+@dataclass(unsafe_hash=True, kw_only=True)
+class CommandTerm(Term):
+    """A command: a velocity, pose or goal that is sampled when an episode begins, and again in time.
+
+    A sample is drawn uniformly within :meth:`ranges`, and :meth:`command` makes the command of it. Terms read it as
+    ``env.commands[name]``, a tensor (N, K). Ready-made ones: :mod:`orbit_core.mdp.commands`.
+    """
+
+    live: ClassVar[frozenset[str]] = frozenset()
+    """Fields that only :meth:`ranges` reads: setting them in a running environment costs no new capture of its step."""
+    resampling_time: Bounds | None = None
+    """Least and most seconds until the next sample, drawn with each sample; None: one sample an episode."""
+
+    def ranges(self, env: Any) -> dict[str, Bounds]:
+        """Least and most of each number that is drawn, by name."""
+        raise NotImplementedError
+
+    def command(self, env: Any, drawn: Tensor, env_ids: Tensor) -> Tensor:
+        """Commands (n, K) of environments ``env_ids`` (n,), from the numbers drawn for them (n, D)."""
+        return drawn
+
+    def expired(self, env: Any) -> Tensor | None:
+        """(N,) bool after a step: where another sample follows now, before its time. None: nowhere."""
+        return None
+
+    def follow(self, env: Any, command: Tensor) -> bool:
+        """Adjust the command (N, K) in place after a step, where it depends on the state. Return True if it may have
+        changed."""
+        return False
+
+    def show(self, env: Any, command: Tensor, env_ids: Tensor) -> None:
+        """Place markers for new commands (n, K) of environments ``env_ids`` (n,). Override where a scene has some."""
 
 
 _Term = TypeVar("_Term")
@@ -186,12 +229,13 @@ _Function = TypeVar("_Function", bound=TermFunction)
 
 
 def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
-    """The terms in a dataclass's fields, in order, each with a function of (world, task) alone.
+    """The terms in a dataclass's fields, in order, each with a function of the environment only.
 
     A field set to None is left out: a term switched off. A collection that is None has no terms.
 
     Raises:
         TypeError: a field holds something else.
+        ConfigurationError: a term's function takes other arguments than it is called with.
     """
     terms: dict[str, _Term] = {}
     if collection is None:
@@ -204,23 +248,56 @@ def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
             raise TypeError(
                 f"{type(collection).__name__}.{field.name} must be a {getattr(kind, '__name__', kind)}, not {term!r}"
             )
+        check_arguments(term, f"{type(collection).__name__}.{field.name}")
         terms[field.name] = term if getattr(term, "agent", None) is None else _for_its_agent(term)
     return terms
 
 
+def check_arguments(term: object, what: str) -> None:
+    """Check that a term's function takes the arguments that it is called with.
+
+    Args:
+        term: any kind of term; what has no function passes.
+        what: place of the term, for the message.
+
+    Raises:
+        ConfigurationError: it takes others; names those that it has to take.
+    """
+    function = getattr(term, "function", None)
+    if not isinstance(term, Term) or function is None:
+        return
+    if not callable(function):
+        raise ConfigurationError(f"the function of term {what} is {function!r:.60}, which cannot be called")
+    wanted = (*term.arguments, "agent") if getattr(term, "agent", None) is not None else term.arguments
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of C, without a signature
+        return
+    try:
+        signature.bind(*wanted)
+    except TypeError:
+        names = [name for name, each in signature.parameters.items() if each.default is each.empty]
+        before = names[:2] == ["world", "task"]
+        hint = ": the world is env.world, the task env.task, what it remembers env.state" if before else ""
+        raise ConfigurationError(
+            f"the function of term {what} takes ({', '.join(names)}), but terms are called with "
+            f"({', '.join(wanted)}){hint}"
+        ) from None
+
+
 def _for_its_agent(term: Any) -> Any:
     function, agent = term.function, term.agent
-    return replace(term, function=lambda world, task: function(world, task, agent))
+    return replace(term, function=lambda env: function(env, agent))
 
 
+# Unit of a pose (..., 7).
 POSE = "m, quaternion (w, x, y, z)"
-"""Unit of a pose (..., 7)."""
+# Frame of what is measured in the world.
 ENVIRONMENT = "environment: axes of the world, origin of the environment"
-"""Frame of what is measured in the world."""
 
 
 def measured_in(unit: str) -> Callable[[_Function], _Function]:
-    """Say in which unit a term's function measures; ``"1"`` stands for what has none."""
+    """Say in which unit a term's function measures; ``"1"`` where there is none."""
 
     def mark(function: _Function) -> _Function:
         function.unit = unit  # pyright: ignore[reportFunctionMemberAccess] - functions take attributes
@@ -263,15 +340,66 @@ def unit_of(term: ObservationTerm) -> str:
 
 
 def once_per_state(function: _Function) -> _Function:
-    """Compute a term once per state of the world, and for each agent's name if it takes one, whoever asks for it."""
+    """Compute a term once per state of the world, and for each agent's name if it takes one."""
 
     @wraps(function)
-    def cached(world: World, task: Any, *agent: str) -> Tensor:
+    def cached(env: Any, *agent: str) -> Tensor:
         key = (function, *agent)
-        version, value = task.cache.get(key, (-1, None))
-        if value is None or version != world.clock.version:
-            value = function(world, task, *agent)
-            task.cache[key] = (world.clock.version, value)
+        now = env.world.clock.version
+        version, value = env.cache.get(key, (-1, None))
+        if value is None or version != now:
+            value = function(env, *agent)
+            env.cache[key] = (now, value)
         return value
 
     return cached  # pyright: ignore[reportReturnType] - as the function is called, it is called
+
+
+def per_environment(value: object, what: str, num_envs: int) -> Tensor:
+    """A term's value, where it is a tensor (N,).
+
+    Args:
+        value: that the term's function gave.
+        what: the term, for the message.
+        num_envs: N.
+
+    Raises:
+        ConfigurationError: it is no tensor.
+        ShapeError: it has another shape.
+    """
+    if not isinstance(value, Tensor):
+        raise ConfigurationError(f"{what} gives a {type(value).__name__}: its function must return a torch.Tensor")
+    if value.shape != (num_envs,):
+        raise ShapeError(
+            f"{what} has shape {tuple(value.shape)}, but must have ({num_envs},), a value for each environment"
+        )
+    return value
+
+
+def weight_of(name: str, term: RewardTerm) -> float:
+    """Return a reward term's weight.
+
+    Raises:
+        ConfigurationError: it is no finite number; names the term.
+    """
+    weight = term.weight
+    if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
+        raise ConfigurationError(f"the weight of reward term '{name}' must be a finite number, not {weight!r}")
+    return float(weight)
+
+
+def check_same_names(kind: str, before: Collection[str], now: Collection[str], remedy: str) -> None:
+    """Check that a collection has the terms that it had when the environment was made.
+
+    Raises:
+        ConfigurationError: one is missing, or new; names it.
+    """
+    if missing := [name for name in before if name not in now]:
+        raise ConfigurationError(
+            f"{kind} term '{missing[0]}' was there when the environment was made, and cannot be switched off now: "
+            f"{remedy}"
+        )
+    if new := [name for name in now if name not in before]:
+        raise ConfigurationError(
+            f"{kind} term '{new[0]}' was not there when the environment was made: give it to the task before"
+        )

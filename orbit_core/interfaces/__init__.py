@@ -5,8 +5,9 @@ Names load on first use, so that reading a backend's declaration does not load t
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
+
+from orbit_core.exports import lazy_names
 
 # Type checkers see every name; at run time a name's module is imported when the name is used.
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     )
     from orbit_core.interfaces.capture import CaptureFacet
     from orbit_core.interfaces.engine import Engine, RayHits
-    from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
+    from orbit_core.interfaces.entities import Deformable, JointTarget, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
         MAX_DISTANCE,
         MAX_SPEED,
@@ -65,7 +66,7 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.names import NamedThings, find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
-    from orbit_core.interfaces.world import Sensor, World, WorldClock, WorldMasking, WorldRandom
+    from orbit_core.interfaces.world import Sensor, World, WorldClock, WorldRandom, WorldSelector
 
 _MODULES = {
     "backend": ("Backend",),
@@ -75,7 +76,7 @@ _MODULES = {
     ),
     "capture": ("CaptureFacet",),
     "engine": ("Engine", "RayHits"),
-    "entities": ("Deformable", "Marker", "Object", "Robot"),
+    "entities": ("Deformable", "JointTarget", "Marker", "Object", "Robot"),
     "errors": (
         "MAX_DISTANCE", "MAX_SPEED", "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError",
         "ClosedError", "ConfigurationError", "NonFiniteError", "OrbitError", "PlanningError", "PremiseError",
@@ -90,24 +91,76 @@ _MODULES = {
     "names": ("NamedThings", "find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
-    "world": ("Sensor", "World", "WorldClock", "WorldMasking", "WorldRandom"),
+    "world": ("Sensor", "World", "WorldClock", "WorldSelector", "WorldRandom"),
 }  # fmt: skip
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
 __all__ = [
-    "BACKGROUND", "EXACT", "IMAGES", "MATTER", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation",
-    "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel",
-    "Capabilities", "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
-    "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Matter",
-    "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError", "PlanningError", "Port",
-    "PremiseError", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError",
-    "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking",
-    "WorldRandom", "albedo_table", "approximate", "diverged", "divergence_error", "drawn_shapes", "find_name",
-    "first_few", "match_names", "match_values", "matter_divergence_error", "required_capabilities", "unsupported",
+    "BACKGROUND",
+    "EXACT",
+    "IMAGES",
+    "MATTER",
+    "MAX_DISTANCE",
+    "MAX_SPEED",
+    "TERRAIN",
+    "Approximation",
+    "ArgumentError",
+    "AssetError",
+    "Backend",
+    "BackendNotInstalledError",
+    "BuildError",
+    "BuiltModel",
+    "Capabilities",
+    "Capability",
+    "CaptureFacet",
+    "ClosedError",
+    "ConfigurationError",
+    "ContactQuery",
+    "Deformable",
+    "DriveIntegration",
+    "Engine",
+    "EntityLayout",
+    "Gap",
+    "Image",
+    "JointParameters",
+    "JointTarget",
+    "Level",
+    "Marker",
+    "Matter",
+    "MatterSolver",
+    "NamedThings",
+    "Node",
+    "NonFiniteError",
+    "Object",
+    "OrbitError",
+    "PlanningError",
+    "Port",
+    "PremiseError",
+    "RayHits",
+    "Renderer",
+    "Robot",
+    "SceneLayout",
+    "Sensor",
+    "ShapeError",
+    "SimulationError",
+    "StorageError",
+    "Support",
+    "UnknownNameError",
+    "UnsupportedCapabilityError",
+    "World",
+    "WorldClock",
+    "WorldRandom",
+    "WorldSelector",
+    "albedo_table",
+    "approximate",
+    "diverged",
+    "divergence_error",
+    "drawn_shapes",
+    "find_name",
+    "first_few",
+    "match_names",
+    "match_values",
+    "matter_divergence_error",
+    "required_capabilities",
+    "unsupported",
 ]  # fmt: skip
 
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _MODULES)

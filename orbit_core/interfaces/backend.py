@@ -22,6 +22,7 @@ class Backend(ABC):
     """A physics engine, a renderer, or both. Importing and making one must not import the engine itself."""
 
     name: ClassVar[str]
+    # A class and not an instance, so that commands list its fields without making a backend.
     config_type: ClassVar[type]
     """The dataclass of the engine's own settings; every field has a default."""
     # Declared by the class, so that the core can refuse unstable gains before it builds anything.

@@ -1,7 +1,7 @@
 """What an engine, or a renderer, does for a step that is captured: watched once, then repeated without its Python.
 
 The interface's methods say themselves what they are to such a step: a *read* of the state, or a *call* that changes or
-measures something. While a :class:`Watcher` watches they go through it, whatever class overrides them.
+measures something. While a :class:`CallTracer` watches they go through it, whatever class overrides them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import inspect
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, TypeVar
@@ -61,10 +61,10 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Use:
+class EngineCall:
     """One call, as a watcher is told of it."""
 
-    owner: Watched
+    owner: Traceable
     name: str
     kind: Call
     function: Callable[..., Any]
@@ -73,27 +73,73 @@ class Use:
     """All of them by name, defaults with them."""
 
 
-class Watcher(Protocol):
+class CallTracer(Protocol):
     """Is told of reads and calls, and makes them."""
 
-    def read(self, owner: Watched, name: str, function: Callable[[], Tensor]) -> Tensor:
-        """Return the value of a property that reads the state."""
+    incomplete: bool
+    """True if the step made memory that later steps use."""
+
+    def read(self, owner: Traceable, name: str, function: Callable[[], Tensor]) -> Tensor:
+        """The value of a property that reads the state."""
         ...
 
-    def call(self, use: Use) -> Any:
+    def call(self, call: EngineCall) -> Any:
         """What the call gives."""
         ...
 
 
+class Schedule(Protocol):
+    """Counters of plain Python that decide what a step runs: which sensors are due, and which nodes.
+
+    One clock rules all environments, so the key of a step repeats with a period, and a step is captured once for each
+    key.
+    """
+
+    @property
+    def period(self) -> int:
+        """Steps after which the same parts are due again."""
+        ...
+
+    @property
+    def key(self) -> Hashable:
+        """Value that decides what the next step runs."""
+        ...
+
+    @property
+    def count(self) -> int:
+        """Steps made so far."""
+        ...
+
+    def move(self, key: Any, steps: int) -> None:
+        """Move on by steps that were repeated without Python, and drop what was derived from the state before them.
+
+        Args:
+            key: after the steps.
+            steps: to count.
+        """
+        ...
+
+
 class _Watching(threading.local):
-    watcher: Watcher | None = None
+    watcher: CallTracer | None = None
 
 
 _watching = _Watching()
 
 
+def is_tracing() -> bool:
+    """Return True while a step is traced in this thread: nothing may then look at the numbers that tensors hold."""
+    return _watching.watcher is not None
+
+
+def report_new_memory() -> None:
+    """Report to a trace that memory of later steps was made within it, so that only a next trace holds for them."""
+    if _watching.watcher is not None:
+        _watching.watcher.incomplete = True
+
+
 @contextmanager
-def watched_by(watcher: Watcher) -> Iterator[None]:
+def traced_by(watcher: CallTracer) -> Iterator[None]:
     """Tell the watcher of every read and call in this thread."""
     before, _watching.watcher = _watching.watcher, watcher
     try:
@@ -118,7 +164,7 @@ def measures(*rows: str) -> Callable[[_Function], _Function]:
     return _marking(Call(rows, measures=True))
 
 
-class Watched:
+class Traceable:
     """A class whose marked methods, and what overrides them, tell the watcher of their use."""
 
     capture: CaptureFacet = CaptureFacet()
@@ -153,7 +199,7 @@ def _mark_of(member: object) -> tuple[Call | None] | None:
 
 def _watched_read(name: str, read: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
     @functools.wraps(read)
-    def watched(owner: Watched) -> Tensor:
+    def watched(owner: Traceable) -> Tensor:
         watcher = _watching.watcher
         return read(owner) if watcher is None else watcher.read(owner, name, functools.partial(read, owner))
 
@@ -164,13 +210,13 @@ def _watched_call(name: str, kind: Call, call: Callable[..., Any]) -> Callable[.
     signature = inspect.signature(call)
 
     @functools.wraps(call)
-    def watched(owner: Watched, *arguments: Any, **keywords: Any) -> Any:
+    def watched(owner: Traceable, *arguments: Any, **keywords: Any) -> Any:
         watcher = _watching.watcher
         if watcher is None:
             return call(owner, *arguments, **keywords)
         bound = signature.bind(owner, *arguments, **keywords)
         bound.apply_defaults()
         given = dict(list(bound.arguments.items())[1:])
-        return watcher.call(Use(owner, name, kind, functools.partial(call, owner), given))
+        return watcher.call(EngineCall(owner, name, kind, functools.partial(call, owner), given))
 
     return watched

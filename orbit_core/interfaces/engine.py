@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces.capture import Watched, changes, measures, reads_state
+from orbit_core.interfaces.capture import Traceable, changes, measures, reads_state
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import BACKGROUND, Approximation, BuiltModel, SceneLayout
 
@@ -77,7 +77,7 @@ def _among(met: Tensor, links: range) -> Tensor:
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
 
-class Engine(Watched, ABC):
+class Engine(Traceable, ABC):
     """N environments of one scene in one physics engine.
 
     N = ``num_envs``, J movable joints and L links as numbered by ``layout``; n = ``len(env_ids)``, all environments
@@ -129,19 +129,19 @@ class Engine(Watched, ABC):
     @abstractmethod
     @reads_state
     def joint_positions(self) -> Tensor:
-        """(N, J) rad or m."""
+        """Joint positions (N, J), rad or m."""
 
     @property
     @abstractmethod
     @reads_state
     def joint_velocities(self) -> Tensor:
-        """(N, J) rad/s or m/s."""
+        """Joint velocities (N, J), rad/s or m/s."""
 
     @property
     @abstractmethod
     @reads_state
     def joint_efforts(self) -> Tensor:
-        """(N, J) efforts that drives and commands applied over the last physics step, N m or N, after limits.
+        """Efforts (N, J) of drives and commands over the last physics step after limits, N m or N.
 
         The mean over the step, not the law at its beginning: ``(inertia + armature) (v1 - v0) / h`` of a free joint.
         Forces of the joint itself are not in them: its damping, friction, spring and limits.
@@ -151,27 +151,41 @@ class Engine(Watched, ABC):
     @abstractmethod
     @reads_state
     def link_poses(self) -> Tensor:
-        """(N, L, 7) position and quaternion (w, x, y, z), w >= 0, of each link frame."""
+        """Link poses (N, L, 7), position and quaternion (w, x, y, z), w >= 0, of each link frame."""
 
     @property
     @abstractmethod
     @reads_state
     def link_velocities(self) -> Tensor:
-        """(N, L, 6) linear velocity of the link frame's origin, then angular velocity, both in world axes."""
+        """Linear velocities of the link frames' origins, then angular velocities (N, L, 6), in world axes."""
 
     @abstractmethod
     @changes("positions", "velocities")
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        """Set state (n, k) of the joints (k,) of some environments. Mimic joints follow when the engine next steps."""
+        """Set the state of joints. Mimic joints follow when the engine next steps.
+
+        Args:
+            joints: (k,) indices of the layout.
+            positions: (n, k) rad or m; None leaves them.
+            velocities: (n, k) rad/s or m/s; None leaves them.
+            env_ids: (n,) environments; all if None.
+        """
 
     @abstractmethod
     @changes("pose", "velocity")
     def write_root_state(
         self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        """Set pose (n, 7) and velocity (n, 6) of an entity's root link; a fixed base takes a pose, and no velocity."""
+        """Set the state of an entity's root link.
+
+        Args:
+            entity: index of the layout.
+            pose: (n, 7) in the environment's world frame; None leaves it.
+            velocity: (n, 6) linear, then angular, world axes; None leaves it, and for a fixed base it is None.
+            env_ids: (n,) environments; all if None.
+        """
 
     @abstractmethod
     @changes()
@@ -187,7 +201,7 @@ class Engine(Watched, ABC):
     @property
     @reads_state
     def contact_forces(self) -> Tensor:
-        """(N, K, 3) newtons, world axes, per query of ``layout.contact_queries``, averaged over the last ``step`` call.
+        """Contact forces (N, K, 3) of ``layout.contact_queries``, mean of the last ``step`` call: newtons, world axes.
 
         Zero after a reset until the environment has stepped.
         """
@@ -196,7 +210,7 @@ class Engine(Watched, ABC):
     @property
     @reads_state
     def joint_wrenches(self) -> Tensor:
-        """(N, W, 6) force and torque that each of ``layout.wrench_links`` receives from its parent (or the world).
+        """Force and torque (N, W, 6) that each of ``layout.wrench_links`` receives from its parent, or the world.
 
         About the link frame's origin, in the link's axes, over the last physics step. The torque about a hinge's axis
         is the joint's effort, less what its damping, friction, spring and armature take.
@@ -232,7 +246,13 @@ class Engine(Watched, ABC):
 
     @changes("wrenches")
     def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
-        """Apply (n, k, 6) force at the centre of mass and torque, world axes, to links (k,) until set again."""
+        """Apply wrenches to links until they are set again.
+
+        Args:
+            links: (k,) indices of the layout.
+            wrenches: (n, k, 6) force at the centre of mass and torque, world axes, N and N m.
+            env_ids: (n,) environments; all if None.
+        """
         raise self._unsupported("external wrenches")
 
     @changes("masses")
@@ -267,9 +287,17 @@ class Engine(Watched, ABC):
         stiffness: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Set damping, Coulomb friction, armature and springs' stiffness (n, k) of the mechanism of joints (k,).
+        """Set parameters of the mechanism of joints.
 
         None leaves one as it is. Parameters of drives are no part of it.
+
+        Args:
+            joints: (k,) indices of the layout.
+            damping: (n, k) N s/m or N m s/rad.
+            friction: (n, k) Coulomb friction, N or N m.
+            armature: (n, k) kg or kg m^2.
+            stiffness: (n, k) of springs, N/m or N m/rad.
+            env_ids: (n,) environments; all if None.
         """
         raise self._unsupported("joint damping, friction, armature and springs per environment")
 
@@ -306,7 +334,14 @@ class Engine(Watched, ABC):
     def anchor_particles(
         self, deformable: int, particles: Tensor, link: int | None, env_ids: Tensor | None = None
     ) -> None:
-        """Hold particles (k,) where they are to a link of the scene, or to the world; kept over resets."""
+        """Hold particles where they are; resets keep them held.
+
+        Args:
+            deformable: index in the scene.
+            particles: (k,) indices.
+            link: index of the layout; the world if None.
+            env_ids: (n,) environments; all if None.
+        """
         raise self._unsupported("anchors of particles")
 
     @changes()

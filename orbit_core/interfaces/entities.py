@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Protocol
 
@@ -21,7 +22,7 @@ class ActivePart(Protocol):
 
     @property
     def parameters(self) -> Mapping[str, Tensor]:
-        """(N,) values of each parameter, by name."""
+        """Values (N,) of each parameter, by name."""
         ...
 
     @property
@@ -55,37 +56,37 @@ class Object(ABC):
     @property
     @abstractmethod
     def root_pose(self) -> Tensor:
-        """(N, 7)"""
+        """Pose (N, 7) of the root link."""
 
     @property
     @abstractmethod
     def root_velocity(self) -> Tensor:
-        """(N, 6)"""
+        """Velocity (N, 6) of the root link."""
 
     @property
     @abstractmethod
     def link_poses(self) -> Tensor:
-        """(N, links, 7)"""
+        """Link poses (N, links, 7)."""
 
     @property
     @abstractmethod
     def link_velocities(self) -> Tensor:
-        """(N, links, 6)"""
+        """Link velocities (N, links, 6)."""
 
     @property
     @abstractmethod
     def joint_positions(self) -> Tensor:
-        """(N, joints)"""
+        """Joint positions (N, joints), rad or m."""
 
     @property
     @abstractmethod
     def joint_velocities(self) -> Tensor:
-        """(N, joints)"""
+        """Joint velocities (N, joints), rad/s or m/s."""
 
     @property
     @abstractmethod
     def joint_efforts(self) -> Tensor:
-        """(N, joints) efforts that drives and commands applied over the last physics step, N m or N, after limits."""
+        """Efforts (N, joints) of drives and commands over the last physics step after limits, N m or N."""
 
     @abstractmethod
     def frame_pose(self, name: str) -> Tensor:
@@ -126,12 +127,12 @@ class Object(ABC):
     @property
     @abstractmethod
     def home_positions(self) -> Tensor:
-        """(joints,) positions at reset."""
+        """Joint positions (joints,) at reset, rad or m."""
 
     @property
     @abstractmethod
     def position_limits(self) -> Tensor:
-        """(joints, 2) lower, upper."""
+        """Lower and upper position limits (joints, 2), rad or m."""
 
     # Writing state
 
@@ -161,7 +162,7 @@ class Object(ABC):
 
     @cached_property
     def nominal_masses(self) -> Tensor:
-        """(N, links) in kg, of the scene; what :meth:`set_masses` sets does not change them.
+        """Masses (N, links) of the scene in kg; :meth:`set_masses` does not change them.
 
         Raises:
             UnsupportedCapabilityError: as all parameters do where there are none to set.
@@ -199,7 +200,16 @@ class Object(ABC):
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Set damping, Coulomb friction, armature and spring stiffness (n, k) of some joints; None changes nothing."""
+        """Set parameters of the mechanism of joints; None leaves one as it is.
+
+        Args:
+            damping: (n, k) N s/m or N m s/rad.
+            friction: (n, k) Coulomb friction, N or N m.
+            armature: (n, k) kg or kg m^2.
+            stiffness: (n, k) of springs, N/m or N m/rad.
+            joints: (k,) indices; all movable joints if None.
+            env_ids: indices (n,) or a mask (N,) bool; all if None.
+        """
         raise self._unsupported("joint parameters to set")
 
     def set_joint_limits(
@@ -237,6 +247,14 @@ class Object(ABC):
         return UnsupportedCapabilityError(f"'{self.name}' has no {what}: {type(self).__name__} provides none")
 
 
+class JointTarget(StrEnum):
+    """Quantity that is commanded to a joint; the value names the port that carries it, (N, k) for k joints."""
+
+    POSITION = "position_targets"
+    VELOCITY = "velocity_targets"
+    EFFORT = "effort_targets"
+
+
 class Robot(Object):
     """An articulation with actuator groups that take commands."""
 
@@ -247,10 +265,10 @@ class Robot(Object):
 
     @property
     def motor_temperatures(self) -> Tensor:
-        """(N, J) degrees Celsius of the windings of the joints' motors, 25 where a motor's are not described.
+        """Temperatures (N, J) of the motors' windings in degrees Celsius, 25 for motors without windings.
 
         Raises:
-            ConfigurationError: no motor's are.
+            ConfigurationError: no motor has windings.
         """
         raise self._unsupported("motor temperatures")
 
@@ -266,6 +284,26 @@ class Robot(Object):
     def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
         """Set effort targets (N, k), N m or N, which are added to the actuators' PD law."""
 
+    def target_writer(
+        self, target: JointTarget, joints: Sequence[int], checked: bool = True
+    ) -> Callable[[Tensor], object]:
+        """Return a function that writes targets (N, k) of some joints.
+
+        A controller makes one when it is built, so that a step looks up no joints.
+
+        Args:
+            target: quantity that is written.
+            joints: indices (k,).
+            checked: False for targets that the caller has just clamped: float32, finite and on the device. A world may
+                then skip its checks.
+        """
+        setter = {
+            JointTarget.POSITION: self.set_position_targets,
+            JointTarget.VELOCITY: self.set_velocity_targets,
+            JointTarget.EFFORT: self.set_effort_targets,
+        }[target]
+        return partial(setter, joints=joints)
+
 
 class Deformable(ABC):
     """Cloth, rope, a soft body or a fluid in N environments: P particles, one at each vertex or point of its spec.
@@ -279,12 +317,12 @@ class Deformable(ABC):
     @property
     @abstractmethod
     def positions(self) -> Tensor:
-        """(N, P, 3) in m, in the environment's world frame."""
+        """Positions (N, P, 3) in m, in the environment's world frame."""
 
     @property
     @abstractmethod
     def velocities(self) -> Tensor:
-        """(N, P, 3) in m/s."""
+        """Velocities (N, P, 3) in m/s."""
 
     @abstractmethod
     def set_state(self, positions: Tensor, velocities: Tensor | None = None, env_ids: Tensor | None = None) -> None:
@@ -320,7 +358,7 @@ class Deformable(ABC):
 
     @property
     def key_points(self) -> Tensor:
-        """(N, K, 3) of the spec's key points, in its order."""
+        """Positions (N, K, 3) of the spec's key points, in its order."""
         # Derived quantities have no default: a solver may compute them more cheaply than from positions.
         raise self._unsupported("key points")
 
@@ -334,7 +372,7 @@ class Deformable(ABC):
 
     @property
     def covered_area(self) -> Tensor:
-        """(N,) m^2 that a cloth covers seen from above, layers counted once."""
+        """Area (N,) in m^2 that a cloth covers seen from above, layers counted once."""
         raise self._unsupported("covered area")
 
     def share_inside(self, region: Region) -> Tensor:
@@ -379,8 +417,8 @@ class Marker(ABC):
     @property
     @abstractmethod
     def pose(self) -> Tensor:
-        """(N, 7)"""
+        """Pose (N, 7) of the marker."""
 
     @abstractmethod
     def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        """Set (n, 7)"""
+        """Set the pose (n, 7)."""

@@ -104,7 +104,7 @@ class SceneLayout:
 
     @staticmethod
     def of(scene: Scene) -> SceneLayout:
-        """Number the scene.
+        """Build the layout of a scene.
 
         Raises:
             ConfigurationError: two entities or sensors share a name, or two actuator groups a joint.
@@ -300,7 +300,13 @@ def actuator_of_joint(entity: Entity) -> dict[int, ActuatorConfig]:
 
 
 def gripper_positions(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> Mapping[int, float]:
-    """Return positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
+    """Return the positions of a gripper's joints, by joint index.
+
+    Args:
+        spec: of the robot.
+        gripper: one of its grippers.
+        value: ``open_position`` or ``closed_position`` of the gripper, rad or m.
+    """
     values = value if isinstance(value, tuple) else (value,) * len(gripper.joints)
     names = spec.articulation.joint_names
     return match_values(dict(zip(gripper.joints, values, strict=True)), names, "joint", f"the gripper of '{spec.name}'")
@@ -319,7 +325,7 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
         # Files round both limits and home positions.
         if not lower[index] - 1e-6 <= position <= upper[index] + 1e-6:
             raise ConfigurationError(
-                f"home position {position} of joint '{names[index]}' of '{entity.name}' lies outside its limits "
+                f"home position {position} of joint '{names[index]}' of '{entity.name}' is outside of its limits "
                 f"[{lower[index]}, {upper[index]}]: give the entity's home a position within them, or widen the limits "
                 "by edit_joints"
             )

@@ -50,7 +50,15 @@ class Matter(ABC):
     def anchor(
         self, deformable: int, particles: Tensor, link: int | None, link_poses: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        """Hold particles (k,) where they are to a link, at ``link_poses`` (N, L, 7), or to the world if None."""
+        """Hold particles where they are to a link, or to the world.
+
+        Args:
+            deformable: index in the scene.
+            particles: (k,) indices.
+            link: index of the layout; the world if None.
+            link_poses: (N, L, 7) present poses of all links.
+            env_ids: environments; all if None.
+        """
 
     @abstractmethod
     def release(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
@@ -101,16 +109,16 @@ class Matter(ABC):
     @property
     @abstractmethod
     def wrenches(self) -> Tensor:
-        """(N, L, 6) wrench about the link frame's origin, world axes, that the engine applies in its next step.
+        """Wrenches (N, L, 6) that the engine applies in its next step, about the links' origins, world axes.
 
-        Of links that the solver moves with its own equations it is the wrench that makes the engine's follow; of
+        For links that the solver moves with its own equations it is the wrench that makes the engine's follow; for
         others the mean that matter exerted in the last step.
         """
 
     @property
     @abstractmethod
     def contact_forces(self) -> Tensor:
-        """(N, D, L, 3) newtons that each deformable exerts on each link, in world axes, mean of the last step."""
+        """Forces (N, D, L, 3) of each deformable on each link, mean of the last step: newtons, world axes."""
 
     @abstractmethod
     def diverged(self) -> Tensor:
@@ -194,4 +202,11 @@ class MatterSolver(ABC):
 
     @abstractmethod
     def create(self, layout: SceneLayout, num_envs: int, device: torch.device, config: Any) -> Matter:
-        """Make the deformables of ``num_envs`` copies of the scene. ``config`` is of ``config_type``."""
+        """Make the deformables of all environments.
+
+        Args:
+            layout: of the scene.
+            num_envs: copies of the scene.
+            device: of all tensors.
+            config: settings, an instance of ``config_type``.
+        """

@@ -49,6 +49,12 @@ class NamedThings(dict[str, _Thing]):
 def find_name(name: str, names: Sequence[str], kind: str, where: str = "") -> int:
     """Return the index of ``name`` in ``names``.
 
+    Args:
+        name: to look up.
+        names: that are known.
+        kind: of thing, in the singular, for the message.
+        where: place of the look-up, for the message.
+
     Raises:
         UnknownNameError: it is not there.
     """
@@ -60,6 +66,12 @@ def find_name(name: str, names: Sequence[str], kind: str, where: str = "") -> in
 
 def match_names(patterns: Sequence[str], names: Sequence[str], kind: str, where: str = "") -> list[int]:
     """Return indices, ascending, of all names that one of the regular expressions matches in full.
+
+    Args:
+        patterns: regular expressions.
+        names: that are known.
+        kind: of thing, in the singular, for the message.
+        where: place of the look-up, for the message.
 
     Raises:
         UnknownNameError: a pattern matches no name.
@@ -76,7 +88,13 @@ def match_names(patterns: Sequence[str], names: Sequence[str], kind: str, where:
 
 
 def match_values(values: Mapping[str, float], names: Sequence[str], kind: str, where: str = "") -> dict[int, float]:
-    """Return index -> value for every name that a key matches in full; a later key overrides an earlier one.
+    """Return the value of each name that a key matches in full, by index; a later key overrides an earlier one.
+
+    Args:
+        values: by regular expression.
+        names: that are known.
+        kind: of thing, in the singular, for the message.
+        where: place of the look-up, for the message.
 
     Raises:
         UnknownNameError: a key matches no name.

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from orbit_core.interfaces.capture import Watched, measures
+from orbit_core.interfaces.capture import Traceable, measures
 from orbit_core.interfaces.layout import TERRAIN, SceneLayout
 from orbit_core.scene import CameraSpec, Channel, Shape
 
@@ -42,9 +42,10 @@ _FIELDS = {
 }  # fmt: skip
 
 
-class Renderer(Watched, ABC):
+class Renderer(Traceable, ABC):
     """Draws visual shapes (collision shapes where a link has none), terrain and markers."""
 
+    # None costs nothing; a table of all links would be looked up for every pixel.
     link_colors: Tensor | None = None
     """(N, L, 4) each link's red, green and blue in [0, 1] in each environment, in the place of its shapes' own where
     the fourth number is above zero; None: all have their own. Opacity is the shapes' own. Its owner writes in place."""

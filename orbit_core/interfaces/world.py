@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
+from orbit_core.interfaces.capture import Schedule
 from orbit_core.interfaces.engine import Engine
 from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
@@ -51,18 +52,23 @@ class WorldClock(Protocol):
         ...
 
 
-class WorldMasking(Protocol):
-    """Selection of the environments that a call is for; while a mask is set, only those of the mask."""
-
-    traced: bool
-    """True while a step is traced: no code may read the values of tensors then."""
+class WorldSelector(Protocol):
+    """Selection of the environments that a call is for; while a mask is set, of those in it only."""
 
     # A context, so that the mask is lifted even where the code within raises.
     def only(self, mask: Tensor) -> AbstractContextManager[None]:
         """Set a mask (N,) bool for a while."""
         ...
 
-    def rows(self, env_ids: Tensor | None) -> Tensor | None:
+    def given(self, env_ids: Tensor | None) -> AbstractContextManager[Tensor]:
+        """Give indices (n,) for indices; for a mask (N,), the indices of all environments, under the mask."""
+        ...
+
+    def where(self, mask: Tensor) -> Tensor | None:
+        """Return the environments of a mask (N,) as indices, None without any; in a traced step the mask itself."""
+        ...
+
+    def resolve(self, env_ids: Tensor | None) -> Tensor | None:
         """Return the environments that ``env_ids`` means: checked indices (n,), a mask (N,) bool, or None for all."""
         ...
 
@@ -90,7 +96,7 @@ class WorldRandom(Protocol):
 
     @property
     def episode(self) -> Tensor:
-        """(N,) number of each environment's episode, from 0; -1 before the first."""
+        """Number (N,) of each environment's episode, from 0; -1 before the first."""
         ...
 
     def begin(self, episode: Tensor) -> None:
@@ -137,7 +143,7 @@ class World(ABC):
     markers: Mapping[str, Marker]
     clock: WorldClock
     random: WorldRandom
-    masking: WorldMasking
+    selector: WorldSelector
 
     # Time
 
@@ -175,7 +181,7 @@ class World(ABC):
             SimulationError: the engine diverged.
             UnsupportedCapabilityError: nothing is simulated, or the engine has no snapshots of this scene.
         """
-        raise self._unsupported("time of its own to let pass")
+        raise self._unsupported("physics to run on for a while")
 
     def save_state(self) -> Any:
         """Return everything that the continuation depends on."""
@@ -208,7 +214,7 @@ class World(ABC):
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, L, 7) of every link of the scene, in the layout's order."""
+        """Link poses (N, L, 7) of every link of the scene, in the layout's order."""
         # Robots come first, as in the layout, whose link indices these rows match.
         entities = (*self.robots.values(), *self.objects.values())
         poses = [entity.link_poses for entity in entities]
@@ -216,7 +222,7 @@ class World(ABC):
 
     @property
     def marker_poses(self) -> Tensor:
-        """(N, M, 7) of every marker, in the scene's order."""
+        """Marker poses (N, M, 7) of every marker, in the scene's order."""
         poses = [marker.pose for marker in self.markers.values()]
         return torch.stack(poses, 1) if poses else torch.zeros(self.num_envs, 0, 7, device=self.device)
 
@@ -265,33 +271,9 @@ class World(ABC):
         raise self._unsupported("native objects")
 
     @property
-    def needs_python(self) -> str:
-        """Reason why a step of this world cannot be captured (:mod:`orbit_core.capture`); empty if it can."""
-        # A recorded or real world steps in Python, which no graph can repeat.
-        return f"{type(self).__name__} has no engine"
-
-    @property
-    def schedule_period(self) -> int:
-        """Physics steps after which the same sensors are due again."""
-        # Without a schedule of its own every step is alike.
-        return 1
-
-    @property
-    def phase(self) -> Hashable:
-        """Schedule key of the next step: which sensors are due and how many physics steps run at once."""
-        raise self._unsupported("captured steps")
-
-    def enter(self, phase: Any, steps: int) -> None:
-        """Continue after ``steps`` physics steps that were replayed without Python and ended in ``phase``."""
-        raise self._unsupported("captured steps")
-
-    def touch(self) -> None:
-        """Invalidate all quantities that were derived from the present state."""
-        raise self._unsupported("captured steps")
-
-    def memory(self) -> dict[str, Tensor]:
-        """Return the tensors that a captured step writes in place, without the engine's, by name."""
-        raise self._unsupported("captured steps")
+    def schedule(self) -> Schedule | None:
+        """Counters of a step, which a captured step moves on; None where nothing is simulated, nor captured."""
+        return None
 
     def _unsupported(self, what: str) -> UnsupportedCapabilityError:
         return UnsupportedCapabilityError(f"this world has no {what}: {type(self).__name__} provides none")

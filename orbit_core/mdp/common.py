@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,8 +11,19 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.workspace import with_workspace
-from orbit_core.envs.task import ROBOT, Task
-from orbit_core.envs.terms import ENVIRONMENT, POSE, ObservationGroup, means, measured_in, once_per_state
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.task import ROBOT
+from orbit_core.envs.terms import (
+    ENVIRONMENT,
+    POSE,
+    Bounds,
+    EventFunction,
+    ObservationGroup,
+    TermFunction,
+    means,
+    measured_in,
+    once_per_state,
+)
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import gripper_positions
 from orbit_core.moved import moved_name
@@ -19,8 +31,8 @@ from orbit_core.robots import robot
 from orbit_core.scene import Plane, Pose, RobotSpec, Shape, Workspace
 from orbit_core.scene.pose import Vector3
 
+# Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more.
 ROOM: Vector3 = (0.15, 0.3, 0.2)
-"""Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more."""
 
 
 def floor(height: float = 0.0) -> Shape:
@@ -115,38 +127,38 @@ def workspace_of(spec: RobotSpec) -> Workspace:
     return spec.end_effector.workspace
 
 
-def _joint_names(world: World, task: Task, agent: str = ROBOT) -> Sequence[str]:
-    return robot_of(world, agent).joint_names
+def _joint_names(env: Environment, agent: str = ROBOT) -> Sequence[str]:
+    return robot_of(env.world, agent).joint_names
 
 
-def _home_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:
-    return robot_of(world, agent).home_positions
+def _home_positions(env: Environment, agent: str = ROBOT) -> Tensor:
+    return robot_of(env.world, agent).home_positions
 
 
-def _action_components(world: World, task: Task, agent: str | None = None) -> Sequence[str]:
-    return task.action_components if agent is None else task.action_components[task.action_slices[agent]]
+def _action_components(env: Environment, agent: str | None = None) -> Sequence[str]:
+    return env.actions.components if agent is None else env.actions.components[env.actions.slices[agent]]
 
 
 @means("measured position of each joint minus its home position", components=_joint_names, offset=_home_positions)
 @measured_in("rad or m")
-def joint_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+def joint_positions(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N, J) relative to the home pose."""
-    body = robot_of(world, agent)
+    body = robot_of(env.world, agent)
     return body.joint_positions - body.home_positions
 
 
 @means("measured velocity of each joint", components=_joint_names)
 @measured_in("rad/s or m/s")
-def joint_velocities(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+def joint_velocities(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N, J)"""
-    return robot_of(world, agent).joint_velocities
+    return robot_of(env.world, agent).joint_velocities
 
 
 @means("temperature of each joint's motor windings, 25 where they are not described", components=_joint_names)
 @measured_in("degrees Celsius")
-def motor_temperatures(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+def motor_temperatures(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N, J) of the windings, 25 where a motor's are not described."""
-    return robot_of(world, agent).motor_temperatures
+    return robot_of(env.world, agent).motor_temperatures
 
 
 @means(
@@ -154,22 +166,34 @@ def motor_temperatures(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     components=_action_components,
 )
 @measured_in("1")
-def last_action(world: World, task: Task, agent: str | None = None) -> Tensor:
+def last_action(env: Environment, agent: str | None = None) -> Tensor:
     """(N, A) the action in effect; an agent's own part of it where one is named."""
-    return task.last_action if agent is None else task.last_action[:, task.action_slices[agent]]
+    return env.state.last_action if agent is None else env.state.last_action[:, env.actions.slices[agent]]
 
 
 @means("pose of the end effector's frame", frame=ENVIRONMENT)
 @measured_in(POSE)
 @once_per_state
-def hand_pose(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+def hand_pose(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N, 7) of the end effector, in the environment's frame."""
-    robot = robot_of(world, agent)
+    robot = robot_of(env.world, agent)
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
+@functools.cache
+def object_pose(name: str) -> TermFunction:
+    """Make a term of the pose (N, 7) of an object, in the environment's frame."""
+
+    @means(f"pose of the origin of '{name}'", frame=ENVIRONMENT)
+    @measured_in(POSE)
+    def pose(env: Environment) -> Tensor:
+        return env.world.objects[name].root_pose
+
+    return pose
+
+
 class GripperOpening:
-    """How far the robot's gripper is open; made once, in a task's ``start``.
+    """Opening of the robot's gripper; made once, in the ``start`` of a task's state.
 
     Raises:
         ConfigurationError: the robot has no end effector, or no gripper on it.
@@ -209,25 +233,25 @@ def _gripper_ends(spec: RobotSpec, purpose: str) -> tuple[Mapping[int, float], M
     return gripper_positions(spec, gripper, opened), gripper_positions(spec, gripper, closed)
 
 
-def action_rate(world: World, task: Task, agent: str | None = None) -> Tensor:
+def action_rate(env: Environment, agent: str | None = None) -> Tensor:
     """(N,) squared change of the action since the step before; of an agent's own part of it where one is named."""
-    change = task.last_action - task.action_before
-    return squared_norm(change if agent is None else change[:, task.action_slices[agent]])
+    change = env.state.last_action - env.state.action_before
+    return squared_norm(change if agent is None else change[:, env.actions.slices[agent]])
 
 
-def action_size(world: World, task: Task) -> Tensor:
+def action_size(env: Environment) -> Tensor:
     """(N,) sum of squared action."""
-    return squared_norm(task.last_action)
+    return squared_norm(env.state.last_action)
 
 
-def joint_effort(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+def joint_effort(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N,) sum of squared joint efforts."""
-    return squared_norm(robot_of(world, agent).joint_efforts)
+    return squared_norm(robot_of(env.world, agent).joint_efforts)
 
 
-def joint_speed(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+def joint_speed(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N,) sum of squared joint velocities."""
-    return squared_norm(robot_of(world, agent).joint_velocities)
+    return squared_norm(robot_of(env.world, agent).joint_velocities)
 
 
 def add_noise(group: ObservationGroup, **deviations: float) -> None:
@@ -285,19 +309,38 @@ def pointing_down(position: Tensor) -> Tensor:
 def randomize_robot_start(spread: float, agent: str = ROBOT):
     """Event: joint positions around the home pose, uniform within ``spread`` (rad or m), inside the limits."""
 
-    def randomize(world: World, task: Task, env_ids: Tensor) -> None:
-        robot = robot_of(world, agent)
+    def randomize(env: Environment, env_ids: Tensor) -> None:
+        robot = robot_of(env.world, agent)
         count = len(robot.joint_names)
-        offset = world.random.uniform((count,), -spread, spread, env_ids)
+        offset = env.world.random.uniform((count,), -spread, spread, env_ids)
         limits = robot.position_limits
         robot.set_joint_state((robot.home_positions + offset).clamp(limits[:, 0], limits[:, 1]), env_ids=env_ids)
 
     return randomize
 
 
+def place_object(name: str, x: Bounds, y: Bounds, z: float, yaw: Bounds = (0.0, 0.0)) -> EventFunction:
+    """Event: an object upright on a patch, uniform within ranges of x and y (m) and of yaw (rad), its origin at z."""
+
+    def place(env: Environment, env_ids: Tensor) -> None:
+        low, high = (x[0], y[0], z, yaw[0]), (x[1], y[1], z, yaw[1])
+        drawn = env.world.random.uniform((4,), low, high, env_ids)
+        env.world.objects[name].set_root_pose(standing(drawn), env_ids)
+
+    return place
+
+
 def random_rotations(world: World, env_ids: Tensor | None) -> Tensor:
-    """(n, 4) uniform over all rotations: Shoemake, Uniform Random Rotations, Graphics Gems III (1992)."""
-    share, first, second = world.random.uniform((3,), 0.0, (1.0, math.tau, math.tau), env_ids).unbind(1)
+    """(n, 4) uniform over all rotations."""
+    return rotations_of(world.random.uniform((3,), 0.0, (1.0, math.tau, math.tau), env_ids))
+
+
+def rotations_of(drawn: Tensor) -> Tensor:
+    """(n, 4) uniform over all rotations where numbers (n, 3) are uniform in [0, 1], [0, 2 pi] and [0, 2 pi].
+
+    Shoemake, Uniform Random Rotations, Graphics Gems III (1992).
+    """
+    share, first, second = drawn.unbind(1)
     a, b = (1.0 - share).sqrt(), share.sqrt()
     return torch.stack((b * second.cos(), a * first.sin(), a * first.cos(), b * second.sin()), dim=1)
 

@@ -6,7 +6,7 @@ from typing import cast
 
 from torch import Tensor
 
-from orbit_core.envs.task import Task
+from orbit_core.envs.environment import Environment
 from orbit_core.envs.terms import Meaning, ObservationTerm
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.scene import CameraSpec, Channel
@@ -30,8 +30,8 @@ def camera_depth(camera: CameraSpec) -> ObservationTerm:
     """
     _check_channel(camera, Channel.DEPTH)
 
-    def depth(world: World, task: Task) -> Tensor:
-        return _camera(world, camera).image(Channel.DEPTH).clamp(0.0, camera.far)
+    def depth(env: Environment) -> Tensor:
+        return _camera(env.world, camera).image(Channel.DEPTH).clamp(0.0, camera.far)
 
     meaning = _meaning(camera, f"distance of each pixel along the optical axis, {camera.far:g} where nothing is seen")
     bounds = (0.0, camera.far)
@@ -51,7 +51,7 @@ def camera_segmentation(camera: CameraSpec, channel: Channel = Channel.SEMANTIC)
 
 def _picture(camera: CameraSpec, channel: Channel) -> ObservationTerm:
     _check_channel(camera, channel)
-    picture = lambda world, task: _camera(world, camera).image(channel)  # noqa: E731
+    picture = lambda env: _camera(env.world, camera).image(channel)  # noqa: E731
     meaning = _meaning(camera, _PICTURES[channel])
     return ObservationTerm(picture, sensors=(camera,), camera=camera.name, meaning=meaning)
 

@@ -5,7 +5,7 @@ Peng et al., Sim-to-Real Transfer of Robotic Control with Dynamics Randomization
 
 Masses, friction and gains outlast resets; each draw starts from the scene's own values. At
 :attr:`~orbit_core.envs.EventTime.STARTUP` an environment keeps what it drew, at
-:attr:`~orbit_core.envs.EventTime.RESET` each episode draws anew.
+:attr:`~orbit_core.envs.EventTime.RESET` each episode draws again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from orbit_core.envs.task import Task
+from orbit_core.envs.environment import Environment
 from orbit_core.envs.terms import EventFunction, TermFunction
 from orbit_core.interfaces import ConfigurationError, Object, UnknownNameError, World
 from orbit_core.scene import Texture
@@ -37,12 +37,12 @@ class Range:
         if not self.low <= self.high:
             raise ConfigurationError(f"a range needs low <= high, not {self.low:g} and {self.high:g}")
 
-    def sample(self, world: World, task: Task, shape: tuple[int, ...], env_ids: Tensor) -> Tensor:
+    def sample(self, env: Environment, shape: tuple[int, ...], env_ids: Tensor) -> Tensor:
         """(n, *shape) drawn from the environments' own streams."""
         if self.easy is None:
-            return world.random.uniform(shape, self.low, self.high, env_ids)
-        difficulty = task.difficulty[env_ids].view(-1, *(1 for _ in shape))
-        share = world.random.uniform(shape, env_ids=env_ids)
+            return env.world.random.uniform(shape, self.low, self.high, env_ids)
+        difficulty = env.state.difficulty[env_ids].view(-1, *(1 for _ in shape))
+        share = env.world.random.uniform(shape, env_ids=env_ids)
         return self.easy + difficulty * (self.low + (self.high - self.low) * share - self.easy)
 
 
@@ -55,11 +55,11 @@ def masses(entity: str, scale: Range, links: Sequence[str] = (".*",)) -> EventFu
         UnsupportedCapabilityError: the engine cannot.
     """
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
-        thing = _entity(world, entity)
+    def event(env: Environment, env_ids: Tensor) -> None:
+        thing = _entity(env.world, entity)
         bodies = thing.spec.articulation.links
         chosen = [link for link in thing.find_links(*links) if bodies[link].mass > 0.0]
-        factors = scale.sample(world, task, (len(chosen),), env_ids)
+        factors = scale.sample(env, (len(chosen),), env_ids)
         thing.set_masses(thing.nominal_masses[env_ids][:, chosen] * factors, chosen, env_ids)
 
     return event
@@ -75,13 +75,13 @@ def friction(entities: Sequence[str], coefficient: Range) -> EventFunction:
         UnsupportedCapabilityError: the engine cannot.
     """
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
-        drawn = coefficient.sample(world, task, (1,), env_ids)
+    def event(env: Environment, env_ids: Tensor) -> None:
+        drawn = coefficient.sample(env, (1,), env_ids)
         for name in entities:
             if name == TERRAIN:
-                world.set_terrain_friction(drawn[:, 0], env_ids)
+                env.world.set_terrain_friction(drawn[:, 0], env_ids)
             else:
-                thing = _entity(world, name)
+                thing = _entity(env.world, name)
                 thing.set_friction(drawn.expand(-1, len(thing.link_names)), env_ids=env_ids)
 
     return event
@@ -96,13 +96,13 @@ def gains(entity: str, stiffness: Range, damping: Range, joints: Sequence[str] =
         UnsupportedCapabilityError: the engine cannot.
     """
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
-        thing = _entity(world, entity)
+    def event(env: Environment, env_ids: Tensor) -> None:
+        thing = _entity(env.world, entity)
         nominal = thing.nominal_gains
         chosen = [joint for joint in thing.find_joints(*joints) if joint in nominal]
-        own = torch.tensor([nominal[joint] for joint in chosen], device=world.device)
+        own = torch.tensor([nominal[joint] for joint in chosen], device=env.device)
         values = [
-            column * factor.sample(world, task, (len(chosen),), env_ids)
+            column * factor.sample(env, (len(chosen),), env_ids)
             for column, factor in zip(own.unbind(1), (stiffness, damping), strict=True)
         ]
         thing.set_gains(values[0], values[1], chosen, env_ids)
@@ -126,10 +126,10 @@ def joint_parameters(
         UnsupportedCapabilityError: the engine cannot; names the backends that can.
     """
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
-        thing = _entity(world, entity)
-        chosen, parameters = thing.find_joints(*joints), world.layout.joint_parameters
-        (own,) = (each for each in world.layout.entities if each.name == entity)
+    def event(env: Environment, env_ids: Tensor) -> None:
+        thing = _entity(env.world, entity)
+        chosen, parameters = thing.find_joints(*joints), env.world.layout.joint_parameters
+        (own,) = (each for each in env.world.layout.entities if each.name == entity)
         columns = [own.joints.start + joint for joint in chosen]
         values: dict[str, Tensor] = {}
         own_values = {
@@ -140,8 +140,8 @@ def joint_parameters(
         }
         for name, (scale, scenes) in own_values.items():
             if scale is not None:
-                nominal = torch.as_tensor(scenes[columns], dtype=torch.float32, device=world.device)
-                values[name] = nominal * scale.sample(world, task, (len(chosen),), env_ids)
+                nominal = torch.as_tensor(scenes[columns], dtype=torch.float32, device=env.device)
+                values[name] = nominal * scale.sample(env, (len(chosen),), env_ids)
         thing.set_joint_parameters(**values, joints=chosen, env_ids=env_ids)
 
     return event
@@ -152,19 +152,19 @@ def joint_limits(
 ) -> EventFunction:
     """Shift the lower and the upper limits of joints whose names match, each by its own draw (rad or m).
 
-    Commands keep to the scene's limits; an upper limit that would lie below the lower one lies there.
+    Commands keep to the scene's limits; an upper limit below the lower one is set to it.
 
     Raises, when it happens:
         UnsupportedCapabilityError: the engine cannot; names the backends that can.
         ConfigurationError: a joint has no limits in the scene.
     """
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
-        thing = _entity(world, entity)
+    def event(env: Environment, env_ids: Tensor) -> None:
+        thing = _entity(env.world, entity)
         chosen = thing.find_joints(*joints)
         scenes = thing.position_limits[list(chosen)].expand(len(env_ids), -1, -1)
         low, high = (
-            limit if shift is None else limit + shift.sample(world, task, (len(chosen),), env_ids)
+            limit if shift is None else limit + shift.sample(env, (len(chosen),), env_ids)
             for limit, shift in zip(scenes.unbind(-1), (lower, upper), strict=True)
         )
         thing.set_joint_limits(low, torch.maximum(low, high), chosen, env_ids)
@@ -184,11 +184,11 @@ def colors(
         UnsupportedCapabilityError: the renderer cannot; names those that can.
     """
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
+    def event(env: Environment, env_ids: Tensor) -> None:
         for name in entities:
-            thing = _entity(world, name)
+            thing = _entity(env.world, name)
             chosen = thing.find_links(*links)
-            drawn = world.random.uniform((len(chosen), 3), low, high, env_ids)
+            drawn = env.world.random.uniform((len(chosen), 3), low, high, env_ids)
             thing.set_colors(drawn, chosen, env_ids)
 
     return event
@@ -206,11 +206,11 @@ def textures(entities: Sequence[str], choices: Sequence[Texture], links: Sequenc
     if not choices:
         raise ConfigurationError("randomize.textures needs one texture at least: see orbit_assets.textures")
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
+    def event(env: Environment, env_ids: Tensor) -> None:
         for name in entities:
-            thing = _entity(world, name)
+            thing = _entity(env.world, name)
             chosen = thing.find_links(*links)
-            drawn = world.random.uniform((len(chosen),), 0.0, float(len(choices)), env_ids).long()
+            drawn = env.world.random.uniform((len(chosen),), 0.0, float(len(choices)), env_ids).long()
             thing.set_textures(choices, drawn.clamp_max(len(choices) - 1), chosen, env_ids)
 
     return event
@@ -223,11 +223,11 @@ def active_model(entity: str, name: str, parameter: str, scale: Range) -> EventF
         UnknownNameError: the object has no such model, or that no such parameter.
     """
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
-        model = _entity(world, entity).active[name]
+    def event(env: Environment, env_ids: Tensor) -> None:
+        model = _entity(env.world, entity).active[name]
         if parameter not in model.nominal:
             raise UnknownNameError("parameter", parameter, model.nominal, f"active model '{name}' of '{entity}'")
-        values = model.nominal[parameter] * scale.sample(world, task, (), env_ids)
+        values = model.nominal[parameter] * scale.sample(env, (), env_ids)
         model.set_parameter(parameter, values, env_ids)
 
     return event
@@ -245,12 +245,12 @@ def push(entity: str, speed: Range) -> EventFunction:
         ConfigurationError: the entity's base is fixed.
     """
 
-    def event(world: World, task: Task, env_ids: Tensor) -> None:
-        thing = _entity(world, entity)
+    def event(env: Environment, env_ids: Tensor) -> None:
+        thing = _entity(env.world, entity)
         if thing.spec.fixed_base:
             raise ConfigurationError(f"'{entity}' cannot be pushed: its base is fixed; name another entity")
-        angle = world.random.uniform((), -torch.pi, torch.pi, env_ids)
-        change = speed.sample(world, task, (), env_ids)
+        angle = env.world.random.uniform((), -torch.pi, torch.pi, env_ids)
+        change = speed.sample(env, (), env_ids)
         sideways = torch.stack((change * angle.cos(), change * angle.sin()), dim=1)
         velocity = thing.root_velocity[env_ids]
         thing.set_root_velocity(torch.cat((velocity[:, :2] + sideways, velocity[:, 2:]), dim=1), env_ids)
@@ -261,8 +261,8 @@ def push(entity: str, speed: Range) -> EventFunction:
 def by_success(raised: float = 0.05, lowered: float = 0.02) -> TermFunction:
     """A curriculum's change: the next episode is harder by ``raised`` after a success, else easier by ``lowered``."""
 
-    def change(world: World, task: Task) -> Tensor:
-        return torch.where(task.success(world), raised, -lowered)
+    def change(env: Environment) -> Tensor:
+        return torch.where(env.task.success(env), raised, -lowered)
 
     return change
 

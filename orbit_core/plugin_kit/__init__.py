@@ -2,3 +2,7 @@
 
 Import from its modules: some need numpy only, and an engine's worker processes start seconds sooner without torch.
 """
+
+from orbit_core.exports import lazy_modules
+
+__getattr__, __dir__ = lazy_modules(__name__)

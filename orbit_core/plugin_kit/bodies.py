@@ -15,6 +15,13 @@ from orbit_core.scene.inertias import FloatArray, lacking_moment, principal_axes
 STAND_IN = 1e-9
 """Of the mass, and of the smallest moments of inertia, that a link without mass carries: an engine's stand-in for none,
 below what single precision resolves of the sum. A joint's acceleration is off by up to some forty times as much."""
+# Share of the largest moment that the sum of the others may lack without a line in the build report
+_ROUNDING = 1e-9
+# The most of ``h^2 k / m``, m being the least that the joint moves: joints of a chain together shake up to twice as
+# fast as each does alone
+_SOFT = 1.0
+STANDARD_GRAVITY = 9.81
+"""m/s^2."""
 
 
 def is_massless(articulation: Articulation, link: Link) -> bool:
@@ -54,10 +61,6 @@ def stand_in_approximations(entity: EntityLayout, engine: str) -> Iterator[Appro
             yield Approximation(f"link '{link.name}' of '{entity.name}'", "no mass", got, why)
 
 
-# Share of the largest moment that the sum of the others may lack without a line in the build report
-_ROUNDING = 1e-9
-
-
 def inertia_approximations(entity: EntityLayout, engine: str) -> Iterator[Approximation]:
     """Yield a line for each link of which ``solid_moments`` raises the moments beyond rounding."""
     for link in entity.spec.articulation.links:
@@ -92,11 +95,6 @@ def on_leaders(layout: SceneLayout, values: FloatArray) -> FloatArray:
     return borne
 
 
-# The most of ``h^2 k / m``, m being the least that the joint moves: joints of a chain together shake up to twice as
-# fast as each does alone
-_SOFT = 1.0
-
-
 def least_inertias(layout: SceneLayout) -> FloatArray:
     """Return the least inertia (J,) that each joint moves: its child link and the armature, kg or kg m^2."""
     values = [
@@ -125,10 +123,6 @@ def _least_inertia(articulation: Articulation, joint: Joint) -> float:
         return sum(each.mass if sliding else float(np.linalg.eigvalsh(each.inertia)[0]) for each in held)
     axis = joint.child_pose.rotation_matrix() @ np.asarray(joint.axis)
     return link.mass if sliding else float(axis @ np.asarray(link.inertia) @ axis)
-
-
-STANDARD_GRAVITY = 9.81
-"""m/s^2."""
 
 
 def hanging_weight(rope: Rope, scene: Scene) -> float:

@@ -20,22 +20,22 @@ class StatePart(Protocol):
 
     @property
     def joint_positions(self) -> Tensor:
-        """(N, J) rad or m."""
+        """Joint positions (N, J), rad or m."""
         ...
 
     @property
     def joint_velocities(self) -> Tensor:
-        """(N, J) rad/s or m/s."""
+        """Joint velocities (N, J), rad/s or m/s."""
         ...
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, L, 7) positions and quaternions, world axes."""
+        """Positions and quaternions (N, L, 7) of links, world axes."""
         ...
 
     @property
     def link_velocities(self) -> Tensor:
-        """(N, L, 6) linear and angular, world axes."""
+        """Linear and angular link velocities (N, L, 6), world axes."""
         ...
 
 
@@ -67,6 +67,7 @@ _Parameters = TypeVar("_Parameters", bound=ParametersPart)
 class PartedEngine(Engine, Generic[_State, _Parameters]):
     """Reads from the one part and sets in the other; a derived class makes both, and writes and steps by itself."""
 
+    # Annotations only: a derived class sets both before it is stepped.
     _state: _State
     _parameters: _Parameters
 

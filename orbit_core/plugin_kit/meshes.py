@@ -32,6 +32,19 @@ if TYPE_CHECKING:
 
 CREASE_ANGLE = math.radians(30.0)
 """Edges sharper than this are drawn sharp."""
+FloatArray = npt.NDArray[np.float64]
+# Most planes of a height field that is made of its faces, and digits of slopes and metres that distinguish planes
+_FEW, _DIGITS = 8, 5
+Point = tuple[float, float]
+Polygon = list[Point]
+IntArray = npt.NDArray[np.int64]
+# Largest sine of the angle between neighbours in one plane, which vertices in single precision keep within, and largest
+# share of a patch's width by which its corners leave their plane
+_SAME_PLANE, _FLAT = 1e-4, 1e-5
+# Share of its convex hull's area that two faces may lack to be taken for a convex one
+_FULL = 1e-6
+AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
+"""Red, green and blue (sRGB, 0 to 1) of the axes x, y and z of a frame."""
 
 
 def height_field_mesh(field: HeightField) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
@@ -74,19 +87,6 @@ def triangles(geometry: Geometry) -> Trimesh:
         case Plane():
             raise ConfigurationError("a plane has no end and cannot be made of triangles: draw it as a grid")
     return trimesh.graph.smooth_shade(mesh, angle=CREASE_ANGLE)
-
-
-FloatArray = npt.NDArray[np.float64]
-# Most planes of a height field that is made of its faces, and digits of slopes and metres that distinguish planes
-_FEW, _DIGITS = 8, 5
-Point = tuple[float, float]
-Polygon = list[Point]
-IntArray = npt.NDArray[np.int64]
-# Largest sine of the angle between neighbours in one plane, which vertices in single precision keep within, and largest
-# share of a patch's width by which its corners leave their plane
-_SAME_PLANE, _FLAT = 1e-4, 1e-5
-# Share of its convex hull's area that two faces may lack to be taken for a convex one
-_FULL = 1e-6
 
 
 def convex_faces(vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.integer]) -> list[FloatArray]:
@@ -251,10 +251,6 @@ def _turn(a: Point, b: Point, c: Point) -> float:
 def _area(polygon: Polygon) -> float:
     x, y = polygon[0]
     return 0.5 * abs(sum((a[0] - x) * (b[1] - y) - (b[0] - x) * (a[1] - y) for a, b in _sides(polygon)))
-
-
-AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
-"""Red, green and blue (sRGB, 0 to 1) of the axes x, y and z of a frame."""
 
 
 def marker_shapes(marker: MarkerSpec) -> tuple[Shape, ...]:

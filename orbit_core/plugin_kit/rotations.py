@@ -39,5 +39,11 @@ def cross(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def compose(positions: FloatArray, quaternions: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pose ``offset`` (..., 7), given in frames at ``positions`` with ``quaternions``, in their parent."""
+    """Return position and quaternion of a pose that is given in frames, in the parent of the frames.
+
+    Args:
+        positions: (..., 3) of the frames.
+        quaternions: (..., 4) of the frames.
+        offset: (..., 7) pose in each frame.
+    """
     return positions + rotate(quaternions, offset[..., :3]), multiply(quaternions, offset[..., 3:])

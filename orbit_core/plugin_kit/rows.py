@@ -11,6 +11,7 @@ from torch import Tensor
 
 _Index = TypeVar("_Index", Tensor, npt.NDArray[np.int64])
 
+# A slice selects all rows as a view, without a gather.
 Rows = Tensor | slice
 """Indices of environments, or all."""
 HostRows = npt.NDArray[np.int64] | slice
@@ -44,9 +45,14 @@ def take_rows(values: Tensor, env_ids: Tensor | None) -> Tensor:
 
 
 def write_rows(target: Tensor, values: Tensor | float, env_ids: Tensor | None) -> None:
-    """Set the rows of some environments; with a mask ``values`` are of all, and those outside of it count for nothing.
+    """Set the rows of some environments.
 
     Nothing waits for the device.
+
+    Args:
+        target: (N, ...) tensor to write to.
+        values: (n, ...), or (N, ...) with a mask, whose other rows are ignored.
+        env_ids: indices (n,) or a mask (N,) bool; all if None.
     """
     if env_ids is None:
         target[:] = values

@@ -204,11 +204,11 @@ def check_mesh(mesh: Mesh, where: str) -> None:
         raise ArgumentError(f"{where} has {len(vertices)} vertices and {len(faces)} triangles: give it a surface")
     # A comparison with NaN is false, so that this finds NaN as well as numbers beyond the bounds.
     if not (vertices.min() >= -MAX_DISTANCE and vertices.max() <= MAX_DISTANCE):
-        raise ArgumentError(f"{where} has a vertex that is not finite, or beyond {MAX_DISTANCE:g} m: mend it")
+        raise ArgumentError(f"{where} has a vertex that is not finite, or beyond {MAX_DISTANCE:g} m: correct it")
     if faces.min() < 0 or faces.max() >= len(vertices):
         culprit = int(faces.min() if faces.min() < 0 else faces.max())
         raise ArgumentError(
-            f"{where} has a triangle of vertex {culprit}, and vertices 0 to {len(vertices) - 1}: mend its faces"
+            f"{where} has a triangle of vertex {culprit}, and vertices 0 to {len(vertices) - 1}: correct its faces"
         )
     if extents(mesh.vertices) < 2:
         raise ArgumentError(f"{where} has all its vertices on one line: give it a surface")
@@ -230,8 +230,7 @@ def check_hulls(shapes: Iterable[Shape], where: str) -> None:
             continue
         if extents(mesh.vertices) < 3:
             raise ArgumentError(
-                f"{culprit} lies in a plane, so that its convex hull has no volume: give it thickness, or make it a "
-                "thin box"
+                f"{culprit} is flat, so that its convex hull has no volume: give it thickness, or make it a thin box"
             )
         if mesh.collision is MeshCollision.SIGNED_DISTANCE and not _closed(mesh):
             raise ArgumentError(
@@ -254,7 +253,7 @@ def check_height_field(field: HeightField, where: str) -> None:
     if heights.ndim != 2 or min(heights.shape) < 2:
         raise ArgumentError(f"{where}.heights have shape {heights.shape}: give at least two rows and two columns")
     if not (heights.min() >= -MAX_DISTANCE and heights.max() <= MAX_DISTANCE):
-        raise ArgumentError(f"{where}.heights hold one that is not finite, or beyond {MAX_DISTANCE:g} m: mend it")
+        raise ArgumentError(f"{where}.heights hold one that is not finite, or beyond {MAX_DISTANCE:g} m: correct it")
     if not all(1e-9 <= length <= MAX_DISTANCE for length in field.size):
         raise wrong_value(f"{where}.size", field.size, f"lengths of 1e-09 to {MAX_DISTANCE:g} m")
 
@@ -311,9 +310,7 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
     if isinstance(spec, Cloth | SoftBody):
         _check_triangles(spec, where)
     if isinstance(spec, SoftBody) and extents(spec.mesh.vertices) < 3:
-        raise ArgumentError(
-            f"{where}.mesh lies in a plane and has no volume: give it a closed surface, or make it a Cloth"
-        )
+        raise ArgumentError(f"{where}.mesh is flat and has no volume: give it a closed surface, or make it a Cloth")
     _check_particles(spec, count)
 
 
@@ -362,7 +359,7 @@ def _check_triangles(thing: Cloth | SoftBody, where: str) -> None:
     a, b, c = (points[faces[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if flat := np.flatnonzero(areas < _LEAST_AREA * areas.mean()).tolist():
-        raise ArgumentError(f"triangle {flat[0]} of {where}.mesh has no area: leave it out, or mend the mesh")
+        raise ArgumentError(f"triangle {flat[0]} of {where}.mesh has no area: leave it out, or repair the mesh")
     _, counts = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
     if (counts > 1).any():
         raise ArgumentError(f"{where}.mesh has a triangle twice, which would weigh and resist twice: leave one out")

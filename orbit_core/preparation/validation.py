@@ -28,6 +28,22 @@ from orbit_core.scene import (
     RobotSpec,
 )
 
+# Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there
+_ELSEWHERE = (0.3, -0.5, 0.7, 0.4, -0.6, 0.2)
+# Share of the largest singular value of the joints' unit motions below which they are dependent
+_DEPENDENT = 1e-6
+# Tolerance as a share of the largest principal moment: published models round their inertias to three digits
+_TRIANGLE_TOLERANCE = 1e-3
+# Metres by which a loop may be open at home, and radians by which a weld may be turned
+_CLOSED = 1e-3
+# rad or m: files round home positions, and those that were recorded in a simulation press on soft limits
+_HOME_TOLERANCE = 1e-3
+_REPAIR = "compute its inertia from its shape, or repair it with ReadOptions(repair=Repair.BALANCE)"
+# Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes
+_POWERS = 3
+# Largest difference of a quaternion's length from 1; written ones have few digits
+_UNIT = 1e-3
+
 
 def link_poses(articulation: Articulation, positions: Mapping[str, float]) -> dict[str, Pose]:
     """Return the pose of each link by name, in the root link's frame.
@@ -49,12 +65,6 @@ def _motion(joint: Joint, position: float) -> Pose:
     return Pose.from_axis_angle(joint.axis, position) if joint.movable else Pose()
 
 
-# Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there
-_ELSEWHERE = (0.3, -0.5, 0.7, 0.4, -0.6, 0.2)
-# Share of the largest singular value of the joints' unit motions below which they are dependent
-_DEPENDENT = 1e-6
-
-
 def check_massless(articulation: Articulation) -> None:
     """Check that the moving links without mass can be simulated. There must be no fixed joints.
 
@@ -71,14 +81,15 @@ def check_massless(articulation: Articulation) -> None:
     for link in articulation.links[1:]:
         if link.name in massless:
             if link.name not in carried:
-                raise _link_error(
-                    articulation, link.name, "moves but has no mass: give it mass and inertia, or fix its joint"
-                )
-            if np.any(link.inertia):
-                raise _link_error(articulation, link.name, "has an inertia but no mass: give it mass")
-            if link.collisions:
-                raise _link_error(articulation, link.name, "collides but has no mass: give it mass and inertia")
-        elif link.name in joint_of and joint_of[link.name].parent in massless:
+                fault = "moves but has no mass: give it mass and inertia, or fix its joint"
+            elif np.any(link.inertia):
+                fault = "has an inertia but no mass: give it mass"
+            elif link.collisions:
+                fault = "collides but has no mass: give it mass and inertia"
+            else:
+                continue
+            raise _error(articulation, f"link '{link.name}' {fault}")
+        if link.name in joint_of and joint_of[link.name].parent in massless:
             _check_independent(articulation, _chain(link.name, joint_of, massless))
 
 
@@ -115,30 +126,11 @@ def _unit_motions(joints: list[Joint]) -> npt.NDArray[np.float64]:
         position = _ELSEWHERE[number % len(_ELSEWHERE)]
         if joint.type is JointType.PRISMATIC:
             column = np.concatenate((axis, np.zeros(3)))
-            moved = Pose((position * joint.axis[0], position * joint.axis[1], position * joint.axis[2]))
         else:
             column = np.concatenate((np.cross(pose.position, axis), axis))
-            moved = Pose.from_axis_angle(joint.axis, position)
         columns.append(column / np.linalg.norm(column))
-        pose = pose @ moved @ joint.child_pose.inverse()
+        pose = pose @ _motion(joint, position) @ joint.child_pose.inverse()
     return np.stack(columns, axis=1)
-
-
-def _link_error(articulation: Articulation, link: str, fault: str) -> AssetError:
-    return AssetError(f"'{articulation.name}': link '{link}' {fault}")
-
-
-# Tolerance as a share of the largest principal moment: published models round their inertias to three digits
-_TRIANGLE_TOLERANCE = 1e-3
-# Metres by which a loop may be open at home, and radians by which a weld may be turned
-_CLOSED = 1e-3
-# rad or m: files round home positions, and those that were recorded in a simulation press on soft limits
-_HOME_TOLERANCE = 1e-3
-_MEND = "compute its inertia from its shape, or have it mended by ReadOptions(repair=Repair.BALANCE)"
-# Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes
-_POWERS = 3
-# Largest difference of a quaternion's length from 1; written ones have few digits
-_UNIT = 1e-3
 
 
 def validate(articulation: Articulation) -> Articulation:
@@ -472,11 +464,11 @@ def _check_inertia(articulation: Articulation, link: Link) -> None:
     small, middle, large = np.linalg.eigvalsh(link.inertia)
     moments = f"principal moments ({small:.3g}, {middle:.3g}, {large:.3g}) kg m^2"
     if small <= 0:
-        raise _error(articulation, f"link '{link.name}' has {moments}, not all positive: {_MEND}")
+        raise _error(articulation, f"link '{link.name}' has {moments}, not all positive: {_REPAIR}")
     if small + middle < large * (1 - _TRIANGLE_TOLERANCE):
         raise _error(
             articulation,
-            f"link '{link.name}' has {moments}, of which one exceeds the sum of the others as no body's can: {_MEND}",
+            f"link '{link.name}' has {moments}, of which one exceeds the sum of the others as no body's can: {_REPAIR}",
         )
 
 

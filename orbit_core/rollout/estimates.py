@@ -39,8 +39,7 @@ def proportion(successes: int, trials: int) -> Estimate:
 
 
 def mean(values: Sequence[float]) -> Estimate:
-    """Mean of independent values of any distribution, with the bootstrap's percentile interval; equal values give the
-    same interval.
+    """Return the mean of independent values of any distribution, with the bootstrap's percentile interval.
 
     Efron and Tibshirani, An Introduction to the Bootstrap (1993), section 13.3.
     """
@@ -61,6 +60,6 @@ class Statistic:
 
 
 def statistic(values: Sequence[float]) -> Statistic:
-    """Mean and standard deviation of the values."""
+    """Return mean and standard deviation of the values."""
     mean = sum(values) / len(values)
     return Statistic(mean, (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from orbit_core.actions.reach import PoseFollower
+from orbit_core.actions.workspace import PoseFollower
 from orbit_core.rollout.estimates import Estimate, proportion
 
 if TYPE_CHECKING:
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from orbit_core.envs.captured_step import StepResult
     from orbit_core.envs.environment import Environment
     from orbit_core.envs.episode import EpisodeEnd
+
+# Steps from one look to the next: searching for a pose takes as long as several steps
+_EVERY = 50
 
 
 class StepObserver:
@@ -143,7 +146,7 @@ class EpisodeCounter(StepObserver):
 
     @property
     def running(self) -> Tensor:
-        """(N,) bool: environments in which episodes are still to be counted."""
+        """Mask (N,) of the environments in which episodes are still to be counted."""
         return self._left > 0
 
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
@@ -167,6 +170,7 @@ class EpisodeCounter(StepObserver):
         """Return the results of the counted episodes, of which there must be at least one."""
         parts = self._counted
         env_ids = torch.cat([part.env_ids for part in parts])
+        # Stable, so that episodes of one environment keep their order in time.
         order = env_ids.argsort(stable=True)
         return Episodes(
             env_ids=env_ids[order],
@@ -175,10 +179,6 @@ class EpisodeCounter(StepObserver):
             returns=torch.cat([part.returns for part in parts])[order],
             metrics={name: torch.cat([part.metrics[name] for part in parts])[order] for name in parts[0].metrics},
         )
-
-
-# Steps from one look to the next: searching for a pose takes as long as several steps
-_EVERY = 50
 
 
 class ReachWatch(StepObserver):

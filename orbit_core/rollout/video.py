@@ -23,6 +23,11 @@ from orbit_core.scene import CameraSpec, Channel, Pose
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
+# Pixels; an encoder's macroblock. Other sizes would be rescaled.
+_MULTIPLE = 16
+# About the most frames in a second of a video; steps in between are not drawn
+_FRAMES_PER_SECOND = 25.0
+
 
 class OverviewCamera:
     """A spectator's camera in every environment; markers are drawn, and the robots' frames where asked."""
@@ -51,12 +56,6 @@ class OverviewCamera:
     def close(self) -> None:
         """Free the renderer."""
         self._renderer.close()
-
-
-# Pixels; an encoder's macroblock. Other sizes would be rescaled.
-_MULTIPLE = 16
-# About the most frames in a second of a video; steps in between are not drawn
-_FRAMES_PER_SECOND = 25.0
 
 
 class VideoFile:
@@ -181,7 +180,7 @@ class VideoRecorder(StepObserver):
         self._file = VideoFile(path, self._columns * width, lines * height, rate)
         with contextlib.ExitStack() as stack:
             stack.callback(self._file.discard)
-            self._camera = OverviewCamera(environment.world, width, height, environment.task.view, frames)
+            self._camera = OverviewCamera(environment.world, width, height, environment.task.metadata.view, frames)
             stack.pop_all()
 
     @property

@@ -178,7 +178,7 @@ def _sampled(ratio: Callable[[float], float], within: tuple[float, float], rotor
 
 @dataclass(frozen=True, kw_only=True)
 class ActuatorConfig:
-    """A PD law on the joints whose names match one of ``joints`` (full match):
+    """PD law on the joints whose names match one of ``joints`` (full match).
 
     ``effort = stiffness (position target - position) + damping (velocity target - velocity) + effort target``,
     limited to ``effort_limit``. With both gains zero the actuator is a plain motor.

@@ -85,7 +85,7 @@ class Cloth:
 
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:
-        """(P, 3) m, in the frame of ``pose``."""
+        """Rest positions (P, 3) m, in the frame of ``pose``."""
         return np.asarray(self.mesh.vertices, dtype=np.float64)
 
     @property
@@ -123,7 +123,7 @@ class Rope:
 
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:
-        """(P, 3) m, in the frame of ``pose``."""
+        """Rest positions (P, 3) m, in the frame of ``pose``."""
         return np.asarray(self.points, dtype=np.float64)
 
     @property
@@ -152,7 +152,7 @@ class SoftBody:
 
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:
-        """(P, 3) m, in the frame of ``pose``."""
+        """Rest positions (P, 3) m, in the frame of ``pose``."""
         return np.asarray(self.mesh.vertices, dtype=np.float64)
 
 
@@ -176,7 +176,7 @@ class Fluid:
 
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:
-        """(P, 3) m, in the frame of ``pose``: the middles of cubes of ``spacing`` that fill the box."""
+        """Rest positions (P, 3) m, in the frame of ``pose``: the middles of cubes of ``spacing`` that fill the box."""
         # At least one layer, so that a thin film is not lost; the grid is centred in the box.
         counts = [max(1, round(2.0 * half / self.spacing)) for half in self.half_extents]
         axes = [(np.arange(count) - 0.5 * (count - 1)) * self.spacing for count in counts]

@@ -120,14 +120,17 @@ class JointCommands:
     """Regular expressions over joint names (full match)."""
     position_scale: float | None = None
     """rad or m from home for one unit of action; None spans each joint's limits."""
+    # Off by default: most policies were tuned with targets that may run ahead.
     limit_speed: bool = False
     """Whether position targets run ahead of the joints by no more than their velocity limits allow."""
 
 
 @dataclass(frozen=True)
 class PlanarBase:
-    """Joints, by name, that carry a robot over a plane: ``x`` and ``y`` prismatic along the root's axes, then ``yaw``
-    about its z."""  # fmt: skip
+    """Joints, by name, that carry a robot over a plane.
+
+    ``x`` and ``y`` are prismatic along the root's axes, then comes ``yaw`` about its z.
+    """
 
     x: str
     y: str
@@ -259,6 +262,7 @@ class RobotSpec(Entity):
     @property
     def categories(self) -> tuple[RobotCategory, ...]:
         """Categories of the robot, derived from its end effectors, feet, wheels and planar base."""
+        # Derived and not declared, so that a composed robot gets the categories of its parts.
         effectors = self.end_effectors
         holds = {
             RobotCategory.ARM: any(effector.arm_joints for effector in effectors),

@@ -26,7 +26,7 @@ class Pose:
         object.__setattr__(self, "orientation", tuple(map(float, self.orientation)))
 
     def __matmul__(self, other: Pose) -> Pose:
-        """The pose of ``other``, given in this frame, in this frame's parent."""
+        """Return the pose of ``other``, given in this frame, in this frame's parent."""
         return Pose(_placed(self, other.position), _multiply(self.orientation, other.orientation))
 
     def inverse(self) -> Pose:

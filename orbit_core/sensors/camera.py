@@ -30,6 +30,11 @@ def point_cloud(depth: Tensor, intrinsics: Tensor, pose: Tensor | None = None) -
     """Return points (n, H, W, 3) of depth images (n, H, W, 1), infinite where nothing was seen.
 
     In the camera's frame (-z forward, y up), or in the environment's where the camera's ``pose`` (n, 7) is given.
+
+    Args:
+        depth: (n, H, W, 1) m along the optical axis.
+        intrinsics: (3, 3) of the camera, in pixels.
+        pose: (n, 7) of the camera; None gives points in its own frame.
     """
     height, width = depth.shape[1:3]
     column = torch.arange(width, device=depth.device) + 0.5
@@ -94,11 +99,11 @@ class CameraSensor(TimedSensor):
 
     @property
     def images(self) -> Mapping[Channel, Tensor]:
-        """(N, H, W, channels) of each channel that the camera was specified with."""
+        """Images (N, H, W, channels) of each channel that the camera was specified with."""
         return {channel: self.image(channel) for channel in self._camera.channels}
 
     def image(self, channel: Channel) -> Tensor:
-        """Return (N, H, W, channels)
+        """Return the picture (N, H, W, channels) of a channel.
 
         Raises:
             ConfigurationError: the camera was specified without that channel.
@@ -109,12 +114,12 @@ class CameraSensor(TimedSensor):
 
     @property
     def pose(self) -> Tensor:
-        """(N, 7) in the environment's frame, when the pictures were taken."""
+        """Pose (N, 7), in the environment's frame, when the pictures were taken."""
         return self._read("pose")
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, L, 7) of every link of the scene in the environment's frame, when the pictures were taken."""
+        """Poses (N, L, 7) of every link of the scene in the environment's frame, when the pictures were taken."""
         return self._read("link_poses")
 
     def point_cloud(self) -> Tensor:

@@ -38,16 +38,16 @@ class ContactSensor(AveragingSensor):
 
     @property
     def forces(self) -> Tensor:
-        """(N, links, 3) newtons."""
+        """Forces (N, links, 3), newtons."""
         return self._read("forces")
 
     @property
     def filtered_forces(self) -> Tensor:
-        """(N, links, filters, 3) newtons, that each of :attr:`filters` alone exerts."""
+        """Filtered forces (N, links, filters, 3), newtons, of each of :attr:`filters`."""
         return self._read("filtered")
 
     def in_contact(self, threshold: float = 1.0) -> Tensor:
-        """Return (N, links) whether the net force exceeds ``threshold`` newtons."""
+        """Return a mask (N, links) of the links whose net force exceeds ``threshold`` newtons."""
         return self.forces.norm(dim=-1) > threshold
 
     def timer(self, threshold: float = 1.0) -> ContactTimer:
@@ -94,26 +94,26 @@ class ContactTimer:
 
     @property
     def contact_time(self) -> Tensor:
-        """(N, links) since the touch-down; zero in the air."""
+        """Seconds (N, links) since the touch-down; zero in the air."""
         return self.times[0]
 
     @property
     def air_time(self) -> Tensor:
-        """(N, links) since the lift-off; zero in contact."""
+        """Seconds (N, links) since the lift-off; zero in contact."""
         return self.times[1]
 
     @property
     def last_contact_time(self) -> Tensor:
-        """(N, links) how long the last contact that has ended took."""
+        """Duration (N, links) of the last contact that has ended, s."""
         return self.times[2]
 
     @property
     def last_air_time(self) -> Tensor:
-        """(N, links) how long the last flight that has ended took."""
+        """Duration (N, links) of the last flight that has ended, s."""
         return self.times[3]
 
     def touched_down(self, within: float) -> Tensor:
-        """Return (N, links) whether the link touched down during the last ``within`` seconds."""
+        """Return a mask (N, links) of the links that touched down during the last ``within`` seconds."""
         # The margin absorbs rounding of sums of time steps.
         return (self.contact_time > 0.0) & (self.contact_time <= within + 1e-6)
 

@@ -71,6 +71,6 @@ def create_sensor(spec: SensorSpec, context: SensorContext) -> TimedSensor:
     if not (isinstance(sensor, type) and issubclass(sensor, TimedSensor)):
         raise ConfigurationError(
             f"{registry.origin(name)} of group {GROUP} names {sensor!r}, which is no subclass of "
-            "orbit_core.sensors.TimedSensor: mend or uninstall it"
+            "orbit_core.sensors.TimedSensor: fix or uninstall it"
         )
     return sensor(spec, context)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from typing import Any
 
 import torch
@@ -113,12 +112,12 @@ class JointSensor(TimedSensor):
 
     @property
     def positions(self) -> Tensor:
-        """(N, joints) rad or m."""
+        """Positions (N, joints), rad or m."""
         return self._read("positions")
 
     @property
     def velocities(self) -> Tensor:
-        """(N, joints) rad/s or m/s."""
+        """Velocities (N, joints), rad/s or m/s."""
         return self._read("velocities")
 
     def _measure(self, env_ids: Tensor | None) -> Values:
@@ -144,12 +143,12 @@ class FrameSensor(TimedSensor):
 
     @property
     def pose(self) -> Tensor:
-        """(N, 7)"""
+        """Pose (N, 7) of the frame."""
         return self._read("pose")
 
     @property
     def velocity(self) -> Tensor:
-        """(N, 6) linear, then angular."""
+        """Linear, then angular velocity (N, 6)."""
         return self._read("velocity")
 
     def _measure(self, env_ids: Tensor | None) -> Values:
@@ -183,6 +182,7 @@ class ImuSensor(AveragingSensor):
     """
 
     noisy = ("angular_velocity", "linear_acceleration")
+    scheduled = (*AveragingSensor.scheduled, "_before_known")
 
     def __init__(self, spec: ImuSpec, context: SensorContext) -> None:
         super().__init__(spec, context, (3,))
@@ -194,12 +194,12 @@ class ImuSensor(AveragingSensor):
 
     @property
     def angular_velocity(self) -> Tensor:
-        """(N, 3) rad/s."""
+        """Angular velocity (N, 3), rad/s."""
         return self._read("angular_velocity")
 
     @property
     def linear_acceleration(self) -> Tensor:
-        """(N, 3) m/s^2."""
+        """Linear acceleration (N, 3), m/s^2."""
         return self._read("linear_acceleration")
 
     def begin_step(self) -> None:
@@ -214,21 +214,12 @@ class ImuSensor(AveragingSensor):
         elif self._before_known:
             write_rows(self._before, self._mount.velocity(env_ids)[:, :3], env_ids)
 
-    @property
-    def phase(self) -> tuple[Hashable, ...]:
-        return *super().phase, self._before_known
-
-    def enter(self, phase: tuple[Any, ...]) -> None:
-        super().enter(phase)
-        self._before_known = phase[6]
-
     def save_state(self) -> dict[str, Any]:
         return super().save_state() | {"before": self._before.clone()}
 
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
         self._before.copy_(state["before"])
-        self._before_known = state["phase"][6]
 
     def _integrate(self, steps: int) -> Tensor:
         velocity = self._mount.velocity()[:, :3]
@@ -265,17 +256,17 @@ class ForceTorqueSensor(TimedSensor):
 
     @property
     def wrench(self) -> Tensor:
-        """(N, 6) force (N), then torque (N m)."""
+        """Force in N, then torque in N m (N, 6)."""
         return self._read("wrench")
 
     @property
     def force(self) -> Tensor:
-        """(N, 3) newtons."""
+        """Force (N, 3), newtons."""
         return self.wrench[:, :3]
 
     @property
     def torque(self) -> Tensor:
-        """(N, 3) newton metres."""
+        """Torque (N, 3), newton metres."""
         return self.wrench[:, 3:]
 
     def _measure(self, env_ids: Tensor | None) -> Values:

@@ -108,29 +108,29 @@ class RayCaster(TimedSensor):
 
     @property
     def distances(self) -> Tensor:
-        """(N, R) metres from each ray's origin."""
+        """Distances (N, R), metres from each ray's origin."""
         return self._read("distances")
 
     @property
     def points(self) -> Tensor:
-        """(N, R, 3) where the rays ended, in the environment's frame."""
+        """End points (N, R, 3) of the rays, in the environment's frame."""
         distances = self.distances[..., None]
         points = self._read("origins") + torch.where(distances.isinf(), 0.0, distances) * self._read("directions")
         return torch.where(distances.isinf(), distances, points)
 
     @property
     def normals(self) -> Tensor:
-        """(N, R, 3) unit normals of the surfaces, in world axes."""
+        """Unit normals (N, R, 3) of the surfaces, in world axes."""
         return self._read("normals")
 
     @property
     def links(self) -> Tensor:
-        """(N, R) int64 link index in the scene's layout, TERRAIN or BACKGROUND."""
+        """Link indices (N, R), int64, of the scene's layout, TERRAIN or BACKGROUND."""
         return self._read("links")
 
     @property
     def pose(self) -> Tensor:
-        """(N, 7) of the pattern, in the environment's frame, when it measured."""
+        """Pose (N, 7) of the pattern, in the environment's frame, when it measured."""
         return self._read("pose")
 
     def _measure(self, env_ids: Tensor | None) -> Values:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Hashable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Hashable, Iterator, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import Masking, is_mask, take_rows, write_rows
+from orbit_core.dynamics.indexing import is_mask, take_rows, write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError, Engine, Renderer, SceneLayout, Sensor
+from orbit_core.interfaces.capture import is_tracing, report_new_memory
 from orbit_core.scene import SensorSpec
 
 
@@ -41,8 +42,7 @@ class Memory(MutableMapping[str, Tensor]):
     same memory: clone then what you keep.
     """
 
-    def __init__(self, masking: Masking) -> None:
-        self._masking = masking
+    def __init__(self) -> None:
         self._tensors: dict[str, Tensor] = {}
         self._pinned = False
 
@@ -50,12 +50,13 @@ class Memory(MutableMapping[str, Tensor]):
         return self._tensors[name]
 
     def __setitem__(self, name: str, value: Tensor) -> None:
-        self._pinned |= self._masking.traced
+        self._pinned |= is_tracing()
         own = self._tensors.get(name)
         if own is not None and self._pinned:
             own.copy_(value)
         else:  # what is expanded has several elements at one place, and cannot be written
             self._tensors[name] = value.clone() if 0 in value.stride() else value
+            report_new_memory()
 
     def __delitem__(self, name: str) -> None:
         del self._tensors[name]
@@ -106,6 +107,8 @@ class TimedSensor(Sensor):
     """
 
     noisy: ClassVar[tuple[str, ...]] = ()
+    scheduled: ClassVar[tuple[str, ...]] = ("_elapsed", "_outdated", "_empty", "_some_wait")
+    """Attributes of plain Python that decide what the sensor does in the next step; subclasses add theirs."""
     costly: ClassVar[bool] = False
     """Whether environments that were reset should be measured alone, for a measurement costs more than to find them."""
 
@@ -123,11 +126,14 @@ class TimedSensor(Sensor):
         self.period = period_in_steps(spec, context.physics_dt)
         """Physics steps between measurements; None measures whenever the world steps."""
         self._random = context.random
-        self._masking = context.random.masking
+        self._selector = context.random.selector
         self._delay = _delay_in_periods(spec)
         self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
         # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt
         self._fleeting = self._lazy and not self._noisy and not self.costly
+        """Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt."""
+        self._measured = False
+        """True while the value of a fleeting sensor is that of the present state."""
         self._elapsed = 0
         self._outdated = True
         # Whether nothing was measured yet, or since all environments were reset
@@ -137,9 +143,10 @@ class TimedSensor(Sensor):
         self._waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         # Values of a fleeting sensor at the present state
         self._present: Values = {}
-        # Last measurements (1 + delay, N, ...) of all other sensors, the newest first
-        self._held = Memory(self._masking)
-        self._bias = Memory(self._masking)
+        """Values of a fleeting sensor at the present state."""
+        self._held = Memory()
+        """Last measurements (1 + delay, N, ...) of all other sensors, the newest first."""
+        self._bias = Memory()
 
     # The world's side ------------------------------------------------------------------------------------------------
 
@@ -153,18 +160,20 @@ class TimedSensor(Sensor):
             if self._elapsed < self.period:
                 return
             self._elapsed %= self.period
-        if self._lazy:
+        if self._fleeting:
+            self._measured = False
+        elif self._lazy:
             self._outdated = True
         else:
             self._update()
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        self._forget(self._masking.rows(env_ids))
+        self._forget(self._selector.resolve(env_ids))
 
     def _forget(self, env_ids: Tensor | None) -> None:
         """Drop what is remembered of some environments: indices, or a mask in a traced step."""
         if self._fleeting:
-            self._outdated = True
+            self._measured = False
         elif env_ids is None:
             self._empty, self._some_wait = True, False
             self._waiting.zero_()
@@ -177,7 +186,7 @@ class TimedSensor(Sensor):
     def save_state(self) -> dict[str, Any]:
         """Return all that later readings depend on, without the engine's state."""
         return {
-            "phase": self.phase,
+            "counters": self.counters,
             "waiting": self._waiting.clone(),
             "held": self._held.saved(),
             "bias": self._bias.saved(),
@@ -185,29 +194,21 @@ class TimedSensor(Sensor):
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Return to a saved state."""
-        TimedSensor.enter(self, state["phase"])
+        self.counters = state["counters"]
         self._waiting.copy_(state["waiting"])
         self._held.load(state["held"])
         self._bias.load(state["bias"])
 
-    # In a step that is captured --------------------------------------------------------------------------------------
-
     @property
-    def phase(self) -> tuple[Hashable, ...]:
-        """Schedule key of the sensor's next step: the state that is not in tensors."""
-        return self._elapsed, self._outdated or self._fleeting, self._empty, self._some_wait
+    def counters(self) -> tuple[Hashable, ...]:
+        """Values of :attr:`scheduled`. Setting them drops what was measured of the present state."""
+        return tuple(getattr(self, name) for name in self.scheduled)
 
-    def enter(self, phase: tuple[Any, ...]) -> None:
-        """Return a step was repeated without Python, which left the sensor in that phase."""
-        self._elapsed, self._outdated, self._empty, self._some_wait = phase[:4]
-
-    def touch(self) -> None:
-        """Invalidate values that depend on the present state only."""
-        self._outdated |= self._fleeting
-
-    def memory(self) -> Mapping[str, Tensor]:
-        """Return the tensors that later readings depend on, by name."""
-        return {**{f"held {n}": t for n, t in self._held.items()}, **{f"bias {n}": t for n, t in self._bias.items()}}
+    @counters.setter
+    def counters(self, values: tuple[Any, ...]) -> None:
+        for name, value in zip(self.scheduled, values, strict=True):
+            setattr(self, name, value)
+        self._measured = False
 
     # The subclass's side ---------------------------------------------------------------------------------------------
 
@@ -253,9 +254,9 @@ class TimedSensor(Sensor):
 
     def _settle(self) -> None:
         if self._fleeting:
-            if self._outdated:
+            if not self._measured:
                 self._present = self._measure(None)
-                self._outdated = False
+                self._measured = True
         elif self._outdated or self._empty:
             self._update()
         elif self._some_wait:
@@ -277,11 +278,12 @@ class TimedSensor(Sensor):
 
     def _renew(self) -> None:
         """Measure the environments that wait."""
-        rows = self._waiting if self._masking.traced else self._waiting.nonzero().squeeze(-1)
-        with self._masking.only(rows if is_mask(rows) else None):
-            values = self._sample(rows)
-        for name, value in values.items():
-            self._held[name] = with_rows(self._held[name], value[None], rows, 1)
+        rows = self._selector.where(self._waiting)
+        if rows is not None:
+            with self._selector.only(rows if is_mask(rows) else None):
+                values = self._sample(rows)
+            for name, value in values.items():
+                self._held[name] = with_rows(self._held[name], value[None], rows, 1)
         self._all_are_measured()
 
     def _all_are_measured(self) -> None:
@@ -342,6 +344,8 @@ class AveragingSensor(TimedSensor):
     :meth:`begin_step` gets averages over them; otherwise each :meth:`advance` is its own window.
     """
 
+    scheduled = (*TimedSensor.scheduled, "_window_over", "_announced")
+
     def __init__(self, spec: SensorSpec, context: SensorContext, shape: tuple[int, ...]) -> None:
         super().__init__(spec, context)
         self._sum = torch.zeros(self.num_envs, *shape, device=self.device)
@@ -372,20 +376,11 @@ class AveragingSensor(TimedSensor):
         write_rows(self._sum, 0.0, env_ids)
         write_rows(self._count, 0.0, env_ids)
 
-    @property
-    def phase(self) -> tuple[Hashable, ...]:
-        return *super().phase, self._window_over, self._announced
-
-    def enter(self, phase: tuple[Any, ...]) -> None:
-        super().enter(phase)
-        self._window_over, self._announced = phase[4:6]
-
     def save_state(self) -> dict[str, Any]:
         return super().save_state() | {"window": (self._sum.clone(), self._count.clone())}
 
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
-        self._window_over, self._announced = state["phase"][4:6]
         for own, saved in zip((self._sum, self._count), state["window"], strict=True):
             own.copy_(saved)
 

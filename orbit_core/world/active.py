@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.active import ActiveLaw, create_law
-from orbit_core.dynamics.indexing import Masking, write_columns, write_rows
+from orbit_core.dynamics.indexing import RowSelector, write_columns, write_rows
 from orbit_core.interfaces import ConfigurationError, Engine, EntityLayout, NamedThings
 from orbit_core.world.entities import SimulatedObject
 
@@ -27,13 +27,13 @@ class ActiveModels:
     Args:
         objects: by name; each gets its own laws.
         engine: that takes efforts and wrenches.
-        masking: which environments a call is for.
+        selector: which environments a call is for.
 
     Raises:
         ConfigurationError: two laws of an object share a name, or a law cannot be.
     """
 
-    def __init__(self, objects: Mapping[str, SimulatedObject], engine: Engine, masking: Masking) -> None:
+    def __init__(self, objects: Mapping[str, SimulatedObject], engine: Engine, selector: RowSelector) -> None:
         self._engine = engine
         self._laws: list[ActiveLaw] = []
         self.laws: dict[str, ActiveLaw] = {}
@@ -43,21 +43,21 @@ class ActiveModels:
             models = {model.name: model for model in thing.active_specs}
             if len(models) < len(thing.active_specs):
                 raise ConfigurationError(f"two active models of '{thing.name}' share a name: give each its own")
-            laws = {n: create_law(m, thing, engine.num_envs, engine.device, masking) for n, m in models.items()}
+            laws = {n: create_law(m, thing, engine.num_envs, engine.device, selector) for n, m in models.items()}
             thing.active = NamedThings(laws, "active model", f"'{thing.name}'", names)
             self._laws += laws.values()
             self.laws |= {f"active model '{name}' of '{thing.name}'": law for name, law in laws.items()}
         device = engine.device
         self._joints = [_indices([_layout(law).joints.start + j for j in law.joints], device) for law in self._laws]
         pushed = sorted({_layout(law).links.start + link for law in self._laws for link in law.links})
+        # (k,) links of the scene that laws push
         self._pushed = _indices(pushed, device)
-        """(k,) links of the scene that laws push."""
         self._columns = [
             _indices([pushed.index(_layout(law).links.start + link) for link in law.links], device)
             for law in self._laws
         ]
+        # What callers of set_wrenches want, of all links where laws push any
         self._asked = torch.zeros(engine.num_envs, len(engine.layout.links) if pushed else 0, 6, device=device)
-        """What callers of set_wrenches want, of all links where laws push any."""
         for law in self._laws:
             if law.links:
                 _object(law).write_wrenches = self._take
@@ -93,14 +93,6 @@ class ActiveModels:
         for own, other in zip(self._laws, origin._laws, strict=True):
             for name, kept in own.memory.items():
                 write_rows(kept, other.memory[name][source].clone().to(kept.device), rows)
-
-    def memory(self) -> dict[str, Tensor]:
-        """The tensors that laws write in place from step to step, by name."""
-        return {
-            f"active model '{law.model.name}' of '{law.thing.name}', {name}": kept
-            for law in self._laws
-            for name, kept in law.memory.items()
-        }
 
     @property
     def _kept(self) -> tuple[Tensor, ...]:

@@ -109,15 +109,15 @@ class CoupledEngine(Engine):
         self.capture = CoupledCapture(engine.capture)
         self._inner, self._matter = engine, matter
         moved = [n for e in self.layout.entities for n in _moving(e.spec, e.links.start)]
+        # (k,) of the links that wrenches can move
         self._links = torch.tensor(moved, dtype=torch.int64, device=self.device)
-        """(k,) of the links that wrenches can move."""
         centers = [link.center_of_mass for link in self.layout.links]
         self._centers = torch.tensor(centers, dtype=torch.float32, device=self.device).view(1, -1, 3)
+        # (N, L, 3) m in the links' frames
         self._centers = self._centers.repeat(self.num_envs, 1, 1)
-        """(N, L, 3) m in the links' frames."""
         self._has_free = any(e.spec.is_free_body for e in self.layout.entities)
+        # What callers of set_wrenches want
         self._asked = torch.zeros(self.num_envs, len(self.layout.links), 6, device=self.device)
-        """What callers of set_wrenches want."""
         queries = self.layout.contact_queries
         self._forces = torch.zeros(self.num_envs, len(queries), 3, device=self.device)
         chosen = [number for number, query in enumerate(queries) if query.others is None]
@@ -128,7 +128,7 @@ class CoupledEngine(Engine):
 
     @property
     def raises_divergence(self) -> bool:
-        """The engine's own; matter that diverges raises whatever it is."""
+        """Pass the setting to the engine; matter that diverges always raises."""
         return self._inner.raises_divergence
 
     @raises_divergence.setter

@@ -1,38 +1,54 @@
-"""Objects as views of the engine's flat state tensors."""
+"""Objects, robots and markers as views of an engine's state."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
 
-from orbit_core.actuators import Actuators
 from orbit_core.dynamics.arguments import (
+    EFFORTS,
     POSITIONS,
     VELOCITIES,
+    Bounds,
+    as_floats,
+    check_numbers,
+    check_shape,
+    columns_chosen,
 )
-from orbit_core.dynamics.indexing import Masking, write_block
+from orbit_core.dynamics.indexing import RowSelector, columns_of, write_block, write_rows
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import Engine, EntityLayout, UnknownNameError
-from orbit_core.scene import ActiveModel, Frame, ObjectSpec, Pose
-from orbit_core.world.clock import Clock
+from orbit_core.interfaces import ConfigurationError, EntityLayout, JointTarget, Marker, Robot, UnknownNameError
+from orbit_core.scene import ActiveModel, Frame, MarkerSpec, ObjectSpec, Pose, RobotSpec
 from orbit_core.world.object_parameters import ObjectParameters
+from orbit_core.world.state import WorldParts
 
 
-class _Columns:
-    """A view of some columns of an engine's tensor, made anew only when the engine hands out another tensor."""
+class _View:
+    """Some columns of a state tensor of the engine, read once per version of the world's clock.
+
+    A property that hits the cache costs one Python call; a read through the engine costs five.
+    """
+
+    __slots__ = ("_columns", "_whole", "tensor", "version")
+
+    tensor: Tensor
+    """(N, columns, ...) at ``version``."""
 
     def __init__(self, columns: int | slice) -> None:
         self._columns = columns
         self._whole: Tensor | None = None
+        self.version = -1
 
-    def of(self, whole: Tensor) -> Tensor:
+    def take(self, whole: Tensor, version: int) -> None:
+        """Take the columns of a tensor (N, ...); slices it only if the engine returned another tensor than before."""
         if whole is not self._whole:
-            self._whole, self._view = whole, whole[:, self._columns]
-        return self._view
+            self._whole, self.tensor = whole, whole[:, self._columns]
+        self.version = version
 
 
 @dataclass(frozen=True)
@@ -40,7 +56,7 @@ class _FrameHandle:
     """A frame resolved to its link's index within the entity, and its constant pose there; None at the link itself."""
 
     link: int
-    link_pose: _Columns
+    link_pose: _View
     offset: Tensor | None
     """(3,) position in the link."""
     pose_of: FixedFrame | None
@@ -49,58 +65,77 @@ class _FrameHandle:
 class SimulatedObject(ObjectParameters):
     """An articulation in N environments of one engine."""
 
-    def __init__(
-        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
-    ) -> None:
-        super().__init__(layout, engine, actuators, clock, masking)
+    def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
+        super().__init__(layout, parts)
         self._frames: dict[str, _FrameHandle] = {}
+        # Pose of each frame that was read, with its version of the clock
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
         self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
         links, joints = layout.links, layout.joints
-        self._root_pose, self._root_velocity = _Columns(layout.root_link), _Columns(layout.root_link)
-        self._link_poses, self._link_velocities = _Columns(links), _Columns(links)
-        self._positions, self._velocities, self._efforts = _Columns(joints), _Columns(joints), _Columns(joints)
+        self._root_pose, self._root_velocity = _View(layout.root_link), _View(layout.root_link)
+        self._link_poses, self._link_velocities = _View(links), _View(links)
+        self._positions, self._velocities, self._efforts = _View(joints), _View(joints), _View(joints)
+        engine = parts.engine
         parameters = engine.layout.joint_parameters
-        limits = torch.stack(
-            [torch.as_tensor(a[layout.joints]) for a in (parameters.lower_limit, parameters.upper_limit)], dim=-1
-        )
-        self._limits = limits.to(engine.device, torch.float32)
-        self._home = torch.as_tensor(parameters.home[layout.joints]).to(engine.device, torch.float32)
+        limits = [torch.as_tensor(array[joints]) for array in (parameters.lower_limit, parameters.upper_limit)]
+        self._limits = torch.stack(limits, dim=-1).to(engine.device, torch.float32)
+        self._home = torch.as_tensor(parameters.home[joints]).to(engine.device, torch.float32)
 
     @property
     def active_specs(self) -> tuple[ActiveModel, ...]:
-        """Its active models, as data."""
+        """Specifications of the object's active models."""
         return self.spec.active if isinstance(self.spec, ObjectSpec) else ()
 
     # Reading
 
     @property
     def root_pose(self) -> Tensor:
-        return self._root_pose.of(self._engine.link_poses)
+        view = self._root_pose
+        if view.version != self._clock.version:
+            view.take(self._engine.link_poses, self._clock.version)
+        return view.tensor
 
     @property
     def root_velocity(self) -> Tensor:
-        return self._root_velocity.of(self._engine.link_velocities)
+        view = self._root_velocity
+        if view.version != self._clock.version:
+            view.take(self._engine.link_velocities, self._clock.version)
+        return view.tensor
 
     @property
     def link_poses(self) -> Tensor:
-        return self._link_poses.of(self._engine.link_poses)
+        view = self._link_poses
+        if view.version != self._clock.version:
+            view.take(self._engine.link_poses, self._clock.version)
+        return view.tensor
 
     @property
     def link_velocities(self) -> Tensor:
-        return self._link_velocities.of(self._engine.link_velocities)
+        view = self._link_velocities
+        if view.version != self._clock.version:
+            view.take(self._engine.link_velocities, self._clock.version)
+        return view.tensor
 
     @property
     def joint_positions(self) -> Tensor:
-        return self._positions.of(self._engine.joint_positions)
+        view = self._positions
+        if view.version != self._clock.version:
+            view.take(self._engine.joint_positions, self._clock.version)
+        return view.tensor
 
     @property
     def joint_velocities(self) -> Tensor:
-        return self._velocities.of(self._engine.joint_velocities)
+        view = self._velocities
+        if view.version != self._clock.version:
+            view.take(self._engine.joint_velocities, self._clock.version)
+        return view.tensor
 
     @property
     def joint_efforts(self) -> Tensor:
-        return self._efforts.of(self._engine.joint_efforts)
+        view = self._efforts
+        if view.version != self._clock.version:
+            view.take(self._engine.joint_efforts, self._clock.version)
+        return view.tensor
 
     def frame_pose(self, name: str) -> Tensor:
         if not isinstance(name, str):
@@ -108,7 +143,8 @@ class SimulatedObject(ObjectParameters):
         version, pose = self._frame_poses.get(name, (-1, None))
         if pose is None or version != self._clock.version:
             frame = self._frame(name)
-            pose = frame.link_pose.of(self._engine.link_poses)
+            frame.link_pose.take(self._engine.link_poses, self._clock.version)
+            pose = frame.link_pose.tensor
             if frame.pose_of is not None:
                 pose = frame.pose_of(pose)
             self._frame_poses[name] = (self._clock.version, pose)
@@ -144,13 +180,13 @@ class SimulatedObject(ObjectParameters):
     # Writing state
 
     def set_root_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         pose = chosen.poses(pose, f"root pose of '{self.name}'")
         self._engine.write_root_state(self.layout.index, pose, None, chosen.rows)
         self._clock.touch()
 
     def set_root_velocity(self, velocity: Tensor, env_ids: Tensor | None = None) -> None:
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         velocity = chosen.values(velocity, (6,), f"root velocity of '{self.name}'", VELOCITIES)
         self._engine.write_root_state(self.layout.index, None, velocity, chosen.rows)
         self._clock.touch()
@@ -163,7 +199,7 @@ class SimulatedObject(ObjectParameters):
         env_ids: Tensor | None = None,
     ) -> None:
         written = self._all_columns if joints is None else self._joint_columns(joints)
-        chosen, shape = self._masking.choose(env_ids), (len(written),)
+        chosen, shape = self._selector.select(env_ids), (len(written),)
         if positions is not None:
             positions = chosen.values(positions, shape, f"joint positions of '{self.name}'", POSITIONS)
         if velocities is not None:
@@ -219,9 +255,111 @@ class SimulatedObject(ObjectParameters):
 
     def _resolved(self, frame: Frame) -> _FrameHandle:
         link, device = self.link_names.index(frame.link), self._engine.device
-        link_pose = _Columns(self.layout.root_link + link)
+        link_pose = _View(self.layout.root_link + link)
         if frame.pose == Pose():
             return _FrameHandle(link, link_pose, None, None)
         offset = torch.tensor(frame.pose.position, dtype=torch.float32, device=device)
         pose_of = FixedFrame((*frame.pose.position, *frame.pose.orientation), device)
         return _FrameHandle(link, link_pose, offset, pose_of)
+
+
+class SimulatedRobot(SimulatedObject, Robot):
+    """An articulation whose actuators take commands."""
+
+    @property
+    def spec(self) -> RobotSpec:
+        return self._spec
+
+    def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
+        assert isinstance(layout.spec, RobotSpec)  # the world makes robots of robots' layouts alone
+        self._spec = layout.spec
+        super().__init__(layout, parts)
+        actuators, own = parts.actuators, (layout.joints, f"of '{self.name}'")
+        self._targets = {
+            JointTarget.POSITION: _Targets(actuators.position_targets, POSITIONS, "position targets", *own),
+            JointTarget.VELOCITY: _Targets(actuators.velocity_targets, VELOCITIES, "velocity targets", *own),
+            JointTarget.EFFORT: _Targets(actuators.effort_targets, EFFORTS, "effort targets", *own),
+        }
+
+    @property
+    def motor_temperatures(self) -> Tensor:
+        temperatures = self._actuators.temperatures()
+        if temperatures is None:
+            raise ConfigurationError(f"no motor of '{self.name}' has windings: give a DcMotor of its actuators some")
+        return temperatures[:, self.layout.joints]
+
+    def target_writer(
+        self, target: JointTarget, joints: Sequence[int], checked: bool = True
+    ) -> Callable[[Tensor], object]:
+        return self._targets[target].writer(joints, checked)
+
+    def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
+        self._targets[JointTarget.POSITION].write(targets, joints)
+
+    def set_velocity_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
+        self._targets[JointTarget.VELOCITY].write(targets, joints)
+
+    def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
+        self._targets[JointTarget.EFFORT].write(efforts, joints)
+
+
+class _Targets:
+    """A robot's columns of one of the actuators' buffers; columns that stand in a row are written through a view."""
+
+    def __init__(self, buffer: Tensor, bounds: Bounds, what: str, joints: slice, whose: str) -> None:
+        self._buffer = buffer[:, joints]
+        self._bounds = bounds
+        self._what = f"{what} {whose}"
+        self._joints = f"joints {whose}"
+        self._writers: dict[tuple[int, ...], Callable[[Tensor], object]] = {}
+
+    def write(self, values: Tensor, joints: Sequence[int] | None) -> None:
+        if joints is None:
+            self._buffer.copy_(self._checked(values, self._buffer.shape[1]))
+            return
+        chosen = columns_chosen(joints, self._buffer.shape[1], self._joints)
+        writer = self._writers.get(chosen)
+        if writer is None:
+            writer = self._writers[chosen] = self._unchecked(chosen)
+        writer(self._checked(values, len(chosen)))
+
+    def writer(self, joints: Sequence[int], checked: bool) -> Callable[[Tensor], object]:
+        """Return a function that writes targets (N, k) of some joints, with or without a look at the numbers."""
+        chosen = columns_chosen(joints, self._buffer.shape[1], self._joints)
+        return partial(self.write, joints=chosen) if checked else self._unchecked(chosen)
+
+    def _unchecked(self, chosen: tuple[int, ...]) -> Callable[[Tensor], object]:
+        columns = columns_of(chosen, self._buffer.device)
+        if isinstance(columns, slice):
+            return self._buffer[:, columns].copy_
+        return partial(self._buffer.index_copy_, 1, columns)
+
+    def _checked(self, values: Tensor, count: int) -> Tensor:
+        values = as_floats(values, self._buffer.device, self._what)
+        check_shape(values, (len(self._buffer), count), self._what)
+        check_numbers(values, self._bounds, self._what)
+        return values
+
+
+class SimulatedMarker(Marker):
+    """A pose (N, 7) that viewers and videos draw."""
+
+    def __init__(self, spec: MarkerSpec, poses: Tensor, selector: RowSelector) -> None:
+        self.spec = spec
+        self._poses = poses
+        self._selector = selector
+
+    @property
+    def pose(self) -> Tensor:
+        return self._poses
+
+    def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
+        chosen = self._selector.select(env_ids)
+        write_rows(self._poses, chosen.poses(pose, f"pose of marker '{self.spec.name}'"), chosen.rows)
+
+
+def identity_poses(num_envs: int, markers: int, device: torch.device) -> Tensor:
+    """(N, M, 7) at each environment's origin."""
+    poses = torch.zeros(num_envs, markers, 7, device=device)
+    poses[..., 3] = 1.0
+    return poses

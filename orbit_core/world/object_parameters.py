@@ -9,7 +9,6 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from orbit_core.actuators import Actuators
 from orbit_core.dynamics.arguments import (
     COLORS,
     EFFORTS,
@@ -22,31 +21,27 @@ from orbit_core.dynamics.arguments import (
     check_numbers,
     columns_chosen,
 )
-from orbit_core.dynamics.indexing import Masking
-from orbit_core.interfaces import Capability, ConfigurationError, Engine, EntityLayout, Object
+from orbit_core.interfaces import Capability, ConfigurationError, EntityLayout, Object
 from orbit_core.scene import ActuatorNetwork, Entity, JointType, Texture
-from orbit_core.world.clock import Clock
-from orbit_core.world.painting import Painting
+from orbit_core.world.drawing import Painting
+from orbit_core.world.state import WorldParts
 
 
 def _nothing_required(capability: Capability, culprit: str) -> None:
-    """What no world has made knows of no backend that it could name."""
+    """Default check for objects that no world has made: accept every capability."""
 
 
 class ObjectParameters(Object):
-    """What of an object in one engine is set per environment and outlasts resets."""
+    """Parameters of an object in one engine, set per environment; they outlast resets."""
 
-    def __init__(
-        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
-    ) -> None:
+    def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
+        engine = parts.engine
         self.layout = layout
         self.name = layout.name
         self.link_names = layout.spec.articulation.link_names
         self.joint_names = layout.spec.articulation.joint_names
         self._engine = engine
-        self._actuators = actuators
-        self._clock = clock
-        self._masking = masking
+        self._actuators, self._clock, self._selector = parts.actuators, parts.clock, parts.selector
         self._all_columns = tuple(range(len(self.joint_names)))
         self._all_joints = torch.arange(layout.joints.start, layout.joints.stop, device=engine.device)
         self.require: Callable[[Capability, str], None] = _nothing_required
@@ -97,14 +92,14 @@ class ObjectParameters(Object):
             ArgumentError: among others, a link that has mass in the scene is given none, or one that moves without any.
             UnsupportedCapabilityError: the engine cannot.
         """
-        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        indices, chosen = self._link_indices(links), self._selector.select(env_ids)
         what = f"masses of '{self.name}'"
         masses = chosen.values(masses, (len(indices),), what, MASSES)
-        if chosen.seen:
+        if chosen.readable:
             check_numbers(masses[:, self._massive[indices - self.layout.root_link]], MOVING_MASSES, what, chosen.rows)
         if self._weightless:
             kept = [column for column, link in enumerate(self._links_named(links)) if link not in self._weightless]
-            if chosen.seen:
+            if chosen.readable:
                 moving = [c for c, link in enumerate(self._links_named(links)) if link and link in self._weightless]
                 check_numbers(masses[:, moving], NO_MASS, f"{what} without any", chosen.rows)
             indices, masses = indices[kept], masses[:, kept]
@@ -118,7 +113,7 @@ class ObjectParameters(Object):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        indices, chosen = self._link_indices(links), self._selector.select(env_ids)
         centers = chosen.values(centers, (len(indices), 3), f"centres of mass of '{self.name}'", POSITIONS)
         self._engine.set_centers_of_mass(indices, centers, chosen.rows)
 
@@ -130,7 +125,7 @@ class ObjectParameters(Object):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        indices, chosen = self._link_indices(links), self._selector.select(env_ids)
         coefficients = chosen.values(coefficients, (len(indices),), f"friction of '{self.name}'", FRICTIONS)
         self._engine.set_friction(indices, coefficients, chosen.rows)
 
@@ -140,7 +135,7 @@ class ObjectParameters(Object):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        indices, chosen = self._link_indices(links), self._selector.select(env_ids)
         wrenches = chosen.values(wrenches, (len(indices), 6), f"wrenches of '{self.name}'", EFFORTS)
         self.write_wrenches(indices, wrenches, chosen.rows)
         self._clock.touch()
@@ -159,7 +154,7 @@ class ObjectParameters(Object):
             ConfigurationError: a joint has no actuator.
         """
         columns = self._all_columns if joints is None else self._joint_columns(joints)
-        chosen, shape = self._masking.choose(env_ids), (len(columns),)
+        chosen, shape = self._selector.select(env_ids), (len(columns),)
         stiffness = chosen.values(stiffness, shape, f"stiffness of '{self.name}'", GAINS)
         damping = chosen.values(damping, shape, f"damping of '{self.name}'", GAINS)
         start = self.layout.joints.start
@@ -183,7 +178,7 @@ class ObjectParameters(Object):
         """
         self.require(Capability.RANDOMIZE_JOINTS, f"joint parameters of '{self.name}'")
         columns = self._all_columns if joints is None else self._joint_columns(joints)
-        chosen, shape = self._masking.choose(env_ids), (len(columns),)
+        chosen, shape = self._selector.select(env_ids), (len(columns),)
 
         def checked(value: Tensor | None, what: str) -> Tensor | None:
             return None if value is None else chosen.values(value, shape, f"{what} of joints of '{self.name}'", GAINS)
@@ -205,11 +200,11 @@ class ObjectParameters(Object):
 
         Raises:
             UnsupportedCapabilityError: the engine cannot; names the backends that can.
-            ConfigurationError: a joint has no limits in the scene, or a lower one lies above the upper.
+            ConfigurationError: a joint has no limits in the scene, or a lower one is above the upper.
         """
         self.require(Capability.RANDOMIZE_LIMITS, f"joint limits of '{self.name}'")
         columns = list(self._all_columns if joints is None else self._joint_columns(joints))
-        chosen, what = self._masking.choose(env_ids), f"limits of joints of '{self.name}'"
+        chosen, what = self._selector.select(env_ids), f"limits of joints of '{self.name}'"
         lower = chosen.values(lower, (len(columns),), what, POSITIONS)
         upper = chosen.values(upper, (len(columns),), what, POSITIONS)
         free = [self.joint_names[joint] for joint in columns if not self._is_limited(joint)]
@@ -217,7 +212,7 @@ class ObjectParameters(Object):
             raise ConfigurationError(
                 f"joints {', '.join(free)} of '{self.name}' have no limits in the scene: give some"
             )
-        if chosen.seen and bool((lower > upper).any()):
+        if chosen.readable and bool((lower > upper).any()):
             raise ConfigurationError(f"lower {what} lie above the upper ones: give them in order")
         self._engine.set_joint_limits(self._all_joints[columns], lower, upper, chosen.rows)
 
@@ -233,7 +228,7 @@ class ObjectParameters(Object):
             UnsupportedCapabilityError: the renderer cannot; names those that can.
         """
         self.require(Capability.COLORS_PER_ENVIRONMENT, f"colours of '{self.name}'")
-        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        indices, chosen = self._link_indices(links), self._selector.select(env_ids)
         colors = chosen.values(colors, (len(indices), 3), f"colours of '{self.name}'", COLORS)
         self.painting.paint(indices, colors, chosen.rows)
 
@@ -253,7 +248,7 @@ class ObjectParameters(Object):
         """
         for capability in (Capability.DEPTH, Capability.NORMALS, Capability.SEGMENTATION):
             self.require(capability, f"textures of '{self.name}'")
-        indices, rows = self._link_indices(links), self._masking.choose(env_ids)
+        indices, rows = self._link_indices(links), self._selector.select(env_ids)
         places = rows.indices(chosen, (len(indices),), f"textures of '{self.name}'", -1, len(textures) - 1)
         self.painting.texture(indices, textures, places, rows.rows)
 

@@ -1,10 +1,11 @@
-"""A world over one engine: the scene's robots, objects and sensors, stepped together."""
+"""Worlds over one engine: the scene's robots, objects and sensors, stepped together."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Hashable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -24,7 +25,8 @@ from orbit_core.dynamics.arguments import (
     usable_device,
     whole_number,
 )
-from orbit_core.dynamics.indexing import Masking, write_rows
+from orbit_core.dynamics.indexing import RowSelector, write_rows
+from orbit_core.dynamics.linear import products_ignore_other_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import (
     TERRAIN,
@@ -40,39 +42,30 @@ from orbit_core.interfaces import (
     World,
 )
 from orbit_core.interfaces.capabilities import IMAGES
+from orbit_core.interfaces.capture import Schedule, is_tracing
 from orbit_core.preparation.scene_data import check_attachments, check_data
 from orbit_core.preparation.scenes import prepared
 from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
-from orbit_core.world.build_check import check_build
-from orbit_core.world.capacity import check_capacity
-from orbit_core.world.clock import Clock
-from orbit_core.world.closing import close_for_good, leave_to_parent
-from orbit_core.world.copies import check_copy
+from orbit_core.world.checks import check_build, check_capacity
 from orbit_core.world.coupling import coupled, rigid_part
 from orbit_core.world.deformables import SimulatedDeformable
-from orbit_core.world.divergence import DivergenceGuard
-from orbit_core.world.entities import SimulatedObject
-from orbit_core.world.forking import give_up_in_forks
-from orbit_core.world.frames import with_frames
-from orbit_core.world.markers import SimulatedMarker, identity_poses
-from orbit_core.world.matter_pictures import with_matter
-from orbit_core.world.painting import Painting
-from orbit_core.world.robots import SimulatedRobot
-from orbit_core.world.settling import settle
-from orbit_core.world.world_state import WorldState
+from orbit_core.world.drawing import Painting, with_frames, with_matter
+from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
+from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
+from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
 
 
 class SimulatedWorld(World):
     """N environments of a scene in one physics engine.
 
-    What it takes and raises is told at :func:`~orbit_core.world.simulate`.
+    :func:`~orbit_core.world.simulate` documents arguments and errors.
     """
 
     # Never replaced, so that what a reader of World expects holds.
     clock: Clock
-    masking: Masking
+    selector: RowSelector
     random: RandomStreams
 
     def __init__(
@@ -120,9 +113,9 @@ class SimulatedWorld(World):
             engine.close()
             raise
         self.painting = Painting(num_envs, len(self.layout.links), self.device)
-        self.masking = Masking(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.selector = RowSelector(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which environments a call is for."""
-        self.random = RandomStreams(num_envs, seed, self.device, self.masking)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.random = RandomStreams(num_envs, seed, self.device, self.selector)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.random.reset()
         self.actuators = Actuators(self._engine, self.layout, self.random, any(each.active for each in scene.objects))
         self.clock = Clock()  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -130,23 +123,23 @@ class SimulatedWorld(World):
         self._names: list[NamedThings] = []
         self._add_entities()
         self._add_sensors()
-        give_up_in_forks(self)
+        register_after_fork(self)
 
     def _add_entities(self) -> None:
-        parts = (self._engine, self.actuators, self.clock, self.masking)
+        parts = self._world_parts = WorldParts(self._engine, self.actuators, self.clock, self.selector)
         count = len(self.scene.robots)
-        robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
-        objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
+        robots = {e.name: SimulatedRobot(e, parts) for e in self.layout.entities[:count]}
+        objects = {e.name: SimulatedObject(e, parts) for e in self.layout.entities[count:]}
         for thing in (*robots.values(), *objects.values()):
             thing.require, thing.painting = self._require, self.painting
-        self.active = ActiveModels(objects, self._engine, self.masking)
+        self.active = ActiveModels(objects, self._engine, self.selector)
         deformables = {
-            spec.name: SimulatedDeformable(i, spec, self._engine, self.masking, self.clock, {**robots, **objects})
+            spec.name: SimulatedDeformable(i, spec, parts, {**robots, **objects})
             for i, spec in enumerate(self.scene.deformables)
         }
         self._marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)
         markers = {
-            spec.name: SimulatedMarker(spec, self._marker_poses[:, i], self.masking)
+            spec.name: SimulatedMarker(spec, self._marker_poses[:, i], self.selector)
             for i, spec in enumerate(self.scene.markers)
         }
         self.robots = NamedThings(robots, "robot", "world.robots", self._names)
@@ -163,23 +156,22 @@ class SimulatedWorld(World):
         self.sensors = NamedThings(self._timed, "sensor", "world.sensors", self._names)
         self._servos: list[Callable[[], None]] = []
         self._guard: DivergenceGuard | None = None
-        self._stretch = self._longest_stretch()
+        self._plan_steps()
+        self._schedule = _WorldSchedule(self)
 
-    def _longest_stretch(self) -> int | None:
-        """Physics steps of which the engine's stretches are divisors, for they end where a sensor is due."""
+    def _plan_steps(self) -> None:
+        """Decide how far the engine runs at a time."""
+        # True if something computes before each physics step
+        self._singly = self.actuators.explicit or bool(self._servos)
         periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
-        if self._steps_singly and self.layout.contact_queries:
+        if self._singly and self.layout.contact_queries:
             periods.append(1)  # the engine averages contact forces over each call
-        return math.gcd(*periods) if periods else None
-
-    @property
-    def _steps_singly(self) -> bool:
-        """Whether something is to be done before each physics step."""
-        return self.actuators.explicit or bool(self._servos)
+        # Physics steps whose divisors the engine's stretches are, for they end where a sensor is due
+        self._stretch = math.gcd(*periods) if periods else None
 
     def add_servo(self, servo: Callable[[], None]) -> None:
         self._servos.append(servo)
-        self._stretch = self._longest_stretch()
+        self._plan_steps()
 
     @property
     def link_poses(self) -> Tensor:
@@ -209,7 +201,7 @@ class SimulatedWorld(World):
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        """What differs from the scene as asked: in the models first, then in the engine."""
+        """Differences from the scene that was requested: of the models first, then of the engine."""
         notes = tuple(
             Approximation(entity.name, "the source's model", note, "the catalogue's choice")
             for entity in self.scene.entities
@@ -226,27 +218,32 @@ class SimulatedWorld(World):
         return self._engine.native
 
     def step(self, steps: int = 1) -> None:
-        steps = whole_number(steps, "steps", 1, MOST_STEPS)
+        if type(steps) is not int or not 1 <= steps <= MOST_STEPS:
+            steps = whole_number(steps, "steps", 1, MOST_STEPS)
         for sensor in self._timed.values():
             sensor.begin_step()
         while steps > 0:
             whole = self._stretch
             stretch = steps if whole is None else min(steps, whole - self.clock.steps % whole)
-            self._step_engine(stretch)
+            if self._singly:
+                self._step_singly(stretch)
+            else:
+                self._engine.step(stretch)
+                if self._guard is not None:
+                    self._guard.look()
             self.clock.advance(stretch)
             for sensor in self._timed.values():
                 sensor.advance(stretch)
             steps -= stretch
 
     def settle(self, steps: int, env_ids: Tensor | None = None) -> None:
-        rows, steps = self.masking.choose(env_ids).rows, whole_number(steps, "steps", 1, MOST_STEPS)
-        settle(self._engine, (self.actuators, self.active), self._step_engine, steps, rows)
+        rows, steps = self.selector.select(env_ids).rows, whole_number(steps, "steps", 1, MOST_STEPS)
+        step = self._step_singly if self._singly else self._engine.step
+        settle(self._engine, (self.actuators, self.active), step, steps, rows)
         self.clock.touch()
 
-    def _step_engine(self, steps: int) -> None:
-        if not self._steps_singly:
-            self._step_watched(steps)
-            return
+    def _step_singly(self, steps: int) -> None:
+        """Step the engine one physics step at a time: servos, actuator models and active models compute before each."""
         for left in range(steps, 0, -1):
             for servo in self._servos:
                 servo()
@@ -254,49 +251,20 @@ class SimulatedWorld(World):
                 self.actuators.apply()
             if self.active:
                 self.active.apply()
-            # A traced step refuses nothing that servos make of diverged states: one look at its end will do.
-            self._step_watched(1, looks=left == 1 or not self.masking.traced)
-            self.clock.touch()  # the next servo derives poses anew
-
-    def _step_watched(self, steps: int, looks: bool = True) -> None:
-        self._engine.step(steps)
-        if self._guard is not None and looks:
-            self._guard.look()
+            # A traced step checks no targets that servos compute from diverged states: one look at its end suffices.
+            self._engine.step(1)
+            if self._guard is not None and (left == 1 or not is_tracing()):
+                self._guard.look()
+            self.clock.touch()  # the next servo reads the new state
 
     def guard_divergence(self) -> Tensor:
         """Reset environments that diverge in a step from now on; returns the guard's ``lost`` (N,) bool."""
-        self._guard = self._guard or DivergenceGuard(self._engine, self.actuators, self.clock, self.masking)
+        self._guard = self._guard or DivergenceGuard(self._world_parts)
         return self._guard.lost
 
-    # In a step that is captured
-
     @property
-    def needs_python(self) -> str:
-        return ""
-
-    @property
-    def schedule_period(self) -> int:
-        return math.lcm(*(sensor.period or 1 for sensor in self._timed.values()))
-
-    @property
-    def phase(self) -> Hashable:
-        sensors = tuple(sensor.phase for sensor in self._timed.values())
-        return self.clock.steps % (self._stretch or 1), sensors
-
-    def enter(self, phase: Any, steps: int) -> None:
-        self.clock.advance(steps)
-        for sensor, own in zip(self._timed.values(), phase[1], strict=True):
-            sensor.enter(own)
-
-    def touch(self) -> None:
-        self.clock.touch()
-        for sensor in self._timed.values():
-            sensor.touch()
-
-    def memory(self) -> dict[str, Tensor]:
-        own = self.actuators.memory() | ({} if self._guard is None else {"lost": self._guard.lost})
-        sensors = {f"sensor '{n}', {m}": t for n, s in self._timed.items() for m, t in s.memory().items()}
-        return own | sensors | self.active.memory()
+    def schedule(self) -> Schedule:
+        return self._schedule
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2 of some environments, for good.
@@ -304,23 +272,23 @@ class SimulatedWorld(World):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        chosen = self.masking.choose(env_ids)
+        chosen = self.selector.select(env_ids)
         gravity = chosen.values(gravity, (3,), "gravity", ACCELERATIONS)
         self._engine.set_gravity(gravity, chosen.rows)
         write_rows(self._sensing.gravity, gravity, chosen.rows)
 
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        chosen = self.masking.choose(env_ids)
+        chosen = self.selector.select(env_ids)
         coefficients = chosen.values(coefficients, (), "friction of the terrain", FRICTIONS)
         self._engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        """Begin anew in some environments, by index or by mask (N,) bool.
+        """Return some environments to their start, by index or by mask (N,) bool.
 
         Raises:
             ArgumentError, ShapeError: ``env_ids`` are no environments; nothing was reset.
         """
-        env_ids = self.masking.rows(env_ids)
+        env_ids = self.selector.resolve(env_ids)
         self.random.reset(env_ids)
         self._engine.reset(env_ids)
         self.actuators.reset(env_ids)
@@ -366,7 +334,7 @@ class SimulatedWorld(World):
     def copy_state(self, source: int, targets: Tensor | None = None, origin: World | None = None) -> None:
         origin = self if origin is None else origin
         check_copy(self, origin, source)
-        rows = self.masking.choose(targets).rows
+        rows = self.selector.select(targets).rows
         self._engine.copy_state(origin.engine, source, rows)
         if isinstance(origin, SimulatedWorld):
             self.actuators.copy(origin.actuators, source, rows)
@@ -386,12 +354,12 @@ class SimulatedWorld(World):
             self._renderer = None
         self._engine.close()
         for thing in self._parts:
-            close_for_good(thing, "the world")
+            mark_closed(thing, "the world")
 
-    def leave_to_parent(self, parent: int) -> None:
+    def mark_forked(self, parent: int) -> None:
         """Refuse every later use in this process, which was forked from the one that made the world."""
         for thing in (*self._parts, *([self._renderer] if self._renderer else ())):
-            leave_to_parent(thing, "the world", parent)
+            mark_forked(thing, "the world", parent)
 
     @property
     def _parts(self) -> tuple[object, ...]:
@@ -401,3 +369,81 @@ class SimulatedWorld(World):
     def _identity(self) -> tuple[str, int, tuple[str, ...]]:
         specs = (*self.scene.entities, *self.scene.deformables, *self.scene.sensors, *self.scene.markers)
         return self.backend, self.num_envs, tuple(spec.name for spec in specs)
+
+
+class _WorldSchedule(Schedule):
+    """Physics steps of a simulated world, and the counters of its sensors."""
+
+    def __init__(self, world: SimulatedWorld) -> None:
+        self._world = world
+        self._sensors = tuple(world._timed.values())
+
+    @property
+    def period(self) -> int:
+        return math.lcm(*(sensor.period or 1 for sensor in self._sensors))
+
+    @property
+    def key(self) -> Hashable:
+        place = self._world.clock.steps % (self._world._stretch or 1)
+        return (place, *[sensor.counters for sensor in self._sensors])
+
+    @property
+    def count(self) -> int:
+        return self._world.clock.steps
+
+    def move(self, key: Any, steps: int) -> None:
+        self._world.clock.advance(steps)
+        for sensor, counters in zip(self._sensors, key[1:], strict=True):
+            sensor.counters = counters
+
+
+class WorldFactory(Protocol):
+    """Makes a world of a scene, however it comes by its state: recorded, or measured on real robots."""
+
+    def __call__(self, scene: Scene, num_envs: int, device: torch.device, seed: int) -> World:
+        """The world, whose tensors are on ``device`` and whose random streams start from ``seed``."""
+        ...
+
+
+def simulate(
+    scene: Scene,
+    num_envs: int,
+    backend: str,
+    settings: Mapping[str, Any] | None = None,
+    device: str | torch.device = "cpu",
+    seed: int = 0,
+    renderer: str | None = None,
+    renderer_settings: Mapping[str, Any] | None = None,
+    matter: str | None = None,
+    matter_settings: Mapping[str, Any] | None = None,
+) -> World:
+    """N environments of a scene in one physics engine.
+
+    Args:
+        scene: what to simulate.
+        num_envs: how many copies.
+        backend: name of an installed backend.
+        settings: the backend's own settings, by field name.
+        device: where state tensors live.
+        seed: of the environments' random streams.
+        renderer: name of the renderer, or backend, that draws; the one that simulates if None.
+        renderer_settings: the renderer's own, by field name; over ``settings`` where one backend simulates and draws.
+        matter: name of the matter solver that simulates deformables, or ``"native"`` for the engine's own; the first
+            installed solver that does what the scene needs, and else the engine, if None.
+        matter_settings: the matter solver's own, by field name.
+
+    Raises:
+        UnknownNameError, BackendNotInstalledError: no such backend.
+        UnsupportedCapabilityError: the backend lacks what the scene needs, or the renderer what its cameras need.
+        AssetError: an articulation cannot be simulated.
+        BuildError: what the engine built is not what the scene describes.
+    """
+    drawing, matters = (renderer, renderer_settings), (matter, matter_settings)
+    world = SimulatedWorld(scene, num_envs, backend, settings, device, seed, *drawing, *matters)
+    if world.device.type == "cpu" and not products_ignore_other_rows():
+        warnings.warn(
+            "matrix products of this process depend on the number of environments, in their last bits, and so do "
+            "observations and rewards: import orbit_core before torch multiplies anything, or set MKL_CBWR=AUTO,STRICT",
+            stacklevel=2,
+        )
+    return world

@@ -46,9 +46,9 @@ def starting_at(robot: RobotSpec, pose: Tensor) -> RobotSpec:
 
 
 def furthest(robot: RobotSpec, stations: Tensor, pose: Pose) -> Pose:
-    """Where an upright thing that faces the robot is to stand so that the hand does all that it is to do there.
+    """Return a pose of an upright thing that faces the robot at which the hand reaches all its stations.
 
-    At ``pose``, or else nearer, by 2 cm each and 16 cm at most, to where the end effector comes to all ``stations``
+    At ``pose``, or else nearer, by 2 cm each and 16 cm at most, to where the end effector reaches all ``stations``
     (K, 7) in the thing's frame; or to most of them. Places that are 2 cm and 0.1 rad off are asked about.
     """
     x, y, z = pose.position
@@ -65,7 +65,7 @@ def furthest(robot: RobotSpec, stations: Tensor, pose: Pose) -> Pose:
 
 
 def _postures(robot: RobotSpec, poses: Tensor) -> tuple[IkSolution, Tensor]:
-    """Of the arm with its end effector at poses (K, 7), and positions (K, J) of all joints then."""
+    """Return the arm's solutions for end effector poses (K, 7), and positions (K, J) of all joints."""
     articulation, effector = robot.articulation, robot.end_effector
     home = torch.tensor(home_positions(robot), dtype=torch.float32).expand(len(poses), -1).clone()
     limits = torch.tensor([(joint.lower_limit, joint.upper_limit) for joint in articulation.movable_joints])

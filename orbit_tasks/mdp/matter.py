@@ -13,9 +13,8 @@ from torch import Tensor
 
 from orbit_assets.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
 from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
-from orbit_core.envs.task import Task
+from orbit_core.envs import Environment
 from orbit_core.envs.terms import ENVIRONMENT, EventFunction, TermFunction, means, measured_in
-from orbit_core.interfaces import World
 from orbit_core.interfaces.layout import gripper_positions
 from orbit_core.interfaces.names import match_names
 from orbit_core.mdp.common import turned
@@ -68,8 +67,8 @@ def key_points(name: str) -> TermFunction:
 
     @means(f"positions of the key points of '{name}', one after the other", ENVIRONMENT)
     @measured_in("m")
-    def observe(world: World, task: Task) -> Tensor:
-        return world.deformables[name].key_points.flatten(1)
+    def observe(env: Environment) -> Tensor:
+        return env.world.deformables[name].key_points.flatten(1)
 
     return observe
 
@@ -91,18 +90,18 @@ def place_deformable(
     ``carrier`` names an object that it is fixed to, and that goes with it.
     """
 
-    def place(world: World, task: Task, env_ids: Tensor) -> None:
-        thing = world.deformables[name]
+    def place(env: Environment, env_ids: Tensor) -> None:
+        thing = env.world.deformables[name]
         rest = torch.tensor(thing.spec.pose.transform(thing.spec.rest_positions), dtype=torch.float32)
-        rest = rest.to(world.device)
+        rest = rest.to(env.device)
         low, high = (-spread[0], -spread[1], -turn), (*spread, turn)
-        offset = world.random.uniform((3,), low, high, env_ids)
+        offset = env.world.random.uniform((3,), low, high, env_ids)
         thing.set_state(_moved(rest, rest.mean(0), offset), env_ids=env_ids)
         if carrier is not None:
-            carried_by = world.objects[carrier]
+            carried_by = env.world.objects[carrier]
             pose = carried_by.spec.pose
-            position = torch.tensor([pose.position], dtype=torch.float32, device=world.device)
-            orientation = torch.tensor(pose.orientation, dtype=torch.float32, device=world.device)
+            position = torch.tensor([pose.position], dtype=torch.float32, device=env.device)
+            orientation = torch.tensor(pose.orientation, dtype=torch.float32, device=env.device)
             orientation = quat_multiply(turned(offset[:, 2]), orientation.expand(len(offset), 4))
             place = _moved(position, rest.mean(0), offset)[:, 0]
             carried_by.set_root_pose(torch.cat((place, orientation), dim=1), env_ids)
@@ -113,16 +112,16 @@ def place_deformable(
 def place_chosen(name: str, starts: Callable[[Any], Tensor], spread: tuple[float, float]) -> EventFunction:
     """Event: the deformable in one of several states (S, P, 3) around x = y = 0, turned by any angle.
 
-    It lies around its spec's pose, moved by up to ``spread`` (x, y) m.
+    It is placed around its spec's pose, moved by up to ``spread`` (x, y) m.
     """
 
-    def place(world: World, task: Task, env_ids: Tensor) -> None:
-        thing, states = world.deformables[name], starts(task)
+    def place(env: Environment, env_ids: Tensor) -> None:
+        thing, states = env.world.deformables[name], starts(env)
         x, y, _ = thing.spec.pose.position
         low, high = (x - spread[0], y - spread[1], -math.pi), (x + spread[0], y + spread[1], math.pi)
-        offset = world.random.uniform((3,), low, high, env_ids)
-        chosen = states[world.random.integers(0, len(states) - 1, env_ids)]
-        thing.set_state(_moved(chosen, torch.zeros(3, device=world.device), offset), env_ids=env_ids)
+        offset = env.world.random.uniform((3,), low, high, env_ids)
+        chosen = states[env.world.random.integers(0, len(states) - 1, env_ids)]
+        thing.set_state(_moved(chosen, torch.zeros(3, device=env.device), offset), env_ids=env_ids)
 
     return place
 

@@ -1,4 +1,4 @@
-"""What scripted experts that pick things up and put them elsewhere have in common: poses of the hand, and phases."""
+"""Poses and phases of scripted experts that pick things up and put them elsewhere."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
-from orbit_core.envs.task import Task
+from orbit_core.envs import Environment
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_motion.experts.expert import Phase, Retry
 
 _QUARTER = 0.5 * math.pi
+# Metres from a hand's middle, along its fingers' way, across it and up, within which its palm meets another thing of a
+# few centimetres: a Franka hand's is 0.2 wide.
 _PALM = (0.135, 0.07, 0.04)
-"""Metres from a hand's middle, along its fingers' way, across it and up, within which its palm meets another thing of a
-few centimetres: a Franka hand's is 0.2 wide."""
 
 
 def quarter_yaw(orientation: Tensor) -> Tensor:
@@ -66,9 +66,9 @@ def least_turn(before: Tensor, after: Tensor) -> Tensor:
 def raised(target: TermFunction, height: float) -> TermFunction:
     """The pose that ``target`` gives, higher by ``height`` metres."""
 
-    def pose(world: World, task: Task) -> Tensor:
-        up = torch.tensor([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0], device=world.device)
-        return target(world, task) + up
+    def pose(env: Environment) -> Tensor:
+        up = torch.tensor([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0], device=env.device)
+        return target(env) + up
 
     return pose
 
@@ -76,9 +76,9 @@ def raised(target: TermFunction, height: float) -> TermFunction:
 def back(target: TermFunction, way: float) -> TermFunction:
     """The pose of a hand that ``target`` gives, ``way`` metres back out of where the hand points."""
 
-    def pose(world: World, task: Task) -> Tensor:
-        hand = target(world, task)
-        shift = torch.tensor([0.0, 0.0, -way], device=world.device).expand(len(hand), 3)
+    def pose(env: Environment) -> Tensor:
+        hand = target(env)
+        shift = torch.tensor([0.0, 0.0, -way], device=env.device).expand(len(hand), 3)
         return torch.cat((hand[:, :3] + quat_rotate(hand[:, 3:], shift), hand[:, 3:]), dim=1)
 
     return pose
@@ -87,24 +87,24 @@ def back(target: TermFunction, way: float) -> TermFunction:
 def straight_up(height: float) -> TermFunction:
     """The hand as it is, at ``height`` metres in the environment's frame."""
 
-    def pose(world: World, task: Task) -> Tensor:
-        hand = common.hand_pose(world, task)
+    def pose(env: Environment) -> Tensor:
+        hand = common.hand_pose(env)
         return torch.cat((hand[:, :2], torch.full_like(hand[:, :1], height), hand[:, 3:]), dim=1)
 
     return pose
 
 
 def hand_for(place: TermFunction, held: TermFunction) -> TermFunction:
-    """The hand with which what it holds comes to its place, as that sits in the hand now.
+    """The hand with which what it holds is at its place, as that sits in the hand now.
 
     Args:
         place: (N, 7) where the thing's frame shall be, and how the hand shall then be turned.
         held: (N, 7) of the thing now; its turn in the hand is kept.
     """
 
-    def pose(world: World, task: Task) -> Tensor:
-        hand, goal = common.hand_pose(world, task), place(world, task)
-        inside = quat_rotate_inverse(hand[:, 3:], held(world, task)[:, :3] - hand[:, :3])
+    def pose(env: Environment) -> Tensor:
+        hand, goal = common.hand_pose(env), place(env)
+        inside = quat_rotate_inverse(hand[:, 3:], held(env)[:, :3] - hand[:, :3])
         return torch.cat((goal[:, :3] - quat_rotate(goal[:, 3:], inside), goal[:, 3:]), dim=1)
 
     return pose
@@ -133,7 +133,7 @@ def put(
         place: (N, 7) of the hand, such as :func:`hand_for` gives.
         height: of the hand on the way, in metres in the environment's frame.
         clearance: metres above the place at which the hand arrives.
-        over: metres within which it is there before it goes down: less than what is free beside the place.
+        over: metres within which it is there before it goes down: less than what is free next to the place.
         came: what to do where the thing did not come along on the way up.
     """
     up = Phase(straight_up(height), position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0)

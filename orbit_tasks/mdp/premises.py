@@ -1,4 +1,4 @@
-"""What tasks take for granted when an episode begins, as functions that their premises are made of."""
+"""Functions of which tasks make their premises."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from torch.linalg import vector_norm
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import World
 
+# m/s: what is slower, and turns slower than ten times that in rad/s, is still.
 SPEED = 0.02
-"""m/s: what is slower, and turns slower than ten times that in rad/s, lies still."""
+# rad by which what stands upright may lean.
 TILT = 0.05
-"""rad by which what stands upright may lean."""
+# Metres by which what stands may be higher or lower than it should: engines let things sink in, or float.
 HEIGHT = 0.003
-"""Metres by which what stands may be higher or lower than it should: engines let things sink in, or float."""
 
 
 def still(world: World, names: Sequence[str], speed: float = SPEED) -> Tensor:

@@ -1,4 +1,4 @@
-"""Which phase of an expert that picks a thing up and puts it elsewhere fits a state: where it teaches, another leads.
+"""Phase that fits a state, for experts that pick and place while they teach and another leads.
 
 Phases 0 to 2 are those of :func:`orbit_tasks.mdp.picking.pick`: above the thing, down, close. What counts as there
 widens on the way down, so that a phase is not left and entered in turns.
@@ -13,8 +13,8 @@ from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_error, rotation_angle, rotation_error
 
+# Metres between the hand and its grasp within which the gripper closes; it holds the thing within twice as much.
 _NEAR = 0.008
-"""Metres between the hand and its grasp within which the gripper closes; it holds the thing within twice as much."""
 _ABOVE, _DOWN, _CLOSE = range(3)
 
 
@@ -23,7 +23,7 @@ def moving(hand: Tensor, grasp: Tensor, place: Tensor, way: Tensor, closed: Tens
 
     Args:
         hand: (N, 7) its pose now.
-        grasp: (N, 7) its pose around the thing as that lies now.
+        grasp: (N, 7) its pose around the thing as that is now.
         place: (N, 7) how it is turned at the thing's place.
         way: (N, 3) from the thing to its place.
         closed: (N,) bool, whether the gripper is as narrow as where it holds the thing.

@@ -1,15 +1,25 @@
-"""What tasks of an arm at the work bench have in common: scene, groups of terms, how they are randomised."""
+"""Base of tasks of an arm at the work bench: scene, groups of terms, randomisation."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from orbit_assets.objects import BENCH_HEIGHT, work_bench
-from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, TerminationTerm
+from orbit_core.envs import (
+    Environment,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    PremiseTerm,
+    TerminationTerm,
+)
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import ROBOT, Task
 from orbit_core.envs.terms import TermFunction, meaning_of, measured_in, once_per_state
 from orbit_core.interfaces import World
@@ -19,28 +29,39 @@ from orbit_core.scene import ObjectSpec, RobotSpec, Scene
 from orbit_tasks.mdp import picking, premises
 
 
+class TabletopMemory(TaskState):
+    """State of tasks at the bench, looked up once in a new world."""
+
+    arm_joints: Tensor
+    """(A,) indices of the joints that move the first arm's hand."""
+
+    def start(self, env: Environment) -> None:
+        robot = env.world.robots[env.task.agents[0]]
+        self.arm_joints = torch.tensor(robot.find_joints(*robot.spec.end_effector.arm_joints), device=env.device)
+
+
 @once_per_state
-def piece_poses(world: World, task: TabletopTask) -> Tensor:
+def piece_poses(env: Environment[TabletopTask]) -> Tensor:
     """(N, B, 7) of the task's pieces, in order."""
-    return torch.stack([world.objects[name].root_pose for name in task.pieces], dim=1)
+    return torch.stack([env.world.objects[name].root_pose for name in env.task.pieces], dim=1)
 
 
-def piece_turns(world: World, task: TabletopTask) -> Tensor:
+def piece_turns(env: Environment[TabletopTask]) -> Tensor:
     """(N, B) rad, at most an eighth of a turn: by how much pieces that are square are turned against the hand."""
-    hand = common.turn_facing_down(common.hand_pose(world, task)[:, 3:])
-    return picking.quarter(picking.quarter_yaw(piece_poses(world, task)[..., 3:]) - hand[:, None])
+    hand = common.turn_facing_down(common.hand_pose(env)[:, 3:])
+    return picking.quarter(picking.quarter_yaw(piece_poses(env)[..., 3:]) - hand[:, None])
 
 
-def dropped(world: World, task: TabletopTask) -> Tensor:
+def dropped(env: Environment[TabletopTask]) -> Tensor:
     """(N,) bool: one of the task's pieces fell off the table."""
-    return (piece_poses(world, task)[..., 2] < -0.05).any(1)
+    return (piece_poses(env)[..., 2] < -0.05).any(1)
 
 
 def fine(term: TermFunction, scale: float = 0.01) -> ObservationTerm:
-    """The term in [-1, 1]: its hyperbolic tangent in units of ``scale``, for what is to be told apart near zero."""
+    """The term in [-1, 1]: its hyperbolic tangent in units of ``scale``, for values to distinguish near zero."""
     own = meaning_of(ObservationTerm(term))
     meaning = replace(own, formula=f"tanh(x / {scale:g}), where x is: {own.formula}")
-    return ObservationTerm(lambda world, task: torch.tanh(term(world, task) / scale), unit="1", meaning=meaning)
+    return ObservationTerm(lambda env: torch.tanh(term(env) / scale), unit="1", meaning=meaning)
 
 
 def put(world: World, names: Sequence[str], poses: Tensor, env_ids: Tensor) -> None:
@@ -52,7 +73,7 @@ def put(world: World, names: Sequence[str], poses: Tensor, env_ids: Tensor) -> N
 def pieces_stand(height: float) -> PremiseTerm:
     """Premise: the pieces stand free on the table, their origins ``height`` (m) above it."""
     return PremiseTerm(
-        lambda world, task: premises.standing(world, task.pieces, height),
+        lambda env: premises.standing(env.world, env.task.pieces, height),
         "a block does not stand still and upright on the table, so that it began inside another thing, or fell over",
     )
 
@@ -67,14 +88,14 @@ class ArmState(ObservationGroup):
 
 
 @measured_in("rad/s or m/s")
-def arm_velocities(world: World, task: TabletopTask) -> Tensor:
+def arm_velocities(env: Environment[TabletopTask, TabletopMemory]) -> Tensor:
     """(N, A) of the joints that move the first arm's hand, without its fingers."""
-    return world.robots[task.agents[0]].joint_velocities.index_select(1, task.arm_joints)
+    return env.world.robots[env.task.agents[0]].joint_velocities.index_select(1, env.state.arm_joints)
 
 
 @dataclass
 class GraspState(ArmState):
-    """Without the fingers' velocities: of fingers that rest on what they hold engines tell none, or 0.13 m/s."""
+    """Without the fingers' velocities: of fingers that rest on what they hold engines report none, or 0.13 m/s."""
 
     joint_velocities: ObservationTerm | None = ObservationTerm(arm_velocities)
 
@@ -109,7 +130,7 @@ class DropTerminations:
 
 @dataclass
 class ArmEvents:
-    """The arm is placed anew for each episode; with domain randomisation friction and its gains differ between
+    """The arm is placed for each episode; with domain randomisation friction and its gains differ between
     environments. Tasks add what else is placed."""  # fmt: skip
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
@@ -121,15 +142,9 @@ class ArmEvents:
 class TabletopTask(Task):
     """An arm at the work bench, which moves the task's ``pieces``. Its ``events`` are :class:`ArmEvents`."""
 
+    state_type: ClassVar[type[TaskState]] = TabletopMemory
     robot: str = "franka_panda"
     action: str = "joint_position"
-    arm_joints: Tensor = field(init=False)
-    """(A,) indices of the joints that move the first arm's hand."""
-
-    def start(self, world: World) -> None:
-        super().start(world)
-        robot = world.robots[self.agents[0]]
-        self.arm_joints = torch.tensor(robot.find_joints(*robot.spec.end_effector.arm_joints), device=world.device)
 
     @property
     def pieces(self) -> tuple[str, ...]:

@@ -7,64 +7,68 @@ After Rudin et al., Learning to Walk in Minutes Using Massively Parallel Deep Re
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import cast
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from orbit_assets.terrain import TerrainGrid
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.envs.task import Task
+from orbit_core.envs import Environment
+from orbit_core.envs.state import TaskState, buffer
 from orbit_core.envs.terms import TermFunction
-from orbit_core.interfaces import ConfigurationError, Robot, World
+from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.mdp import common
 
+# Multiples of the golden ratio, whole parts left out, are spread evenly however many there are.
 _GOLDEN = 0.618034
-"""Multiples of the golden ratio, whole parts left out, are spread evenly however many there are."""
 _NEAR_HOME = common.randomize_robot_start(0.05)
 
 
 @dataclass(kw_only=True)
 class OnTerrain:
-    """What a task adds to its own whose robot walks on a grid of terrain. Derive from the task first, then from this.
+    """Configuration of a robot that walks on a grid of terrain. Derive a task from its own base first, then from this.
 
-    Its scene's terrain is ``self.terrain.shapes()``, and its ``start`` calls :meth:`start_on_terrain`;
+    Its scene's terrain is ``self.terrain.shapes()``, its state derives from :class:`TerrainMemory`;
     :func:`place_on_terrain` is its event, :func:`by_distance` its curriculum. Without a curriculum each episode draws
     its level.
     """
 
     curriculum_enabled: bool = False
     episode_length: float = 20.0
-    difficulty: Tensor = field(init=False)
     terrain: TerrainGrid = field(default_factory=lambda: TerrainGrid(border=20.0))
-    cell_origins: Tensor = field(init=False)
-    """(levels, kinds, 3) where robots start, in the environment's frame."""
-    kind: Tensor = field(init=False)
-    """(N,) int64: an environment keeps its kind of terrain."""
-    level: Tensor = field(init=False)
-    """(N,) int64 of the present episode."""
-    spare_level: Tensor = field(init=False)
-    """(N,) int64 drawn anew for each episode: where a robot goes on that has walked off the last level."""
 
-    def start_on_terrain(self, world: World) -> None:
-        """Look up the cells, and see that the robot fits; a curriculum starts in the easier half of the levels.
+
+class TerrainMemory(TaskState):
+    """State of robots on a grid of terrain. A state's ``start`` calls :meth:`start_on_terrain`."""
+
+    cell_origins: Tensor
+    """(levels, kinds, 3) where robots start, in the environment's frame."""
+    kind: Tensor
+    """(N,) int64: an environment keeps its kind of terrain."""
+    level: Tensor = buffer(dtype=torch.int64)
+    """(N,) int64 of the present episode."""
+    spare_level: Tensor = buffer(dtype=torch.int64)
+    """(N,) int64 drawn for each episode: where a robot goes on that has walked off the last level."""
+
+    def start_on_terrain(self, env: Environment[Any]) -> None:
+        """Look up the cells, and check that the robot fits; a curriculum starts in the easier half of the levels.
 
         Raises:
             ConfigurationError: the robot is larger than a cell, or there is a curriculum and but one level.
         """
-        robot, grid = common.robot_of(world), self.terrain
+        robot, grid = common.robot_of(env.world), env.task.terrain
         grid.check_fits(robot.spec, standing_reach(robot))
-        if self.curriculum_enabled and grid.levels < 2:
+        if env.task.curriculum_enabled and grid.levels < 2:
             raise ConfigurationError(
                 "a curriculum of terrain needs levels to move robots between, and terrain.levels is 1: give 2 or more, "
                 "or leave curriculum_enabled out"
             )
-        count = torch.arange(world.num_envs, device=world.device)
-        self.cell_origins = torch.tensor(grid.origins, dtype=torch.float32, device=world.device)
+        count = torch.arange(env.num_envs, device=env.device)
+        self.cell_origins = torch.tensor(grid.origins, dtype=torch.float32, device=env.device)
         self.kind = count % len(grid.kinds)
-        self.level, self.spare_level = torch.zeros_like(count), torch.zeros_like(count)
-        if self.curriculum_enabled:
-            self.difficulty = 0.5 * ((count // len(grid.kinds) * _GOLDEN) % 1.0)
+        if env.task.curriculum_enabled:
+            self.difficulty.copy_(0.5 * ((count // len(grid.kinds) * _GOLDEN) % 1.0))
 
 
 def standing_reach(robot: Robot) -> float:
@@ -77,25 +81,25 @@ def standing_reach(robot: Robot) -> float:
     return float(feet.norm(dim=1).max())
 
 
-def place_on_terrain(world: World, task: OnTerrain, env_ids: Tensor) -> None:
+def place_on_terrain(env: Environment[Any, TerrainMemory], env_ids: Tensor) -> None:
     """Event: stand the robot on its cell, at its home height above it, facing anywhere.
 
     The level follows the difficulty where a curriculum sets that, else each episode draws one.
     """
-    robot, last = common.robot_of(world), task.terrain.levels - 1
-    drawn = world.random.integers(0, last, env_ids)
-    level = (task.difficulty[env_ids] * last).round().to(torch.int64) if task.curriculum_enabled else drawn
-    task.level[env_ids], task.spare_level[env_ids] = level, drawn
-    home = torch.tensor(robot.spec.pose.position, device=world.device)
-    position = task.cell_origins[level, task.kind[env_ids]] + home
-    common.stand_facing_anywhere(world, position, env_ids)
-    _NEAR_HOME(world, cast(Task, task), env_ids)
+    robot, last = common.robot_of(env.world), env.task.terrain.levels - 1
+    drawn = env.world.random.integers(0, last, env_ids)
+    level = (env.state.difficulty[env_ids] * last).round().to(torch.int64) if env.task.curriculum_enabled else drawn
+    env.state.level[env_ids], env.state.spare_level[env_ids] = level, drawn
+    home = torch.tensor(robot.spec.pose.position, device=env.device)
+    position = env.state.cell_origins[level, env.state.kind[env_ids]] + home
+    common.stand_facing_anywhere(env.world, position, env_ids)
+    _NEAR_HOME(env, env_ids)
 
 
-def walked(world: World, task: OnTerrain) -> Tensor:
+def walked(env: Environment[Any, TerrainMemory]) -> Tensor:
     """(N,) metres between the robot and the middle of its cell, seen from above."""
-    middle = task.cell_origins[task.level, task.kind]
-    return (common.robot_of(world).root_pose[:, :2] - middle[:, :2]).norm(dim=1)
+    middle = env.state.cell_origins[env.state.level, env.state.kind]
+    return (common.robot_of(env.world).root_pose[:, :2] - middle[:, :2]).norm(dim=1)
 
 
 def by_distance(command: TermFunction, share: float = 0.5) -> TermFunction:
@@ -109,14 +113,14 @@ def by_distance(command: TermFunction, share: float = 0.5) -> TermFunction:
         share: of the way that the command would have led in a whole episode; who walked less goes down.
     """
 
-    def change(world: World, task: OnTerrain) -> Tensor:
-        last = task.terrain.levels - 1
-        distance = walked(world, task)
-        up = distance > 0.5 * task.terrain.cell_size
-        asked = share * task.episode_length * command(world, task)[:, :2].norm(dim=1)
+    def change(env: Environment[Any, TerrainMemory]) -> Tensor:
+        last = env.task.terrain.levels - 1
+        distance = walked(env)
+        up = distance > 0.5 * env.task.terrain.cell_size
+        asked = share * env.task.episode_length * command(env)[:, :2].norm(dim=1)
         down = ~up & (distance < asked)
-        following = (task.level + up.long() - down.long()).clamp_min(0)
-        following = torch.where(following > last, task.spare_level, following)
-        return following / last - task.difficulty
+        following = (env.state.level + up.long() - down.long()).clamp_min(0)
+        following = torch.where(following > last, env.state.spare_level, following)
+        return following / last - env.state.difficulty
 
     return change

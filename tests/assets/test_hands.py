@@ -116,7 +116,7 @@ def test_a_closed_hand_holds_a_cylinder_against_twice_its_weight_from_every_side
     held.set_root_pose(torch.cat((frame[:, :3], upright), dim=1))
     gripper = BinaryGripperConfig().build("gripper", hand)
     opened, closed = (
-        gripper.compute({"command": torch.full((6, 1), command)})[JointTarget.POSITION.value] for command in (1.0, -1.0)
+        gripper.compute({"command": torch.full((6, 1), command)})[JointTarget.POSITION] for command in (1.0, -1.0)
     )
     weight = torch.tensor([0.0, 0.0, mass * 9.81, 0.0, 0.0, 0.0])
     for step in range(200):  # the hand closes within half a second on what does not fall yet

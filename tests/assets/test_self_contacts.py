@@ -136,7 +136,7 @@ def test_ground_is_no_part_of_a_robot_that_touches_itself() -> None:
 
 
 def test_a_home_beyond_limits_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="'hinge0' of 'finger' lies outside its limits"):
+    with pytest.raises(ConfigurationError, match="'hinge0' of 'finger' is outside of its limits"):
         without_home_contacts(finger(), {"hinge0": 4.0})
 
 

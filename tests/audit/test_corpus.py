@@ -1,4 +1,4 @@
-"""Every published model that is installed reads as another reader reads it, or docs/assets-corpus.md says why not.
+"""Every published model that is installed reads as another reader reads it, or the page of the corpus says why not.
 
 URDF files are read without their shapes, whose meshes take minutes; ``tools/asset_corpus.py`` reads them whole.
 """
@@ -22,7 +22,7 @@ from orbit_assets.scene_files import load_scene
 from orbit_core.interfaces.errors import AssetError
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "assets-corpus.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "measured" / "assets-corpus.md").read_text(encoding="utf-8")
 
 
 def tool() -> ModuleType:
@@ -78,7 +78,7 @@ def test_a_model_reads_as_another_reader_reads_it(name: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("word", ["double_pendulum_description", "simple_humanoid", "pybullet_data/cube"])
 def test_the_page_is_what_the_command_finds(word: str) -> None:
-    """On a sample, with all shapes: else ``python tools/asset_corpus.py --page docs/assets-corpus.md``."""
+    """On a sample, with all shapes: else ``python tools/asset_corpus.py --page docs/measured/assets-corpus.md``."""
     names = [name for name in CORPUS if word in name]
     if not names:
         pytest.skip("the package of these models is not installed")

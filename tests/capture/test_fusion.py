@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.capture.kernels import fusing
+from orbit_core.capture.replay import fusing
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error, quat_from_matrix, quat_to_matrix
 from orbit_motion.fusion import Fused

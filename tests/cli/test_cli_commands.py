@@ -102,7 +102,7 @@ def test_info_of_an_object_tells_its_parameters_and_what_they_make(printed: Prin
 def test_info_of_a_sensor_tells_its_specification_and_its_values(printed: Printed):
     text = " ".join(printed("info", "ImuSpec").split())
     assert "rate None" in text
-    assert "linear_acceleration (N, 3) m/s^2" in text
+    assert "linear_acceleration Linear acceleration (N, 3), m/s^2" in text
 
 
 def test_info_of_a_robot(printed: Printed):

@@ -80,7 +80,7 @@ MESH = '<visual><geometry><mesh filename="{}"/></geometry></visual><inertial>'
 @pytest.mark.parametrize(
     ("old", "new", "remedy"),
     [
-        ('ixx="1"', 'ixx="9"', "mended by --repair balance"),
+        ('ixx="1"', 'ixx="9"', "repair it with --repair balance"),
         ("<inertial>", MESH.format("../wheel.stl"), "let it by --allow-outside"),
         ("<inertial>", MESH.format("package://nobody/wheel.stl"), "give its folder, --package nobody=FOLDER"),
         ("<box ", "<cone ", "leave it out by --unsupported drop"),

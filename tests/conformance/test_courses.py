@@ -1,4 +1,4 @@
-"""Where key points of deformables went is recorded, kept and drawn side by side."""
+"""Courses of deformables' key points are recorded, kept and drawn side by side."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from orbit_conformance.courses import course_of
 from orbit_conformance.hardware import Hardware
 from orbit_conformance.recording import Recording
-from orbit_conformance.report.courses import courses
+from orbit_conformance.report.plots import courses
 from orbit_conformance.results import Header, Result
 from orbit_conformance.settings import Part, Settings
 from orbit_conformance.tasks import run_task
@@ -30,7 +30,7 @@ def test_key_points_and_the_metric_of_a_task_with_a_rope_are_recorded(tmp_path: 
 
 
 def recording(backend: str, tracks: dict[str, np.ndarray]) -> Recording:
-    """Of 300 steps, of which the first environment's episode has 200."""
+    """A recording of 300 steps; the first environment's episode has 200."""
     values = {"distance_m": np.linspace(1.0, 0.0, 300, dtype=np.float32)[:, None]}
     actions, lengths = np.zeros((300, 1, 1), np.float32), np.array([200])
     return Recording("Bend", backend, 0, {}, 0.02, actions, lengths, tracks, values)

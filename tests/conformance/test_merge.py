@@ -1,4 +1,4 @@
-"""Results of several runs as one: what is taken over, what is reckoned anew, what is refused."""
+"""Results of several runs as one: what is kept, what is computed again, what is rejected."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_result_is_replaced_on_demand_and_nothing_else_is(tmp_path: Path) -> N
     runs, output = tmp_path / "runs", tmp_path / "merged"
     fall = Outcome(Record(FALL, Ending.UNSUPPORTED, "no"), {"traces.json": b"[]"})
     folders = [finished(runs / ONE, ONE, fall), finished(runs / TWO, TWO)]
-    for place, message in ((runs, "holds .*, which is read"), (folders[0] / "inner", "lies in .*, which is read")):
+    for place, message in ((runs, "holds .*, which is read"), (folders[0] / "inner", "is in .*, which is read")):
         with pytest.raises(ConfigurationError, match=message):
             merge(folders, place, overwrite=True)
     output.mkdir()

@@ -61,7 +61,7 @@ def test_a_free_body_keeps_energy_and_the_size_of_its_angular_momentum() -> None
 
 
 def test_a_rotary_pendulum_keeps_its_energy_and_its_angular_momentum() -> None:
-    """Nothing turns it about the vertical: dT/da' is constant."""
+    """No torque acts about the vertical: dT/da' is constant."""
     pendulum = RotaryPendulum(0.3, 0.25, 0.1)
     start = np.array([0.0, 2.5, 0.4, -1.0])
     (end,) = trajectory(pendulum.derivative, start, [1.0])
@@ -77,7 +77,7 @@ def _about_the_vertical(pendulum: RotaryPendulum, state: npt.NDArray[np.float64]
 
 
 def test_a_coin_in_steady_rolling_does_not_slip_and_balances_its_moments() -> None:
-    """By vectors: the contact point rests, and ``W z x L = r x m (W z x v + g z)``."""
+    """Vector form: the contact point rests, and ``W z x L = r x m (W z x v + g z)``."""
     lean, turning = 0.2, 1.0
     speed, spin = steady_roll(lean, turning)
     radius, half = RADIUS, THICKNESS / 2

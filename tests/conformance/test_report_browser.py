@@ -36,6 +36,7 @@ def page(report_page: Path) -> Iterator[Page]:
 def test_the_matrix_tells_status_and_reason(page: Page) -> None:
     backends = sorted((*PAIR, "dying", "hanging"))
     columns = [backends.index(BACKEND), backends.index("dying")]
+    page.locator("#matrix-fold > summary").click()
     row = page.locator(".matrix > tbody > tr", has=page.get_by_role("link", name="projectile"))
     passing, failing = (row.locator("> td").nth(column) for column in columns)
     assert "pass" in passing.inner_text()
@@ -54,7 +55,8 @@ def test_the_matrix_tells_status_and_reason(page: Page) -> None:
 
 
 def test_a_link_opens_its_scenario_with_the_plots(page: Page) -> None:
-    page.get_by_role("link", name="free_fall").first.click()
+    page.locator("#matrix-fold > summary").click()
+    page.locator("#matrix").get_by_role("link", name="free_fall").click()
     section = page.locator("details#free_fall")
     assert "Galileo" in section.inner_text()
     for words in ("Error against speed", "Measured and true"):
@@ -69,6 +71,7 @@ def test_a_link_opens_its_scenario_with_the_plots(page: Page) -> None:
 def test_the_videos_of_a_task_play_together(page: Page) -> None:
     videos = page.locator("#videos-Reach video")
     assert videos.count() == len(PAIR), "the dying backend has none"
+    page.locator("#task-Reach > summary").click()
     page.locator("button[data-play='videos-Reach']").click()
     page.wait_for_function(
         "[...document.querySelectorAll('video')].every(v => v.readyState >= 2 && v.currentTime > 0.2 && !v.paused)"
@@ -77,5 +80,21 @@ def test_the_videos_of_a_task_play_together(page: Page) -> None:
 
 
 def test_the_page_is_readable_on_a_narrow_screen(page: Page) -> None:
+    """No content reaches beyond the screen except tables that scroll on their own, with all folds open."""
     page.set_viewport_size({"width": 480, "height": 800})
+    page.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
     assert page.evaluate("document.documentElement.scrollWidth") <= 480
+
+
+def test_the_first_screen_says_which_engine_and_every_link_has_its_place(page: Page) -> None:
+    """This run has the figures of no use: each says so in place of a ranking."""
+    page.set_viewport_size({"width": 1400, "height": 900})
+    cards = page.locator(".card")
+    assert cards.count() == 6
+    box = cards.last.bounding_box()
+    assert box is not None
+    assert box["y"] + box["height"] <= 900, "all uses are on the first screen"
+    assert "Not measured" in page.locator("#use-determinism").inner_text()
+    anchors = page.locator('a[href^="#"]').evaluate_all("links => links.map(link => decodeURIComponent(link.hash))")
+    ids = page.locator("[id]").evaluate_all("all => all.map(one => `#${one.id}`)")
+    assert {*anchors} <= {*ids}

@@ -1,4 +1,4 @@
-"""What is made of a result: its JSON, what counts as worse, which tolerances are loose."""
+"""Uses of a result: its JSON, comparison with another one, loose tolerances."""
 
 from __future__ import annotations
 

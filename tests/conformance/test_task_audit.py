@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import pytest
 import torch
@@ -13,10 +12,9 @@ from torch import Tensor
 from orbit_conformance.task_audit import EXPERT, Status, TaskAudit, audit_task
 from orbit_conformance.task_starts import coverage
 from orbit_core.cli import main
-from orbit_core.envs import EventTerm
+from orbit_core.envs import Environment, EventTerm, TaskMetadata
 from orbit_core.envs.registry import task_entries
-from orbit_core.envs.task_checks import TaskCheck, TaskException
-from orbit_core.interfaces import World
+from orbit_core.envs.task import TaskCheck, TaskException
 from orbit_core.mdp import common
 from orbit_motion.experts import Expert
 from orbit_tasks.reach import Reach
@@ -38,7 +36,7 @@ def test_a_task_is_as_its_checks_ask_or_as_it_declares(task: str) -> None:
 
 def test_every_exception_is_declared_once_and_with_a_reason() -> None:
     for name in task_entries():
-        exceptions = task_entries()[name].task_type().exceptions
+        exceptions = task_entries()[name].task_type().metadata.exceptions
         checks = [exception.check for exception in exceptions]
         assert len(checks) == len({*checks}), name
         assert all(exception.reason for exception in exceptions), name
@@ -48,21 +46,21 @@ def test_every_exception_is_declared_once_and_with_a_reason() -> None:
 class Won(Reach):
     """Reach whose goal is always reached, and whose start is declared to be narrow."""
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (TaskException(TaskCheck.START_AREA, "it is not"),)
+    metadata: TaskMetadata = TaskMetadata(exceptions=(TaskException(TaskCheck.START_AREA, "it is not"),))
 
-    def success(self, world: World) -> Tensor:
-        return torch.ones(world.num_envs, dtype=torch.bool)
+    def success(self, env: Environment) -> Tensor:
+        return torch.ones(env.num_envs, dtype=torch.bool)
 
 
 @dataclass(kw_only=True)
 class Idle(Reach):
     """Reach whose expert stays where it is."""
 
-    exceptions: ClassVar[tuple[TaskException, ...]] = (TaskException(TaskCheck.EXPERT_BEATS_ZERO, "it is idle"),)
+    metadata: TaskMetadata = TaskMetadata(exceptions=(TaskException(TaskCheck.EXPERT_BEATS_ZERO, "it is idle"),))
 
-    def expert(self, world: World) -> Expert:
-        expert = super().expert(world)
-        expert.compute = lambda inputs: {"action": torch.zeros_like(self.last_action)}  # type: ignore[method-assign]
+    def expert(self, env: Environment) -> Expert:
+        expert = super().expert(env)
+        expert.compute = lambda inputs: {"action": torch.zeros_like(env.state.last_action)}  # type: ignore[method-assign]
         return expert
 
 
@@ -86,8 +84,8 @@ def test_joints_beyond_their_velocity_limit_are_counted() -> None:
     slow = audit_task(task, "mujoco", episodes=2, start_samples=2)
     assert slow.velocity.beyond == 0.0
 
-    def thrown(world: World, task: Reach, env_ids: Tensor) -> None:
-        robot = common.robot_of(world)
+    def thrown(env: Environment[Reach], env_ids: Tensor) -> None:
+        robot = common.robot_of(env.world)
         home = robot.home_positions.expand(len(env_ids), -1)
         robot.set_joint_state(home, torch.full_like(home, 20.0), env_ids=env_ids)
 

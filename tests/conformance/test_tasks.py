@@ -62,7 +62,7 @@ def test_the_gait_of_slow_joints_does_not_fall(backend: str, device: torch.devic
     environment.reset(seed=0)
     commands = torch.tensor([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [1.0, 0.5, 0.0]], device=device)
     for _ in range(140):
-        environment.task.command.copy_(commands)
+        environment.commands["velocity"].copy_(commands)
         _, _, terminated, *_ = environment.step(gait.compute({})["action"])
         assert not terminated.any()
     environment.close()

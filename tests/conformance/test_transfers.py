@@ -21,8 +21,8 @@ from orbit_conformance.verdict import Status
 from orbit_core import backends
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import Capabilities, Capability, unsupported
+from orbit_core.pretrained import PretrainedPolicy, TransferGap
 from orbit_core.rollout.estimates import mean, proportion
-from orbit_learn.pretrained import PretrainedPolicy, TransferGap
 
 SLIPS = TransferGap(backend="slippery", least_success=0.6, reason="its bars are oiled")
 KEPT = PretrainedPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))
@@ -102,7 +102,7 @@ def test_a_policy_that_sees_pictures_acts_on_what_another_renderer_draws() -> No
 
 
 def result(successes: int, errors: float = 0.01, declared: tuple[TransferGap, ...] = (SLIPS,)) -> Result:
-    """Of one policy: as it should be where it was learned, and with so many successes of 100 elsewhere."""
+    """Results of one policy: as required where it was learned, and with so many successes of 100 elsewhere."""
     info = PolicyInfo("pull", "Pulls a bar", "Cabinet", "dry", "a library", 250, KEPT.least_success, declared)
     records = tuple(record(backend, *of) for backend, of in (("dry", (100, 0.01)), ("slippery", (successes, errors))))
     settings = Settings(

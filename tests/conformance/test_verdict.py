@@ -1,4 +1,4 @@
-"""How errors become a verdict."""
+"""Verdicts from errors."""
 
 from __future__ import annotations
 

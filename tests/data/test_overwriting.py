@@ -175,7 +175,7 @@ def test_a_folder_that_is_read_is_not_written_into(tmp_path: Path, capsys) -> No
     source = written(tmp_path / "source", 3)
     for name in ("inner.hdf5", "data"):
         assert main(["data", "convert", str(source), "--output", str(source / name), "--overwrite"]) == 2
-        assert f"lies in {source}, which is read" in capsys.readouterr().err
+        assert f"is in {source}, which is read" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", OUTPUTS)

@@ -98,7 +98,7 @@ class OneAfterTheOther:
     """Environment i ends after 3 + i steps."""
 
     late: TerminationTerm | None = TerminationTerm(
-        lambda world, task: task.episode_step >= 3 + torch.arange(world.num_envs, device=world.device)
+        lambda env: env.state.episode_step >= 3 + torch.arange(env.num_envs, device=env.device)
     )
 
 

@@ -27,6 +27,6 @@ def test_a_row_of_a_product_is_the_same_among_any_number_of_rows() -> None:
 
 
 def test_a_world_warns_where_products_depend_on_the_number_of_environments(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("orbit_core.world.simulation.products_ignore_other_rows", lambda: False)
+    monkeypatch.setattr("orbit_core.world.world.products_ignore_other_rows", lambda: False)
     with pytest.warns(UserWarning, match="import orbit_core before torch multiplies anything"):
         simulate(Scene(), 1, "mujoco").close()

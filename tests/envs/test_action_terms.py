@@ -117,7 +117,7 @@ def started(task: Any) -> Environment:
 
 
 def components(environment: Environment) -> dict[str, int]:
-    return {generator.name: generator.command_size for generator in environment.task.generators}
+    return {generator.name: generator.command_size for generator in environment.actions.generators}
 
 
 def act(environment: Environment, steps: int, **commands: list[float]) -> None:
@@ -152,7 +152,7 @@ def test_a_base_carries_the_hand_where_it_is_wished() -> None:
     robot = environment.world.robots["robot"]
     act(environment, 40, base=[0.0, 0.0, 1.0])  # turned, so that its axes are not the root's
     goal = robot.frame_pose("panda_hand_tcp") + torch.tensor([0.2, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
-    base = environment.task.generators[2]
+    base = environment.actions.generators[2]
     opened = torch.ones(2, dtype=torch.bool)
     for _ in range(150):
         rest = torch.zeros(2, 8)
@@ -217,7 +217,7 @@ def test_components_stand_robot_by_robot_in_the_order_of_the_agents() -> None:
     )
     environment = started(Handover(actions=actions))
     assert [*components(environment)] == ["ours", "our_hand", "theirs", "their_hand"]
-    assert environment.task.action_slices == {GIVER: slice(0, 8), RECEIVER: slice(8, 16)}
+    assert environment.actions.slices == {GIVER: slice(0, 8), RECEIVER: slice(8, 16)}
     assert environment.multi_agent is not None
     assert environment.multi_agent.action_sizes == {GIVER: 8, RECEIVER: 8}
     environment.close()

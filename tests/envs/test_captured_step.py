@@ -20,8 +20,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.captured_step import CapturedStep, needs_python
 from orbit_core.envs.environment import Environment
-from orbit_core.envs.task import Task
-from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import randomize
 from orbit_core.scene import (
     ActuatorConfig,
@@ -51,7 +50,7 @@ def lift(**changes: object) -> Lift:
     """Episodes that end often, at different times, with noise that every environment draws for itself."""
     task = Lift(episode_length=0.2, **changes)  # pyright: ignore[reportArgumentType]
     task.observations.policy.cube_pose = replace(task.observations.policy.cube_pose, noise_std=0.01)
-    task.terminations.dropped = TerminationTerm(lambda world, task: task.last_action[:, 0] > 0.9)
+    task.terminations.dropped = TerminationTerm(lambda env: env.state.last_action[:, 0] > 0.9)
     return task
 
 
@@ -104,13 +103,13 @@ def test_a_closed_step_is_the_same_step(whole: bool, action: str) -> None:
 )
 def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:
     plain, other = (make(task, 3, BACKEND, episode_length=0.2) for _ in range(2))
-    other.task.episode_step[:] = plain.task.episode_step[:] = torch.tensor([0, 3, 7])
+    other.state.episode_step[:] = plain.state.episode_step[:] = torch.tensor([0, 3, 7])
     assert_same_life(plain, closed(other, whole=True), exact=True)
 
 
 def test_time_passes_in_resets_of_a_closed_step() -> None:
     plain, other = (make("Hockey", 3, BACKEND, episode_length=0.2, settle_time=0.05) for _ in range(2))
-    other.task.episode_step[:] = plain.task.episode_step[:] = torch.tensor([0, 3, 7])
+    other.state.episode_step[:] = plain.state.episode_step[:] = torch.tensor([0, 3, 7])
     other._closed = CapturedStep(other, compile=False, whole=False, settles=True)
     assert_same_life(plain, other, exact=True)
 
@@ -123,7 +122,7 @@ def restless() -> VelocityFlat:
     task.events.gains = EventTerm(randomize.gains("robot", *[randomize.Range(0.8, 1.2)] * 2))
     seen = task.observations.policy
     seen.angular_velocity = replace(seen.angular_velocity, delay=(0, 3), bias_std=0.1)
-    skill = CurriculumTerm(lambda world, task: 0.2 - 0.3 * task.last_action[:, 0].abs())
+    skill = CurriculumTerm(lambda env: 0.2 - 0.3 * env.state.last_action[:, 0].abs())
     task.curriculum = replace(task.curriculum, skill=skill)
     return task
 
@@ -142,7 +141,9 @@ def test_a_compiled_step_is_the_same_step() -> None:
 
 def test_what_looks_at_values_cannot_be_compiled() -> None:
     task = lift()
-    task.observations.policy.goal = ObservationTerm(lambda world, task: task.goal * float(task.goal.sum() > 1.0))
+    task.observations.policy.goal = ObservationTerm(
+        lambda env: env.commands["goal"] * float(env.commands["goal"].sum() > 1.0)
+    )
     environment = Environment(task, 2, BACKEND, compile=True)
     action = torch.zeros(2, environment.action_size)
     environment.step(action)
@@ -152,15 +153,17 @@ def test_what_looks_at_values_cannot_be_compiled() -> None:
 
 
 def test_memory_that_is_not_written_in_place_cannot_be_compiled() -> None:
-    def move_goal(world, task, env_ids) -> None:
-        task.goal = task.goal + 0.1
+    seen = {"goal": torch.zeros(2, 3)}
+
+    def move_goal(env, env_ids) -> None:
+        seen["goal"] = seen["goal"] + 0.1
 
     task = lift(action="joint_position")
-    task.events.sample_goal = EventTerm(move_goal)
+    task.events.place_cube = EventTerm(move_goal)
     environment = Environment(task, 2, BACKEND, compile=True)
     action = torch.zeros(2, environment.action_size)
     environment.step(action)
-    environment.task.episode_step[:] = environment.max_episode_steps - 1  # the next step ends in a reset
+    environment.state.episode_step[:] = environment.max_episode_steps - 1  # the next step ends in a reset
     with pytest.raises(ConfigurationError, match=r"goal.* is another tensor after each step: write it in place"):
         environment.step(action)
     environment.close()
@@ -212,14 +215,14 @@ def _late(group: ActuatorConfig) -> IdealPd:
 
 
 def _read(name: str, *values: str) -> ObservationTerm:
-    def read(world: World, task: Task) -> Tensor:
-        return torch.cat([getattr(world.sensors[name], value).flatten(1).nan_to_num() for value in values], 1)
+    def read(env: Environment) -> Tensor:
+        return torch.cat([getattr(env.world.sensors[name], value).flatten(1).nan_to_num() for value in values], 1)
 
     return ObservationTerm(read)
 
 
-def _seen(world: World, task: Task) -> Tensor:
-    images: dict[Channel, Tensor] = world.sensors["camera"].images  # pyright: ignore[reportAttributeAccessIssue]
+def _seen(env: Environment) -> Tensor:
+    images: dict[Channel, Tensor] = env.world.sensors["camera"].images  # pyright: ignore[reportAttributeAccessIssue]
     return torch.cat([image.flatten(1).float().clamp(-10.0, 300.0) for image in images.values()], 1)
 
 
@@ -236,7 +239,7 @@ def sensing(**changes: object) -> Sensing:
     fields = [(name, ObservationTerm, term) for name, term in terms.items()]
     group = make_dataclass("Sensed", fields, bases=(ObservationGroup,))
     task.observations = make_dataclass("SensedObservations", [("policy", ObservationGroup)])(group())
-    task.terminations.fallen = TerminationTerm(lambda world, task: task.last_action[:, 0] > 0.9)
+    task.terminations.fallen = TerminationTerm(lambda env: env.state.last_action[:, 0] > 0.9)
     return task
 
 
@@ -251,12 +254,12 @@ def test_a_step_is_captured_once_for_each_phase_of_its_schedule() -> None:
     environment = closed(Environment(sensing(rate=12.5), 3, BACKEND), whole=True)
     for _ in range(20):
         environment.step(torch.zeros(3, environment.action_size))
-    assert [part.phases for part in environment._closed.parts] == [4]
+    assert [part.captured for part in environment._closed.parts] == [4]
     environment.close()
 
 
 def test_a_schedule_of_too_many_phases_is_named() -> None:
     environment = Environment(sensing(rate=200.0 / 131), 1, BACKEND)
-    reason = needs_python(environment.world, environment.cut, environment.task.decimation)
+    reason = needs_python(environment.world, environment.actions, environment.task.decimation)
     assert reason.startswith("what is due repeats after 131 steps only")
     environment.close()

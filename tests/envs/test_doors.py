@@ -100,7 +100,7 @@ def test_reset_takes_gymnasiums_mask_and_no_other_option(vector: VectorEnvironme
     for _ in range(2):
         vector.step(torch.zeros(N, vector.environment.action_size))
     vector.reset(options={"reset_mask": np.array([True, False, True])})
-    assert vector.environment.task.episode_step.tolist() == [0, 2, 0]
+    assert vector.environment.state.episode_step.tolist() == [0, 2, 0]
     with pytest.raises(ConfigurationError, match="reset has no option 'speed', but 'reset_mask'"):
         vector.reset(options={"speed": 1})
     with pytest.raises(ShapeError, match=r"a mask \(3,\)"):

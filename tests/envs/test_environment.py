@@ -63,7 +63,7 @@ def test_the_time_limit_truncates_and_begins_anew_in_the_same_step() -> None:
     assert end.observation["policy"].shape == observation["policy"].shape
     # The new episode has another goal than the last state's observation shows.
     assert not torch.allclose(end.observation["policy"], observation["policy"])
-    assert environment.task.episode_step.tolist() == [0, 0]
+    assert environment.state.episode_step.tolist() == [0, 0]
     environment.close()
 
 
@@ -94,7 +94,7 @@ def test_a_seed_repeats_and_another_differs(reach: Environment) -> None:
 def test_actions_beyond_one_are_clipped(reach: Environment) -> None:
     reach.reset(seed=0)
     reach.step(torch.full((3, reach.action_size), 7.0))
-    assert (reach.task.last_action == 1.0).all()
+    assert (reach.state.last_action == 1.0).all()
 
 
 def test_a_nan_action_names_environment_and_component(reach: Environment) -> None:
@@ -111,7 +111,7 @@ def test_a_wrongly_shaped_action_says_both_shapes(reach: Environment) -> None:
 
 def test_a_term_is_changed_without_subclassing() -> None:
     task = Reach()
-    task.rewards.position = RewardTerm(lambda world, task: torch.ones(world.num_envs), 3.0)
+    task.rewards.position = RewardTerm(lambda env: torch.ones(env.num_envs), 3.0)
     for name in ("position_finely", "rotation", "action_rate", "joint_speed"):
         setattr(task.rewards, name, None)
     environment = Environment(task, 2, BACKEND)
@@ -140,15 +140,15 @@ def test_a_cached_term_is_computed_once_per_state(reach: Environment) -> None:
     calls = []
 
     @once_per_state
-    def term(world, task):
-        calls.append(world.clock.version)
+    def term(env):
+        calls.append(env.world.clock.version)
         return torch.zeros(3)
 
     reach.reset(seed=0)
-    term(reach.world, reach.task), term(reach.world, reach.task)
+    term(reach), term(reach)
     assert len(calls) == 1
     reach.step(torch.zeros(3, reach.action_size))
-    term(reach.world, reach.task)
+    term(reach)
     assert len(calls) == 2
 
 
@@ -207,7 +207,7 @@ def test_walking_costs_what_joints_are_faster_than_they_can_be() -> None:
     velocities = torch.zeros(2, len(robot.joints))
     velocities[1, :3] = torch.tensor([7.0, -8.5, 10.0])  # of joints whose limits are 7.5
     robot.set_joint_state(robot.joint_positions, velocities)
-    torch.testing.assert_close(overspeed(environment.world, task), torch.tensor([0.0, 3.5]))
+    torch.testing.assert_close(overspeed(environment), torch.tensor([0.0, 3.5]))
     environment.close()
 
 
@@ -233,7 +233,7 @@ class OddTerminations(LiftTerminations):
     ],
 )
 def test_a_reward_that_cannot_be_names_its_term(value: Any, error: type[Exception], message: str) -> None:
-    environment = make(Lift(rewards=OddRewards(odd=RewardTerm(lambda world, task: value, 1.0))), 2, default_backend())
+    environment = make(Lift(rewards=OddRewards(odd=RewardTerm(lambda env: value, 1.0))), 2, default_backend())
     with pytest.raises(error, match=message):
         environment.step(torch.zeros(2, environment.action_size))
 
@@ -247,13 +247,13 @@ def test_a_reward_that_cannot_be_names_its_term(value: Any, error: type[Exceptio
     ],
 )
 def test_an_end_that_cannot_be_names_its_term(value: Any, error: type[Exception], message: str) -> None:
-    terms = OddTerminations(odd=TerminationTerm(lambda world, task: value))
+    terms = OddTerminations(odd=TerminationTerm(lambda env: value))
     environment = make(Lift(terminations=terms), 2, default_backend())
     with pytest.raises(error, match=message):
         environment.step(torch.zeros(2, environment.action_size))
 
 
 def test_rewards_may_be_of_any_real_kind() -> None:
-    term = RewardTerm(lambda world, task: torch.ones(2, dtype=torch.bool), 50.0)
+    term = RewardTerm(lambda env: torch.ones(2, dtype=torch.bool), 50.0)
     environment = make(Lift(rewards=OddRewards(None, None, None, None, None, None, term)), 2, default_backend())
     assert environment.step(torch.zeros(2, environment.action_size))[1].tolist() == [1.0, 1.0]

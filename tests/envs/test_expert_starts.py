@@ -35,14 +35,14 @@ def test_a_share_of_episodes_begins_on_the_experts_way() -> None:
     for step in range(30):
         action = 2.0 * torch.rand(NUM_ENVS, plain.action_size, generator=generator) - 1.0
         for each in (plain, closed):  # whose last step this is
-            each.task.episode_step[step % NUM_ENVS] = each.max_episode_steps - 1
+            each.state.episode_step[step % NUM_ENVS] = each.max_episode_steps - 1
         mine, its = plain.step(action), closed.step(action)
         torch.testing.assert_close(its[0], mine[0], rtol=0.0, atol=0.0)
         tally.add(mine[4], NUM_ENVS)
         if "final" in mine[4]:
             assert plain.starts is not None
             there = plain.starts.began_there[mine[4]["final"].env_ids]
-            steps = plain.task.episode_step[mine[4]["final"].env_ids]
+            steps = plain.state.episode_step[mine[4]["final"].env_ids]
             height = plain.world.objects["cube"].root_pose[mine[4]["final"].env_ids, 2]
             began += int(there.sum())
             held += int((height[there] > 0.06).sum())

@@ -23,7 +23,7 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.captured_step import CapturedStep
-from orbit_core.interfaces import ConfigurationError, UnknownNameError, World
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.mdp import randomize
 from orbit_core.mdp.randomize import Range
 from orbit_tasks.handover import RECEIVER, Handover
@@ -33,15 +33,15 @@ from orbit_tasks.reach import Reach, ReachRewards
 BACKEND = default_backend()
 
 
-def one(world: World, task: Any) -> Tensor:
-    return torch.ones(world.num_envs, device=world.device)
+def one(env: Environment) -> Tensor:
+    return torch.ones(env.num_envs, device=env.device)
 
 
-def two(world: World, task: Any) -> Tensor:
-    return 2.0 * one(world, task)
+def two(env: Environment) -> Tensor:
+    return 2.0 * one(env)
 
 
-def nothing(world: World, task: Any, env_ids: Tensor) -> None:
+def nothing(env: Environment, env_ids: Tensor) -> None:
     pass
 
 
@@ -134,7 +134,7 @@ def test_each_agents_sum_takes_the_new_weights(captured: bool) -> None:
     environment.task.rewards.lift.weight = 7.0
     environment.task.rewards.lift.function = one
     environment.task.rewards.receiver_reach.weight = 2.0
-    environment.task.rewards.receiver_reach.function = lambda world, task, agent: one(world, task)
+    environment.task.rewards.receiver_reach.function = lambda env, agent: one(env)
     assert step(environment) == 9.0
     rewards = environment.multi_agent.rewards()  # pyright: ignore[reportOptionalMemberAccess]
     earned = {agent: round(float(value[0]) / environment.step_dt, 4) for agent, value in rewards.items()}
@@ -179,21 +179,21 @@ def test_terms_that_cannot_change_any_more_are_refused() -> None:
     refused(lambda t: setattr(t.observations.policy.joint_positions, "history", 3), "group 'policy' has other")
     refused(lambda t: setattr(t.observations.policy.joint_positions, "delay", (1, 2)), "the delay of .*joint_pos")
     late = Plain()
-    late.events.sample_goal = EventTerm(nothing, EventTime.STARTUP)
-    refused(lambda t: setattr(t.events.sample_goal, "function", one), "STARTUP was changed after", late)
+    late.events.place_robot = EventTerm(nothing, EventTime.STARTUP)
+    refused(lambda t: setattr(t.events.place_robot, "function", one), "STARTUP was changed after", late)
 
 
 def test_terminations_events_and_observations_follow(plain: Environment) -> None:
     before = plain.observe()["policy"].clone()
     plain.task.observations.policy.joint_positions.scale = 0.0
     plain.task.observations.policy.joint_velocities.noise_std = 0.5
-    plain.task.events.sample_goal.function = lambda world, task, env_ids: task.goal.zero_()
+    plain.task.events.place_robot.function = lambda env, env_ids: env.state.action_before.fill_(7.0)
     observation, *_ = plain.step(torch.zeros(2, plain.action_size))
     columns = plain.observation["policy"].columns
     assert not observation["policy"][:, columns["joint_positions"]].any()
     assert (observation["policy"] - before)[:, columns["joint_velocities"]].abs().max() > 0.1
     plain.reset()
-    assert not plain.task.goal.any(), "the event's new function ran"
+    assert (plain.state.action_before == 7.0).all(), "the event's new function ran"
 
 
 def test_an_interval_and_a_range_hold_from_the_next_draw_on() -> None:
@@ -215,10 +215,10 @@ def test_a_curriculum_changes_weights_ranges_and_fields(captured: bool) -> None:
     weight = ModifyTerm("rewards.one.weight", lambda steps, value: 10.0 if steps >= 4 else value)
     high = ModifyTerm("reach.high", lambda steps, value: 5.0 if steps >= 6 else value)
     task = Plain(curriculum=Curriculum(weight, high), curriculum_enabled=True)
-    task.rewards.one = RewardTerm(lambda world, task: task.reach.high * one(world, task), 1.0)
+    task.rewards.one = RewardTerm(lambda env: env.task.reach.high * one(env), 1.0)
     environment = environment_of(task, captured)
     assert [step(environment) for _ in range(8)] == [1.0] * 4 + [10.0] * 2 + [50.0] * 2
-    assert float(environment.task.difficulty.min()) == 1.0, "no term sets the difficulty"
+    assert float(environment.state.difficulty.min()) == 1.0, "no term sets the difficulty"
     assert "difficulty" not in environment.metrics()
     assert (environment._closed is not None) == captured
     environment.close()
@@ -242,6 +242,7 @@ def test_a_curriculum_is_held_to_what_there_is() -> None:
 
 def test_collections_that_are_none_have_no_terms() -> None:
     task = Reach(rewards=None, terminations=None, events=None, curriculum=None, premises=None)
+    task.observations.policy.goal = None
     for captured in (False, True):
         environment = environment_of(task, captured)
         assert step(environment, 3) == 0.0
@@ -254,12 +255,12 @@ def test_collections_that_are_none_have_no_terms() -> None:
 def test_a_premise_and_a_termination_replaced_count() -> None:
     @dataclass
     class Premises:
-        good: PremiseTerm | None = PremiseTerm(lambda world, task: one(world, task) > 0.0, "never")
+        good: PremiseTerm | None = PremiseTerm(lambda env: one(env) > 0.0, "never")
 
     environment = environment_of(Plain(premises=Premises()), True)
     step(environment, 3)
-    environment.task.premises.good.function = lambda world, task: one(world, task) < 0.0
-    ended = TerminationTerm(lambda world, task: one(world, task) > 0.0)
+    environment.task.premises.good.function = lambda env: one(env) < 0.0
+    ended = TerminationTerm(lambda env: one(env) > 0.0)
     environment.task.terminations = _ends(ended)
     *_, terminated, _, _ = environment.step(torch.zeros(2, environment.action_size))
     assert terminated.all()

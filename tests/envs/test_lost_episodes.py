@@ -18,7 +18,7 @@ def break_one(env: Environment, which: int) -> None:
     broken = torch.zeros(1, 6)
     broken[0, 0] = torch.nan
     env.world.engine.write_root_state(0, None, broken, torch.tensor([which]))
-    env.world.touch()
+    env.world.clock.touch()
 
 
 def walkers(backend: str, **more: object) -> Environment:
@@ -34,7 +34,7 @@ def test_a_diverged_environment_begins_anew_and_the_others_go_on(backend: str, c
         env._closed = CapturedStep(env, compile=False, whole=False)
     assert env.lost is not None
     well = torch.tensor([True, False, True, True])
-    env.task.difficulty[:] = other.task.difficulty[:] = 0.5
+    env.state.difficulty[:] = other.state.difficulty[:] = 0.5
     for step in range(5):
         if step == 3:
             break_one(env, 1)
@@ -51,8 +51,8 @@ def test_a_diverged_environment_begins_anew_and_the_others_go_on(backend: str, c
             assert not info["final"].success.any()
             assert info["final"].env_ids.tolist() == [1]
     assert env.lost.count == 1
-    assert env.task.episode_step.tolist() == [5, 1, 5, 5]
-    assert (env.task.difficulty == 0.5).all(), "no curriculum learns from an episode that diverged"
+    assert env.state.episode_step.tolist() == [5, 1, 5, 5]
+    assert (env.state.difficulty == 0.5).all(), "no curriculum learns from an episode that diverged"
     env.close()
     other.close()
 

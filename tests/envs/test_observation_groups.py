@@ -36,9 +36,9 @@ RAYS = RayCasterSpec(
 )
 
 
-def steps_taken(world: object, task: Reach) -> Tensor:
+def steps_taken(env: Environment[Reach]) -> Tensor:
     """(N, 1) of the episode."""
-    return task.episode_step[:, None].float()
+    return env.state.episode_step[:, None].float()
 
 
 def elapsed(**keywords: object) -> ObservationTerm:
@@ -53,7 +53,7 @@ class Pictures(ObservationGroup):
     labels: ObservationTerm | None = images.camera_segmentation(CAMERA)
     scan: ObservationTerm | None = scans.height_scan(RAYS)
     steps: ObservationTerm | None = field(default_factory=lambda: elapsed(history=3))
-    reached: ObservationTerm | None = ObservationTerm(lambda world, task: task.success(world))
+    reached: ObservationTerm | None = ObservationTerm(lambda env: env.task.success(env))
 
 
 @dataclass
@@ -116,9 +116,9 @@ def test_terms_of_any_shape_keep_shape_and_dtype_in_a_dictionary() -> None:
 def test_the_same_term_in_two_groups_shows_the_same_and_is_measured_once() -> None:
     calls: list[int] = []
 
-    def counted(world: object, task: Reach) -> Tensor:
+    def counted(env: Environment[Reach]) -> Tensor:
         calls.append(1)
-        return task.goal
+        return env.commands["goal"]
 
     noisy = ObservationTerm(counted, noise_std=0.1)
     environment = reach(Singles(Single(first=noisy), Single(first=noisy, second=ObservationTerm(counted))))
@@ -128,8 +128,8 @@ def test_the_same_term_in_two_groups_shows_the_same_and_is_measured_once() -> No
     assert len(calls) == 1
     policy, critic = one_tensor(observation), one_tensor(observation, "critic")
     assert torch.equal(policy, critic[:, :7])
-    assert torch.equal(critic[:, 7:], environment.task.goal)
-    assert not torch.equal(policy, environment.task.goal)
+    assert torch.equal(critic[:, 7:], environment.commands["goal"])
+    assert not torch.equal(policy, environment.commands["goal"])
     environment.close()
 
 
@@ -209,7 +209,7 @@ def test_a_step_without_its_python_gives_the_same_groups(dictionary: bool, whole
 
 
 def test_what_is_returned_does_not_change_with_the_world() -> None:
-    velocities = ObservationTerm(lambda world, task: world.robots["robot"].joint_velocities)
+    velocities = ObservationTerm(lambda env: env.world.robots["robot"].joint_velocities)
     environment = reach(Singles(Single(first=velocities, concatenate=False)))
     environment.reset(seed=1)
     kept = environment.step(still(environment))[0]["policy"]
@@ -230,8 +230,8 @@ class OnlyCritic:
     critic: ReachState = field(default_factory=ReachState)
 
 
-def picture(world: object, task: Reach) -> Tensor:
-    return torch.zeros(task.num_envs, 8, 8, 3, dtype=torch.uint8)
+def picture(env: Environment[Reach]) -> Tensor:
+    return torch.zeros(env.num_envs, 8, 8, 3, dtype=torch.uint8)
 
 
 def term(function: Callable[..., object], **keywords: object) -> Singles:
@@ -251,9 +251,9 @@ REFUSED = {
         Singles(Single(first=ObservationTerm(picture, scale=0.1), concatenate=False)),
         "gives torch.uint8: scale, noise and bias need torch.float32",
     ),
-    "no tensor": (term(lambda world, task: 3.0), "gives a float: its function must return a torch.Tensor"),
-    "rows": (term(lambda world, task: torch.zeros(2, 3)), r"has shape \(2, 3\), but must have \(3, \.\.\.\)"),
-    "dtype": (term(lambda world, task: torch.zeros(3, 1, dtype=torch.float64)), "gives torch.float64: convert it"),
+    "no tensor": (term(lambda env: 3.0), "gives a float: its function must return a torch.Tensor"),
+    "rows": (term(lambda env: torch.zeros(2, 3)), r"has shape \(2, 3\), but must have \(3, \.\.\.\)"),
+    "dtype": (term(lambda env: torch.zeros(3, 1, dtype=torch.float64)), "gives torch.float64: convert it"),
 }
 
 
@@ -277,9 +277,9 @@ def test_two_different_sensors_of_one_name_are_refused() -> None:
 @pytest.mark.parametrize("concatenate", [True, False])
 @pytest.mark.parametrize("python", [True, False])
 def test_a_number_that_is_not_finite_is_refused_with_term_and_environment(concatenate: bool, python: bool) -> None:
-    def spoilt(world: object, task: Reach) -> Tensor:
-        late = (task.episode_step > 2)[:, None] & torch.tensor([[False], [True], [False]])
-        return torch.where(late, torch.nan, task.goal)
+    def spoilt(env: Environment[Reach]) -> Tensor:
+        late = (env.state.episode_step > 2)[:, None] & torch.tensor([[False], [True], [False]])
+        return torch.where(late, torch.nan, env.commands["goal"])
 
     group = Single(first=ObservationTerm(common.joint_positions), second=ObservationTerm(spoilt))
     environment = reach(Singles(replace(group, concatenate=concatenate)))
@@ -295,8 +295,8 @@ def test_a_number_that_is_not_finite_is_refused_with_term_and_environment(concat
 
 
 def test_a_term_that_changes_its_shape_is_refused() -> None:
-    def growing(world: object, task: Reach) -> Tensor:
-        return torch.zeros(3, 2 + int(task.episode_step.max() > 1))
+    def growing(env: Environment[Reach]) -> Tensor:
+        return torch.zeros(3, 2 + int(env.state.episode_step.max() > 1))
 
     environment = reach(term(growing))
     environment.reset(seed=0)

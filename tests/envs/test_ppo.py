@@ -30,5 +30,5 @@ def test_settings_out_of_range_are_named(settings: dict[str, Any], told: str) ->
 
 
 def test_a_setting_of_a_task_is_named_with_its_place() -> None:
-    with pytest.raises(ConfigurationError, match="'ppo' of task Reach: learning_rate is -1"):
-        configure(Reach, {"ppo.learning_rate": -1.0})
+    with pytest.raises(ConfigurationError, match=r"'metadata.ppo' of task Reach: learning_rate is -1"):
+        configure(Reach, {"metadata.ppo.learning_rate": -1.0})

@@ -21,19 +21,19 @@ from orbit_tasks.hockey import Hockey, HockeyEvents, HockeyPremises, place_puck
 ENGINES = ("mujoco", "sapien")
 
 
-def fallen(world: World, task: Hockey) -> Tensor:
+def fallen(env: Environment[Hockey]) -> Tensor:
     """(N,) bool: the puck lies on the ice."""
-    return world.objects["puck"].root_pose[:, 2] < 0.021
+    return env.world.objects["puck"].root_pose[:, 2] < 0.021
 
 
 def place_puck_high(odds: float) -> Callable[[World, Hockey, Tensor], None]:
     """A puck that floats ten centimetres above the ice in a share of all starts."""
 
-    def place(world: World, task: Hockey, env_ids: Tensor) -> None:
-        place_puck(world, task, env_ids)
-        pose = world.objects["puck"].root_pose[env_ids].clone()
-        pose[:, 2] += 0.1 * (world.random.uniform((), env_ids=env_ids) < odds)
-        world.objects["puck"].set_root_pose(pose, env_ids)
+    def place(env: Environment[Hockey], env_ids: Tensor) -> None:
+        place_puck(env, env_ids)
+        pose = env.world.objects["puck"].root_pose[env_ids].clone()
+        pose[:, 2] += 0.1 * (env.world.random.uniform((), env_ids=env_ids) < odds)
+        env.world.objects["puck"].set_root_pose(pose, env_ids)
 
     return place
 
@@ -80,7 +80,7 @@ def test_a_premise_that_fails_in_some_starts_warns_and_each_episode_names_it() -
     assert (outside.name, outside.failed, outside.starts) == ("outside", 0, 16)
     assert (fell.name, fell.starts) == ("fallen", 16)
     assert 0 < fell.failed < 16
-    on_ice = fallen(environment.world, environment.task)  # pyright: ignore[reportArgumentType]
+    on_ice = fallen(environment)  # pyright: ignore[reportArgumentType]
     assert on_ice.any()
     assert not on_ice.all()
     began = on_ice.float().clone()
@@ -90,7 +90,7 @@ def test_a_premise_that_fails_in_some_starts_warns_and_each_episode_names_it() -
     assert torch.equal(info["final"].metrics["premise_fallen"], began)
     assert torch.equal(info["final"].metrics["premise_outside"], torch.ones(16))
     # The next episodes have starts of their own.
-    now = fallen(environment.world, environment.task)  # pyright: ignore[reportArgumentType]
+    now = fallen(environment)  # pyright: ignore[reportArgumentType]
     assert torch.equal(environment.metrics()["premise_fallen"], now.float())
     assert not torch.equal(now.float(), began)
     environment.close()
@@ -100,7 +100,7 @@ def test_a_premise_that_fails_in_some_starts_warns_and_each_episode_names_it() -
 def test_time_passes_in_environments_that_begin_and_in_no_other(backend: str) -> None:
     environment = lenient(HighHockey(settle_time=0.5, odds=1.1, episode_length=1.0), 3, backend)
     world = environment.world
-    assert fallen(world, environment.task).all()  # pyright: ignore[reportArgumentType]
+    assert fallen(environment).all()  # pyright: ignore[reportArgumentType]
     assert environment.premises.checks[1].failed == 0
     for _ in range(4):
         environment.step(torch.full((3, environment.action_size), 0.2))
@@ -167,7 +167,7 @@ def test_a_run_and_the_conformance_suite_say_how_often_a_premise_fails(monkeypat
     [
         ({"settle_time": -1.0}, "settle_time must be zero seconds or more, not -1"),
         ({"premise_time": float("nan")}, "premise_time must be zero seconds or more, not nan"),
-        ({"premises": OnIce(fallen=PremiseTerm(lambda world, task: task.nearest, "it is far"))}, "gives torch.float32"),
+        ({"premises": OnIce(fallen=PremiseTerm(lambda env: env.state.nearest, "it is far"))}, "gives torch.float32"),
     ],
 )
 def test_premises_that_cannot_be_are_refused(changes: dict[str, object], message: str) -> None:

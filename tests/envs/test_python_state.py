@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import random
-import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from random import gauss
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -18,9 +17,9 @@ from torch import Tensor
 from torch.utils._python_dispatch import _disable_current_modes
 
 from orbit_core.backends import default_backend
-from orbit_core.envs import Environment, EventTerm, RewardTerm
+from orbit_core.envs import Environment, EventTerm, RewardTerm, TaskState, buffer
 from orbit_core.envs.captured_step import CapturedStep
-from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.interfaces import ConfigurationError
 from orbit_tasks.reach import Reach
 
 BACKEND = default_backend()
@@ -31,36 +30,36 @@ def late(count: float) -> bool:
     return count > 5
 
 
-def ramp(world: World, task: Counting) -> Tensor:
-    return torch.full((world.num_envs,), float(late(task.total)), device=world.device)
+def ramp(env: Environment[Counting]) -> Tensor:
+    return torch.full((env.num_envs,), float(late(env.state.total)), device=env.device)
 
 
-def in_a_global(world: World, task: Reach) -> Tensor:
+def in_a_global(env: Environment[Reach]) -> Tensor:
     global calls
     calls += 1
-    return torch.full((world.num_envs,), float(calls))
+    return torch.full((env.num_envs,), float(calls))
 
 
 def in_a_closure() -> Callable[..., Tensor]:
     count = 0
 
-    def term(world: World, task: Reach) -> Tensor:
+    def term(env: Environment[Reach]) -> Tensor:
         nonlocal count
         count += 1
-        return torch.full((world.num_envs,), float(count))
+        return torch.full((env.num_envs,), float(count))
 
     return term
 
 
-def in_a_default(world: World, task: Reach, counts: list[int] = []) -> Tensor:  # noqa: B006 - what users write
+def in_a_default(env: Environment[Reach], counts: list[int] = []) -> Tensor:  # noqa: B006 - what users write
     counts.append(1)
-    return torch.full((world.num_envs,), float(len(counts)))
+    return torch.full((env.num_envs,), float(len(counts)))
 
 
-def in_an_attribute_of_the_function(world: World, task: Reach) -> Tensor:
+def in_an_attribute_of_the_function(env: Environment[Reach]) -> Tensor:
     term: Any = in_an_attribute_of_the_function
     term.count = getattr(term, "count", 0) + 1
-    return torch.full((world.num_envs,), float(term.count))
+    return torch.full((env.num_envs,), float(term.count))
 
 
 class InAnObject:
@@ -70,8 +69,8 @@ class InAnObject:
         self.where, self.count, self.seen = where, 0, {"steps": [0]}
         self.array, self.rng, self.random = np.zeros(2), np.random.default_rng(0), random.Random(0)
 
-    def __call__(self, world: World, task: Reach) -> Tensor:
-        return torch.full((world.num_envs,), float(getattr(self, self.where)()))
+    def __call__(self, env: Environment[Reach]) -> Tensor:
+        return torch.full((env.num_envs,), float(getattr(self, self.where)()))
 
     def attribute(self) -> int:
         self.count += 1
@@ -96,28 +95,28 @@ class InAnObject:
         return self.random.random()
 
 
-def drawn_globally(world: World, task: Reach) -> Tensor:
-    return torch.full((world.num_envs,), random.random())
+def drawn_globally(env: Environment[Reach]) -> Tensor:
+    return torch.full((env.num_envs,), random.random())
 
 
-def drawn_by_numpy_globally(world: World, task: Reach) -> Tensor:
-    return torch.full((world.num_envs,), np.random.uniform())  # noqa: NPY002 - what users write
+def drawn_by_numpy_globally(env: Environment[Reach]) -> Tensor:
+    return torch.full((env.num_envs,), np.random.uniform())  # noqa: NPY002 - what users write
 
 
-def drawn_by_a_function(world: World, task: Reach) -> Tensor:
-    return torch.full((world.num_envs,), gauss(0.0, 1.0))
+def drawn_by_a_function(env: Environment[Reach]) -> Tensor:
+    return torch.full((env.num_envs,), gauss(0.0, 1.0))
 
 
-def as_numpy(world: World, task: Reach) -> Tensor:
-    return torch.from_numpy(task.goal.numpy()[:, 0] * 2.0)
+def as_numpy(env: Environment[Reach]) -> Tensor:
+    return torch.from_numpy(env.commands["goal"].numpy()[:, 0] * 2.0)
 
 
-def as_a_list(world: World, task: Reach) -> Tensor:
-    return torch.tensor(task.goal[:, 0].tolist())
+def as_a_list(env: Environment[Reach]) -> Tensor:
+    return torch.tensor(env.commands["goal"][:, 0].tolist())
 
 
-def as_an_array(world: World, task: Reach) -> Tensor:
-    return torch.as_tensor(np.asarray(task.goal)[:, 0] + 1.0)
+def as_an_array(env: Environment[Reach]) -> Tensor:
+    return torch.as_tensor(np.asarray(env.commands["goal"])[:, 0] + 1.0)
 
 
 @dataclass
@@ -127,20 +126,38 @@ class One:
     term: RewardTerm | None = None
 
 
-@dataclass(kw_only=True)
-class Counting(Reach):
-    """Counts its steps as mjlab's and Isaac Lab's tasks do."""
+class Count(TaskState):
+    """Counts its steps in plain Python, as mjlab's and Isaac Lab's environments do."""
 
-    rewards: One = field(default_factory=lambda: One(RewardTerm(ramp, 50.0)))
+    total: Any = 0
+
+    def update(self, env: Environment) -> None:
+        self.total += 1
+
+
+class CountInATensor(TaskState):
+    """Counts its steps in a tensor."""
+
+    total: Tensor = buffer(keep=True)
+
+    def update(self, env: Environment) -> None:
+        self.total += 1
+
+
+@dataclass(kw_only=True)
+class Limited(Reach):
+    """Reach with one reward, and a field that it may read."""
+
+    rewards: One = field(default_factory=One)
     limit: float = 1.0
 
-    def start(self, world: World) -> None:
-        super().start(world)
-        self.total = 0
 
-    def advance(self, world: World) -> None:
-        super().advance(world)
-        self.total += 1
+@dataclass(kw_only=True)
+class Counting(Limited):
+    """Counts its steps in plain Python."""
+
+    state_type: ClassVar[type[TaskState]] = Count
+    rewards: One = field(default_factory=lambda: One(RewardTerm(ramp, 50.0)))
 
 
 def captured(task: Reach, whole: bool = True) -> Environment:
@@ -159,14 +176,14 @@ def line_of(text: str) -> int:
         return next(number for number, line in enumerate(file, 1) if text in line)
 
 
-def test_a_counter_of_the_task_is_refused_by_name_file_and_line_and_counts_on() -> None:
-    plain = Environment(Counting(), 2, BACKEND)
-    other = captured(Counting())
-    line = line_of("self.total += 1")
-    what = rf"Counting\.total \({re.escape(__file__)}:{line}\).*in a tensor that is written in place.*capture=False"
-    with pytest.warns(RuntimeWarning, match=what):
-        assert rewards_of(other) == rewards_of(plain) == [0.0] * 5 + [pytest.approx(50.0 * plain.step_dt)] * 3
-    plain.close(), other.close()
+def test_a_counter_of_the_state_is_refused_by_name_and_counts_without_capture() -> None:
+    environment = Environment(Counting(), 2, BACKEND)
+    with pytest.raises(ConfigurationError, match=r"state 'total' of Count was set to 1.*total: Tensor = buffer\(\)"):
+        rewards_of(environment, 1)
+    environment.close()
+    plain = Environment(Counting(), 2, BACKEND, capture=False)
+    assert rewards_of(plain) == [0.0] * 5 + [pytest.approx(50.0 * plain.step_dt)] * 3
+    plain.close()
 
 
 @pytest.mark.parametrize(
@@ -199,10 +216,10 @@ def test_python_of_every_kind_in_a_term_is_refused(term: Callable[..., Tensor], 
     environment.close()
 
 
-def reads_constants_outside_of_the_trace(world: World, task: Reach) -> Tensor:
+def reads_constants_outside_of_the_trace(env: Environment[Reach]) -> Tensor:
     with _disable_current_modes():  # as a law does that is made one kernel
         share = torch.full((3,), 0.5).tolist()[0]
-    return task.goal[:, 0] * share
+    return env.commands["goal"][:, 0] * share
 
 
 def test_constants_that_are_read_outside_of_the_trace_are_taken() -> None:
@@ -216,11 +233,11 @@ def test_constants_that_are_read_outside_of_the_trace_are_taken() -> None:
 def test_a_counter_in_a_reset_event_is_refused() -> None:
     counts = {"episodes": 0}
 
-    def count(world: World, task: Reach, env_ids: Tensor) -> None:
+    def count(env: Environment[Reach], env_ids: Tensor) -> None:
         counts["episodes"] += 1
 
     task = Reach(episode_length=0.2)
-    task.events.sample_goal = EventTerm(count)
+    task.events.place_robot = EventTerm(count)
     environment = captured(task, whole=False)
     with pytest.warns(RuntimeWarning, match=r"episodes.*changes in Python"):
         rewards_of(environment, environment.max_episode_steps + 2)
@@ -228,9 +245,9 @@ def test_a_counter_in_a_reset_event_is_refused() -> None:
 
 
 def test_a_counter_is_refused_from_a_compiled_step_with_the_remedy() -> None:
-    environment = captured(Counting())
+    environment = captured(Reach(rewards=One(RewardTerm(in_a_closure(), 1.0))))
     environment._compile = True
-    with pytest.raises(ConfigurationError, match=r"cannot be compiled: Counting\.total.*leave compile out"):
+    with pytest.raises(ConfigurationError, match=r"cannot be compiled: .*count.*leave compile out"):
         rewards_of(environment)
     environment.close()
     with pytest.raises(ConfigurationError, match="compile=True needs the step to be captured"):
@@ -238,12 +255,11 @@ def test_a_counter_is_refused_from_a_compiled_step_with_the_remedy() -> None:
 
 
 def test_a_counter_in_a_tensor_is_captured() -> None:
-    class InATensor(Counting):
-        def start(self, world: World) -> None:
-            super().start(world)
-            self.total = torch.zeros((), device=world.device)
+    @dataclass(kw_only=True)
+    class InATensor(Limited):
+        state_type: ClassVar[type[TaskState]] = CountInATensor
 
-    task = InATensor(rewards=One(RewardTerm(lambda world, task: (task.total > 5).float().expand(2), 50.0)))
+    task = InATensor(rewards=One(RewardTerm(lambda env: (env.state.total > 5).float(), 50.0)))
     environment = captured(task)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
@@ -253,13 +269,12 @@ def test_a_counter_in_a_tensor_is_captured() -> None:
 
 
 def test_what_is_set_between_steps_acts_at_the_next_captured_one() -> None:
-    term = RewardTerm(lambda world, task: torch.full((2,), task.limit), 1.0)
-    environment = captured(Counting(rewards=One(term)))
-    environment.task.advance = lambda world: None  # the counter stands still
+    term = RewardTerm(lambda env: torch.full((2,), env.task.limit), 1.0)
+    environment = captured(Limited(rewards=One(term)))
     assert rewards_of(environment, 4) == [pytest.approx(environment.step_dt)] * 4
     environment.task.limit = 3.0
     assert rewards_of(environment, 2) == [pytest.approx(3.0 * environment.step_dt)] * 2
-    other = replace(environment.task.rewards.term, function=lambda world, task: torch.full((2,), 7.0))
+    other = replace(environment.task.rewards.term, function=lambda env: torch.full((2,), 7.0))
     environment.task.rewards.term = other
     assert rewards_of(environment, 2) == [pytest.approx(7.0 * environment.step_dt)] * 2
     assert environment._closed is not None, "the step is still captured"
@@ -267,26 +282,27 @@ def test_what_is_set_between_steps_acts_at_the_next_captured_one() -> None:
 
 
 def test_what_changes_between_all_steps_is_named() -> None:
-    environment = captured(Counting(rewards=One(RewardTerm(lambda world, task: torch.zeros(2), 1.0))))
-    environment.task.advance = lambda world: None
+    environment = captured(Limited(rewards=One(RewardTerm(lambda env: torch.zeros(2), 1.0))))
 
     def change_at_each_step() -> None:
         for number in range(10):
             environment.task.limit = float(number)
             rewards_of(environment, 1)
 
-    with pytest.warns(RuntimeWarning, match=r"Counting\.limit.*changes between steps, 8 times"):
+    with pytest.warns(RuntimeWarning, match=r"Limited\.limit.*changes between steps, 8 times"):
         change_at_each_step()
     environment.close()
 
 
 def test_what_is_looked_up_at_first_use_is_captured_by_the_next_trace() -> None:
-    class Lazy(Counting):
-        def advance(self, world: World) -> None:
-            if self.episode_step[0] is not None and not hasattr(self, "found"):
-                self.found = [world.num_envs]
+    found: dict[str, list[int]] = {}
 
-    environment = captured(Lazy(rewards=One(RewardTerm(lambda world, task: torch.zeros(2), 1.0))))
+    def lazy(env: Environment[Reach]) -> Tensor:
+        if not found:
+            found["count"] = [env.num_envs]
+        return torch.zeros(2)
+
+    environment = captured(Reach(rewards=One(RewardTerm(lazy, 1.0))))
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         rewards_of(environment, 5)

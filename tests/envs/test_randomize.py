@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from orbit_core.backends import backend_names, default_backend
-from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, Task, make
+from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, make
 from orbit_core.envs.environment import Environment
-from orbit_core.interfaces import ConfigurationError, UnknownNameError, UnsupportedCapabilityError, World
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, UnsupportedCapabilityError
 from orbit_core.mdp import randomize
 from orbit_core.mdp.randomize import Range
 from orbit_tasks.cabinet import Cabinet
@@ -108,8 +108,8 @@ def test_each_environment_draws_for_itself_whatever_their_number() -> None:
     many.close(), few.close()
 
 
-def bold(world: World, task: Task) -> Tensor:
-    return torch.where(task.last_action[:, 0] > 0.0, 0.3, -0.2)
+def bold(env: Environment) -> Tensor:
+    return torch.where(env.state.last_action[:, 0] > 0.0, 0.3, -0.2)
 
 
 @dataclass
@@ -125,19 +125,19 @@ def test_difficulty_follows_what_episodes_come_to() -> None:
     courses = []
     for _ in range(5):
         info = environment.step(action)[4]
-        courses.append(environment.task.difficulty.clone())
+        courses.append(environment.state.difficulty.clone())
     torch.testing.assert_close(torch.stack(courses)[:, 0], torch.tensor([0.3, 0.6, 0.9, 1.0, 1.0]))
     assert not torch.stack(courses)[:, 1].any()
     torch.testing.assert_close(info["final"].metrics["difficulty"], torch.tensor([1.0, 0.0]))
-    assert environment.task.command[1].abs().max() <= 0.25
+    assert environment.commands["velocity"][1].abs().max() <= 0.25
     environment.close()
 
 
 def test_a_range_opens_with_difficulty() -> None:
     environment = make("Reach", 1000, default_backend())
-    environment.task.difficulty[:500] = 0.0
-    environment.task.difficulty[500:] = 0.5
-    drawn = Range(0.0, 4.0, easy=1.0).sample(environment.world, environment.task, (), environment.all_ids)
+    environment.state.difficulty[:500] = 0.0
+    environment.state.difficulty[500:] = 0.5
+    drawn = Range(0.0, 4.0, easy=1.0).sample(environment, (), environment.all_ids)
     assert (drawn[:500] == 1.0).all()
     assert drawn[500:].min() == pytest.approx(0.5, abs=0.05)
     assert drawn[500:].max() == pytest.approx(2.5, abs=0.05)

@@ -47,7 +47,7 @@ def test_an_agents_action_moves_that_agent_alone(handover: Environment) -> None:
 def test_an_agent_sees_its_own_terms_and_what_all_see(handover: Environment) -> None:
     assert handover.multi_agent is not None
     observation, _ = handover.reset(seed=0)
-    world, task = handover.world, handover.task
+    world = handover.world
     seen = handover.multi_agent.observations(observation["policy"])
     for agent in (GIVER, RECEIVER):
         robot = world.robots[agent]
@@ -55,7 +55,7 @@ def test_an_agent_sees_its_own_terms_and_what_all_see(handover: Environment) -> 
         assert seen[agent].shape == (3, handover.multi_agent.layouts[agent].size)
         torch.testing.assert_close(seen[agent][:, :joints], robot.joint_positions - robot.home_positions)
         torch.testing.assert_close(seen[agent][:, -10:-3], world.objects["rod"].root_pose)
-        torch.testing.assert_close(seen[agent][:, -3:], task.goal)
+        torch.testing.assert_close(seen[agent][:, -3:], handover.commands["goal"])
     own = handover.multi_agent.action_sizes[GIVER]
     action = random_actions(handover)
     seen = handover.multi_agent.observations(handover.step(action)[0]["policy"])
@@ -80,7 +80,7 @@ def test_agents_earn_their_own_terms_and_those_of_all(handover: Environment) -> 
 def test_where_one_robot_acts_nothing_is_shared() -> None:
     environment = make("Lift", num_envs=1, backend=BACKEND)
     assert environment.multi_agent is None
-    assert [generator.name for generator in environment.task.generators] == ["joint_position", "gripper"]
+    assert [generator.name for generator in environment.actions.generators] == ["joint_position", "gripper"]
     environment.close()
 
 
@@ -103,16 +103,19 @@ def test_whoever_is_not_there_is_named(handover: Environment) -> None:
         Environment(lift, 1, BACKEND)
     with pytest.raises(UnknownNameError, match=r"unknown agent 'receiver'.*each needs an action"):
         handover.multi_agent.action({GIVER: torch.zeros(3, 8)})
-    phase = Phase(lambda world, task: common.hand_pose(world, task, GIVER))
+    phase = Phase(lambda env: common.hand_pose(env, GIVER))
     with pytest.raises(ConfigurationError, match="equally many phases for each agent: giver, receiver"):
-        Expert(handover.world, handover.task, {GIVER: [phase], RECEIVER: [phase, replace(phase)]})
+        Expert(handover, {GIVER: [phase], RECEIVER: [phase, replace(phase)]})
 
 
 def test_neither_arm_can_do_it_alone() -> None:
     """However a Panda is bent, it reaches neither the rod's start nor, by its own end of the rod, the goal."""
     environment = make("Handover", num_envs=256, backend=BACKEND)
     world, task = environment.world, environment.task
-    beyond = {RECEIVER: grip(world, task, RECEIVER), GIVER: task.goal - torch.tensor([GRIP, 0.0, 0.0])}
+    beyond = {
+        RECEIVER: grip(environment, RECEIVER),
+        GIVER: environment.commands["goal"] - torch.tensor([GRIP, 0.0, 0.0]),
+    }
     for agent, wanted in beyond.items():
         robot = world.robots[agent]
         low, high = robot.position_limits.unbind(1)
@@ -130,15 +133,15 @@ def test_neither_arm_can_do_it_alone() -> None:
 def test_arms_wait_for_each_other(handover: Environment) -> None:
     """The giver is where it should be at once, and goes on only when the receiver has arrived too."""
     handover.reset(seed=0)
-    world, task = handover.world, handover.task
-    here = Phase(lambda world, task: common.hand_pose(world, task, GIVER))
+    _task = handover.task
+    here = Phase(lambda env: common.hand_pose(env, GIVER))
     lift = torch.tensor([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0])
-    above = common.hand_pose(world, task, RECEIVER) + lift
-    there = Phase(lambda world, task: above, position_tolerance=0.02)
-    expert = Expert(world, task, {GIVER: [here, here], RECEIVER: [there, there]})
+    above = common.hand_pose(handover, RECEIVER) + lift
+    there = Phase(lambda env: above, position_tolerance=0.02)
+    expert = Expert(handover, {GIVER: [here, here], RECEIVER: [there, there]})
     first = torch.full((3,), -1)
     for step in range(80):
-        far = (common.hand_pose(world, task, RECEIVER) - above)[:, :3].norm(dim=1) > 0.021
+        far = (common.hand_pose(handover, RECEIVER) - above)[:, :3].norm(dim=1) > 0.021
         handover.step(expert.compute({})["action"])
         assert not (far & (expert.phase == 1) & (first < 0)).any()
         first[(first < 0) & (expert.phase == 1)] = step

@@ -38,7 +38,7 @@ def twin() -> Iterator[Environment]:
     """The same, stepped as it is."""
     made = make("Reach", COUNT, BACKEND, episode_length=0.02 * STEPS)
     made.reset(seed=1)
-    made.task.episode_step[0] = 1
+    made.state.episode_step[0] = 1
     yield made
     made.close()
 
@@ -61,7 +61,7 @@ def last_and_next(twin: Environment, action: Tensor) -> tuple[Tensor, Tensor, Te
 
 def test_the_true_next_observation_is_an_episodes_last(environment: Environment, twin: Environment) -> None:
     environment.reset(seed=1)
-    environment.task.episode_step[0] = 1
+    environment.state.episode_step[0] = 1
     ends = 0
     for action in actions(environment):
         led_to, seen, ended, _ = last_and_next(twin, action)
@@ -140,7 +140,7 @@ def test_libraries_that_ask_for_the_last_observation_get_it(
     adapt: Callable[[Environment], Callable[[Tensor], tuple[Tensor, ...]]], environment: Environment, twin: Environment
 ) -> None:
     step = adapt(environment)
-    environment.task.episode_step[0] = 1
+    environment.state.episode_step[0] = 1
     for action in actions(environment):
         for given, expected in zip(step(action), last_and_next(twin, action), strict=True):
             assert torch.equal(given, expected)
@@ -151,10 +151,10 @@ def test_libraries_that_value_time_outs_by_the_state_before_them_are_told_of_the
 ) -> None:
     """RSL-RL and rl-games."""
     rsl_rl = RslRlEnvironment(environment, seed=1)
-    environment.task.episode_step[0] = 1
+    environment.state.episode_step[0] = 1
     rl_games = RlGamesEnvironment(twin, seed=1)
     assert torch.equal(rl_games.reset()["obs"], rsl_rl.get_observations()["policy"])
-    twin.task.episode_step[0] = 1
+    twin.state.episode_step[0] = 1
     for action in actions(environment):
         seen, reward, done, extras = rsl_rl.step(action)
         obs, same_reward, same_done, infos = rl_games.step(action)

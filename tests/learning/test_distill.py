@@ -53,7 +53,7 @@ SETTINGS = DistillSettings(
 class Pictures(ObservationGroup):
     concatenate: bool = False
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    goal: ObservationTerm | None = ObservationTerm(lambda env: env.commands["goal"])
     hand_color: ObservationTerm | None = camera_color(CAMERA)
     hand_depth: ObservationTerm | None = camera_depth(CAMERA)
 

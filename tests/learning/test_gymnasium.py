@@ -158,7 +158,7 @@ def test_an_unknown_render_mode_is_refused() -> None:
 class Height:
     """Twice the height of the hand, in metres, a second."""
 
-    height: RewardTerm | None = RewardTerm(lambda world, task: common.hand_pose(world, task)[:, 2], 2.0)
+    height: RewardTerm | None = RewardTerm(lambda env: common.hand_pose(env)[:, 2], 2.0)
 
 
 def test_the_policy_gradient_climbs_in_a_vector_environment() -> None:

@@ -16,15 +16,15 @@ import torch
 from orbit_core.backends import default_backend
 from orbit_core.cli.making import make_environment
 from orbit_core.envs import Environment, make
-from orbit_core.envs.observation_groups import groups_of, terms_of_group
+from orbit_core.envs.observation_layout import groups_of, terms_of_group
 from orbit_core.envs.registry import task_entries
 from orbit_core.envs.terms import meaning_of
 from orbit_core.interfaces import World
+from orbit_core.pretrained import policy_path
 from orbit_learn.cli.export import main as export
 from orbit_learn.cli.play import played
 from orbit_learn.cli.trained import PlaySettings
 from orbit_learn.policy import load_policy
-from orbit_learn.pretrained import policy_path
 
 BACKEND = default_backend()
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -75,7 +75,7 @@ def of_walking(environment: Environment) -> Measured:
         "linear_velocity": turned_back(turn, velocity[:3]),
         "angular_velocity": turned_back(turn, velocity[3:]),
         "projected_gravity": turned_back(turn, np.array([0.0, 0.0, -1.0])),
-        "command": environment.task.command[0].numpy(),
+        "command": environment.commands["velocity"][0].numpy(),
     }
     if "height_scan" in world.sensors:
         scan: Any = world.sensors["height_scan"]

@@ -19,7 +19,7 @@ from skrl.resources.preprocessors.torch import RunningStandardScaler
 from torch import Tensor, nn
 
 from orbit_core.backends import default_backend
-from orbit_core.envs import RewardTerm
+from orbit_core.envs import Environment, RewardTerm
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
 from orbit_learn.networks import perceptron
@@ -72,14 +72,12 @@ def test_a_task_with_one_agent_is_refused() -> None:
 class Heights:
     """Each hand earns its own height."""
 
-    giver: RewardTerm | None = RewardTerm(lambda world, task, agent: hand_height(world, task, agent), 2.0, agent=GIVER)
-    receiver: RewardTerm | None = RewardTerm(
-        lambda world, task, agent: hand_height(world, task, agent), 2.0, agent=RECEIVER
-    )
+    giver: RewardTerm | None = RewardTerm(lambda env, agent: hand_height(env, agent), 2.0, agent=GIVER)
+    receiver: RewardTerm | None = RewardTerm(lambda env, agent: hand_height(env, agent), 2.0, agent=RECEIVER)
 
 
-def hand_height(world: Any, task: Any, agent: str) -> Tensor:
-    return common.hand_pose(world, task, agent)[:, 2]
+def hand_height(env: Environment, agent: str) -> Tensor:
+    return common.hand_pose(env, agent)[:, 2]
 
 
 class Actor(GaussianMixin, Model):

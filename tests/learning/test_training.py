@@ -48,19 +48,19 @@ def _one_thread() -> Iterator[None]:
 class Height:
     """Twice the height of the hand, in metres, a second."""
 
-    height: RewardTerm | None = RewardTerm(lambda world, task: common.hand_pose(world, task)[:, 2], 2.0)
+    height: RewardTerm | None = RewardTerm(lambda env: common.hand_pose(env)[:, 2], 2.0)
 
 
 @dataclass
 class Alive:
     """A tenth a step, whatever happens."""
 
-    alive: RewardTerm | None = RewardTerm(lambda world, task: torch.ones(world.num_envs, device=world.device), 5.0)
+    alive: RewardTerm | None = RewardTerm(lambda env: torch.ones(env.num_envs, device=env.device), 5.0)
 
 
 @dataclass
 class Nothing(ObservationGroup):
-    one: ObservationTerm | None = ObservationTerm(lambda world, task: torch.ones(world.num_envs, 1))
+    one: ObservationTerm | None = ObservationTerm(lambda env: torch.ones(env.num_envs, 1))
 
 
 @dataclass

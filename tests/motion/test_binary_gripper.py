@@ -22,7 +22,7 @@ OPEN, CLOSE = torch.tensor([[1.0]]), torch.tensor([[-1.0]])
 
 def positions(robot: Any, config: BinaryGripperConfig, command: torch.Tensor) -> dict[str, float]:
     generator = config.build("gripper", robot)
-    targets = generator.compute({"command": command})[JointTarget.POSITION.value][0]
+    targets = generator.compute({"command": command})[JointTarget.POSITION][0]
     names = [robot.joint_names[joint] for joint in generator.joints]
     return dict(zip(names, targets.tolist(), strict=True))
 

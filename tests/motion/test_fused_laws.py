@@ -6,8 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.capture.kernels import fusing
-from orbit_core.capture.replay import CapturedFunction
+from orbit_core.capture.replay import CapturedFunction, fusing
 from orbit_core.scene import Plane, Shape
 from orbit_motion import HybridForceMotionConfig, JointImpedanceConfig, OperationalSpaceConfig, RmpFlowConfig
 from orbit_motion.gains import GainCommand
@@ -46,7 +45,7 @@ def positions_after_steps(compile: bool) -> Tensor:
         arm.world.step(2)
         return (arm.robot.joint_positions.clone(),)
 
-    step = CapturedFunction(arm.world, operations, dict, compile)
+    step = CapturedFunction(arm.world, operations, compile)
     for _ in range(49):
         step()
     (positions,) = step()
@@ -66,8 +65,8 @@ def test_substeps_of_rmpflow_are_handed_from_kernel_to_kernel() -> None:
     def operations() -> tuple[Tensor, ...]:
         return tuple(arm.generator.compute({"command": command}).values())
 
-    plain = CapturedFunction(arm.world, operations, arm.generator.memory, False)
-    fused = CapturedFunction(arm.world, operations, arm.generator.memory, False)
+    plain = CapturedFunction(arm.world, operations, False)
+    fused = CapturedFunction(arm.world, operations, False)
     fused._compiles = True  # the law's own kernels, without the compiler for what is between them
     ends = []
     for step in (plain, fused):

@@ -17,7 +17,7 @@ from orbit_core.actions import (
     GraspSynergiesConfig,
     preset_terms,
 )
-from orbit_core.actions.grasp_synergies import synergies_of
+from orbit_core.actions.grippers import synergies_of
 from orbit_core.dynamics.transforms import pose_error, quat_yaw
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import Plane, Shape

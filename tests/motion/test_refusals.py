@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from orbit_core.actions import ActionTerm, Actuate
-from orbit_core.actions.registry import motion_generators
+from orbit_core.actions.presets import motion_generators
 from orbit_core.agent import AgentGraph, Edge
 from orbit_core.interfaces import ArgumentError, ConfigurationError, NonFiniteError, ShapeError, UnknownNameError
 from orbit_core.scene import ContactSensorSpec

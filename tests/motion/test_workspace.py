@@ -131,7 +131,7 @@ def test_goals_are_drawn_where_the_arm_reaches_and_larger_tasks_refuse_it(
     env = make("Reach", 8, "mujoco", robot="five_joints", seed=0)
     env.reset()
     assert len(computed) == 1
-    assert _missed(five_joint_arm(), env.task.goal) == 0
+    assert _missed(five_joint_arm(), env.commands["goal"]) == 0
     env.close()
     with pytest.raises(ConfigurationError, match=r"this task needs .* choose a larger robot"):
         common.arm("five_joints", gripper=False, room=(1.0, 1.0, 1.0))

@@ -28,4 +28,4 @@ def episode(
     for _ in range(environment.max_episode_steps - 1):
         _, _, terminated, truncated, _ = environment.step(expert.compute({})["action"])
         assert not (terminated | truncated).any(), "an episode ended early"
-    return environment, environment.task.success(environment.world)
+    return environment, environment.task.success(environment)

@@ -18,8 +18,8 @@ from tests.tasks.experts import episode
 def test_the_expert_covers_the_rod_without_a_touch(rod: str, robot: str) -> None:
     environment, success = episode("Beat-The-Buzz", "mujoco", 2, rod=rod, robot=robot, episode_length=5.0)
     task = environment.task
-    length = (len(task.rings) - 1) * task.spacing
-    covered = task.metrics(environment.world)["covered_m"]
+    length = (len(environment.state.rings) - 1) * environment.state.spacing
+    covered = task.metrics(environment)["covered_m"]
     environment.close()
     assert success.all()
     assert (covered > length - 0.01).all()
@@ -31,26 +31,26 @@ def test_a_touch_counts_once_and_costs(backend: str) -> None:
     world, task = environment.world, environment.task
     hold = torch.zeros(2, environment.action_size)
     environment.step(hold)
-    assert task.touches.tolist() == [0.0, 0.0]
+    assert environment.state.touches.tolist() == [0.0, 0.0]
     free = world.objects["rod"].root_pose.clone()
     # The second environment's rod is shifted forward, which is across the ring, 2 mm into its bars.
     inside = beat_the_buzz.RADIUS - beat_the_buzz.BAR - beat_the_buzz.THICKNESS
-    across = common.hand_pose(world, task)[1, 0] - beat_the_buzz.at_rod(world, task)[1, 0]
+    across = common.hand_pose(environment)[1, 0] - beat_the_buzz.at_rod(environment)[1, 0]
     pushed = free.clone()
     pushed[1, 0] += across + inside + 0.002
     world.objects["rod"].set_root_pose(pushed)
     for _ in range(3):
         environment.step(hold)
-    assert task.touches.tolist() == [0.0, 1.0]
+    assert environment.state.touches.tolist() == [0.0, 1.0]
     world.objects["rod"].set_root_pose(free)
     for _ in range(20):
         environment.step(hold)
     world.objects["rod"].set_root_pose(pushed)
     environment.step(hold)
-    assert task.touches.tolist() == [0.0, 2.0]
-    metric = task.metrics(world)["covered_m"]
-    torch.testing.assert_close(metric, task.covered - torch.tensor([0.0, 2.0 * task.penalty]))
-    assert not task.success(world).any()
+    assert environment.state.touches.tolist() == [0.0, 2.0]
+    metric = task.metrics(environment)["covered_m"]
+    torch.testing.assert_close(metric, environment.state.covered - torch.tensor([0.0, 2.0 * task.penalty]))
+    assert not task.success(environment).any()
     environment.close()
 
 

@@ -18,7 +18,7 @@ from tests.tasks.experts import episode
 @pytest.mark.parametrize("task", ["Cartpole-Balance", "Cartpole-Swing-Up"])
 def test_the_pole_stands_at_the_end(task: str) -> None:
     environment, success = episode(task, "mujoco", 4)
-    angle, cart = environment.task.metrics(environment.world).values()
+    angle, cart = environment.task.metrics(environment).values()
     environment.close()
     assert success.all()
     assert angle.max() < 0.01
@@ -28,9 +28,9 @@ def test_the_pole_stands_at_the_end(task: str) -> None:
 def test_episodes_begin_where_the_tasks_say_and_end_where_the_pole_topples() -> None:
     hanging, standing = (make(f"Cartpole-{name}", 8, "mujoco", seed=0) for name in ("Swing-Up", "Balance"))
     hanging.reset(seed=0)
-    assert (cartpole.state(hanging.world, hanging.task)[:, 1].abs() > math.pi - 0.31).all()
+    assert (cartpole.state(hanging)[:, 1].abs() > math.pi - 0.31).all()
     standing.reset(seed=0)
-    assert (cartpole.state(standing.world, standing.task)[:, 1].abs() < 0.11).all()
+    assert (cartpole.state(standing)[:, 1].abs() < 0.11).all()
     ended = torch.zeros(8, dtype=torch.bool)
     for _ in range(60):
         *_, terminated, _, _ = standing.step(torch.ones(8, 1))
@@ -56,8 +56,8 @@ def test_the_speed_is_the_way_over_the_time(task: str) -> None:
     for _ in range(10):
         environment.step(torch.zeros(2, environment.action_size))
     gone = (robot.root_pose[:, 0] - begin) / (10 * environment.task.physics_dt * environment.task.decimation)
-    torch.testing.assert_close(environment.task.metrics(environment.world)["speed_m_s"], gone, atol=0.1, rtol=0.0)
-    assert (running.heading(environment.world, environment.task)[:, 0] > 0.9).all()
+    torch.testing.assert_close(environment.task.metrics(environment)["speed_m_s"], gone, atol=0.1, rtol=0.0)
+    assert (running.heading(environment)[:, 0] > 0.9).all()
     with pytest.raises(ConfigurationError, match="has no scripted expert: learn it"):
         environment.expert()
     environment.close()

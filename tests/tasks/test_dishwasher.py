@@ -28,15 +28,15 @@ def test_the_expert_of_another_arm_opens_the_door_and_pulls_the_rack() -> None:
 def test_the_rack_counts_only_once_the_door_is_open() -> None:
     environment = make("Dishwasher", 3, "mujoco", seed=0)
     world, task = environment.world, environment.task
-    goal = task.goal  # pyright: ignore[reportAttributeAccessIssue]
+    goal = environment.commands["goal"]  # pyright: ignore[reportAttributeAccessIssue]
     joints = torch.tensor([[0.5, 0.0], [1.4, 0.0], [1.4, 0.0]])
     joints[:, 1] = goal
     joints[2, 1] += 0.03
     world.objects[THING].set_joint_state(joints)
-    end = task.metrics(world)
+    end = task.metrics(environment)
     torch.testing.assert_close(end["door_lacks_rad"], torch.tensor([0.8, 0.0, 0.0]))
     torch.testing.assert_close(end["rack_lacks_m"], torch.stack((goal[0], goal[1] * 0.0, goal[2] * 0.0 + 0.03)))
-    assert task.success(world).tolist() == [False, True, False]
+    assert task.success(environment).tolist() == [False, True, False]
     environment.close()
 
 

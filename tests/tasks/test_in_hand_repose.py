@@ -29,9 +29,9 @@ def task_of(env: Environment) -> InHandRepose:
 
 def turn_to_goal(env: Environment, env_id: int) -> None:
     """Turn one environment's object to its goal, at rest where it lies."""
-    item, task = env.world.objects[OBJECT], task_of(env)
+    item = env.world.objects[OBJECT]
     ids = torch.tensor([env_id])
-    pose = torch.cat((item.root_pose[ids, :3], task.goal[ids]), dim=1)
+    pose = torch.cat((item.root_pose[ids, :3], env.commands["goal"][ids]), dim=1)
     item.set_root_pose(pose, ids)
     item.set_root_velocity(torch.zeros(1, 6), ids)
 
@@ -41,14 +41,15 @@ def test_a_goal_is_counted_and_the_next_one_follows(env: Environment) -> None:
     task = task_of(env)
     for _ in range(20):  # the object falls into the fingers
         env.step(torch.zeros(4, env.action_size))
-    before = task.goal.clone()
+    goal, state = env.commands["goal"], env.state
+    before = goal.clone()
     turn_to_goal(env, 0)
-    count = task.count.clone()
+    count = state.count.clone()
     env.step(torch.zeros(4, env.action_size))
-    assert task.distance[0] < task.tolerance
-    assert task.count[0] == count[0] + 1
-    assert transforms.quat_distance(before, task.goal)[0] > 1e-3
-    torch.testing.assert_close(task.goal[1:], before[1:])
+    assert state.distance[0] < task.tolerance
+    assert state.count[0] == count[0] + 1
+    assert transforms.quat_distance(before, goal)[0] > 1e-3
+    torch.testing.assert_close(goal[1:], before[1:])
 
 
 def test_an_object_thrown_out_of_the_hand_ends_the_episode(env: Environment) -> None:
@@ -98,5 +99,5 @@ def test_a_hand_has_its_own_place_for_the_object_unless_one_is_given(
     task, hand = environment.task, common.robot_of(environment.world)
     assert isinstance(task, InHandRepose)
     frame = hand.frame_pose(hand.spec.end_effector.frame)[0, :3]
-    torch.testing.assert_close(task.place - frame, torch.tensor(place), atol=2e-3, rtol=0.0)
+    torch.testing.assert_close(environment.state.place - frame, torch.tensor(place), atol=2e-3, rtol=0.0)
     environment.close()

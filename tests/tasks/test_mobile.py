@@ -21,9 +21,9 @@ def test_the_expert_drives_another_base_to_the_goal_and_reaches_it() -> None:
 def test_goals_lie_beyond_the_arms_reach() -> None:
     environment = make("Mobile-Reach", 16, "mujoco", seed=1)
     environment.reset(seed=1)
-    task, world = environment.task, environment.world
+    task = environment.task
     assert isinstance(task, mobile_reach.MobileReach)
-    away = torch.linalg.vector_norm(task.goal[:, :2] - base_pose(world, task)[:, :2], dim=1)
+    away = torch.linalg.vector_norm(environment.commands["goal"][:, :2] - base_pose(environment)[:, :2], dim=1)
     environment.close()
     assert (away >= mobile_reach.NEAREST - 1e-4).all()
     assert (away <= mobile_reach.FARTHEST + 1e-4).all()
@@ -31,8 +31,8 @@ def test_goals_lie_beyond_the_arms_reach() -> None:
 
 def test_a_walking_robot_is_led_by_a_kept_policy() -> None:
     environment = make("Mobile-Reach", 2, "mujoco", robot="anymal_c_kinova_gen3")
-    names = [generator.name for generator in environment.task.generators]
-    legs = environment.task.generators[-1]
+    names = [generator.name for generator in environment.actions.generators]
+    legs = environment.actions.generators[-1]
     moved = {environment.world.robots["robot"].joint_names[joint] for joint in legs.joints}
     environment.close()
     assert names == ["joint_position", "gripper", "base"]
@@ -57,10 +57,10 @@ def test_cube_and_table_are_as_high_as_suits_the_arm() -> None:
     task, world = environment.task, environment.world
     assert isinstance(task, mobile_lift.MobileLift)
     lowest = world.robots["robot"].spec.end_effector.workspace.low[2]
-    assert task.surface == pytest.approx(lowest - 0.1)
-    torch.testing.assert_close(lift.cube_height(world, task), torch.full((2,), task.rest_height))
-    assert not lift.dropped(world, task).any()
-    assert not lift.lifted(world, task).any()
+    assert environment.state.surface == pytest.approx(lowest - 0.1)
+    torch.testing.assert_close(lift.cube_height(environment), torch.full((2,), environment.state.rest_height))
+    assert not lift.dropped(environment).any()
+    assert not lift.lifted(environment).any()
     environment.close()
 
 

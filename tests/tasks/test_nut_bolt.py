@@ -13,11 +13,11 @@ from orbit_tasks import nut_bolt
 def test_a_nut_a_turn_above_its_place_is_not_screwed_down() -> None:
     environment = make("Nut-Bolt", 2, "mujoco", seed=0, turns=0.5, thread="boxes")
     world, task = environment.world, environment.task
-    pose = torch.cat((nut_bolt.place(world, task), torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2)), dim=1)
+    pose = torch.cat((nut_bolt.place(environment), torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2)), dim=1)
     pose[1, 2] += task.lead
     world.objects["nut"].set_root_pose(pose)
-    assert task.success(world).tolist() == [True, False]
-    torch.testing.assert_close(task.metrics(world)["distance_m"], torch.tensor([0.0, 0.004]), atol=1e-5, rtol=0.0)
+    assert task.success(environment).tolist() == [True, False]
+    torch.testing.assert_close(task.metrics(environment)["distance_m"], torch.tensor([0.0, 0.004]), atol=1e-5, rtol=0.0)
     environment.close()
 
 
@@ -25,12 +25,12 @@ def test_engines_without_distance_fields_refuse_the_task() -> None:
     with pytest.raises(UnsupportedCapabilityError, match=rf"{Capability.SIGNED_DISTANCE_FIELDS.value}.*mujoco"):
         make("Nut-Bolt", 1, "bullet")
     environment = make("Nut-Bolt", 1, "bullet", thread="boxes")  # which looks whether the nut lies still
-    world, task = environment.world, environment.task
-    assert not nut_bolt.dropped(world, task).any()
+    world = environment.world
+    assert not nut_bolt.dropped(environment).any()
     for height, turn in ((0.0, (1.0, 0.0)), (nut_bolt.HEIGHT, (0.0, 1.0)), (0.5 * nut_bolt.WIDTH, (0.7071, 0.7071))):
         lying = torch.tensor([[0.4, 0.3, height, *turn, 0.0, 0.0]])
         world.objects["nut"].set_root_pose(lying)
-        assert nut_bolt.dropped(world, task).all()
+        assert nut_bolt.dropped(environment).all()
     environment.close()
 
 
@@ -47,7 +47,7 @@ def test_turns_that_the_bolt_lacks_are_refused_by_name() -> None:
 def test_a_nut_falls_freely_onto_the_thread_of_the_bolt_below_it(backend: str) -> None:
     environment = make("Nut-Bolt", 1, backend, seed=0)
     world, task = environment.world, environment.task
-    above = torch.cat((nut_bolt.place(world, task), torch.tensor([[1.0, 0.0, 0.0, 0.0]])), dim=1)
+    above = torch.cat((nut_bolt.place(environment), torch.tensor([[1.0, 0.0, 0.0, 0.0]])), dim=1)
     above[:, 2] += 0.013  # the tip of the bolt is in the nut, whose convex pieces lie around it
     world.objects["nut"].set_root_pose(above)
     world.objects["nut"].set_root_velocity(torch.zeros(1, 6))

@@ -57,12 +57,12 @@ def test_a_block_on_the_board_is_not_inserted() -> None:
     environment = make("Peg-In-Hole", 2, "mujoco", seed=0)
     task, world = environment.task, environment.world
     assert isinstance(task, PegInHole)
-    pose = task_file.seats(world, task)[:, 0].clone()
+    pose = task_file.seats(environment)[:, 0].clone()
     pose[1, 2] += pegs.BOARD_HEIGHT
     world.objects["block_0"].set_root_pose(pose)
-    assert task.success(world).tolist() == [True, False]
-    assert task.metrics(world)["distance_m"][1] == pytest.approx(pegs.BOARD_HEIGHT, abs=1e-5)
-    assert task_file.depth(world, task).tolist() == pytest.approx([1.0, 0.0], abs=1e-5)
+    assert task.success(environment).tolist() == [True, False]
+    assert task.metrics(environment)["distance_m"][1] == pytest.approx(pegs.BOARD_HEIGHT, abs=1e-5)
+    assert task_file.depth(environment).tolist() == pytest.approx([1.0, 0.0], abs=1e-5)
     environment.close()
 
 
@@ -70,11 +70,11 @@ def test_a_quarter_turn_of_a_square_block_fits_as_well_and_an_eighth_does_not() 
     environment = make("Peg-In-Hole", 2, "mujoco", seed=0)
     task, world = environment.task, environment.world
     assert isinstance(task, PegInHole)
-    pose = task_file.seats(world, task)[:, 0].clone()
+    pose = task_file.seats(environment)[:, 0].clone()
     turns = torch.tensor([0.5 * torch.pi, 0.24 * torch.pi])
     pose[:, 3:] = transforms.quat_multiply(pose[:, 3:], task_file.common.turned(turns))
     world.objects["block_0"].set_root_pose(pose)
-    off = transforms.rotation_angle(task_file.offsets(world, task)[:, 0, 3:])
+    off = transforms.rotation_angle(task_file.offsets(environment)[:, 0, 3:])
     assert off.tolist() == pytest.approx([0.0, 0.24 * torch.pi], abs=1e-4)
     environment.close()
 

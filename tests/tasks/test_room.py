@@ -27,14 +27,16 @@ def test_things_stand_on_furniture_and_their_places_on_the_shelf(environment: En
     task, world = environment.task, environment.world
     assert isinstance(task, tasks.RoomReorganization)
     halves = torch.tensor(tasks.HALF_HEIGHTS)
-    heights = tasks.positions(world, task)[..., 2]
-    torch.testing.assert_close(heights, (task.surface + halves).expand(16, 3))
-    torch.testing.assert_close(task.places[..., 2], (task.surface + tasks.SHELF_RAISED + halves).expand(16, 3))
-    assert (task.places[..., 0] > 0.5 * room.LENGTH - room.SHELF.depth).all()
-    apart = torch.cdist(task.places, task.places) + torch.eye(3)
+    heights = tasks.positions(environment)[..., 2]
+    torch.testing.assert_close(heights, (environment.state.surface + halves).expand(16, 3))
+    torch.testing.assert_close(
+        environment.state.places[..., 2], (environment.state.surface + tasks.SHELF_RAISED + halves).expand(16, 3)
+    )
+    assert (environment.state.places[..., 0] > 0.5 * room.LENGTH - room.SHELF.depth).all()
+    apart = torch.cdist(environment.state.places, environment.state.places) + torch.eye(3)
     assert (apart > 0.2).all()
     assert (world.objects["desk"].root_pose[:, 0].std() > 0.3).all()
-    assert not tasks.in_place(world, task).any()
+    assert not tasks.in_place(environment).any()
 
 
 def test_a_thing_in_its_place_counts_once_the_hand_has_let_go(environment: Environment) -> None:
@@ -43,11 +45,11 @@ def test_a_thing_in_its_place_counts_once_the_hand_has_let_go(environment: Envir
     assert isinstance(task, tasks.RoomReorganization)
     for number, name in enumerate(tasks.THINGS):
         pose = world.objects[name].root_pose.clone()
-        pose[:, :3] = task.places[:, number]
+        pose[:, :3] = environment.state.places[:, number]
         world.objects[name].set_root_pose(pose)
         share = (number + 1) / 3
-        torch.testing.assert_close(tasks.share_in_place(world, task), torch.full((16,), share))
-    assert task.success(world).all()
+        torch.testing.assert_close(tasks.share_in_place(environment), torch.full((16,), share))
+    assert task.success(environment).all()
 
 
 def test_a_base_that_stands_in_furniture_is_told_in_which(environment: Environment) -> None:

@@ -12,8 +12,8 @@ from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
+from orbit_core.pretrained import policy_fields
 from orbit_core.sensors import CameraSensor
-from orbit_learn.pretrained import policy_fields
 from orbit_tasks import stack_pyramid as tasks
 from orbit_tasks.mdp import picking, tabletop
 from tests.tasks.experts import episode
@@ -49,7 +49,7 @@ def _put(environment: Environment, ways: torch.Tensor) -> None:
     task, world = environment.task, environment.world
     assert isinstance(task, tasks.Stack)
     pose = world.objects["orange"].root_pose.clone()
-    pose[:, :3] = tasks.places(world, task)[:, 0] + ways
+    pose[:, :3] = tasks.places(environment)[:, 0] + ways
     world.objects["orange"].set_root_pose(pose)
 
 
@@ -57,18 +57,18 @@ def test_rewards_grow_the_nearer_the_block_is_to_its_place(stack: Environment) -
     stack.reset(seed=0)
     heights = torch.tensor([0.3, 0.1, 0.02, 0.0])
     _put(stack, torch.stack((torch.zeros(N), torch.zeros(N), heights), dim=1))
-    assert torch.equal(stack.task.success(stack.world), heights == 0.0)
-    track = tasks.tracking(stack.world, stack.task, 0.3)
+    assert torch.equal(stack.task.success(stack), heights == 0.0)
+    track = tasks.tracking(stack, 0.3)
     assert (track.diff() > 0.0).all()
-    assert tasks.letting_go(stack.world, stack.task).tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert tasks.letting_go(stack).tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
 def test_a_block_in_the_hand_is_not_put_down(stack: Environment) -> None:
     stack.reset(seed=0)
-    hand = common.hand_pose(stack.world, stack.task)
-    _put(stack, hand[:, :3] - tasks.places(stack.world, stack.task)[:, 0])
-    assert not tasks.put_down(stack.world, stack.task).any()
-    assert (tasks.reaching(stack.world, stack.task) > 0.99).all()
+    hand = common.hand_pose(stack)
+    _put(stack, hand[:, :3] - tasks.places(stack)[:, 0])
+    assert not tasks.put_down(stack).any()
+    assert (tasks.reaching(stack) > 0.99).all()
 
 
 def test_blocks_are_seen_as_they_are_turned_against_the_hand_by_less_than_a_quarter(stack: Environment) -> None:
@@ -77,22 +77,22 @@ def test_blocks_are_seen_as_they_are_turned_against_the_hand_by_less_than_a_quar
     assert isinstance(task, tasks.Stack)
     turns = torch.tensor([0.2, 0.2 + 0.5 * torch.pi, -0.3, torch.pi - 0.3])
     pose = world.objects["orange"].root_pose.clone()
-    pose[:, 3:] = common.turned(common.turn_facing_down(common.hand_pose(world, task)[:, 3:]) + turns)
+    pose[:, 3:] = common.turned(common.turn_facing_down(common.hand_pose(stack)[:, 3:]) + turns)
     world.objects["orange"].set_root_pose(pose)
     torch.testing.assert_close(
-        tabletop.piece_turns(world, task)[:, 1], torch.tensor([0.2, 0.2, -0.3, -0.3]), atol=1e-4, rtol=0.0
+        tabletop.piece_turns(stack)[:, 1], torch.tensor([0.2, 0.2, -0.3, -0.3]), atol=1e-4, rtol=0.0
     )
 
 
 def test_a_block_off_the_table_ends_the_episode(stack: Environment) -> None:
     stack.reset(seed=0)
     _put(stack, torch.tensor([[0.0, 0.0, -0.2]]).expand(N, 3))
-    assert tabletop.dropped(stack.world, stack.task).all()
+    assert tabletop.dropped(stack).all()
 
 
 def test_blocks_start_apart() -> None:
     environment = make("Stack-Pyramid", 32, "mujoco", seed=3)
-    positions = tabletop.piece_poses(environment.world, environment.task)[..., :2]
+    positions = tabletop.piece_poses(environment)[..., :2]
     apart = torch.cdist(positions, positions) + torch.eye(6)
     environment.close()
     assert apart.min() > 2**0.5 * tasks.SIZE

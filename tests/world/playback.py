@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import Masking, write_rows
+from orbit_core.dynamics.indexing import RowSelector, write_rows
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import EntityLayout, Marker, NamedThings, Object, Robot, SceneLayout, World, match_names
 from orbit_core.scene import ContactSensorSpec, Entity, Frame, MarkerSpec, RobotSpec, Scene
 from orbit_core.sensors import ContactSensor
-from orbit_core.world.clock import Clock
+from orbit_core.world.state import Clock
 
 STATE = ("link_poses", "link_velocities", "joint_positions", "joint_velocities", "joint_efforts")
 
@@ -58,8 +58,8 @@ class PlaybackWorld(World):
         self.device = device
         self.physics_dt = scene.physics_dt
         self.clock = Clock()  # pyright: ignore[reportIncompatibleVariableOverride]
-        self.masking = Masking(num_envs, device)  # pyright: ignore[reportIncompatibleVariableOverride]
-        self.random = RandomStreams(num_envs, seed, device, self.masking)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.selector = RowSelector(num_envs, device)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.random = RandomStreams(num_envs, seed, device, self.selector)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.random.reset()
         self._steps_per_frame = recording.steps_per_frame
         self._last = len(recording.frames) - 1
@@ -72,7 +72,7 @@ class PlaybackWorld(World):
         }
         robots = {name: PlaybackRobot(*played[name]) for name in (spec.name for spec in scene.robots)}
         objects = {name: PlaybackObject(*played[name]) for name in (spec.name for spec in scene.objects)}
-        markers = {spec.name: PlaybackMarker(spec, self.masking, num_envs, device) for spec in scene.markers}
+        markers = {spec.name: PlaybackMarker(spec, self.selector, num_envs, device) for spec in scene.markers}
         self.robots = NamedThings(robots, "robot", "world.robots", names)
         self.objects = NamedThings(objects, "object", "world.objects", names)
         self.markers = NamedThings(markers, "marker", "world.markers", names)
@@ -93,7 +93,7 @@ class PlaybackWorld(World):
         self.clock.advance(steps)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        rows = self.masking.rows(env_ids)
+        rows = self.selector.resolve(env_ids)
         self.random.reset(rows)
         write_rows(self.frame, 0, rows)
         self.clock.touch()
@@ -257,9 +257,9 @@ class PlaybackContacts(ContactSensor):
 class PlaybackMarker(Marker):
     """Tasks place markers themselves, so that these are real."""
 
-    def __init__(self, spec: MarkerSpec, masking: Masking, num_envs: int, device: torch.device) -> None:
+    def __init__(self, spec: MarkerSpec, selector: RowSelector, num_envs: int, device: torch.device) -> None:
         self.spec = spec
-        self._masking = masking
+        self._selector = selector
         self._pose = torch.zeros(num_envs, 7, device=device)
         self._pose[:, 3] = 1.0
 
@@ -268,5 +268,5 @@ class PlaybackMarker(Marker):
         return self._pose
 
     def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        chosen = self._masking.choose(env_ids)
+        chosen = self._selector.select(env_ids)
         write_rows(self._pose, chosen.poses(pose, f"pose of marker '{self.spec.name}'"), chosen.rows)

@@ -12,7 +12,7 @@ from orbit_conformance.bodies import WEIGHTLESS, cube, scene
 from orbit_conformance.scenarios.seals import _drawer
 from orbit_core.active import ActiveLaw, active_laws
 from orbit_core.capture.replay import CapturedFunction
-from orbit_core.dynamics.indexing import Masking
+from orbit_core.dynamics.indexing import RowSelector
 from orbit_core.interfaces import ArgumentError, ConfigurationError, Object, OrbitError, UnknownNameError, World
 from orbit_core.mdp import randomize
 from orbit_core.scene import ActiveModel, MagneticSeal, ObjectSpec
@@ -33,8 +33,10 @@ class Rocket(ActiveModel):
 
 
 class RocketLaw(ActiveLaw):
-    def __init__(self, model: Rocket, thing: Object, num_envs: int, device: torch.device, masking: Masking) -> None:
-        super().__init__(model, thing, num_envs, device, masking)
+    def __init__(
+        self, model: Rocket, thing: Object, num_envs: int, device: torch.device, selector: RowSelector
+    ) -> None:
+        super().__init__(model, thing, num_envs, device, selector)
         self.links = (0,)
         self.thrust, self.fuel = self.parameter("thrust", model.thrust), self.parameter("fuel", model.fuel)
         self.memory["burnt"] = torch.zeros(num_envs, device=device)
@@ -103,7 +105,7 @@ def test_a_law_adds_to_the_wrenches_that_are_set_and_remembers_by_environment(ba
 def test_snapshots_copies_and_settling_keep_what_a_law_remembers(backend: str) -> None:
     world = rockets(backend)
     thing = world.objects["rocket"]
-    memory = world.memory()["active model 'engine' of 'rocket', burnt"]
+    memory = world.active.laws["active model 'engine' of 'rocket'"].memory["burnt"]
     world.step(3)
     state = world.save_state()
     world.step(7)
@@ -128,7 +130,7 @@ def test_a_law_is_part_of_a_captured_step() -> None:
         other.step(2)
         return (other.objects["rocket"].root_velocity.clone(),)
 
-    captured = CapturedFunction(other, step, other.memory, compile=False)
+    captured = CapturedFunction(other, step, compile=False)
     for _ in range(6):
         plain.step(2)
         torch.testing.assert_close(captured()[0], plain.objects["rocket"].root_velocity, rtol=0, atol=0)

@@ -14,7 +14,7 @@ from orbit_core import backends
 from orbit_core.interfaces import BuildError, BuiltModel, Engine, SceneLayout
 from orbit_core.scene import Joint, JointType, RobotSpec
 from orbit_core.world import simulate
-from orbit_core.world.build_check import check_build
+from orbit_core.world.checks import check_build
 
 JointChange = Callable[[Joint], Joint]
 

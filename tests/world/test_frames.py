@@ -14,7 +14,7 @@ from orbit_core.robots import robot
 from orbit_core.rollout.video import OverviewCamera
 from orbit_core.scene import Frame, Pose, RobotSpec, Scene
 from orbit_core.world import simulate
-from orbit_core.world.frames import frame_lengths, frame_shapes, with_frames
+from orbit_core.world.drawing import frame_lengths, frame_shapes, with_frames
 
 
 def test_base_end_effectors_finger_tips_feet_and_wheels_have_axes() -> None:

@@ -25,7 +25,7 @@ def rollout(environment: Environment, action: Callable[[], Tensor], seen: Callab
         observation, reward, terminated, _, _ = environment.step(action())
         seen()
         task, world = environment.task, environment.world
-        told = (observation, reward, terminated, task.metrics(world), task.success(world), world.link_poses)
+        told = (observation, reward, terminated, task.metrics(environment), task.success(environment), world.link_poses)
         found += [leaf.clone() for leaf in tree_leaves(told)]
     return found
 

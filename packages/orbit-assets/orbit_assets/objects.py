@@ -10,14 +10,11 @@ import math
 from collections.abc import Sequence
 from numbers import Real
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from orbit_assets.mass_properties import MassProperties, mass_properties, shapes_mass_properties
-from orbit_core.dynamics.transforms import quat_from_rotation_vector, quat_multiply, quat_rotate
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import (
@@ -42,6 +39,9 @@ from orbit_core.scene import (
     Sphere,
 )
 from orbit_core.scene.pose import Vector3
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def box_between(name: str, low: Vector3, high: Vector3, color: Color, surface: PhysicsMaterial) -> Shape:
@@ -322,6 +322,10 @@ def cell_poses(foot: Tensor, cells: Tensor, layers: int) -> Tensor:
         cells: (n, k) int64, numbered from the lowest layer, three a layer, along the layer's pitch.
         layers: of the whole tower.
     """
+    import torch  # here, because kinds of objects are listed without it
+
+    from orbit_core.dynamics.transforms import quat_from_rotation_vector, quat_multiply, quat_rotate
+
     layer, slot = cells // 3, cells % 3
     # Layers alternate, counted from the top: a block on top of the highest is along x for every number of layers.
     crossing = ((layer - layers) % 2).to(foot.dtype)
@@ -337,6 +341,8 @@ def cell_poses(foot: Tensor, cells: Tensor, layers: int) -> Tensor:
 
 def tower(foot: Vector3, layers: int) -> list[Pose]:
     """Return the poses of all blocks of a tower, from the lowest layer up; ``foot`` is the middle of its underside."""
+    import torch
+
     cells = torch.arange(3 * layers)[None]
     poses = cell_poses(torch.tensor([[*foot, 1.0, 0.0, 0.0, 0.0]]), cells, layers)[0].tolist()
     return [Pose((x, y, z), (qw, qx, qy, qz)) for x, y, z, qw, qx, qy, qz in poses]

@@ -31,6 +31,7 @@ from orbit_data.replay import EpisodePlayer
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment, EpisodeEnd
+    from orbit_core.envs.task import Subtask
 
 # Steps by which the commanded pose is ahead of the one that must be reached next.
 _AHEAD = 2
@@ -80,8 +81,7 @@ def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) ->
         ConfigurationError: the task names no subtasks, there are more demonstrations than environments, or a subtask
             never ends in one of them.
     """
-    task, world = environment.task, environment.world
-    subtasks = task.subtasks()
+    subtasks = subtasks_of(environment)
     episodes = [dataset.read(place, (ACTIONS, STATES, INITIAL, POSES)) for place in positions]
     # States are set, not simulated: the recorded motion is cut exactly, on any engine.
     player = EpisodePlayer(environment)
@@ -94,9 +94,9 @@ def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) ->
         now = [min(step, episode.info.length - 1) for episode in episodes]
         player.set_states([e.arrays[STATES][t] for e, t in zip(episodes, now, strict=True)], rows)
         actions = torch.stack([torch.from_numpy(e.arrays[ACTIONS][t]) for e, t in zip(episodes, now, strict=True)])
-        ends = torch.stack([subtask.over(world, task)[:count] for subtask in subtasks[:-1]]) if subtasks[1:] else None
+        ends = torch.stack([subtask.over(environment)[:count] for subtask in subtasks[:-1]]) if subtasks[1:] else None
         hands.append(hand_pose(environment)[:count].clone())
-        frames.append(torch.stack([subtask.frame(world, task)[:count] for subtask in subtasks], 1))
+        frames.append(torch.stack([subtask.frame(environment)[:count] for subtask in subtasks], 1))
         grips.append(_opens(environment, actions.to(environment.device)))
         stages.append(stage.clone())
         if ends is not None:
@@ -130,6 +130,21 @@ def _pieces(hands: Tensor, frames: Tensor, grips: Tensor, stages: Tensor, count:
     return Pieces(relative, opened.gather(2, left), lengths - skipped)
 
 
+def subtasks_of(environment: Environment) -> tuple[Subtask, ...]:
+    """Return the subtasks of a task.
+
+    Raises:
+        ConfigurationError: its metadata names none.
+    """
+    task = environment.task
+    if not task.metadata.subtasks:
+        raise ConfigurationError(
+            f"the metadata of task {type(task).__name__} names no subtasks: give it "
+            "TaskMetadata(subtasks=(Subtask(frame, over), ...))"
+        )
+    return task.metadata.subtasks
+
+
 def hand_pose(environment: Environment) -> Tensor:
     """Return the pose (N, 7) of the end effector of the robot that acts."""
     robot = environment.world.robots[environment.task.agents[0]]
@@ -141,7 +156,7 @@ def _opens(environment: Environment, actions: Tensor) -> Tensor:
     hand = hand_pose(environment)
     yes = torch.ones(environment.num_envs, dtype=torch.bool, device=environment.device)
     opened, closed = (
-        torch.cat([generator.encode(hand, which) for generator in environment.task.generators], 1)[: len(actions)]
+        torch.cat([generator.encode(hand, which) for generator in environment.actions.generators], 1)[: len(actions)]
         for which in (yes, ~yes)
     )
     # Only the gripper's components differ between the two.
@@ -160,7 +175,7 @@ class PiecewiseActor:
 
     def __init__(self, environment: Environment, pieces: Pieces, seed: int) -> None:
         self._environment, self._pieces = environment, pieces
-        self._subtasks = environment.task.subtasks()
+        self._subtasks = subtasks_of(environment)
         self._draw = torch.Generator().manual_seed(seed)
         count, device = environment.num_envs, environment.device
         self._rows = torch.arange(count, device=device)
@@ -173,8 +188,8 @@ class PiecewiseActor:
 
     def act(self) -> Tensor:
         """Return the next action (N, A)."""
-        hand, task = hand_pose(self._environment), self._environment.task
-        begun = task.episode_step == 0
+        hand, generators = hand_pose(self._environment), self._environment.actions.generators
+        begun = self._environment.state.episode_step == 0
         drawn = torch.randint(len(self._pieces.lengths), begun.shape, generator=self._draw).to(hand.device)
         self._demo = torch.where(begun, drawn, self._demo)
         last = self._step >= self._pieces.lengths[self._demo, self._stage]
@@ -183,14 +198,13 @@ class PiecewiseActor:
         self._enter(begun | onward)
         pose = self._beyond(hand, self._at(self._step + _AHEAD * (self._step > 0)))
         grip = self._pieces.gripper_open[self._demo, self._stage, self._index(self._step)]
-        action = torch.cat([generator.encode(pose, grip) for generator in task.generators], 1)
+        action = torch.cat([generator.encode(pose, grip) for generator in generators], 1)
         self._advance(hand)  # after the action, so that each pose is commanded for a step at least
         return action.clamp(-1.0, 1.0)
 
     def _enter(self, new: Tensor) -> None:
         """Begin a piece where the subtask's frame is now."""
-        world, task = self._environment.world, self._environment.task
-        frames = torch.stack([subtask.frame(world, task) for subtask in self._subtasks], 1)
+        frames = torch.stack([subtask.frame(self._environment) for subtask in self._subtasks], 1)
         self._frame = torch.where(new[:, None], frames[self._rows, self._stage], self._frame)
         self._step = torch.where(new, 0, self._step)
         self._waited = torch.where(new, 0, self._waited)

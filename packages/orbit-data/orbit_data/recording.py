@@ -22,7 +22,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from orbit_core.envs.observation_groups import POLICY
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.files import LOCK, FolderLock, as_path, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, Object, Robot, ShapeError, UnknownNameError, World
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
@@ -45,6 +45,7 @@ from orbit_data.episodes import (
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
 from orbit_data.manifest.compare import Kind, differences
 from orbit_data.manifest.manifest import Manifest
+from orbit_data.noise import CLEAN, NoisyActor
 from orbit_data.reading.budget import MAX_DOCUMENT, TRUSTED
 from orbit_data.reading.hdf5 import hdf5_module
 from orbit_data.states import TaskMemory, WorldStates
@@ -247,6 +248,7 @@ class DemonstrationRecorder(StepObserver):
         seed: seed of the random streams.
         groups: observation groups to record; all if None.
         begun: numbers (N,) of episodes that each environment ended before; zeros if None.
+        clean: returns the actions (N, A) of the last step without noise, which are recorded too.
 
     Raises:
         UnknownNameError: a group does not exist.
@@ -260,6 +262,7 @@ class DemonstrationRecorder(StepObserver):
         seed: int,
         groups: Collection[str] | None = None,
         begun: Tensor | None = None,
+        clean: Callable[[], Tensor] | None = None,
     ) -> None:
         check_groups(groups or (), environment)
         self._environment, self._folder, self._wanted, self._seed = environment, folder, wanted, seed
@@ -271,6 +274,7 @@ class DemonstrationRecorder(StepObserver):
         self._rings: dict[str, Tensor] = {}
         # One more than the longest episode, so that a ring never overwrites an episode that has not been written.
         self._capacity = environment.max_episode_steps + 1
+        self._clean = clean
         self._step = 0
         self._initial = {name: value.clone() for name, value in self._memory.read().items()}
         self._seen = environment.observe()
@@ -294,6 +298,8 @@ class DemonstrationRecorder(StepObserver):
         """Record the action and its results, and write the episodes that ended."""
         self._seen, reward, terminated, truncated, info = result
         self._put(ACTIONS, action.clamp(-1.0, 1.0))
+        if self._clean is not None:
+            self._put(CLEAN, self._clean())
         self._put(REWARDS, reward)
         self._put(DONES, terminated | truncated)
         self._step += 1
@@ -594,6 +600,7 @@ def record(
     seed: int,
     groups: Collection[str] | None = None,
     progress: Callable[[int], None] = lambda recorded: None,
+    noise: float = 0.0,
 ) -> Pace:
     """Record episodes until the file contains ``episodes``, including those that are there already.
 
@@ -606,13 +613,15 @@ def record(
         seed: seed of the random streams.
         groups: observation groups to record; all if None.
         progress: called after each step with the number of recorded episodes.
+        noise: standard deviation of the noise on executed actions, :class:`NoisyActor`; the actor's own actions are
+            recorded as ``clean_actions``.
 
     Raises:
-        ConfigurationError: the file was recorded with another environment.
+        ConfigurationError: the file was recorded with another environment, or the noise is negative.
         StorageError: the disk is full; finished episodes are kept.
     """
     try:
-        return _record(environment, make_actor, file, task, episodes, seed, groups, progress)
+        return _record(environment, make_actor, file, task, episodes, seed, groups, progress, noise)
     finally:
         file.release()
 
@@ -626,14 +635,18 @@ def _record(
     seed: int,
     groups: Collection[str] | None,
     progress: Callable[[int], None],
+    noise: float,
 ) -> Pace:
     file.take_up(Manifest.of(environment, task, seed))
     shares, infos = Shares(episodes, environment), file.infos()
     begun = shares.left(infos)
     environment.reset(seed)
     _skip(environment, begun)
-    recorder = DemonstrationRecorder(environment, file.parts, shares, seed, groups, begun)
     wanted = max(0, episodes - len(infos))
+    actor = make_actor()
+    noisy = NoisyActor(actor, environment, noise, seed) if noise else None
+    clean = None if noisy is None else lambda: noisy.clean
+    recorder = DemonstrationRecorder(environment, file.parts, shares, seed, groups, begun, clean)
 
     class Teller(StepObserver):
         def before_step(self) -> None:
@@ -641,7 +654,7 @@ def _record(
 
     pace = Pace(0, 0.0)
     if wanted:
-        pace = roll_out(environment, make_actor(), (recorder, Teller()), lambda: recorder.kept >= wanted)
+        pace = roll_out(environment, noisy or actor, (recorder, Teller()), lambda: recorder.kept >= wanted)
     progress(len(infos) + recorder.kept)
     file.gather()
     return pace

@@ -205,7 +205,7 @@ class EpisodePlayer:
         return reached
 
     def _success(self, rows: Tensor) -> Array:
-        return self._environment.task.success(self._environment.world)[rows].cpu().numpy()
+        return self._environment.task.success(self._environment)[rows].cpu().numpy()
 
     def _apart(self, name: str, episodes: Sequence[Episode], now: Sequence[int]) -> Array:
         """Compute the distances (n,) in m from an object's recorded position; NaN if none was recorded."""

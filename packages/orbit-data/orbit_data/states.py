@@ -101,7 +101,7 @@ class TaskMemory:
     """Memory of a task, its agent's nodes and the markers, tensors (N, ...) by name; most of it is goals."""
 
     def __init__(self, environment: Environment) -> None:
-        found = remembered(environment.task, environment.cut)
+        found = remembered(environment)
         rows = {_plain(name): value for name, value in found.items() if value.shape[:1] == (environment.num_envs,)}
         self._tensors = {name: value for name, value in rows.items() if value[0].numel()}
         self._world = environment.world
@@ -113,13 +113,22 @@ class TaskMemory:
 
     def write(self, values: Mapping[str, Tensor], env_ids: Tensor) -> None:
         """Set rows (n, ...) of some environments (n,); names and shapes that this task does not have are ignored."""
+        values = {_renamed(name): value for name, value in values.items()}
         for name, tensor in self._tensors.items():
-            if name in values and values[name].shape[1:] == tensor.shape[1:]:
-                write_rows(tensor, values[name].to(tensor.dtype), env_ids)
+            if name in values and values[name][0].numel() == tensor[0].numel():
+                write_rows(tensor, values[name].to(tensor.dtype).view(-1, *tensor.shape[1:]), env_ids)
         if _MARKERS in values and values[_MARKERS].shape[1:] == self._world.marker_poses.shape[1:]:
             for marker, pose in zip(self._world.markers.values(), values[_MARKERS].unbind(1), strict=True):
                 marker.set_pose(pose, env_ids)
         self._world.clock.touch()  # cached observations depend on the memory too
+
+
+_RENAMED = {"VelocityFlat.command": "VelocityFlat.velocity"}
+"""Names of memory that recordings from before commands were terms have."""
+
+
+def _renamed(name: str) -> str:
+    return _RENAMED.get(name, name)
 
 
 def _plain(name: str) -> str:

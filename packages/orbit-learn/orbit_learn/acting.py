@@ -6,11 +6,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orbit_learn.pretrained import policy_path, pretrained_policies
+from orbit_core.pretrained import policy_path, pretrained_policies
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
     from orbit_core.envs.environment import Environment
+
+SCHEMES = ("ws://", "wss://")
+"""Beginnings of a policy server's address."""
 
 
 def names() -> Iterable[str]:
@@ -19,16 +22,20 @@ def names() -> Iterable[str]:
 
 
 def has(name: str) -> bool:
-    """Return whether a name is a kept policy's, or the path of a file or folder."""
-    return Path(name).exists() or name in pretrained_policies()
+    """Return whether a name is a kept policy's, the path of a file or folder, or the address of a policy server."""
+    return name.startswith(SCHEMES) or Path(name).exists() or name in pretrained_policies()
 
 
 def make(name: str, environment: Environment, seed: int) -> Actor:
-    """Return the actor of a policy.
+    """Return the actor of a policy, or of a policy server.
 
     Raises:
-        ConfigurationError: the policy was learned for another environment.
+        ConfigurationError: the policy was learned for another environment, or no server answers.
     """
+    if name.startswith(SCHEMES):
+        from orbit_learn.remote.client import RemoteActor, ServerAddress
+
+        return RemoteActor(environment, ServerAddress.parse(name))
     from orbit_learn.policy import PolicyActor
 
     return PolicyActor(environment, policy_path(name))

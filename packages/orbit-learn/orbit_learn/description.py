@@ -96,6 +96,9 @@ class PolicyDescription:
     """Observation group that the policy sees."""
     concatenated: bool = True
     """Whether the policy sees the terms concatenated to (N, O), or as a dictionary."""
+    memory: tuple[Part, ...] = ()
+    """Tensors that the policy carries from one step to the next, a row for each environment; empty if it acts only by
+    what it sees."""
 
     def __post_init__(self) -> None:
         if not (0 < self.observation_size <= _MOST_COMPONENTS and 0 < self.action_size <= _MOST_COMPONENTS):
@@ -112,7 +115,7 @@ class PolicyDescription:
             robot=environment.task.robot,
             action=environment.task.action,
             observation_parts=group_parts(layout),
-            action_parts=tuple(Part(g.name, g.command_size) for g in environment.task.generators),
+            action_parts=tuple(Part(g.name, g.command_size) for g in environment.actions.generators),
             step_dt=environment.step_dt,
             backend=environment.world.backend,
             library=library,

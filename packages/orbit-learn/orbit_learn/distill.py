@@ -17,11 +17,12 @@ from orbit_core.envs.actors import Teacher
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.pretrained import policy_path
 from orbit_learn.convolutional import PictureActor, convolutional
 from orbit_learn.description import group_parts
+from orbit_learn.memory import Remembering
 from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron
 from orbit_learn.policy import load_policy
-from orbit_learn.pretrained import policy_path
 from orbit_learn.trainer import LoopTrainer
 
 
@@ -201,6 +202,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
 
     name: ClassVar[str] = "distill"
     settings_type: ClassVar[type[Any]] = DistillSettings
+    options: ClassVar[tuple[str, ...]] = ("distillation", "teacher")
 
     def __init__(self, environment: Environment, settings: DistillSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
@@ -218,7 +220,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._optimizer = torch.optim.Adam(self._student.parameters(), lr=settings.learning_rate)
         self._seen, _ = environment.reset(seed)
         # If all episodes began together, the buffer would contain one time of the episode after the other.
-        environment.task.episode_step.random_(environment.max_episode_steps)
+        environment.state.episode_step.random_(environment.max_episode_steps)
         self._buffer = ReplayBuffer(settings.buffer_size, self._seen["policy"], environment.action_size)
         self._student_leads = torch.zeros(environment.num_envs, dtype=torch.bool, device=device)
         """Whether (N,) the student leads each environment's episode."""
@@ -307,14 +309,15 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
                 "an expert begins each episode with its first phase, also one that begins on its way: to let it teach, "
                 "set expert_starts=0"
             )
-        expert = environment.task.expert(environment.world)
+        expert = environment.expert()
         # A teacher's phases follow from the state, which the student may have led elsewhere.
         if isinstance(expert, Teacher):
             expert.teaches = True
         return lambda seen: expert.compute({})["action"]
     teacher = load_policy(policy_path(name), environment.device)
     group = teacher.description.find_group(environment)
-    return lambda seen: teacher.module(seen[group])
+    acting = Remembering(teacher.module, environment.num_envs, environment.device)
+    return lambda seen: acting.act(seen[group], environment.state.episode_step == 0)
 
 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:

@@ -20,7 +20,7 @@ from orbit_core.envs.observation_layout import Observation, map_leaves
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.rollout.video import OverviewCamera
-from orbit_core.world.closing import close_for_good
+from orbit_core.world.lifetime import mark_closed
 from orbit_learn.ends import all_ends
 from orbit_learn.spaces import action_space, observation_space
 
@@ -104,7 +104,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
     def close_extras(self, **kwargs: Any) -> None:
         self._spectator.close()
         self.environment.close()
-        close_for_good(self, "the environment")  # a step after this gives a clear error
+        mark_closed(self, "the environment")
 
 
 class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
@@ -143,7 +143,7 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
     def close(self) -> None:
         self._spectator.close()
         self.environment.close()
-        close_for_good(self, "the environment")
+        mark_closed(self, "the environment")
 
 
 class Spectator:
@@ -159,7 +159,9 @@ class Spectator:
         if self._render_mode is None:
             return None
         # On first use, because a renderer takes memory that environments without pictures do not need.
-        self._camera = self._camera or OverviewCamera(self._environment.world, 640, 480, self._environment.task.view)
+        self._camera = self._camera or OverviewCamera(
+            self._environment.world, 640, 480, self._environment.task.metadata.view
+        )
         return self._camera.pictures().numpy()
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from orbit_core.envs.environment import Environment
-from orbit_core.envs.observation_groups import POLICY
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
 

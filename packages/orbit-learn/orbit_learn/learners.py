@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from orbit_learn.trainer import Trainer
 
 GROUP = "orbit.learners"
-# Modules in this package. Each but the last is also the name of the extra that installs it.
+# Modules in this package. Each but the last two is also the name of the extra that installs it.
 _LIBRARIES = {
     "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several GPUs"),
     "sb3": ("sb3:Sb3Trainer", "PPO, pictures"),
@@ -30,6 +30,10 @@ _LIBRARIES = {
     "rl-games": ("rl_games:RlGamesTrainer", "PPO, asymmetric critics"),
     "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
     "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
+    "imitation": (
+        "cloning.trainer:ImitationTrainer",
+        "clones demonstrations (BC, BC-RNN, mixtures, ACT, diffusion); part of ORBIT",
+    ),
 }
 
 

@@ -30,6 +30,7 @@ from orbit_data.manifest.manifest import Manifest, ObservationTermManifest
 from orbit_data.tensor_file import parse_json
 from orbit_learn.convolutional import TermByTerm
 from orbit_learn.description import PolicyDescription
+from orbit_learn.memory import MemoryModule, StepByStep
 from orbit_learn.policy_cost import depth_of
 from orbit_learn.policy_file import check_action, manifest_document, manifest_of
 
@@ -242,6 +243,7 @@ def _numbers(weight: Any, onnx: Any, name: str = "") -> Tensor:
 
 SUFFIX = ".onnx"
 _KEY = "orbit"
+_MEMORY = "orbit_memory"
 
 
 def write_onnx(
@@ -249,7 +251,9 @@ def write_onnx(
 ) -> None:
     """Write ONNX with input ``observation`` (N, O) and output ``action`` (N, A); it appears complete or not at all.
 
-    If a policy sees a dictionary, the inputs are its terms (N, ...) by name.
+    If a policy sees a dictionary, the inputs are its terms (N, ...) by name. A policy with memory has an input
+    ``<name>`` and an output ``next_<name>`` for each part of it; the metadata has its values at the first step as
+    ``orbit_memory``.
 
     Args:
         path: path of the file, which is replaced.
@@ -263,26 +267,34 @@ def write_onnx(
     onnx, path = _onnx(), as_path(path)
     example = description.zeros(2)  # two environments: a single one could be traced as a constant size
     exported = copy.deepcopy(module).cpu().eval()
-    names = ["observation"]
-    if isinstance(example, dict):
-        names = list(example)
+    names = list(example) if isinstance(example, dict) else ["observation"]
+    inputs = tuple(example.values()) if isinstance(example, dict) else (example,)
+    outputs = ["action"]
+    memory = exported.initial_memory(2, "cpu") if isinstance(exported, MemoryModule) else {}
+    if isinstance(exported, MemoryModule):
+        exported = StepByStep(exported, names if isinstance(example, dict) else [], list(memory))
+        names, inputs = [*names, *memory], (*inputs, *memory.values())
+        outputs += [f"next_{name}" for name in memory]
+    elif isinstance(example, dict):
         exported = TermByTerm(exported, names)
     with written_whole(path) as written:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that this exporter is old; the newer one needs another package
             torch.onnx.export(
                 exported,
-                tuple(example.values()) if isinstance(example, dict) else (example,),
+                inputs,
                 str(written),
                 input_names=names,
-                output_names=["action"],
-                dynamic_axes={name: {0: "environments"} for name in (*names, "action")},
+                output_names=outputs,
+                dynamic_axes={name: {0: "environments"} for name in (*names, *outputs)},
                 dynamo=False,
             )
         model = onnx.load(str(written))
         document = json.dumps({**description.document(), **manifest_document(manifest)})
         deployed = {} if manifest is None else deployment_metadata(manifest, description.group, str(path.stem))
-        onnx.helper.set_model_props(model, {**deployed, _KEY: document})
+        begins = json.dumps({name: value[0].tolist() for name, value in memory.items()})
+        first = {_MEMORY: begins} if memory else {}
+        onnx.helper.set_model_props(model, {**deployed, **first, _KEY: document})
         onnx.save(model, str(written))
 
 
@@ -301,6 +313,7 @@ def read_onnx(path: Path | str) -> tuple[PolicyDescription, Manifest | None, nn.
     try:
         model = onnx.load_model_from_string(data)
         document = parse_json({entry.key: entry.value for entry in model.metadata_props}.get(_KEY, "{}"))
+        _check_no_memory(document, path)
         graph = OnnxGraph(model.graph, onnx).requires_grad_(False).eval()
     except (DecodeError, ValueError, TypeError, OrbitError) as error:
         raise ConfigurationError(f"{path} is no policy: {str(error).strip() or 'it is no ONNX'}") from None
@@ -309,6 +322,20 @@ def read_onnx(path: Path | str) -> tuple[PolicyDescription, Manifest | None, nn.
     check_action(copy.deepcopy(graph).to("meta"), description, path, "meta")
     check_action(graph, description, path)
     return description, manifest_of(document, path), graph
+
+
+def _check_no_memory(document: Any, path: Path) -> None:
+    """Reject a graph with memory, whose operators :class:`OnnxGraph` lacks.
+
+    Raises:
+        ConfigurationError: says which file to play in its place.
+    """
+    policy = document.get("policy") if isinstance(document, dict) else None
+    if isinstance(policy, dict) and policy.get("memory"):
+        raise ConfigurationError(
+            f"{path} is a policy with memory, which is read from its safetensors file only: play that, or run this "
+            "file with onnxruntime"
+        )
 
 
 def _onnx() -> Any:

@@ -16,7 +16,7 @@ from orbit_core.envs.making import make
 from orbit_core.envs.observation_layout import Observation
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
-from orbit_core.world.closing import close_for_good
+from orbit_core.world.lifetime import mark_closed
 from orbit_learn.gymnasium import Spectator, arrays_of, as_tensor, checked_mode, outcome
 from orbit_learn.spaces import group_space
 
@@ -111,7 +111,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
     def close(self) -> None:
         self._spectator.close()
         self.environment.close()
-        close_for_good(self, "the environment")
+        mark_closed(self, "the environment")
 
     def _observed(self, observation: Observation) -> dict[str, Any]:
         policy = observation["policy"]

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from orbit_core.envs.observation_layout import leaf_shapes
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_data.manifest.compare import check_manifest, renamed_group
 from orbit_data.manifest.manifest import Manifest
 from orbit_learn import onnx_file
 from orbit_learn.description import Part, PolicyDescription
+from orbit_learn.memory import Remembering, Seen
 from orbit_learn.networks import ActorNetwork, Network
 from orbit_learn.policy_file import SUFFIX, newest_file, read_policy, write_policy
 
@@ -125,13 +127,29 @@ class PolicyNode(Node):
         self.inputs = self._own_inputs() if inputs is None else inputs
         self.outputs = (Port("action", (policy.description.action_size,)),)
         self._module = policy.module
+        self._acting: Remembering | None = None
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        with torch.no_grad():
-            if self._description.concatenated:
-                return {"action": self._module(inputs[self._group])}
-            terms = {part.name: inputs[f"{self._group}/{part.name}"] for part in self._description.observation_parts}
-            return {"action": self._module(terms)}
+        if self._description.concatenated:
+            observation: Seen = inputs[self._group]
+        else:
+            names = [part.name for part in self._description.observation_parts]
+            observation = {name: inputs[f"{self._group}/{name}"] for name in names}
+        first = next(iter(inputs.values()))
+        if self._acting is None:
+            self._acting = Remembering(self._module, len(first), first.device)
+        # Who runs the agent resets it where episodes begin.
+        begun = torch.zeros(len(first), dtype=torch.bool, device=first.device)
+        return {"action": self._acting.act(observation, begun)}
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        if self._acting is not None and (memory := self._acting.memory):
+            begun = torch.zeros(len(next(iter(memory.values()))), dtype=torch.bool)
+            begun[slice(None) if env_ids is None else env_ids.cpu()] = True
+            self._acting.forget(begun.to(next(iter(memory.values())).device))
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return {} if self._acting is None else self._acting.memory
 
     def _own_inputs(self) -> tuple[Port, ...]:
         if self._description.concatenated:
@@ -142,17 +160,15 @@ class PolicyNode(Node):
 
 
 def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
-    """Return the environment's agent with the policy in the place of the cut, from the observation to the actuators.
+    """Build the environment's agent with a policy in it, from the observation to the actuators.
 
-    ``agent.step()`` and then ``environment.world.step(task.decimation)`` move the robot like ``environment.step`` with
-    the policy's actions; only the latter computes rewards and ends of episodes, and resets. When environments are
-    reset, reset the agent too.
+    :meth:`orbit_core.envs.Environment.agent` says how to step it.
 
     Raises:
         ConfigurationError: the policy was learned for another environment.
     """
-    group, place = policy.fit(environment), environment.cut.node
-    return environment.cut.graph.replace(place.name, PolicyNode(policy, inputs=place.inputs, group=group))
+    seen = tuple(Port(name, shape) for name, shape in leaf_shapes(environment.observation).items())
+    return environment.agent(PolicyNode(policy, inputs=seen, group=policy.fit(environment)))
 
 
 class PolicyActor:
@@ -161,10 +177,10 @@ class PolicyActor:
     def __init__(self, environment: Environment, path: Path | str) -> None:
         policy = load_policy(path, environment.device)
         self._group = policy.fit(environment)
-        self._module = policy.module
+        self._acting = Remembering(policy.module, environment.num_envs, environment.device)
         self._environment = environment
 
     def act(self) -> Tensor:
         """Return the next action (N, A)."""
-        with torch.no_grad():
-            return self._module(self._environment.observe()[self._group])
+        begun = self._environment.state.episode_step == 0
+        return self._acting.act(self._environment.observe()[self._group], begun)

@@ -30,6 +30,7 @@ from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.registry import ClassRegistry
 from orbit_data.manifest.manifest import Manifest
 from orbit_data.tensor_file import read_tensors, write_tensors
+from orbit_learn.cloning.networks import ClonedDiffusion, ClonedPerceptron, ClonedRecurrent, ClonedTransformer
 from orbit_learn.convolutional import Convolutional
 from orbit_learn.description import PolicyDescription
 from orbit_learn.networks import ActorNetwork, Network, Perceptron
@@ -39,9 +40,12 @@ GROUP = "orbit.networks"
 """Group of entry points of packages with networks."""
 
 
+_OWN = (Perceptron, Convolutional, ClonedPerceptron, ClonedRecurrent, ClonedTransformer, ClonedDiffusion)
+
+
 @cache
 def _networks() -> ClassRegistry[Network]:
-    return ClassRegistry[Network]("network", GROUP, (Perceptron, Convolutional))
+    return ClassRegistry[Network]("network", GROUP, _OWN)
 
 
 def register_network(kind: type[Network]) -> None:

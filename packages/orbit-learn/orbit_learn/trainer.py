@@ -84,6 +84,8 @@ class Trainer(ABC, Generic[Settings]):
     """Whether the actor can begin with a policy, :attr:`PpoSettings.start`, and the critic learn alone at first."""
     settings_type: ClassVar[type[Any]] = PpoSettings
     """Class of the algorithm's settings."""
+    options: ClassVar[tuple[str, ...]] = ("ppo",)
+    """Options of ``orbit train`` for the settings: first the one of ``key=value``, then those of single fields."""
 
     def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
         if getattr(settings, "imitation_steps", 0) and not self.imitates:

@@ -24,6 +24,7 @@ from orbit_core.files import append_line, read_bytes, storage_faults, sweep, wri
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, SimulationError
 from orbit_data.manifest.manifest import Manifest
 from orbit_data.tensor_file import parse_json, read_tensors, write_tensors
+from orbit_learn.memory import memory_parts
 from orbit_learn.policy import Policy, PolicyDescription
 from orbit_learn.policy_file import SUFFIX, newest_file
 from orbit_learn.trainer import Progress, Trainer
@@ -271,6 +272,7 @@ class Training:
         trainer, actor = self.trainer, self.trainer.actor()
         versions = self.record.get("versions")
         description = PolicyDescription.of(trainer.environment, self.task, trainer.name, iteration, versions)
+        description = replace(description, memory=memory_parts(actor.module))
         return Policy(actor.module, actor.network, description, self.manifest)
 
     def _diverged(self) -> int:

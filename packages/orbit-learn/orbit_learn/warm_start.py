@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.envs.environment import Environment
-from orbit_core.envs.observation_groups import POLICY
-from orbit_core.envs.observation_layout import GroupLayout, one_tensor
+from orbit_core.envs.observation_layout import POLICY, GroupLayout, one_tensor
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.networks import ActorNetwork, NormalizedActor, Perceptron
 from orbit_learn.policy import Policy

@@ -9,12 +9,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.actions.base import JointTarget
+from orbit_core.actions.base import CommandMode, JointTarget
 from orbit_core.actions.differential_ik import PoseTermConfig, bounded_targets
-from orbit_core.actions.ik import damped_least_squares
-from orbit_core.actions.modes import CommandMode
-from orbit_core.actions.pose_command import displaced
-from orbit_core.actions.reach import PoseFollower
+from orbit_core.actions.ik import damped_least_squares, displaced
+from orbit_core.actions.workspace import PoseFollower
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError, Robot, World
@@ -124,8 +122,8 @@ class Admittance(PoseFollower):
         self._sag.copy_(torch.clamp(self._sag + _SAG_RATE * self._dt * delta, -most, most))
         targets = bounded_targets(self, delta + self._sag, most)
         return {
-            JointTarget.POSITION.value: targets,
-            JointTarget.VELOCITY.value: torch.clamp(velocities, -self._fastest, self._fastest),
+            JointTarget.POSITION: targets,
+            JointTarget.VELOCITY: torch.clamp(velocities, -self._fastest, self._fastest),
         }
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:

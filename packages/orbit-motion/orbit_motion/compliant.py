@@ -21,10 +21,10 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.arm_dynamics import ArmState
+from orbit_core.actions.base import CommandMode, LastTargets
 from orbit_core.actions.differential_ik import PoseTermConfig
-from orbit_core.actions.modes import CommandMode, LastTargets
-from orbit_core.actions.pose_command import COMPONENTS
-from orbit_core.actions.reach import PoseFollower
+from orbit_core.actions.ik import COMPONENTS
+from orbit_core.actions.workspace import PoseFollower
 from orbit_core.dynamics.kinematics import PointJacobian
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.arm_dynamics import ArmState
+from orbit_core.actions.base import CommandMode, LastTargets
 from orbit_core.actions.ik import towards_pose
-from orbit_core.actions.modes import CommandMode, LastTargets
 from orbit_core.actions.term import ActionTerm
 from orbit_core.dynamics.workspace import workspace_mass_matrices
 from orbit_core.interfaces import Robot

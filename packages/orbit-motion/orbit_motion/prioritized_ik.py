@@ -13,11 +13,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.actions.base import JointTarget, speed_limited_lead
+from orbit_core.actions.base import CommandMode, JointTarget, speed_limited_lead
 from orbit_core.actions.differential_ik import PoseTermConfig, bounded_targets
 from orbit_core.actions.ik import steadying
-from orbit_core.actions.modes import CommandMode
-from orbit_core.actions.reach import PoseFollower
+from orbit_core.actions.workspace import PoseFollower
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
@@ -134,7 +133,7 @@ class PrioritizedIk(PoseFollower):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         delta = self.solve(self._pose.displacement(inputs["command"]))
-        return {JointTarget.POSITION.value: bounded_targets(self, delta, self.config.max_joint_step)}
+        return {JointTarget.POSITION: bounded_targets(self, delta, self.config.max_joint_step)}
 
     def solve(self, error: Tensor) -> Tensor:
         """Compute joint displacements (N, k) for a displacement (N, 6) of the frame, m and rad, world axes."""

@@ -18,10 +18,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.actions.base import JointTarget
+from orbit_core.actions.base import CommandMode, JointTarget, LastTargets
 from orbit_core.actions.differential_ik import PoseTermConfig
-from orbit_core.actions.modes import CommandMode, LastTargets
-from orbit_core.actions.reach import PoseFollower
+from orbit_core.actions.workspace import PoseFollower
 from orbit_core.dynamics.kinematics import KinematicTree, drift_at
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error, quat_rotate
@@ -195,7 +194,7 @@ class RmpFlow(PoseFollower):
         measured = self.positions
         led = torch.clamp(positions, measured - self.config.max_lead, measured + self.config.max_lead)
         self._last.keep(torch.stack((led, velocities), 1))
-        return {JointTarget.POSITION.value: led, JointTarget.VELOCITY.value: velocities}
+        return {JointTarget.POSITION: led, JointTarget.VELOCITY: velocities}
 
     def _around(self, links: Tensor, twists: Tensor, velocities: Tensor, obstacles: Tensor) -> Tensor:
         """Metric and force of all balls together, as :meth:`_packed`."""

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from orbit_core.actions.arm_dynamics import ArmDynamics, ArmState
 from orbit_core.actions.base import MotionGenerator
-from orbit_core.interfaces import ConfigurationError, Robot, World
+from orbit_core.interfaces import ConfigurationError, JointTarget, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.fusion import Fused
 
@@ -84,6 +84,8 @@ class Servo(MotionGenerator):
         self.dynamics = ArmDynamics(self.robot, self.joints, world.physics_dt, world.scene.gravity)
         self.check_stable()
         self.law = Fused(self._efforts)
+        # The law clamps its efforts, so that no physics step checks them again.
+        self._write = self.robot.target_writer(JointTarget.EFFORT, self.joints, checked=False)
         world.add_servo(self.turn)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -93,7 +95,7 @@ class Servo(MotionGenerator):
     def turn(self) -> None:
         """Set the efforts for the next physics step; the world calls it."""
         (efforts,) = self.law(**self.dynamics.measured(), **self.aims())
-        self.robot.set_effort_targets(efforts, self.joints)
+        self._write(efforts)
 
     def _efforts(self, poses: Tensor, positions: Tensor, velocities: Tensor, **aims: Tensor) -> tuple[Tensor]:
         """Compute the efforts (N, k) from the robot's state and the aims."""

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.base import JointTarget
-from orbit_core.actions.differential_drive import DifferentialWheels
 from orbit_core.actions.differential_ik import bounded_targets
 from orbit_core.actions.embodiment import base_joints
+from orbit_core.actions.mobile_base import DifferentialWheels
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import RobotSpec
@@ -83,7 +83,7 @@ class WholeBodyIk(PrioritizedIk):
         )
         # The arm follows positions at zero velocity, the base velocities.
         velocities = torch.cat((torch.zeros_like(delta[:, :arm]), speeds), 1)
-        return {JointTarget.POSITION.value: targets, JointTarget.VELOCITY.value: velocities}
+        return {JointTarget.POSITION: targets, JointTarget.VELOCITY: velocities}
 
     def jacobian(self) -> Tensor:
         if self._wheels is None:

@@ -23,7 +23,7 @@ from orbit_core.plugin_kit.meshes import marker_shapes, triangles
 from orbit_core.plugin_kit.rendering import DeformableSurface
 from orbit_core.scene import Color, Plane, RobotSpec, Scene, Shape
 from orbit_core.scene.pose import Vector3
-from orbit_core.world.frames import frame_shapes
+from orbit_core.world.drawing import frame_shapes
 
 if TYPE_CHECKING:
     from trimesh import Trimesh

@@ -312,7 +312,7 @@ def test_particles_too_light_to_be_computed_are_refused() -> None:
 
 
 def test_more_particles_than_memory_are_refused_with_how_many_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("orbit_core.world.capacity.free_bytes", lambda device: 100_000)
+    monkeypatch.setattr("orbit_core.world.checks.free_bytes", lambda device: 100_000)
     with pytest.raises(ConfigurationError, match=r"at most 8 fit.*81 particles in each, of which 62 fit"):
         simulate(Scene(deformables=(CLOTH,)), 10, "mujoco", matter="orbit-matter")
 

@@ -24,21 +24,21 @@ def test_a_gripper_that_turns_closes_with_the_force_that_is_asked(name: str, tra
 
 def test_an_arm_whose_fingers_close_on_arcs_lifts_cloth() -> None:
     environment = make("Cloth-Lifting", 1, "mujoco", seed=0, robot="ur10_robotiq_2f85")
-    expert = environment.task.expert(environment.world)
+    expert = environment.task.expert(environment)
     environment.reset(seed=0)
     for _ in range(150):
         environment.step(expert.compute({})["action"])
-    assert environment.task.success(environment.world).all()
+    assert environment.task.success(environment).all()
     environment.close()
 
 
 def test_a_flat_cloth_is_not_folded() -> None:
     environment = make("Cloth-Folding", 2, "mujoco", seed=0)
-    task, world = environment.task, environment.world
+    task = environment.task
     environment.reset(seed=0)
-    apart = task.metrics(world)["pair_distance_m"]  # a diagonal, and two halves of one
+    apart = task.metrics(environment)["pair_distance_m"]  # a diagonal, and two halves of one
     torch.testing.assert_close(apart, torch.full_like(apart, 2.0 * 2.0**0.5 * task.size), atol=0.002, rtol=0.0)
-    assert not task.success(world).any()
+    assert not task.success(environment).any()
     environment.close()
 
 
@@ -47,9 +47,9 @@ def test_a_cloth_begins_crumpled_and_kept(tmp_path: Path, monkeypatch: pytest.Mo
     coarse = {"particles": 9, "size": 0.16}
     first, again = (make("Cloth-Spreading", 2, "mujoco", seed=0, **coarse) for _ in range(2))
     assert len(list((tmp_path / "crumpled").iterdir())) == 1
-    assert torch.equal(first.task.starts, again.task.starts)
+    assert torch.equal(first.state.starts, again.state.starts)
     first.reset(seed=0)
-    assert (first.task.metrics(first.world)["covered"] < 0.9).any()
+    assert (first.task.metrics(first)["covered"] < 0.9).any()
     before = first.world.deformables["cloth"].positions.clone()
     first.world.step(100)
     assert (first.world.deformables["cloth"].positions - before).norm(dim=2).amax() < 0.01  # it is at rest

@@ -109,10 +109,12 @@ class MujocoEngine(PartedEngine[State, Parameters]):
             self._failed[error.ids] = True
             raise SimulationError(f"MuJoCo failed in environments {first_few(error.ids)}: {error}") from error
         self._efforts.mark_stepped()
-        self._wrenches.read()
+        if self._wrenches.links:
+            self._wrenches.read()
         self._state.invalidate()
-        self._matter.measure(self._matter_forces)
-        if self._batch.warning.any():
+        if self.layout.scene.deformables:
+            self._matter.measure(self._matter_forces)
+        if np.logical_or.reduce(self._batch.warning, axis=None):
             self._raise_warnings()
         if not self._state.bounded and (self.raises_divergence or self._matter.diverged()[1]):
             environments, names = self._matter.diverged()

@@ -167,7 +167,8 @@ class WrenchMeter:
     """
 
     def __init__(self, layout: SceneLayout, batch: Batch, addresses: Addresses, parameters: Parameters) -> None:
-        links = len(layout.wrench_links)
+        self.links = links = len(layout.wrench_links)
+        """Number of links whose joint wrenches are measured."""
         sensordata = batch.bind("sensordata")
         self._sensordata = sensordata[:, sensordata.shape[1] - 6 * links :]
         self._parameters = parameters
@@ -194,8 +195,7 @@ class WrenchMeter:
 
     def read(self) -> None:
         """Take the last physics step's wrenches."""
-        if self._flat.shape[1]:
-            np.copyto(self._flat, self._sensordata, casting="same_kind")
+        np.copyto(self._flat, self._sensordata, casting="same_kind")
         if self._bears:
             self._take_off_weights()
         if self.needs_rates:

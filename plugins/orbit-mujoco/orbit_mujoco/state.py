@@ -63,8 +63,14 @@ class State:
     @property
     def bounded(self) -> bool:
         """Whether every number is within the bounds of divergence; what is not a number is not."""
-        limits = ((self._qpos, MAX_DISTANCE), (self._qvel, MAX_SPEED))
-        return all(values.min(initial=0.0) >= -most and values.max(initial=0.0) <= most for values, most in limits)
+        # The ufuncs' own reductions: the arrays' methods go through functions of Python.
+        lowest, highest = np.minimum.reduce, np.maximum.reduce
+        return bool(
+            lowest(self._qpos, axis=None, initial=0.0) >= -MAX_DISTANCE
+            and highest(self._qpos, axis=None, initial=0.0) <= MAX_DISTANCE
+            and lowest(self._qvel, axis=None, initial=0.0) >= -MAX_SPEED
+            and highest(self._qvel, axis=None, initial=0.0) <= MAX_SPEED
+        )
 
     def diverged(self) -> list[int]:
         """Environments with a number beyond those bounds."""
@@ -75,22 +81,25 @@ class State:
 
     @property
     def joint_positions(self) -> Tensor:
-        if self._claim("joint_positions"):
-            np.copyto(self._joint_positions, self._qpos[:, self._position_columns], casting="same_kind")
+        if "joint_positions" not in self._current:
+            self._current.add("joint_positions")
+            self._joint_positions[...] = self._qpos[:, self._position_columns]
         return self._tensors[0]
 
     @property
     def joint_velocities(self) -> Tensor:
-        if self._claim("joint_velocities"):
-            np.copyto(self._joint_velocities, self._qvel[:, self._velocity_columns], casting="same_kind")
+        if "joint_velocities" not in self._current:
+            self._current.add("joint_velocities")
+            self._joint_velocities[...] = self._qvel[:, self._velocity_columns]
         return self._tensors[1]
 
     @property
     def link_poses(self) -> Tensor:
-        if self._claim("link_poses"):
+        if "link_poses" not in self._current:
+            self._current.add("link_poses")
             self.derive()
             poses, quaternions = self._link_poses, self._xquat[:, self._bodies]
-            np.copyto(poses[..., :3], self._xpos[:, self._bodies], casting="same_kind")
+            poses[..., :3] = self._xpos[:, self._bodies]
             sign = np.copysign(1.0, quaternions[..., :1])
             np.multiply(quaternions, sign, out=poses[..., 3:], casting="same_kind")
         return self._tensors[2]
@@ -98,7 +107,8 @@ class State:
     @property
     def link_velocities(self) -> Tensor:
         """``cvel`` is angular, then linear velocity at the centre of mass of the tree: move it to the link's origin."""
-        if self._claim("link_velocities"):
+        if "link_velocities" not in self._current:
+            self._current.add("link_velocities")
             self.derive()
             velocities, spatial = self._link_velocities, self._cvel[:, self._bodies]
             np.subtract(self._xpos[:, self._bodies], self._subtree_com[:, self._roots], out=self._offsets)
@@ -108,16 +118,9 @@ class State:
             np.copyto(velocities[..., 3:], spatial[..., :3], casting="same_kind")
         return self._tensors[3]
 
-    def _claim(self, name: str) -> bool:
-        """Whether a tensor must be filled; it counts as filled from now on."""
-        if name in self._current:
-            return False
-        self._current.add(name)
-        return True
-
     def derive(self) -> None:
         """Bring MuJoCo's derived fields up to date."""
-        if self._written.any():
+        if np.logical_or.reduce(self._written):
             self._batch.forward(self._written, stage=DERIVED_STAGE)
             self._written.fill(False)
 

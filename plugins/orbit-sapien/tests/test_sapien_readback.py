@@ -12,7 +12,7 @@ import torch
 from orbit_core import backends
 from orbit_core.interfaces import MAX_SPEED, BuildError, SceneLayout, SimulationError
 from orbit_core.scene import Articulation, Joint, JointType, Link, ObjectSpec, Pose, RobotSpec, Scene
-from orbit_core.world.build_check import check_build
+from orbit_core.world.checks import check_build
 from orbit_sapien.engine import SapienEngine
 from orbit_sapien.native import NativePose
 

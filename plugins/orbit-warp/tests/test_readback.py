@@ -11,7 +11,7 @@ import torch
 from orbit_core.interfaces import BuildError, SceneLayout
 from orbit_core.robots import robot
 from orbit_core.scene import Box, ObjectSpec, Scene, Shape, single_link
-from orbit_core.world.build_check import check_build
+from orbit_core.world.checks import check_build
 from orbit_warp import WarpBackend, WarpConfig
 from orbit_warp.engine import WarpEngine
 

@@ -40,7 +40,7 @@ def test_a_recorded_step_is_the_same_step(task: str) -> None:
     plain._closed = None
     for environment in (plain, other):
         environment.reset(seed=3)
-        environment.task.episode_step[:] = torch.arange(64, device="cuda") % 7
+        environment.state.episode_step[:] = torch.arange(64, device="cuda") % 7
     ends = 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # that the step could not be recorded is one
@@ -85,7 +85,7 @@ def test_laws_are_kernels_that_give_what_operations_give(law: str) -> None:
     for action in actions_of(plain, WARM + 6):
         mine, its = (environment.step(0.2 * action)[0]["policy"] for environment in (plain, fused))
         torch.testing.assert_close(its, mine, rtol=2e-3, atol=2e-3)
-    kernels = [part for node in fused.task.generators for part in vars(node).values() if isinstance(part, Fused)]
+    kernels = [part for node in fused.actions.generators for part in vars(node).values() if isinstance(part, Fused)]
     assert kernels
     for part in kernels:
         assert part.operations, part.refusal

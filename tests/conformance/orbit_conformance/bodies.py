@@ -44,7 +44,7 @@ def cube(
     material: PhysicsMaterial | None = None,
     center_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> ObjectSpec:
-    """A free box that stands on the ground at the origin unless told otherwise."""
+    """A free box that stands on the ground at the origin by default."""
     shape = Shape(Box((half, half, half)), material=material or PhysicsMaterial())
     inertia = np.eye(3) * mass * (2 * half) ** 2 / 6
     pose = pose or Pose((0.0, 0.0, half))
@@ -100,7 +100,7 @@ def pendulum(
 ) -> RobotSpec:
     """A chain about y: each link 1 kg at half its length along its own x, the next hinge at its end.
 
-    With the joints at zero the chain lies along x.
+    With the joints at zero the chain is along x.
     """  # fmt: skip
     bodies = [body("base")] + [body(f"link{i}", 1.0, (length / 2, 0.0, 0.0), 0.01) for i in range(links)]
     joints = [

@@ -1,4 +1,4 @@
-"""What got better or worse between two results, beyond noise."""
+"""Comparison of two results: changes for better or worse that exceed noise."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from orbit_conformance.results import Record, Result, ScenarioInfo
 from orbit_conformance.verdict import Status
 from orbit_core.rollout.estimates import Estimate
 
+# Smaller changes of an error, as a share of it or of its tolerance, are the noise of other processors and threads.
 ERROR_NOISE = 0.1
-"""Smaller changes of an error, as a share of it or of its tolerance, are the noise of other processors and threads."""
+# Relative change of a speed that the other work of a machine may cause.
 SPEED_NOISE = 0.2
-"""Relative change of a speed that the other work of a machine may cause."""
 _RANKS = (Status.PASS, Status.GAP, Status.UNSUPPORTED, Status.STALE, Status.FAIL)
 
 
@@ -40,7 +40,7 @@ class Comparison:
 
     @property
     def worse_status(self) -> bool:
-        """Whether any backend's standing got worse."""
+        """Return True if the status of any backend got worse."""
         return any(change.of_status and not change.better for change in self.changes)
 
 
@@ -48,6 +48,7 @@ def compare(before: Result, after: Result) -> Comparison:
     """Hold the later result against the earlier one, job by job; what only one of them has is noted."""
     old = {record.job: record for record in before.judged}
     new = {record.job: record for record in after.judged}
+    # Speeds of two machines say nothing about the code.
     same_machine = before.header.hardware == after.header.hardware
     metrics = {info.name: info for info in after.header.scenarios}
     changes = [
@@ -90,6 +91,7 @@ def _errors(old: Record, new: Record, info: ScenarioInfo) -> Iterator[Change]:
     for metric in info.metrics:
         before = old.scenario.errors.get(metric.name, math.nan)
         after = new.scenario.errors.get(metric.name, math.nan)
+        # Relative to the tolerance as well: a tenth of an error near zero is no change.
         noise = ERROR_NOISE * max(abs(before), metric.tolerance)
         if math.isfinite(before) != math.isfinite(after) or abs(after - before) > noise:
             texts = (f"{value:.3g} {metric.unit}".strip() for value in (before, after))
@@ -104,7 +106,7 @@ def _estimates(job: Job, what: str, before: Estimate, after: Estimate, *, higher
 
 
 def _speed(old: Record, new: Record) -> Iterator[Change]:
-    """The change of a speed. Only throughput is compared, because nothing runs beside its measurement."""
+    """Yield the change of a speed; only of throughput, the one speed that is measured on an idle machine."""
     if new.job.kind is Kind.THROUGHPUT and old.throughput and new.throughput:
         before, after = old.throughput.env_steps_per_second, new.throughput.env_steps_per_second
         if abs(after - before) > SPEED_NOISE * before:

@@ -1,4 +1,4 @@
-"""What scenarios of contact share: solids of every kind of shape, smooth ground, where things are, what they feel."""
+"""Parts that scenarios of contact share: solids of every shape, smooth ground, poses and contact forces."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from orbit_core.interfaces import World
 from orbit_core.scene import Articulation, Link, Mesh, ObjectSpec, PhysicsMaterial, Plane, Pose, Shape, Sphere
 from orbit_core.sensors import ContactSensor
 
+# Half the width and the full height of every standing solid, in metres. The frames lie in the middle.
 RADIUS, HEIGHT = 0.05, 0.05
-"""Half the width and the full height of every standing solid, in metres. The frames lie in the middle."""
 _SPACING = 0.4
+# Level ground without friction: the solids on it bring their own friction and restitution.
 SMOOTH_GROUND = (Shape(Plane(), material=SMOOTH, name="ground"),)
-"""Level ground without friction: the solids on it bring their own friction and restitution."""
 
 
 def smooth_material(friction: float = 0.0, restitution: float = 0.0) -> PhysicsMaterial:
@@ -73,6 +73,7 @@ def prism(sides: int, radius: float, height: float) -> Mesh:
     angles = 2 * math.pi * np.arange(sides) / sides
     ring = radius * np.stack((np.cos(angles), np.sin(angles)), axis=1)
     low, high = (np.column_stack((ring, np.full(sides, z))) for z in (-height / 2, height / 2))
+    # Faces are wound outwards, which engines take for the direction of normals.
     faces = [(i, (i + 1) % sides, sides + i) for i in range(sides)]
     faces += [((i + 1) % sides, sides + (i + 1) % sides, sides + i) for i in range(sides)]
     faces += [(0, i + 1, i) for i in range(1, sides - 1)]
@@ -87,6 +88,7 @@ def _tripod(mass: float, material: PhysicsMaterial, pose: Pose) -> ObjectSpec:
         Shape(Sphere(foot), Pose((reach * math.cos(a), reach * math.sin(a), foot - HEIGHT / 2)), material)
         for a in (0.0, 2 * math.pi / 3, 4 * math.pi / 3)
     )
+    # Inertia of the real shape: a tripod that turns tests friction, not the inertia.
     unit = shapes_mass_properties(feet, 1.0)
     inertia = unit.inertia * mass / unit.mass
     link = Link("tripod", mass, unit.center_of_mass, inertia, feet, feet)

@@ -1,4 +1,4 @@
-"""Where the key points of a task's deformables went in one environment, to be held side by side over backends."""
+"""Courses of a task's deformables: positions of key points over time in one environment, to compare backends."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from orbit_conformance.recording import Recording
 
+# The most instants of a course that are kept, evenly spaced.
 _INSTANTS = 101
-"""The most instants of a course that are kept, evenly spaced."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ def course_of(recording: Recording) -> Course | None:
     if not points or not recording.metrics:
         return None
     name, values = next(iter(recording.metrics.items()))
+    # The next episode's steps are in the recording too.
     last = int(recording.lengths[0]) - 1
     rows = np.unique(np.linspace(0, last, min(_INSTANTS, last + 1)).round().astype(int))
     return Course(

@@ -1,4 +1,4 @@
-"""Whether what a backend declares can be true at all, found before anything runs."""
+"""Check that a backend's declarations can be true, before anything runs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from orbit_core.robots import robot_info
 
 
 def check_declarations(owner: Backend | MatterSolver) -> None:
-    """Refuse declared gaps that nothing would ever be held against, and capabilities that they contradict.
+    """Reject declared gaps of things that are never measured, and capabilities that gaps contradict.
 
-    A backend's gaps in scenarios of matter are of its own matter; a matter solver's hold on every engine.
+    A backend's gaps in scenarios of matter concern its native matter; a matter solver's hold on every engine.
 
     Raises:
-        UnknownNameError: a gap names no scenario and no check of robots, no metric of its scenario, or no robot; tells
+        UnknownNameError: a gap names no scenario and no check of robots, no metric of its scenario, or no robot; names
             the nearest.
         ConfigurationError: two gaps are of one metric, or of one of one robot, one has no reason, a limit is no more
             than the tolerance, one of a check names no robot, the owner lacks what a gap's scenario needs, or what that
@@ -26,6 +26,7 @@ def check_declarations(owner: Backend | MatterSolver) -> None:
     """
     who = f"{'backend' if isinstance(owner, Backend) else 'matter solver'} '{owner.name}'"
     where = f"the gaps of {who}"
+    # Gaps name scenarios and checks of robots alike.
     experiments = {experiment.name: experiment for experiment in (*SCENARIOS, *CHECKS)}
     seen: set[tuple[str, str, str]] = set()
     for gap in owner.gaps():
@@ -56,7 +57,7 @@ def check_declarations(owner: Backend | MatterSolver) -> None:
 
 
 def _not_run(owner: Backend | MatterSolver, experiment: Scenario) -> str:
-    """Why the scenario is not run by what declares a gap of it; empty if it is."""
+    """Return the reason for which the owner of a gap does not run its scenario; empty if it does."""
     if isinstance(owner, Backend):
         return lacking(owner, experiment)
     if not experiment.of_matter:

@@ -1,4 +1,4 @@
-"""How far apart two recorded runs of a task are, over time."""
+"""Distance over time between two recorded runs of a task."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy.typing as npt
 from orbit_conformance.recording import Recording
 from orbit_core.interfaces import ConfigurationError
 
+# The most instants of a divergence that are kept, evenly spaced.
 _POINTS = 101
-"""The most instants of a divergence that are kept, evenly spaced."""
 
 
 @dataclass(frozen=True)
 class Divergence:
-    """How far apart one thing is in two runs of a task, over the environments in which both episodes still run."""
+    """Distance of one thing between two runs of a task, over environments in which both episodes still run."""
 
     thing: str
     times: list[float]
@@ -44,9 +44,12 @@ def divergence(recording: Recording, reference: Recording) -> list[Divergence]:
 def _divergence(
     name: str, ours: npt.NDArray[np.float32], theirs: npt.NDArray[np.float32], step_dt: float
 ) -> Divergence:
+    # Episodes end at different steps; after that there is nothing to compare.
     steps, count = min(len(ours), len(theirs)), min(ours.shape[1], theirs.shape[1])
     distances = np.linalg.norm(ours[:steps, :count, :3] - theirs[:steps, :count, :3], axis=2).astype(np.float64)
     rows = np.unique(np.linspace(0, steps - 1, min(_POINTS, steps)).round().astype(int))
+    # Environments whose episode has ended are NaN.
     rows = rows[np.isfinite(distances[rows]).any(axis=1)]
+    # A median, since one dropped cube would dominate a mean.
     lower, middle, upper = np.nanquantile(distances[rows], (0.25, 0.5, 0.75), axis=1)
     return Divergence(name, (rows * step_dt).tolist(), lower.tolist(), middle.tolist(), upper.tolist())

@@ -1,4 +1,4 @@
-"""How PD drives follow a small sine of their targets: the frequency response of the linearised mechanism.
+"""Frequency response of PD drives to a small sine of their targets, of the linearised mechanism.
 
 About a configuration at rest and without gravity, joints behind drives of stiffness k and damping d obey
 ``M q'' + (d + d_j) q' + (k + k_j) q = k q*``, with the mass matrix M, and damping d_j and springs k_j of the mechanism

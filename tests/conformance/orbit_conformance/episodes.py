@@ -42,7 +42,7 @@ class TaskResult:
 
     @property
     def shortfall(self) -> str:
-        """Why an expert has failed: the whole interval of its success lies below what it is held to; empty if not."""
+        """Reason of an expert's failure: its whole success interval is below the required rate; empty if it is not."""
         if self.success.high >= self.expert_success:
             return ""
         return f"success is {self.success.percent()}, below {self.expert_success:g}"
@@ -61,14 +61,15 @@ class _SuccessTimes(StepObserver):
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
         environment = self._environment
         self._step += 1
-        held = environment.task.success(environment.world)  # of those that go on; the others' follows
+        held = environment.task.success(environment)  # of those that go on; the others' follows
+        # An episode that ended has been reset by now: its success is in the final information.
         if "final" in info:
             held = held.index_put((info["final"].env_ids,), info["final"].success)
         self.held_since.masked_fill_(self._counter.running & ~held, self._step)
 
 
 class FirstEpisodes:
-    """Runs each environment's first episode and keeps what it came to; closes the environment in the end."""
+    """Runner of each environment's first episode that keeps the results; closes the environment in the end."""
 
     def __init__(
         self,
@@ -115,7 +116,7 @@ class FirstEpisodes:
             episode_return=mean(episodes.returns.tolist()),
             seconds_to_success=mean(seconds.tolist()) if len(seconds) else None,
             premises=environment.premises.checks,
-            expert_success=environment.task.expert_success,
+            expert_success=environment.task.metadata.expert_success,
         )
 
     def recording(self) -> Recording:

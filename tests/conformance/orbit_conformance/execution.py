@@ -1,4 +1,4 @@
-"""Doing one job, in a worker process on this machine or another."""
+"""Execution of one job, in a worker process on this machine or another."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -23,23 +24,27 @@ from orbit_conformance.tasks import run_task
 from orbit_conformance.throughput import measure_once
 from orbit_conformance.transfer import learned, transfer
 from orbit_conformance.verdict import Status, run_scenario
-from orbit_conformance.videos import film
+from orbit_core.backends import backend, backend_names
 from orbit_core.backends import backend as find_backend
+from orbit_core.envs import make
+from orbit_core.envs.actors import ExpertActor
 from orbit_core.files import DISK_FULL
-from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
+from orbit_core.interfaces import Backend, Capability, Level, StorageError, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.plugin_kit.scratch import OWNER, ScratchFolder
+from orbit_core.rollout.stepping import roll_out
+from orbit_core.rollout.video import VideoRecorder
 
 RECORDING = "recording.npz"
 TRACES = "traces.json"
 VIDEO = "video.mp4"
+# Significant digits to which a trace is rounded: more than a plot shows.
 _DIGITS = 6
-"""Significant digits to which a trace is rounded: more than a plot shows."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A job's record and its files: all that comes back from a worker, wherever it runs."""
+    """A job's record and its files: all that comes back from a worker."""
 
     record: Record
     files: Mapping[str, bytes] = field(default_factory=dict)
@@ -55,10 +60,10 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
         inputs: files by name that earlier jobs made and this one needs.
 
     Returns:
-        The outcome; an exception becomes a record of its own.
+        The outcome; an exception becomes a record.
 
     Raises:
-        StorageError: the disk is full, which tells nothing of the backend.
+        StorageError: the disk is full, which is no fault of the backend.
     """
     torch.set_num_threads(1)  # other jobs run on the other cores
     begin = time.perf_counter()
@@ -68,15 +73,18 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
             for file, content in inputs.items():
                 (folder / file).write_bytes(content)
             record = _DOINGS[job.kind](record, settings, folder)
+        # A refusal is a result: the backend declares the gap itself.
         except UnsupportedCapabilityError as error:
             record = replace(record, ending=Ending.UNSUPPORTED, reason=str(error))
         except StorageError:
             raise
         except Exception as error:
+            # A full disk would fail every later job as well, and blame the backend for each.
             if isinstance(error, OSError) and error.errno in DISK_FULL:
                 raise StorageError(f"cannot write into folder {folder.parent}: {error.strerror}") from error
             traceback.print_exc()
             record = replace(record, ending=Ending.ERROR, reason=f"{type(error).__name__}: {error}")
+        # Inputs are files of another job, which has them already.
         own = [path for path in sorted(folder.iterdir()) if path.name not in inputs and path.name != OWNER]
         made = {path.name: path.read_bytes() for path in own}
     return Outcome(replace(record, seconds=time.perf_counter() - begin, files=tuple(made)), made)
@@ -84,6 +92,7 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
 
 def _scenario(record: Record, settings: Settings, folder: Path) -> Record:
     job, described = record.job, scenario(record.job.name)
+    # Tolerances hold at the nominal time step only; a sweep shows errors without a verdict.
     nominal = job.time_step == described.time_step and not job.substep
     own, matter = settings.settings_of(job.backend), job.matter or NATIVE
     trial = Trial(job.backend, job.time_step, record.device, own, settings.seed, matter, job.substep)
@@ -200,3 +209,45 @@ _DOINGS: dict[Kind, Callable[[Record, Settings, Path], Record]] = {
     Kind.VIDEO: _video,
     Kind.THROUGHPUT: _throughput,
 }
+
+
+WIDTH, HEIGHT = 256, 192
+
+
+def film(
+    task: str, backend_name: str, path: Path, *, seconds: float, seed: int, device: str, settings: Mapping[str, Any]
+) -> None:
+    """Film the first environment of a task for some seconds, its expert acting, from the task's own view.
+
+    A backend that draws nothing is drawn by another one, the same for all such.
+
+    Raises:
+        UnsupportedCapabilityError: nothing that is installed draws, or the backend lacks what the task needs.
+    """
+    environment = make(task, 1, backend_name, device, seed, renderer_for(backend(backend_name)), settings)
+    try:
+        expert = ExpertActor(environment, seed)
+        environment.reset()
+        steps = min(environment.max_episode_steps, round(seconds / environment.step_dt))
+        with VideoRecorder(environment, path, 1, WIDTH, HEIGHT) as recorder:
+            roll_out(environment, expert, (recorder,), max_steps=steps)
+    finally:
+        environment.close()
+
+
+def renderer_for(simulating: Backend) -> str:
+    """The backend itself if it draws, else the one that draws most exactly."""
+    if simulating.capabilities().has(Capability.RGB):
+        return simulating.name
+    drawing = [name for name in backend_names() if backend(name).capabilities().has(Capability.RGB)]
+    if not drawing:
+        raise UnsupportedCapabilityError(
+            f"backend '{simulating.name}' does not draw, and no other is installed that does"
+        )
+    images = (Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION)
+
+    def exactness(name: str) -> int:
+        return sum(backend(name).capabilities()[image].level is Level.EXACT for image in images)
+
+    # A picture of the report should look alike for all engines that cannot draw.
+    return max(drawing, key=exactness)

@@ -29,9 +29,21 @@ class Hardware:
         gpus = tuple(torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count()))
         return Hardware(_processor(), cores(), round(_memory(), 1), gpus, platform.platform(terse=True))
 
+    @property
+    def label(self) -> str:
+        """Processor and number of cores, in words."""
+        return f"{self.processor}, {self.cores} core{'s' if self.cores > 1 else ''}"
+
+
+def device_label(device: torch.device) -> str:
+    """Return the name of the GPU, or of the processor with its number of cores."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return Hardware.here().label
+
 
 def versions() -> dict[str, str]:
-    """Versions of the software that all backends share; each backend tells its own."""
+    """Return versions of the software that all backends share; each backend reports its own."""
     return {"orbit": __version__, "python": platform.python_version(), "torch": str(torch.__version__)}
 
 
@@ -41,14 +53,14 @@ def cores() -> int:
 
 
 def _processor() -> str:
-    """The processor's trade name where the system tells it."""
+    """Return the processor's trade name where the system has it."""
     information = Path("/proc/cpuinfo")
     lines = information.read_text().splitlines() if information.exists() else []
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
 def _memory() -> float:
-    """Memory in GiB; 0 where the system does not tell."""
+    """Return the memory in GiB; 0 where it is unknown."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     except (AttributeError, ValueError, OSError):

@@ -84,8 +84,10 @@ def plan(settings: Settings) -> list[Phase]:
         )
         for backend in settings.backends
     ]
+    # Replays need the recordings of all backends, which the phases before made.
     phases += [Phase(tuple(_replays(settings, backend))) for backend in settings.backends]
     phases += [Phase(tuple(_drawn_by(settings, renderer))) for renderer in settings.renderers]
+    # Last and alone: other jobs would take cores and memory from the measurement.
     phases += [Phase(tuple(_throughput(settings, backend)), alone=True) for backend in settings.backends]
     return [phase for phase in phases if phase.jobs]
 
@@ -145,5 +147,5 @@ def _replays(settings: Settings, backend: str) -> Iterable[Job]:
 def _throughput(settings: Settings, backend: str) -> Iterable[Job]:
     if Part.THROUGHPUT in settings.parts:
         for task in settings.tasks:
-            for num_envs in settings.extent.throughput_envs:
+            for num_envs in settings.throughput_envs_of(backend):
                 yield Job(Kind.THROUGHPUT, task, backend, num_envs=num_envs)

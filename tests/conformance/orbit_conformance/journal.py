@@ -26,16 +26,16 @@ def now() -> str:
 
 
 class Journal:
-    """Appends each record to a file of JSON lines, flushed to the disk; the first line is the run's header.
+    """Journal of records in a file of JSON lines, flushed to the disk; the first line is the run's header.
 
-    A folder whose run is unfinished goes on, without the records of a backend, a task, a policy or scenarios whose
-    source has changed since; one whose run is finished begins anew, and its result is kept as ``previous.json``. No
-    other process may write into the folder until the journal is closed.
+    An unfinished run is resumed, without the records of a backend, a task, a policy or scenarios whose source has
+    changed since; a finished one starts again, and its result is kept as ``previous.json``. No other process may write
+    into the folder until the journal is closed.
 
     Args:
         folder: of the run.
-        header: what the run is of.
-        fresh: begin anew where an unfinished run would go on, whose journal is kept as ``previous.jsonl``.
+        header: of the run.
+        fresh: start again instead of resuming an unfinished run, whose journal is kept as ``previous.jsonl``.
 
     Raises:
         ConfigurationError: the folder holds other things and no run, an unfinished run of other settings, versions or
@@ -125,6 +125,7 @@ class Journal:
 
 def _check_folder(folder: Path) -> None:
     """Reject a folder that holds things, but no run: files of theirs could have the names of ours."""
+    # A folder with a lock or a log only is one of a run that ended before its first record.
     found = {path.name for path in folder.iterdir()}
     if found - {LOCK, LOG} and not found & {JOURNAL, RESULT_FILE, PREVIOUS}:
         raise ConfigurationError(f"folder {folder} holds other things and no run of this suite: give another --output")

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from orbit_conformance.courses import Course, course_of
 from orbit_conformance.execution import RECORDING
@@ -33,14 +33,15 @@ from orbit_core.envs.registry import task_entries
 from orbit_core.files import LOCK, as_path, check_apart, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
 
-_Named = TypeVar("_Named")
+# Takes the kind and the information of all runs; returns one of each name.
+_Reconcile = Callable[[str, Iterable[Any]], tuple[Any, ...]]
 
 
 def merge(folders: Sequence[Path | str], output: Path | str, overwrite: bool = False) -> Result:
     """Write the result of several finished runs, with their files, into a folder, which appears as a whole.
 
     Machines, versions and numbers of episodes may differ, and the result names each (``Header.origins``). Where two
-    backends did a task in different runs, how they part is reckoned from the recordings, if they are still there.
+    backends did a task in different runs, distances are computed from the recordings, if these are still there.
 
     Args:
         folders: of the runs.
@@ -61,11 +62,35 @@ def merge(folders: Sequence[Path | str], output: Path | str, overwrite: bool = F
     output = output.resolve()
     with storage_faults(output):
         output.parent.mkdir(parents=True, exist_ok=True)
+    # A merge that was killed left its half-written folder there.
     sweep(output.parent)
     with written_whole(output) as written:
         merged = _merge(folders, results, written)
         _check_output(output, overwrite)  # again, for a person may have put something there meanwhile
     return merged
+
+
+def joined(results: Sequence[Result]) -> Result:
+    """Return the results of several runs as one to be shown.
+
+    Unlike :func:`merge`, runs of different dates may share jobs and differ in their declarations: the latest counts.
+
+    Raises:
+        ConfigurationError: two runs differ in the seed, in ``--quick`` or in settings of backends.
+    """
+    # The newest declarations and settings describe the engines of today.
+    latest_first = sorted(results, key=lambda result: result.finished, reverse=True)
+    records = {record.job.key: record for result in reversed(latest_first) for record in result.records}
+    partings = {(p.task, p.backend, p.reference): p for result in reversed(latest_first) for p in result.partings}
+    courses = {(c.task, c.backend): c for result in reversed(latest_first) for c in result.courses}
+    return Result(
+        header=_header([result.header for result in latest_first], latest_first, _first),
+        records=tuple(records.values()),
+        partings=tuple(partings.values()),
+        courses=tuple(courses.values()),
+        finished=latest_first[0].finished,
+        benchmarks=next((result.benchmarks for result in latest_first if result.benchmarks), ()),
+    )
 
 
 def _check_output(output: Path, overwrite: bool) -> None:
@@ -97,17 +122,21 @@ def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> 
     records: dict[str, Record] = {}
     for folder, result in zip(folders, results, strict=True):
         for record in result.records:
+            # Which of two results of one job is right cannot be known here.
             if record.job.key in records:
                 raise ConfigurationError(f"two results to be merged hold {record.job.key}: leave one out")
             records[record.job.key] = record
-            _copy(record, folder, output)
+            # Files that git or a release left behind are not missed.
+            copy_files(record, folder, output)
     merged = Result(
-        header=_header([result.header for result in results], results),
+        header=_header([result.header for result in results], results, _same),
         records=tuple(records.values()),
         partings=tuple(parting for result in results for parting in result.partings),
         courses=tuple(course for result in results for course in result.courses),
         finished=now(),
+        benchmarks=tuple(dict.fromkeys(each for result in results for each in result.benchmarks)),
     )
+    # Two backends of different runs have never been compared: do so now.
     tracks = {task: _recordings(task, merged, output) for task in merged.tried_tasks}
     partings = (*merged.partings, *_partings(merged, tracks))
     merged = replace(merged, partings=partings, courses=(*merged.courses, *_courses(merged, tracks)))
@@ -115,8 +144,8 @@ def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> 
     return merged
 
 
-def _copy(record: Record, folder: Path, output: Path) -> None:
-    """A record's files, those that are still there: recordings and traces are often left behind."""
+def copy_files(record: Record, folder: Path, output: Path) -> None:
+    """Copy those of a record's files that are still there: recordings and traces are often left behind."""
     for name in record.files:
         source, target = folder / record.job.key / name, output / record.job.key / name
         if source.exists():
@@ -133,7 +162,7 @@ def _recordings(task: str, result: Result, folder: Path) -> dict[str, Path]:
 
 
 def _partings(result: Result, tracks: dict[str, dict[str, Path]]) -> Iterator[Parting]:
-    """Those of pairs that no run had both of."""
+    """Yield the partings of pairs of backends that no run had both of."""
     known = {(each.task, frozenset((each.backend, each.reference))) for each in result.partings}
     for task, paths in tracks.items():
         for reference, backend in itertools.combinations(paths, 2):
@@ -149,23 +178,23 @@ def _courses(result: Result, tracks: dict[str, dict[str, Path]]) -> Iterator[Cou
                 yield course
 
 
-def _header(headers: Sequence[Header], results: Sequence[Result]) -> Header:
+def _header(headers: Sequence[Header], results: Sequence[Result], once: _Reconcile) -> Header:
     first = headers[0]
     return replace(
         first,
         settings=_settings([header.settings for header in headers]),
         started=min(header.started for header in headers),
-        scenarios=_once("scenario", (each for header in headers for each in header.scenarios)),
-        backends=_once("backend", (each for header in headers for each in header.backends), _declared),
-        matters=_once("matter solver", (each for header in headers for each in header.matters), _declared),
-        policies=_once("policy", (each for header in headers for each in header.policies)),
+        scenarios=once("scenario", (each for header in headers for each in header.scenarios)),
+        backends=once("backend", (each for header in headers for each in header.backends)),
+        matters=once("matter solver", (each for header in headers for each in header.matters)),
+        policies=once("policy", (each for header in headers for each in header.policies)),
         sources={name: digest for header in reversed(headers) for name, digest in header.sources.items()},
         origins=_origins(results),
     )
 
 
 def _settings(each: Sequence[Settings]) -> Settings:
-    """What all runs cover together."""
+    """Return settings that cover all runs together."""
     first = each[0]
     for name in ("seed", "quick"):
         if len({getattr(own, name) for own in each}) > 1:
@@ -189,30 +218,36 @@ def _settings(each: Sequence[Settings]) -> Settings:
     )
 
 
-def _declared(info: BackendInfo) -> object:
-    return info.gaps
+def _declared(info: Any) -> object:
+    """Return the part of an information that runs to be merged must share; versions of backends may differ."""
+    return info.gaps if isinstance(info, BackendInfo) else info
 
 
-def _once(
-    kind: str, infos: Iterable[_Named], same: Callable[[_Named], object] = lambda info: info
-) -> tuple[_Named, ...]:
-    """One information of each name.
+def _first(kind: str, infos: Iterable[Any]) -> tuple[Any, ...]:
+    """Return the first information of each name."""
+    found: dict[str, Any] = {}
+    for info in infos:
+        found.setdefault(info.name, info)
+    return tuple(found.values())
+
+
+def _same(kind: str, infos: Iterable[Any]) -> tuple[Any, ...]:
+    """Return one information of each name.
 
     Raises:
         ConfigurationError: two of one name are not the same.
     """
     found: dict[str, Any] = {}
     for info in infos:
-        name = getattr(info, "name")  # noqa: B009
-        if same(found.setdefault(name, info)) != same(info):
+        if _declared(found.setdefault(info.name, info)) != _declared(info):
             raise ConfigurationError(
-                f"the results to be merged know {kind} '{name}' differently, as other code made them: make one anew"
+                f"the results to be merged know {kind} '{info.name}' differently: run one again with the other's code"
             )
     return tuple(found.values())
 
 
 def _origins(results: Sequence[Result]) -> tuple[Origin, ...]:
-    """Where and when what was done; one for all runs of the same machine, versions and core."""
+    """Return the origins of jobs; runs of the same machine, versions and core share one."""
     found: list[Origin] = []
     for result in results:
         header = result.header

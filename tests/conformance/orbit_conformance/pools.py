@@ -1,4 +1,4 @@
-"""Where jobs are done: in processes of this machine, or of the machines of a Ray cluster.
+"""Pools that run jobs: in processes of this machine, or of the machines of a Ray cluster.
 
 A worker serves one backend and dies alone: an engine that crashes or hangs costs the job that it was doing.
 """
@@ -133,11 +133,13 @@ class RayPool(Pool):
 
 
 def _begin_worker(log: str) -> None:
-    """Send whatever engines print into the log, and tell there where a process dies."""
+    """Redirect engine output into the log, and write the stack of a process that dies there."""
     sys.stdout.flush()
+    # O_NOFOLLOW: a link in the folder must not lead the log to another file.
     stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW)
     os.dup2(stream, 1)
     os.dup2(stream, 2)
+    # An engine's crash leaves no Python exception; its stack in the log is all that there is.
     faulthandler.enable()
     # Engines may have workers of their own, which a daemon may not; nothing public takes the mark off again.
     multiprocessing.current_process()._config["daemon"] = False  # pyright: ignore[reportAttributeAccessIssue]

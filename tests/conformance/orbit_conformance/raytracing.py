@@ -1,4 +1,4 @@
-"""Where rays meet shapes, in closed form and in double precision: the truth that rays and images are held against.
+"""Ray tracer in closed form and double precision: the truth for the scenarios of rays and images.
 
 C. Ericson, Real-Time Collision Detection (2005), section 5.3; for triangles T. Möller and B. Trumbore, Fast, minimum
 storage ray/triangle intersection, J. Graphics Tools 2 (1997).
@@ -22,7 +22,7 @@ NOTHING = -1
 
 @dataclass(frozen=True)
 class Hits:
-    """Where R rays met things from outside."""
+    """Hits of R rays on things, from outside."""
 
     distances: Array
     """Distances (R,), infinite for a miss."""
@@ -38,6 +38,7 @@ def trace(things: Sequence[tuple[Geometry, Pose]], origins: Array, directions: A
     best = Hits(np.full(count, np.inf), np.zeros((count, 3)), np.full(count, NOTHING))
     for index, (geometry, pose) in enumerate(things):
         rotation = np.asarray(pose.rotation_matrix(), np.float64)
+        # Closed forms are in each shape's own frame.
         local = (origins - pose.position) @ rotation, directions @ rotation
         distances, normals = _meet(geometry, *local)
         nearer = distances < best.distances
@@ -48,7 +49,7 @@ def trace(things: Sequence[tuple[Geometry, Pose]], origins: Array, directions: A
 
 
 def steady(hits: Hits, others: Sequence[Hits], cosine: float) -> npt.NDArray[np.bool_]:
-    """Whether (R,) the rays beside each one meet the same thing, where its surface faces about the same way."""
+    """Return a mask (R,) of rays whose neighbours meet the same thing at about the same normal."""
     alike = np.ones(len(hits.things), dtype=np.bool_)
     for other in others:
         turned = (hits.normals * other.normals).sum(1)
@@ -58,6 +59,7 @@ def steady(hits: Hits, others: Sequence[Hits], cosine: float) -> npt.NDArray[np.
 
 def pixel_directions(camera: CameraSpec, right: float = 0.0, up: float = 0.0) -> Array:
     """Vectors (H W, 3) in world axes from the camera through each pixel's centre, moved by some pixels, to depth 1."""
+    # Pixels are square: the horizontal field of view follows.
     pitch = 2.0 * np.tan(0.5 * camera.vertical_fov) / camera.height
     x = (np.arange(camera.width) + 0.5 + right - 0.5 * camera.width) * pitch
     y = (0.5 * camera.height - np.arange(camera.height) - 0.5 + up) * pitch
@@ -97,6 +99,7 @@ def height_field_triangles(field: HeightField) -> Array:
         np.linspace(-0.5 * size, 0.5 * size, count) for size, count in zip(field.size, (columns, rows), strict=True)
     )
     points = np.stack((*np.meshgrid(x, y), heights), axis=-1)
+    # The split decides where a cell's ridge is: all engines must take the same diagonal.
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]
     return np.concatenate([np.stack(corners, axis=2).reshape(-1, 3, 3) for corners in ((a, b, c), (a, c, d))])
 
@@ -113,6 +116,7 @@ def _sphere(origins: Array, directions: Array, center: Array, radius: float) -> 
     a, b, c = (directions**2).sum(1), (directions * away).sum(1), (away**2).sum(1) - radius**2
     root = b * b - a * c
     distances = np.where(root >= 0.0, (-b - np.sqrt(root.clip(0.0))) / a, np.inf)
+    # Behind the origin.
     distances[distances < 0.0] = np.inf
     return distances, (away + _reached(distances) * directions) / radius
 

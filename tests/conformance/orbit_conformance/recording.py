@@ -97,7 +97,7 @@ class Recording:
 
 
 class _Header(msgspec.Struct, forbid_unknown_fields=True):
-    """What a recording's file says besides its arrays."""
+    """Header of a recording's file, next to its arrays."""
 
     task: str
     backend: str
@@ -112,6 +112,7 @@ def _check_arrays(actions: npt.NDArray[Any], lengths: npt.NDArray[Any], others: 
     Raises:
         ValueError: says which.
     """
+    # A file from elsewhere may hold anything: numpy's own errors would not name it.
     if actions.ndim != 3 or lengths.shape != actions.shape[1:2] or not lengths.size:
         raise ValueError(f"it has actions of shape {actions.shape} and lengths of shape {lengths.shape}")
     if actions.dtype.kind != "f" or lengths.dtype.kind not in "iu" or any(a.dtype.kind != "f" for a in others):
@@ -169,7 +170,7 @@ class EpisodeRecorder(StepObserver):
         for name, place in self._watched.items():
             self._tracks[name].append(place()[: self._count].masked_fill(over[:, None], torch.nan).cpu())
         if self._environment.world.deformables:
-            name, values = next(iter(self._environment.task.metrics(self._environment.world).items()))
+            name, values = next(iter(self._environment.task.metrics(self._environment).items()))
             self._metrics.setdefault(name, []).append(values[: self._count].masked_fill(over, torch.nan).cpu())
 
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
@@ -177,7 +178,7 @@ class EpisodeRecorder(StepObserver):
         self._actions.append(action.cpu().clone())
 
     def recording(self, task: str, seed: int, fields: Mapping[str, Any]) -> Recording:
-        """What was recorded so far, all first episodes being over.
+        """Return the recording, once all first episodes are over.
 
         Args:
             task: name of the task.

@@ -61,8 +61,10 @@ def linear_response(stiffness: float, damping: float, inertia: float, times: Seq
     time = np.asarray(times, dtype=np.float64)
     decay, frequency = damping / (2 * inertia), math.sqrt(stiffness / inertia)
     root = np.sqrt(complex(decay**2 - frequency**2))
+    # Equal poles: the general form is 0 / 0.
     if abs(root) < 1e-9 * frequency:
         return 1 - np.exp(-decay * time) * (1 + decay * time)
+    # The slow pole by the product of both: the difference would lose all digits for stiff drives.
     fast, slow = -decay - root, -(frequency**2) / (decay + root)
     return 1 - ((fast * np.exp(slow * time) - slow * np.exp(fast * time)) / (fast - slow)).real
 

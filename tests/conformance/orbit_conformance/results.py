@@ -1,12 +1,13 @@
-"""What a run found, as typed data and as JSON. Numbers that are not finite are written as text, such as "nan"."""
+"""Results of a run as typed data and as JSON. Numbers that are not finite are written as text, such as "nan"."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,14 +22,14 @@ from orbit_conformance.replay import ReplayResult
 from orbit_conformance.robots.check import RobotResult
 from orbit_conformance.scenario import Metric, Scenario
 from orbit_conformance.settings import Settings
-from orbit_conformance.throughput import Throughput
+from orbit_conformance.throughput import Benchmark, Throughput
 from orbit_conformance.transfer import TransferResult, learned
 from orbit_conformance.verdict import Status
 from orbit_core.files import as_path, read_bytes, written_whole
 from orbit_core.interfaces import AssetError, ConfigurationError, Gap
 from orbit_core.interfaces.matter import NATIVE
+from orbit_core.pretrained import TransferGap, pretrained_policy
 from orbit_data.tensor_file import parse_json
-from orbit_learn.pretrained import TransferGap, pretrained_policy
 
 SCHEMA = 1
 RESULT_FILE, REPORT = "result.json", "report.html"
@@ -36,7 +37,7 @@ _Type = TypeVar("_Type")
 
 
 class Ending(Enum):
-    """How a job came to its end."""
+    """Ways in which a job ends."""
 
     DONE = "done"
     UNSUPPORTED = "unsupported"
@@ -50,7 +51,7 @@ class Ending(Enum):
 
     @property
     def acceptable(self) -> bool:
-        """Whether the job ended without an error, crash or timeout."""
+        """True if the job ended without an error, crash or timeout."""
         return self in (Ending.DONE, Ending.UNSUPPORTED)
 
 
@@ -102,6 +103,7 @@ class Record:
     @property
     def status(self) -> Status:
         """Status of the backend; a job that broke counts as failed."""
+        # The order matters: a refusal is no failure, a crash is one whatever was measured before.
         if self.ending is Ending.UNSUPPORTED:
             return Status.UNSUPPORTED
         if not self.ending.acceptable or (self.task and self.task.shortfall):
@@ -168,7 +170,7 @@ class PolicyInfo:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where and when some of the jobs of a merged result were done."""
+    """Machine, versions and dates of some of the jobs of a merged result."""
 
     jobs: dict[str, int]
     """Numbers of jobs by their kind and backend, as in ``"task on <backend>"``."""
@@ -182,7 +184,7 @@ class Origin:
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What a run is of, written before its first record."""
+    """Head of a run's result, written before its first record."""
 
     settings: Settings
     versions: dict[str, str]
@@ -203,12 +205,21 @@ class Header:
 
 @dataclass(frozen=True)
 class Parting:
-    """How one task's trajectories on two backends part over time."""
+    """Distance over time between one task's trajectories on two backends."""
 
     task: str
     backend: str
     reference: str
     things: list[Divergence]
+
+
+@dataclass(frozen=True)
+class Archive:
+    """File that holds the whole of a condensed result: all time steps, curves, plots and videos."""
+
+    name: str
+    sha256: str
+    mebibytes: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,6 +233,10 @@ class Result:
     """Of tasks with deformables."""
     finished: str = ""
     """Time in UTC (ISO 8601)."""
+    benchmarks: tuple[Benchmark, ...] = ()
+    """Stepping rates measured outside of the run, as on GPUs that a run's machine lacks."""
+    archive: Archive | None = None
+    """Set in a condensed result only."""
 
     def of(self, kind: Kind) -> list[Record]:
         """The records of one kind."""
@@ -234,15 +249,24 @@ class Result:
         return tuple(task for task in self.header.settings.tasks if task in tried)
 
     def matters(self, name: str) -> list[str]:
-        """Who simulated the deformables of one scenario, the engine's own last; a single empty name without any."""
-        found = dict.fromkeys(record.job.matter for record in self.of(Kind.SCENARIO) if record.job.name == name)
+        """Return the matter solvers of one scenario, the engine's own last; a single empty name without any."""
+        found = dict.fromkeys(matter for of, _, matter in self._scenarios if of == name)
         return sorted(found, key=lambda matter: (matter == NATIVE, matter)) or [""]
 
     def scenario_records(self, name: str, backend: str, matter: str = "") -> list[Record]:
         """The records of one scenario on one backend, the longest time step first."""
-        wanted = (name, backend, matter)
-        found = [r for r in self.of(Kind.SCENARIO) if (r.job.name, r.job.backend, r.job.matter) == wanted]
-        return sorted(found, key=lambda record: (-record.job.time_step, -record.job.substep))
+        return self._scenarios.get((name, backend, matter), [])
+
+    @cached_property
+    def _scenarios(self) -> dict[tuple[str, str, str], list[Record]]:
+        """Records of scenarios by name, backend and matter, the longest time step first."""
+        # A page asks for some thousand cells; a search through all records for each of them takes seconds.
+        found: dict[tuple[str, str, str], list[Record]] = {}
+        for record in self.of(Kind.SCENARIO):
+            found.setdefault((record.job.name, record.job.backend, record.job.matter), []).append(record)
+        for records in found.values():
+            records.sort(key=lambda record: (-record.job.time_step, -record.job.substep))
+        return found
 
     def nominal(self, scenario: ScenarioInfo, backend: str, matter: str = "") -> Record | None:
         """The record on which a backend, or the matter on it, is judged; None if it was not run."""
@@ -268,6 +292,12 @@ class Result:
 def encode(value: Any) -> str:
     """The value as one line of JSON."""
     return json.dumps(_plain(msgspec.to_builtins(value)), allow_nan=False)
+
+
+def encode_sparse(value: Any) -> str:
+    """Return the value as one line of JSON without the fields that have their defaults, rounded to four digits
+    below 1000 and to integers above."""
+    return json.dumps(_sparse(value), allow_nan=False, separators=(",", ":"))
 
 
 def decode(text: str | bytes, kind: type[_Type]) -> _Type:
@@ -310,6 +340,42 @@ def save(result: Result, folder: Path | str) -> None:
     """
     with written_whole(as_path(folder) / RESULT_FILE) as path:
         path.write_text(f"{encode(result)}\n")
+
+
+def save_sparse(result: Result, folder: Path | str) -> None:
+    """Write the result's file without defaults and with a line for each record, so that changes of it are legible.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    head = encode_sparse(replace(result, records=()))
+    lines = ",\n".join(map(encode_sparse, result.records))
+    with written_whole(as_path(folder) / RESULT_FILE) as path:
+        path.write_text(f'{head[:-1]},"records":[\n{lines}\n]}}\n')
+
+
+def _sparse(value: Any) -> Any:
+    """Return the value as plain data without defaults; a field without a default is always there."""
+    if is_dataclass(value):
+        pairs = ((each, getattr(value, each.name)) for each in fields(value))
+        kept = ((each.name, own) for each, own in pairs if each.name == "schema" or own != _default(each))
+        return {name: _sparse(own) for name, own in kept}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return repr(value)
+        return float(f"{value:.4g}") if abs(value) < 1000.0 else round(value)
+    if isinstance(value, Mapping):
+        return {key: _sparse(item) for key, item in value.items()}
+    # Curves are rounded to what a plot can show, which halves the file.
+    if isinstance(value, list | tuple):
+        return [_sparse(item) for item in value]
+    return value
+
+
+def _default(each: Field[Any]) -> Any:
+    return each.default_factory() if each.default_factory is not MISSING else each.default
 
 
 def _plain(value: Any) -> Any:

@@ -32,18 +32,18 @@ def run(
     folder: Path | str,
     pool: Pool,
     progress: Progress = lambda record, done, total: None,
-    tell: Callable[[str], None] = lambda line: None,
+    notify: Callable[[str], None] = lambda line: None,
     fresh: bool = False,
 ) -> Result:
-    """Do all jobs of the settings that the folder does not hold yet.
+    """Run all jobs of the settings that the folder does not hold yet.
 
     Args:
         settings: what to run.
         folder: for records and files.
         pool: where to do it; closed in the end.
         progress: called at the beginning and after each job.
-        tell: takes a line on what is done again, if anything is.
-        fresh: do all anew, whatever the folder holds.
+        notify: takes a line on jobs that are repeated, if any are.
+        fresh: run all jobs, also those that the folder holds.
 
     Raises:
         ConfigurationError: the folder holds an unfinished run of other settings, versions or another core, or another
@@ -57,9 +57,10 @@ def run(
         journal = Journal(folder, header_of(settings), fresh)
         try:
             if journal.dropped:
-                tell(journal.dropped)
+                notify(journal.dropped)
             progress(None, len(journal.records), total)
             for phase in phases:
+                # Work is listed before the pool starts, since a replay reads files that the phases before it wrote.
                 work = [one for job in phase.jobs if (one := _work(job, settings, journal)) is not None]
                 for outcome in pool.run(work, phase.alone) if work else ():
                     journal.add(outcome)
@@ -80,7 +81,7 @@ def _partings(settings: Settings, journal: Journal) -> Iterator[Parting]:
 
 
 def _courses(settings: Settings, journal: Journal) -> Iterator[Course]:
-    """Of every task with deformables on every backend on which it was recorded."""
+    """Yield the courses of every task with deformables on every backend that recorded it."""
     for task in settings.scripted_tasks:
         for path in _recordings(task, settings, journal).values():
             if (course := course_of(Recording.load(path))) is not None:
@@ -122,6 +123,7 @@ def _work(job: Job, settings: Settings, journal: Journal) -> Work | None:
     inputs: Mapping[str, bytes] = {}
     if job.kind is Kind.REPLAY:
         source = journal.records[Job(Kind.TASK, job.name, job.source).key]
+        # A task that was refused or that crashed left no actions to replay.
         if RECORDING not in source.files:
             reason = f"nothing was recorded on backend '{job.source}': {source.reason}"
             journal.add(Outcome(Record(job, Ending.UNSUPPORTED, reason)))

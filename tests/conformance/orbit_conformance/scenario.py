@@ -73,7 +73,8 @@ class Scenario:
 
     @property
     def of_matter(self) -> bool:
-        """Whether something in it bends or flows, so that it is run with every matter solver."""
+        """True if something in it bends or flows, so that it is run with every matter solver."""
+        # Needs say it already; a separate flag could contradict them.
         return any(need in MATTER for need in self.needs)
 
     def metric(self, name: str) -> Metric:
@@ -83,7 +84,7 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Trace:
-    """A measured curve beside its truth, for the report's plots."""
+    """Measured curve with its truth, for the report's plots."""
 
     name: str
     unit: str

@@ -1,4 +1,4 @@
-"""What a run of the suite covers, with every name checked."""
+"""Settings of a run of the suite, with every name checked."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from orbit_core.envs.registry import task_entries, task_entry
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import EXACT, Capability, ConfigurationError, UnknownNameError
 from orbit_core.interfaces.matter import NATIVE
+from orbit_core.pretrained import pretrained_policies
 from orbit_core.robots import robot_info, robot_names
-from orbit_learn.pretrained import pretrained_policies
 
 
 class Part(Enum):
@@ -39,7 +39,7 @@ class Part(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Extent:
-    """How much is spent on each task."""
+    """Number of episodes and steps that are spent on each task."""
 
     episodes: int
     """Number of episodes, one in each environment."""
@@ -51,6 +51,9 @@ class Extent:
     """The same of policies that see pictures, which most engines here draw on the CPU, a few a second; 0 leaves these
     policies out."""
     throughput_envs: tuple[int, ...]
+    """Numbers of environments of a measurement of throughput on a CPU."""
+    gpu_throughput_envs: tuple[int, ...]
+    """The same on a GPU; none of a CPU's, so that results of both can be merged."""
     blocks: int
     """Number of blocks of the environment's steps and of the raw engine's, which alternate."""
     block_steps: int
@@ -64,6 +67,7 @@ QUICK = Extent(
     slow_replays=False,
     pixel_episodes=0,
     throughput_envs=(8,),
+    gpu_throughput_envs=(1024,),
     blocks=3,
     block_steps=10,
     video_seconds=0.5,
@@ -74,22 +78,24 @@ FULL = Extent(
     slow_replays=True,
     pixel_episodes=4,
     throughput_envs=(1, 16, 64),
+    # A GPU's rate grows up to some ten thousand environments, which a CPU would need minutes to step once.
+    gpu_throughput_envs=(1024, 4096, 16384),
     blocks=5,
     block_steps=20,
     video_seconds=5.0,
 )
 
 
+# Seconds from which on an episode is long.
 LONG = 10.0
-"""Seconds from which on an episode is long."""
 
+# One without a hand, an arm, a hand of many followers, and one that stands.
 QUICK_ROBOTS = ("cartpole", "franka_panda", "robotiq_2f85", "unitree_go1")
-"""One without a hand, an arm, a hand of many followers, and one that stands."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What a run covers; two runs of equal settings and versions are the same run."""
+    """Settings of a run; two runs of equal settings and versions are the same run."""
 
     backends: tuple[str, ...]
     scenarios: tuple[str, ...]
@@ -118,12 +124,12 @@ class Settings:
 
     @property
     def scripted_tasks(self) -> tuple[str, ...]:
-        """Those that have an expert; the others are learned, and tried by the policies that are kept for them."""
+        """Tasks that have an expert; the others are learned, and tried by the policies that are kept for them."""
         return tuple(name for name in self.tasks if task_entry(name).task_type().has_expert())
 
     @property
     def extent(self) -> Extent:
-        """How much is spent on each task. Where episodes are few, slow tasks are not replayed either."""
+        """Extent of each task. Where episodes are few, slow tasks are not replayed either."""
         whole = QUICK if self.quick else FULL
         if self.episodes is None:
             return whole
@@ -132,7 +138,7 @@ class Settings:
         return replace(whole, slow_replays=whole.slow_replays and fewer["episodes"] == whole.episodes, **fewer)
 
     def is_slow(self, task: str) -> bool:
-        """Whether the task has cloth or rope, of which a CPU makes a few hundred steps a second, or long episodes."""
+        """Return True if the task has long episodes, or cloth or rope, which a CPU steps slowly."""
         defaults: dict[str, Any] = {}
         own = task_entry(task).task_type()(**defaults)
         return own.episode_length >= LONG or bool(own.scene().deformables)
@@ -144,6 +150,11 @@ class Settings:
     def device_of(self, backend: str) -> str:
         """The device on which the backend simulates."""
         return self.device if find_backend(backend).capabilities().has(Capability.GPU) else "cpu"
+
+    def throughput_envs_of(self, backend: str) -> tuple[int, ...]:
+        """Numbers of environments of the backend's measurements of throughput, as many as its device is made for."""
+        extent = self.extent
+        return extent.throughput_envs if self.device_of(backend) == "cpu" else extent.gpu_throughput_envs
 
 
 def choose(
@@ -163,22 +174,24 @@ def choose(
     """Settings from names; none given means all of that kind.
 
     Without ``parts``, naming scenarios, robots or tasks leaves the parts of the others out. A robot may be named by its
-    parts, as ``"ur10+robotiq_2f85"``. Of ``matters``, ``"native"`` stands for the engines' own.
+    parts, as ``"ur10+robotiq_2f85"``. ``"native"`` in ``matters`` means the engines' own.
 
     Raises:
-        UnknownNameError: nothing bears a name, or what a declared gap names; tells the nearest.
+        UnknownNameError: a name is unknown, or one that a declared gap has; names the nearest.
         ConfigurationError: no backend is installed; a declared gap, or a backend's setting, can not be.
     """
     installed = backend_names()
     if not installed:
         raise ConfigurationError(f"no backend is installed: {install_extra('BACKEND')}, see 'orbit list backends'")
     known = [s.name for s in SCENARIOS]
+    # A slow scenario that is named runs in a quick run too.
     tried = [s.name for s in SCENARIOS if not (quick and s.slow)]
     of_tasks = (Part.TASKS, Part.TRANSFERS, Part.THROUGHPUT)
     named = {Part.SCENARIOS: scenarios, Part.ROBOTS: robots} | dict.fromkeys(of_tasks, tasks)
     implied = tuple(part for part in Part if named[part] or not (scenarios or robots or tasks))
     chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
     backends = _known("backend", backends, installed)
+    # Declarations that cannot be true would only show after hours of a full run.
     for name in backends:
         check_declarations(find_backend(name))
     matters = _known("matter solver", matters, (*matter_names(), NATIVE))
@@ -206,7 +219,7 @@ def choose(
 
 
 def _robots(named: Sequence[str], quick: bool) -> tuple[str, ...]:
-    """Those that are named, or else all of the catalogue whose models are installed."""
+    """Return the named robots, or else all of the catalogue whose models are installed."""
     for name in named:
         robot_info(name)
     known = QUICK_ROBOTS if quick else robot_names()
@@ -229,6 +242,7 @@ def _renderers() -> tuple[str, ...]:
     take longer for an episode's pictures than a job may.
     """
     drawing = [name for name in backend_names() if find_backend(name).capabilities().has(Capability.RGB)]
+    # A path tracer takes minutes for an episode's pictures.
     alone = [name for name in renderer_names() if renderer(name).capabilities()[Capability.RAY_TRACED_RGB] != EXACT]
     return (*drawing, *alone)
 
@@ -244,7 +258,7 @@ def scenario(name: str) -> Scenario:
 
 
 def _known(kind: str, names: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
-    """Those of the known that are named, in their own order; all if none is."""
+    """Return the known names that are given, in the order of the known; all if none is given."""
     known = tuple(known)
     for name in names:
         if name not in known:

@@ -9,13 +9,14 @@ import numpy as np
 
 from orbit_conformance.reference import FloatArray, trajectory
 
+# The first zero of J0 (Abramowitz and Stegun, table 9.5).
 BESSEL_ZERO = 2.404825557695773
-"""The first zero of J0 (Abramowitz and Stegun, table 9.5)."""
 
 
 def root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function that has other signs at both ends is zero, by bisection."""
+    """Return the root of a function that has opposite signs at both ends, by bisection."""
     rising = function(high) > 0.0
+    # Each halving gains a bit: 100 are more than a double holds.
     for _ in range(100):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if (function(middle) > 0.0) == rising else (middle, high)
@@ -73,6 +74,7 @@ def elastica_droop(length: float, weight: float, stiffness: float) -> float:
             angle, bent, _, s = state
             return np.array([bent, -weight * (length - s) * math.cos(angle) / stiffness, math.sin(angle), 1.0])
 
+        # Shooting: a guess of the curvature at the clamp, integrated to the free end.
         return trajectory(slope, np.array([0.0, curvature, 0.0, 0.0]), (length,), length / 200)[0]
 
     # A beam's curvature at the clamp; of a limp strip the integral of the equation times theta' gives a lesser bound.

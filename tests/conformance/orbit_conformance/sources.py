@@ -1,6 +1,6 @@
-"""Which code a record comes from, so that a run that goes on does again what other code had done.
+"""Digests of the code that a record comes from, so that a resumed run repeats the jobs of other code.
 
-Versions do not tell: a plugin that is being written changes from run to run under one version.
+Versions do not suffice: a plugin that is being written changes from run to run under one version.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from orbit_core.backends import renderer as find_renderer
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import Backend
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
+from orbit_core.pretrained import pretrained_policy
 from orbit_core.robots import robot_info
-from orbit_learn.pretrained import pretrained_policy
 
 CORE = "orbit_core"
+# Packages whose code any job may run.
 _SHARED = ("orbit_core", "orbit_assets", "orbit_motion", "orbit_learn", "orbit_conformance")
-"""Packages whose code any job may run."""
 _SCENARIOS = "orbit_conformance.scenarios"
 _SCENARIOS_WORDS = "the scenarios"
+# Files of these packages that no job runs, and the scenarios, which have a digest of their own.
 _IN_NO_JOB = ("cli/", "contract/", "report/", "scenarios/")
-"""Files of these packages that no job runs, and the scenarios, which have a digest of their own."""
 
 
 def source_digests(settings: Settings) -> dict[str, str]:
@@ -44,6 +44,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
         if not name.startswith(_IN_NO_JOB)
     )
     found = {CORE: _digest(core)}
+    # Scenarios have a digest of their own: a change of one does not repeat tasks and policies.
     if settings.scenarios:
         found[_SCENARIOS_WORDS] = _digest(_files(_SCENARIOS))
     for name in settings.backends:
@@ -55,6 +56,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
         solver = matter_solver(name)
         found[_matter(name)] = _plugin_digest(solver, _packages(solver, MATTER_SOLVERS))
     for name in settings.robots:
+        # A robot's model comes from a package, whose version stands in for its files.
         packages = robot_info(name).source.split(", ")
         found[_robot(name)] = _digest((), *(f"{package} {installed_version(package)}" for package in packages))
     named = {name for job in jobs for name in sources_of(job)}
@@ -68,6 +70,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
 def sources_of(job: Job) -> set[str]:
     """The bodies of code that a job's outcome depends on, by the same words."""
     found = {CORE, _backend(job.backend)}
+    # A replay depends on the backend that recorded it as well.
     if job.source:
         found.add(_backend(job.source))
     if job.renderer:

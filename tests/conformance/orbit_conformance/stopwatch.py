@@ -1,4 +1,4 @@
-"""Where an environment's time goes: a stopwatch around its parts, each part's own time without the parts inside it."""
+"""Stopwatch around the parts of an environment's step: each part's time without the parts inside it."""
 
 from __future__ import annotations
 
@@ -62,10 +62,9 @@ def timed_parts(environment: Environment) -> Iterator[Stopwatch]:
     }
     for name, part in parts.items():
         setattr(environment, name, watch.wrap(part, getattr(environment, name)))
-    cut = environment.cut
-    acting = {"act": "agent and motion", "observe": "agent and motion"}
+    acting = {"apply": "agent and motion"}
     for name, part in acting.items():
-        setattr(cut, name, watch.wrap(part, getattr(cut, name)))
+        setattr(environment.actions, name, watch.wrap(part, getattr(environment.actions, name)))
     environment.world.step = watch.wrap("world", environment.world.step)  # pyright: ignore[reportAttributeAccessIssue]
     engine.step = watch.wrap("engine step", engine.step)  # pyright: ignore[reportAttributeAccessIssue]
     engine.__class__ = type(engine_type.__name__, (engine_type,), timed_reads)
@@ -81,6 +80,11 @@ def timed_parts(environment: Environment) -> Iterator[Stopwatch]:
         engine.__class__ = engine_type
         for (function, _), replay in zip(functions, replays, strict=True):
             function.replay = replay
-        for owner, names in ((environment, parts), (cut, acting), (environment.world, ("step",)), (engine, ("step",))):
+        for owner, names in (
+            (environment, parts),
+            (environment.actions, acting),
+            (environment.world, ("step",)),
+            (engine, ("step",)),
+        ):
             for name in names:
                 delattr(owner, name)

@@ -16,23 +16,23 @@ from torch import Tensor
 from orbit_conformance.task_starts import Coverage, sample_starts
 from orbit_core.envs import Environment, Task, make
 from orbit_core.envs.actors import scripted_actor
-from orbit_core.envs.task_checks import TaskCheck
+from orbit_core.envs.task import TaskCheck
 from orbit_core.interfaces import Robot
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.rollout.estimates import Estimate, mean
 from orbit_core.rollout.stepping import EpisodeCounter, Episodes, StepObserver, roll_out
 
 EXPERT, TRIVIAL = "expert", ("random", "zero", "hold")
+# Largest share of an expert's samples beyond a limit: contacts throw a joint about for a moment.
 MOST_BEYOND = 0.01
-"""Largest share of an expert's samples beyond a limit: contacts throw a joint about for a moment."""
+# Relative excess over a limit that counts as rounding.
 _ROUNDING = 1e-3
-"""Relative excess over a limit that counts as rounding."""
+# m^2 that the starts of the widest-spread thing cover at least.
 LEAST_AREA = 0.02
-"""m^2 that the starts of the widest-spread thing cover at least."""
+# Share of a whole turn that the starts of the thing turned most cover at least.
 LEAST_YAW = 0.25
-"""Share of a whole turn that the starts of the thing turned most cover at least."""
+# Highest success rate of an agent that looks at nothing.
 MOST_TRIVIAL = 0.05
-"""Highest success rate of an agent that looks at nothing."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class _LimitMeter(StepObserver):
     """Samples of the speeds and efforts of all robots' joints, over their limits."""
 
     def __init__(self, environment: Environment) -> None:
-        self._task = environment.task
+        self._state = environment.state
         self._joints = [
             (robot, _finite_limits(robot, "velocity_limit"), _finite_limits(robot, "effort_limit"))
             for robot in environment.world.robots.values()
@@ -167,7 +167,7 @@ class _LimitMeter(StepObserver):
     def after_step(self, action: Tensor, info: Mapping[str, Any]) -> None:
         """Sample the joints of episodes that still count and go on; where one ended, the next has begun."""
         assert self.counter is not None
-        rows = self.counter.running & (self._task.episode_step > 0)
+        rows = self.counter.running & (self._state.episode_step > 0)
         for robot, speed_limits, effort_limits in self._joints:
             self.speeds.append((robot.joint_velocities.abs() / speed_limits)[rows].flatten())
             self.efforts.append((robot.joint_efforts.abs() / effort_limits)[rows].flatten())
@@ -190,6 +190,7 @@ def _finite_limits(robot: Robot, name: Literal["velocity_limit", "effort_limit"]
 
 def _run(environment: Environment, agent: str, seed: int, limits: _LimitMeter | None) -> AgentResult:
     """Run one episode of an agent in each environment; all agents meet the same starts."""
+    # One seed for all agents: differences between them are not those of their starts.
     environment.reset(seed=seed)
     counter = EpisodeCounter(environment.num_envs, environment.num_envs, environment.device)
     observers: tuple[StepObserver, ...] = (counter,)
@@ -203,14 +204,15 @@ def _run(environment: Environment, agent: str, seed: int, limits: _LimitMeter | 
 
 def _judged(audit: TaskAudit, environment: Environment) -> TaskAudit:
     """Return the audit with its verdicts."""
-    declared = {exception.check: exception.reason for exception in environment.task.exceptions}
+    declared = {exception.check: exception.reason for exception in environment.task.metadata.exceptions}
     verdicts = list[Verdict]()
     for check in TaskCheck:
+        # Measured before declarations are looked at, so that a stale one is found.
         held, figure = _measured(check, audit, bool(environment.reward_terms))
         if held is None:
             verdicts.append(Verdict(check, Status.ABSENT, "", figure))
         elif check in declared:
-            # Some engines enforce velocity limits whatever the expert does.
+            # Some engines enforce velocity limits, so that no expert can exceed them there.
             stale = held and check is not TaskCheck.VELOCITY_LIMITS
             verdicts.append(Verdict(check, Status.STALE if stale else Status.DECLARED, figure, declared[check]))
         else:
@@ -219,7 +221,7 @@ def _judged(audit: TaskAudit, environment: Environment) -> TaskAudit:
 
 
 def _measured(check: TaskCheck, audit: TaskAudit, has_rewards: bool) -> tuple[bool | None, str]:
-    """Whether a check holds, None where it does not apply, with its figure or the reason."""
+    """Return True if a check holds, None where it does not apply, with its figure or the reason."""
     agents = audit.agents
     if check is TaskCheck.TRIVIAL_AGENTS:
         most = max(TRIVIAL, key=lambda name: agents[name].success.value)
@@ -231,6 +233,7 @@ def _measured(check: TaskCheck, audit: TaskAudit, has_rewards: bool) -> tuple[bo
     if check is TaskCheck.START_YAW:
         widest = max(audit.starts, key=lambda start: start.yaw, default=Coverage("nothing", 0.0, 0.0))
         return widest.yaw >= LEAST_YAW, f"{100.0 * widest.yaw:.0f} % ({widest.name})"
+    # Learned tasks have no expert to be compared with.
     if EXPERT not in agents:
         return None, "no expert"
     if check in (TaskCheck.VELOCITY_LIMITS, TaskCheck.EFFORT_LIMITS):

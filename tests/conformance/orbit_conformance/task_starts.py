@@ -11,12 +11,12 @@ from torch import Tensor
 from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.envs import Environment
 
+# m: least edge of the cells that are counted.
 _CELL = 0.02
-"""m: least edge of the cells that are counted."""
+# Samples expected in each cell of the bounding rectangle: cells grow until it is reached.
 _SAMPLES_PER_CELL = 4
-"""Samples expected in each cell of the bounding rectangle: cells grow until it is reached."""
+# Sectors of a whole turn.
 _SECTORS = 36
-"""Of a whole turn."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,13 @@ def coverage(name: str, poses: Tensor) -> Coverage:
     places = poses[:, :2].double()
     extent = places.amax(0) - places.amin(0)
     area = 0.0
+    # Starts at one place cover nothing; their spread is rounding.
     if bool((extent > 1e-4).any()):
         edge = max(_CELL, math.sqrt(float(extent.prod()) * _SAMPLES_PER_CELL / len(poses)))
         cells = ((places - places.amin(0)) / edge).floor().long()
         # A line of starts covers no more than its own width, which a cell would round up.
         area = len(cells.unique(dim=0)) * float(extent.clamp_max(edge).prod())
     yaw = yaw_angle(poses[:, 3:])
+    # Counted sectors instead of a range, so that two narrow fans are no full turn.
     sectors = ((yaw + math.pi) / (2.0 * math.pi) * _SECTORS).floor().clamp(0, _SECTORS - 1).unique()
     return Coverage(name, area, len(sectors) / _SECTORS if float(yaw.amax() - yaw.amin()) > 1e-3 else 0.0)

@@ -49,7 +49,7 @@ def run_task(
 
 
 def compare_recordings(recording: Path | str, reference: Path | str) -> list[Divergence]:
-    """How the trajectories of two runs of one task part over time.
+    """Return the distance over time between the trajectories of two runs of one task.
 
     Raises:
         AssetError: a file is no recording.

@@ -1,4 +1,4 @@
-"""How fast an environment steps, against its own engine stepped raw; what it takes to start and to hold in memory.
+"""Stepping rate of an environment against its raw engine, time to start, and memory.
 
 The environment takes random actions and does all that it does in learning: actions to joint targets, physics,
 observations, rewards, terminations, resets (episodes are staggered, so that some end in most blocks). After each block
@@ -19,6 +19,7 @@ from typing import Any
 
 import torch
 
+from orbit_conformance.hardware import device_label
 from orbit_conformance.stopwatch import timed_parts
 from orbit_core.backends import backend as find_backend
 from orbit_core.envs import Environment, make
@@ -26,13 +27,13 @@ from orbit_core.envs.actors import RandomActor
 from orbit_core.interfaces import Capability
 from orbit_core.rollout.video import OverviewCamera
 
+# Width and height in pixels of the picture whose cost is measured.
 PICTURE = 84
-"""Width and height in pixels of the picture whose cost is measured."""
+# The stopwatch's parts that are the engine's own work.
 _ENGINE = ("engine step", "state reads")
-"""The stopwatch's parts that are the engine's own work."""
 _ENVIRONMENT = "environment"
+# Number of environments that are drawn, and how often each is drawn.
 _DRAWN = 4
-"""Number of environments that are drawn, and how often each is drawn."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +68,35 @@ class Throughput:
     """Time from the call to the end of the first step, with the engine's import where it was not imported."""
     memory_mib: float
     """Growth of the resident memory of the process and its children; meaningful in a fresh process alone."""
+    hardware: str = ""
+    """Processor or GPU that stepped the environments; empty in results of versions that did not keep it."""
 
     @property
     def shares(self) -> dict[str, float]:
-        """What part of a step that also draws that picture of every environment passes in "engine", "layer" and
-        "rendering"."""
+        """Shares of "engine", "layer" and "rendering" in a step that also draws that picture of every environment."""
         engine = sum(self.parts_milliseconds.get(part, 0.0) for part in _ENGINE)
         layer = sum(self.parts_milliseconds.values()) - engine
         times = {"engine": engine, "layer": layer, "rendering": self.num_envs * (self.picture_milliseconds or 0.0)}
         return {name: milliseconds / sum(times.values()) for name, milliseconds in times.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark:
+    """A stepping rate measured outside of a run, by a command of ``benchmarks/`` or of a plugin's."""
+
+    task: str
+    robot: str = ""
+    """Robot, where it is not the task's own."""
+    action: str
+    """Action space."""
+    backend: str
+    num_envs: int
+    env_steps_per_second: int
+    ratio: float | None = None
+    """Rate as a share of the engine's own, stepped through the same motions; None where that was not measured."""
+    hardware: str
+    command: str
+    """Command that repeats the measurement."""
 
 
 def measure_once(
@@ -90,7 +111,7 @@ def measure_once(
     settings: Mapping[str, Any] | None = None,
     compile: bool = False,
 ) -> Throughput:
-    """Measure one number of environments in this process. Run nothing beside it.
+    """Measure one number of environments in this process. Run no other job meanwhile.
 
     Args:
         task: name of a registered task.
@@ -108,6 +129,7 @@ def measure_once(
         UnsupportedCapabilityError: the backend lacks what the task needs.
     """
     torch.set_num_threads(1)  # as the command line does: small tensors gain nothing, and the engine needs the cores
+    # Before the engine's import, which is a part of start and memory.
     memory, begin = _resident_mib(), time.perf_counter()
     environment = make(task, num_envs, backend, device, seed, settings=settings, compile=compile, **(fields or {}))
     try:
@@ -118,8 +140,10 @@ def measure_once(
         start = time.perf_counter() - begin
         grown = _resident_mib() - memory
         raw = _raw_steppers(environment)
+        # Kernels compile and caches fill in the first block.
         _block(environment, agent, raw, block_steps)  # warm up
         measured = [_block(environment, agent, raw, block_steps) for _ in range(blocks)]
+        # A run of its own: the stopwatch itself costs some microseconds a part.
         parts = _parts(environment, agent, block_steps * max(1, blocks // 4))
         picture = _picture_milliseconds(environment)
     finally:
@@ -134,6 +158,7 @@ def measure_once(
         picture_milliseconds=picture,
         start_seconds=start,
         memory_mib=grown,
+        hardware=device_label(environment.device),
     )
 
 
@@ -163,7 +188,7 @@ def _stagger(environment: Environment, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     steps = torch.randint(environment.max_episode_steps, (environment.num_envs,), generator=generator)
     environment.reset()
-    environment.task.episode_step[:] = steps.to(environment.device)
+    environment.state.episode_step[:] = steps.to(environment.device)
 
 
 def _block(environment: Environment, agent: RandomActor, raw: dict[str, Any], steps: int) -> dict[str, float]:
@@ -214,7 +239,7 @@ def _picture_milliseconds(environment: Environment) -> float | None:
     """Median time to draw an environment once."""
     if not find_backend(environment.world.backend).capabilities().has(Capability.RGB):
         return None
-    camera = OverviewCamera(environment.world, PICTURE, PICTURE, environment.task.view)
+    camera = OverviewCamera(environment.world, PICTURE, PICTURE, environment.task.metadata.view)
     rows = torch.arange(min(_DRAWN, environment.num_envs), device=environment.device)
     try:
         times = [_seconds(environment, camera.pictures, [rows]) for _ in range(1 + _DRAWN)]

@@ -1,4 +1,4 @@
-"""Whether a tolerance asks as much as the best engine gives."""
+"""Search for tolerances that are looser than the best engine warrants."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from orbit_conformance.results import Result, ScenarioInfo
 
+# Largest ratio of a tolerance to the best engine's error that needs no reason.
 FACTOR = 3.0
-"""Largest ratio of a tolerance to the best engine's error that needs no reason."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ def loose_tolerances(result: Result) -> list[LooseTolerance]:
     for info in result.header.scenarios:
         for metric in info.metrics:
             errors = _errors(result, info, metric.name)
+            # A metric with a stated reason may be as loose as it says.
             if not errors or metric.looser_because:
                 continue
             best, backend = min(errors)

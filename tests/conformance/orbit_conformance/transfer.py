@@ -9,9 +9,9 @@ from typing import Any
 
 from orbit_conformance.episodes import FirstEpisodes, TaskResult
 from orbit_conformance.verdict import Status
+from orbit_core.pretrained import PretrainedPolicy, pretrained_policy
 from orbit_core.rollout.estimates import Estimate
 from orbit_learn.policy import PolicyActor, PolicyDescription, load_policy
-from orbit_learn.pretrained import PretrainedPolicy, pretrained_policy
 
 
 @dataclass(frozen=True)
@@ -70,15 +70,17 @@ def transfer(
 
 def judge(policy: PretrainedPolicy, backend: str, success: Estimate, renderer: str | None = None) -> tuple[Status, str]:
     """Status and reason. A miss, or that there is none where one is declared, counts only if it is beyond chance: if
-    the whole interval lies below, or above, the rate that the policy is held to.
+    the whole interval is below, or above, the rate that the policy is held to.
     """
     gap, least = policy.gap_on(backend, renderer), policy.least_success
     told = f"success is {success.percent()}"
+    # A few dozen episodes leave intervals of 20 %: only a miss of the whole interval is one.
     if success.high < (gap.least_success if gap else least):
         held_to = f"the declared {gap.least_success:g}" if gap else f"{least:g}"
         return Status.FAIL, f"{told}, below {held_to}"
     if gap is None:
         return Status.PASS, ""
+    # The declared gap is stale only if chance cannot explain the better result.
     if success.low >= least:
         return Status.STALE, f"{told}, not below {least:g}: take the declared gap back"
     if success.value < least:

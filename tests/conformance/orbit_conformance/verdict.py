@@ -1,4 +1,4 @@
-"""What a scenario's errors say of a backend that has declared what it can do."""
+"""Verdict on a backend from a scenario's errors and the backend's declarations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orbit_core.interfaces.matter import MatterSolver
 
 
 class Status(Enum):
-    """How a backend stands in a scenario."""
+    """Statuses of a backend in a scenario."""
 
     PASS = "pass"
     """Every metric within its tolerance."""
@@ -29,7 +29,7 @@ class Status(Enum):
 
     @property
     def acceptable(self) -> bool:
-        """Whether the backend is as it declares."""
+        """True if the backend is as it declares."""
         return self in (Status.PASS, Status.GAP, Status.UNSUPPORTED)
 
 
@@ -43,7 +43,7 @@ class Verdict:
 
 
 def lacking(backend: Backend, scenario: Scenario, solver: MatterSolver | None = None) -> str:
-    """Which needs of the scenario are declared unsupported, and why; empty if none.
+    """Return the needs of the scenario that are declared unsupported, with reasons; empty if none.
 
     Args:
         backend: what simulates.
@@ -65,6 +65,7 @@ def judge(owner: Backend | MatterSolver, scenario: Scenario, errors: Mapping[str
 def judge_metrics(metrics: Iterable[Metric], errors: Mapping[str, float], gaps: Mapping[str, Gap]) -> Verdict:
     """Hold the error of each metric against its tolerance, and the declared gap of that metric's name."""
     findings = [_judge_metric(metric, errors[metric.name], gaps.get(metric.name)) for metric in metrics]
+    # The worst status decides, and only its reasons are given.
     for status in (Status.FAIL, Status.STALE, Status.GAP):
         reasons = [reason for found, reason in findings if found is status]
         if reasons:
@@ -76,6 +77,7 @@ def _judge_metric(metric: Metric, error: float, gap: Gap | None) -> tuple[Status
     def told(value: float) -> str:
         return f"{value:.3g} {metric.unit}".strip()
 
+    # NaN compares false with everything, and must not pass.
     within = math.isfinite(error) and error <= metric.tolerance
     measured, tolerance = f"{metric.name} is {told(error)}", f"tolerance of {told(metric.tolerance)}"
     if gap is None:
@@ -88,7 +90,7 @@ def _judge_metric(metric: Metric, error: float, gap: Gap | None) -> tuple[Status
 
 
 def farthest(traces: Iterable[Trace]) -> str:
-    """Where each measured curve is farthest from the truth, and to which side; empty if all are on it, or none is."""
+    """Describe where each measured curve is farthest from the truth, and to which side; empty if all are on it."""
     found: list[str] = []
     for trace in traces:
         differences = [measured - true for measured, true in zip(trace.measured, trace.truth, strict=True)]

@@ -172,7 +172,7 @@ def _refuse_clips(layer: Any) -> None:
     """Refuse value clips, whose layers USD opens as it composes, by patterns of names and over time.
     # A stack instead of recursion: prims may be nested deeper than Python's stack.
 
-        Raises:
+    Raises:
             AssetError: a prim has some.
     """
     waiting = [layer.pseudoRoot]

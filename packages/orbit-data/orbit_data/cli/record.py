@@ -31,6 +31,9 @@ class RecordSettings(EnvironmentSettings):
     """The dataset, HDF5 in robomimic's layout; its card is written next to it."""
     group: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """An observation group to record; repeatable, all if left out."""
+    noise: float = 0.0
+    """Standard deviation of noise on the executed actions, in their units, each episode between none and twice this;
+    the demonstrator's own actions are kept as clean_actions, the labels that cloning learns."""
     resume: bool = False
     """Continue an interrupted recording, or extend a complete one."""
     overwrite: bool = False
@@ -76,6 +79,7 @@ def record(settings: RecordSettings) -> None:
                 settings.seed,
                 settings.group or None,
                 lambda recorded: bar.update(counting, completed=recorded),
+                settings.noise,
             )
         except (OrbitError, KeyboardInterrupt):
             if kept := len(file.parts.infos()):

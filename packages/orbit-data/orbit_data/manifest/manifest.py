@@ -12,7 +12,7 @@ import msgspec
 
 from orbit_core.actions.term import ActionTerm
 from orbit_core.backends import renderer_names, versions_of
-from orbit_core.envs.observation_groups import groups_of, terms_of_group
+from orbit_core.envs.observation_layout import groups_of, terms_of_group
 from orbit_core.envs.terms import POSE, ObservationGroup, ObservationTerm, meaning_of, unit_of
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.layout import actuator_of_joint, joint_limits
@@ -298,7 +298,7 @@ def _term(
 ) -> ObservationTermManifest:
     history = group.history if term.history is None else term.history
     meaning, size = meaning_of(term), math.prod(shown.shape) // history
-    given = (environment.world, environment.task, *(() if term.agent is None else (term.agent,)))
+    given = (environment, *(() if term.agent is None else (term.agent,)))
     # A picture has three dimensions, and one more for its history unless the group joins that with the channels.
     picture = len(shown.shape) - (history > 1 and not group.concatenate) >= 3
     components = meaning.components(*given) if callable(meaning.components) else meaning.components

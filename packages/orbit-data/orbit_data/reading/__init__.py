@@ -1,1 +1,5 @@
 """Readers of dataset files that may come from anyone."""
+
+from orbit_core.exports import lazy_modules
+
+__getattr__, __dir__ = lazy_modules(__name__)

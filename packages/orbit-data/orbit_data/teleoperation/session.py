@@ -246,18 +246,18 @@ class Session:
     def _save(self) -> None:
         environment, recorder = self._environment, self._recorder
         assert recorder is not None
-        if int(environment.task.episode_step[0]) == 0:
+        if int(environment.state.episode_step[0]) == 0:
             self.message = "the episode has no steps yet, so nothing was saved"
             return
         sums = environment.reward_sums.unbind()
-        success = environment.task.success(environment.world)
+        success = environment.task.success(environment)
         end = EpisodeEnd(
             env_ids=environment.all_ids,
             observation=environment.observe(),
             success=success | self._success,
             metrics=environment.metrics(),
             rewards=dict(zip(environment.reward_terms, sums, strict=True)),
-            steps=environment.task.episode_step.clone(),
+            steps=environment.state.episode_step.clone(),
         )
         recorder.finish(end)
         self.kept = len(self._file.infos())

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.table import Table
-from tyro.conf import arg
+from tyro.conf import UseAppendAction, arg
 
 from orbit_core.backends import versions_of
 from orbit_core.cli.making import make_environment
@@ -24,7 +24,7 @@ from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from orbit_core.envs.ppo import PpoSettings
-    from orbit_learn.trainer import Progress
+    from orbit_learn.trainer import Progress, Trainer
     from orbit_learn.training import Training
 
 
@@ -35,7 +35,11 @@ class TrainSettings(EnvironmentSettings):
     num_envs: int = 64
     """Environments stepped together, on each GPU if there are several."""
     library: Annotated[str, arg(metavar="NAME")] = "rsl-rl"
-    """Learning library ('orbit list libraries'); distill imitates a teacher."""
+    """Learning library ('orbit list libraries'); distill imitates a teacher, imitation clones demonstrations."""
+    algorithm: Annotated[str | None, arg(metavar="NAME")] = None
+    """Algorithm, for imitation: bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion."""
+    dataset: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
+    """Demonstrations, for imitation ('orbit record' makes them); repeatable."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
     """Teacher for distill: a kept policy's name ('orbit list policies'), a policy's file, a training's folder, or
     expert, the task's own."""
@@ -45,6 +49,8 @@ class TrainSettings(EnvironmentSettings):
     """A setting of the algorithm, such as learning_rate=3e-4 ('orbit info TASK')."""
     distillation: KeyValues = ()
     """A setting of library distill, such as batch_size=1024."""
+    imitation: KeyValues = ()
+    """A setting of library imitation, such as chunk=16."""
     diverged: Literal["reset", "stop"] = "reset"
     """Reaction to environments whose simulation diverges: they begin new episodes and are counted, unless one in a
     hundred does in an iteration; or the training ends."""
@@ -84,7 +90,7 @@ def train(settings: TrainSettings) -> Path:
         raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
     environment = make_environment(settings, settings.num_envs, reset_diverged=settings.diverged == "reset")
     try:
-        algorithm = _algorithm(settings, make_trainer.settings_type, environment.task.ppo)
+        algorithm = _algorithm(settings, make_trainer, environment.task.metadata.ppo)
         folder = settings.resume or settings.output or _new_folder(settings)
         record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
         trainer = make_trainer(environment, algorithm, folder, settings.seed)
@@ -120,7 +126,7 @@ def for_training(settings: TrainSettings) -> TrainSettings:
     """Add the fields that the task sets in training; the user's own take precedence."""
     if settings.task is None:
         return settings
-    fields = {**task_entry(settings.task).task_type().training, **settings.fields}
+    fields = {**task_entry(settings.task).task_type().metadata.training, **settings.fields}
     return dataclasses.replace(settings, fields=fields)
 
 
@@ -140,19 +146,27 @@ def _processes() -> int:
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
-def _algorithm(settings: TrainSettings, kind: type[Any], ppo: PpoSettings) -> Any:
-    """Return the library's settings: the task's own, or the class's defaults, overridden by the user's."""
-    learned = isinstance(ppo, kind)
-    defaults, given = (ppo, settings.ppo) if learned else (kind(), settings.distillation)
-    what, refused = ("PPO", "--distillation and --teacher") if learned else ("distillation", "--ppo")
-    if (settings.distillation or settings.teacher) if learned else settings.ppo:
-        raise ConfigurationError(f"library '{settings.library}' takes no {refused}")
-    values: dict[str, Any] = dict(assignments(given, what, "algorithm setting"))
+def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], ppo: PpoSettings) -> Any:
+    """Return the library's settings: the task's own, or the class's defaults, overridden by the user's.
+
+    Raises:
+        ConfigurationError: an option is of another library.
+    """
+    kind = trainer.settings_type
+    for option in ("ppo", "distillation", "teacher", "imitation", "algorithm", "dataset"):
+        if getattr(settings, option) and option not in trainer.options:
+            raise ConfigurationError(f"library '{settings.library}' takes no --{option}")
+    words, *single = trainer.options
+    defaults = ppo if isinstance(ppo, kind) else kind()
+    values: dict[str, Any] = dict(assignments(getattr(settings, words), words, "algorithm setting"))
+    for option in single:
+        if given := getattr(settings, option):
+            values[option] = given
+    if values.get("dataset"):
+        values["dataset"] = tuple(str(path) for path in values["dataset"])
     if settings.iterations is not None:
         values["iterations"] = settings.iterations
-    if settings.teacher is not None:
-        values["teacher"] = settings.teacher
-    chosen = configured(defaults, values, what, "algorithm setting")
+    chosen = configured(defaults, values, words, "algorithm setting")
     check_positive("iterations", chosen.iterations)
     return chosen
 

@@ -107,7 +107,7 @@ def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Res
 def _fields(record: Mapping[str, Any], task: str) -> tuple[dict[str, Any], list[str]]:
     """Return the fields that a training set, less those of training alone, and a line for each of these."""
     words, table = assignments(record.get("set", ()), f"task {task}"), record.get("fields", {})
-    by_itself = task_entry(task).task_type().training
+    by_itself = task_entry(task).task_type().metadata.training
     alone = {
         name
         for name, value in {**table, **words}.items()

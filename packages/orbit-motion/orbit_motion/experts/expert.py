@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.full_ik import FullIk
-from orbit_core.actions.pose_command import displaced
+from orbit_core.actions.ik import displaced
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply, yaw_angle
+from orbit_core.envs import Environment
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
@@ -189,8 +190,7 @@ class Expert(Node):
 
     def __init__(
         self,
-        world: World,
-        task: Task,
+        env: Environment,
         phases: Sequence[Phase] | Mapping[str, Sequence[Phase]],
         position_lead: float = 0.1,
         rotation_lead: float = 0.5,
@@ -200,14 +200,15 @@ class Expert(Node):
         stage: TermFunction | None = None,
     ) -> None:
         self.name = "policy"
-        self.outputs = (Port("action", (sum(generator.command_size for generator in task.generators),)),)
-        self._world = world
-        self._task = task
-        self._dt = task.physics_dt * task.decimation
-        by_agent = phases if isinstance(phases, Mapping) else {task.agents[0]: phases}
+        self.outputs = (Port("action", (sum(generator.command_size for generator in env.actions.generators),)),)
+        self._env = env
+        self._dt = env.step_dt
+        by_agent = phases if isinstance(phases, Mapping) else {env.task.agents[0]: phases}
         counts = {len(own) for own in by_agent.values()}
-        if {*by_agent} != {*task.agents} or len(counts) != 1:
-            raise ConfigurationError(f"an expert needs equally many phases for each agent: {', '.join(task.agents)}")
+        if {*by_agent} != {*env.task.agents} or len(counts) != 1:
+            raise ConfigurationError(
+                f"an expert needs equally many phases for each agent: {', '.join(env.task.agents)}"
+            )
         self._last = counts.pop() - 1
         self._retries = [
             (number, phase.retry) for own in by_agent.values() for number, phase in enumerate(own) if phase.retry
@@ -218,15 +219,15 @@ class Expert(Node):
                     f"phase {number} of 0 to {self._last} cannot go back {retry.phases} phases: the last "
                     "one never ends, and none comes before the first"
                 )
-        lead = torch.tensor([position_lead, rotation_lead], device=world.device)
-        self._arms = [_Arm(agent, by_agent[agent], lead, world, task, planner, straight) for agent in task.agents]
+        lead = torch.tensor([position_lead, rotation_lead], device=env.device)
+        self._arms = [_Arm(agent, by_agent[agent], lead, env, planner, straight) for agent in env.task.agents]
         self._sag_share = sag_rate * self._dt
         self._stage = stage
         self.teaches = False
         """True if it only labels states, and another policy leads."""
-        self.phase = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
-        self._elapsed = torch.zeros(world.num_envs, device=world.device)
-        self._tries = torch.zeros(world.num_envs, len(self._retries), dtype=torch.int64, device=world.device)
+        self.phase = torch.zeros(env.num_envs, dtype=torch.int64, device=env.device)
+        self._elapsed = torch.zeros(env.num_envs, device=env.device)
+        self._tries = torch.zeros(env.num_envs, len(self._retries), dtype=torch.int64, device=env.device)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         rows = slice(None) if env_ids is None else env_ids
@@ -246,8 +247,8 @@ class Expert(Node):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         # Reset by the step count: the node runs inside a step that is captured, without a call per episode.
-        self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
-        stage = self._stage(self._world, self._task) if self.teaches and self._stage is not None else None
+        self.reset((self._env.state.episode_step == 0).nonzero().squeeze(-1))
+        stage = self._stage(self._env) if self.teaches and self._stage is not None else None
         # The clock restarts where the state is in another phase than before.
         if stage is not None:
             self._elapsed.masked_fill_(stage != self.phase, 0.0)
@@ -268,7 +269,7 @@ class Expert(Node):
         """Return the number of phases (N,) to go back, for phases (N,) that are over without their effect."""
         back = torch.zeros_like(self.phase)
         for (number, retry), tries in zip(self._retries, self._tries.unbind(1), strict=True):
-            failed = over & (self.phase == number) & ~retry.unless(self._world, self._task) & (tries < retry.most)
+            failed = over & (self.phase == number) & ~retry.unless(self._env) & (tries < retry.most)
             back = torch.where(failed, retry.phases, back)
             tries += failed
         return back
@@ -282,19 +283,18 @@ class _Arm:
         agent: str,
         phases: Sequence[Phase],
         lead: Tensor,
-        world: World,
-        task: Task,
+        env: Environment,
         planner: BasePlannerConfig | None = None,
         straight: bool = False,
     ) -> None:
-        self._world = world
-        self._task = task
+        world, task = env.world, env.task
+        self._env = env
         self._straight = straight
         self._phases = tuple(phases)
         self._lead = lead
         self._robot = world.robots[agent]
         self._frame = self._robot.spec.end_effector.frame
-        self._generators = [generator for generator in task.generators if generator.robot is self._robot]
+        self._generators = [generator for generator in env.actions.generators if generator.robot is self._robot]
         # Row numbers pick each environment's phase out of the stacked targets.
         self._rows = torch.arange(world.num_envs, device=world.device)
         tolerances = [(phase.position_tolerance, phase.rotation_tolerance) for phase in phases]
@@ -333,7 +333,7 @@ class _Arm:
         Where it ``teaches`` it asks for what phases ask at least.
         """
         hand = self._robot.frame_pose(self._frame)
-        targets = [hand if own.target is None else own.target(self._world, self._task) for own in self._phases]
+        targets = [hand if own.target is None else own.target(self._env) for own in self._phases]
         # All phases' targets are computed and one is picked: a branch per environment could not be captured.
         target = torch.stack(targets)[phase, self._rows]
         error = pose_error(hand, target)
@@ -375,7 +375,7 @@ class _Arm:
         for number, own in enumerate(self._phases):
             begins = begun & (phase == number)
             if own.base is not None and bool(begins.any()):
-                base.begin(own.base(self._world, self._task), begins)
+                base.begin(own.base(self._env), begins)
         for number, generator in enumerate(self._generators):
             if generator.base_limits is not None:
                 commands[number] = base.command()

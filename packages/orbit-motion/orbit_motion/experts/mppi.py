@@ -76,7 +76,7 @@ class Mppi(Node):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         """Plan, and return the first action (N, A)."""
         # A new episode begins without a plan.
-        write_rows(self._plan, 0.0, (self._environment.task.episode_step == 0).to(self._plan.device))
+        write_rows(self._plan, 0.0, (self._environment.state.episode_step == 0).to(self._plan.device))
         actions = (self._plan.unsqueeze(1) + self._noise()).clamp(-1.0, 1.0)
         returns = self._returns(actions)
         # Relative to the spread of returns, one temperature suits tasks of any scale of reward.
@@ -127,8 +127,8 @@ class Mppi(Node):
         for env in range(environment.num_envs):
             rows = torch.arange(env * samples, (env + 1) * samples, device=model.device)
             model.world.copy_state(env, rows, environment.world)
-        own = remembered(environment.task, environment.cut)
-        for name, tensor in remembered(model.task, model.cut).items():
+        own = remembered(environment)
+        for name, tensor in remembered(model).items():
             given = own.get(name)
             if (
                 given is not None

@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import _disable_current_modes
 
-from orbit_core.capture.kernels import kernels_wanted
-from orbit_core.interfaces.capture import Watched, changes
+from orbit_core.capture.replay import kernels_wanted
+from orbit_core.interfaces.capture import Traceable, changes
 from orbit_core.plugin_kit.scratch import ScratchFolder
 from orbit_motion.fusion.expression import Expression
 from orbit_motion.fusion.operations import Unfusable, expressions
@@ -271,8 +271,8 @@ def _of_gpu(source: str) -> Launch:
     return launch
 
 
-class Fused(Watched):
-    """A function that runs as it is, or, within :func:`orbit_core.capture.kernels.fusing`, as one kernel.
+class Fused(Traceable):
+    """A function that runs as it is, or, within :func:`orbit_core.capture.replay.fusing`, as one kernel.
 
     A compiler for whole steps generates loops, and calls libraries for products and factors of matrices;
     what a servo does to the few numbers of each environment is then a hundred launches, most of them for work of a

@@ -16,10 +16,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from orbit_core.actions.actuate import Actuate
-from orbit_core.actions.base import JointTarget
-from orbit_core.actions.binary_gripper import BinaryGripperConfig
+from orbit_core.actions.base import Actuate, JointTarget
 from orbit_core.actions.differential_ik import DifferentialIkConfig
+from orbit_core.actions.grippers import BinaryGripperConfig
 from orbit_core.interfaces import (
     ArgumentError,
     ConfigurationError,
@@ -90,8 +89,8 @@ class ArmDriver:
         """Set the targets of the next control step."""
         if self._goal is None:
             targets = self._follower.compute({})
-            self.robot.set_position_targets(targets[JointTarget.POSITION.value], self.joints)
-            self.robot.set_velocity_targets(targets[JointTarget.VELOCITY.value], self.joints)
+            self.robot.set_position_targets(targets[JointTarget.POSITION], self.joints)
+            self.robot.set_velocity_targets(targets[JointTarget.VELOCITY], self.joints)
         else:
             command = self._hand.encode(self._goal, torch.tensor([self.gripper_open]))
             # Inverse kinematics commands positions only; an old velocity target would push the arm on.

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from orbit_core.actions.base import CommandMode
 from orbit_core.actions.embodiment import base_joints
-from orbit_core.actions.modes import CommandMode
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_constants
 from orbit_core.scene import RobotSpec

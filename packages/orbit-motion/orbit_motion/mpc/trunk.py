@@ -10,10 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.actions.base import JointTarget
+from orbit_core.actions.base import CommandMode, JointTarget
 from orbit_core.actions.embodiment import driven_joints
-from orbit_core.actions.modes import CommandMode
-from orbit_core.actions.pose_command import displaced
+from orbit_core.actions.ik import displaced
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse, quat_yaw
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_constants

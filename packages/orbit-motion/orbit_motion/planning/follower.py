@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.actions.base import JointTarget
-from orbit_core.actions.base_velocity import PURSUIT_RATE, BaseVelocityConfig, command_towards
+from orbit_core.actions.mobile_base import PURSUIT_RATE, BaseVelocityConfig, command_towards
 from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
 from orbit_motion.planning.trajectory import JointTrajectory
@@ -34,7 +34,7 @@ class TrajectoryFollower(Node):
         self.name, self.rate = name, rate
         self._robot, self._joints = robot, list(joints)
         count = len(self._joints)
-        self.outputs = (Port(JointTarget.POSITION.value, (count,)), Port(JointTarget.VELOCITY.value, (count,)))
+        self.outputs = (Port(JointTarget.POSITION, (count,)), Port(JointTarget.VELOCITY, (count,)))
         self._envs = torch.arange(robot.joint_positions.shape[0], device=robot.joint_positions.device)
         self._positions = robot.joint_positions[:, None, self._joints].clone()
         self._velocities = torch.zeros_like(self._positions)
@@ -80,7 +80,7 @@ class TrajectoryFollower(Node):
         # At the end the interpolated velocity need not be zero.
         velocities = velocities.masked_fill(self.finished.unsqueeze(1), 0.0)
         self._elapsed.add_(1.0 / self.rate)
-        return {JointTarget.POSITION.value: positions, JointTarget.VELOCITY.value: velocities}
+        return {JointTarget.POSITION: positions, JointTarget.VELOCITY: velocities}
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         rows = slice(None) if env_ids is None else env_ids

@@ -35,12 +35,12 @@ class ViewSettings(EnvironmentSettings):
 
 def task_information(environment: Environment) -> Callable[[int], Mapping[str, str]]:
     """Return a function from an environment's index to its episode's seconds, success and the task's metrics."""
-    task, world = environment.task, environment.world
+    task = environment.task
 
     def information(index: int) -> Mapping[str, str]:
-        seconds = float(task.episode_step[index]) * environment.step_dt
-        success = "yes" if bool(task.success(world)[index]) else "no"
-        metrics = {name: f"{float(value[index]):.3g}" for name, value in task.metrics(world).items()}
+        seconds = float(environment.state.episode_step[index]) * environment.step_dt
+        success = "yes" if bool(task.success(environment)[index]) else "no"
+        metrics = {name: f"{float(value[index]):.3g}" for name, value in task.metrics(environment).items()}
         return {"episode": f"{seconds:.2f} of {task.episode_length:g} s", "success": success, **metrics}
 
     return information

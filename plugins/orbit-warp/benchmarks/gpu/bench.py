@@ -55,7 +55,7 @@ def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
     )
     made = time.perf_counter() - begun
     environment.reset(seed=0)
-    environment.task.episode_step.random_(environment.max_episode_steps)
+    environment.state.episode_step.random_(environment.max_episode_steps)
     actions = [torch.rand(num_envs, environment.action_size, device=environment.device) * 2 - 1 for _ in range(16)]
     begun = time.perf_counter()
     environment.step(actions[0])

@@ -27,7 +27,6 @@ from orbit_core import backends
 from orbit_core.envs import ObservationGroup, ObservationTerm, make
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.task import Task
-from orbit_core.interfaces import World
 from orbit_core.mdp.images import camera_color, camera_depth
 from orbit_core.scene import (
     CameraSpec,
@@ -61,8 +60,8 @@ CAMERA = CameraSpec(
 
 
 def _term(name: str, *values: str) -> ObservationTerm:
-    def read(world: World, task: Task) -> torch.Tensor:
-        return torch.cat([getattr(world.sensors[name], value).clamp(-100.0, 5.0) for value in values], 1)
+    def read(env: Environment) -> torch.Tensor:
+        return torch.cat([getattr(env.world.sensors[name], value).clamp(-100.0, 5.0) for value in values], 1)
 
     return ObservationTerm(read)
 
@@ -188,7 +187,7 @@ def started(task: Task, num_envs: int, arguments: argparse.Namespace) -> tuple[E
     """An environment whose step is ready, and its step by random actions."""
     environment = make(task, num_envs, "warp", arguments.device, compile=not arguments.no_compile)
     environment.reset(seed=0)
-    environment.task.episode_step.random_(environment.max_episode_steps)
+    environment.state.episode_step.random_(environment.max_episode_steps)
     shape = (16, num_envs, environment.action_size)
     actions = list(2.0 * torch.rand(shape, device=environment.device) - 1.0)
     with warnings.catch_warnings():
@@ -221,7 +220,7 @@ def report(environment: Environment, what: str, times: dict[str, list[float]]) -
         "device": torch.cuda.get_device_name() if environment.device.type == "cuda" else "cpu",
         "num_envs": environment.num_envs,
         "recorded": closed is not None and not closed.refusal,
-        "phases": [] if closed is None else [part.phases for part in closed.parts],
+        "phases": [] if closed is None else [part.captured for part in closed.parts],
         "env_steps_per_s": round(environment.num_envs / statistics.median(times["whole"])),
         "ms": {name: round(1e3 * statistics.median(values), 4) for name, values in times.items()},
         "finite": bool(environment.world.engine.link_poses.isfinite().all()),

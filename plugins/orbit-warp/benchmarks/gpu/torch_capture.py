@@ -113,12 +113,12 @@ def compiled_whole(arguments: argparse.Namespace, mode: str | None) -> Callable[
     whole = CapturedStep(environment, compile=False, whole=True)._play_and_renew
 
     def play() -> object:
-        environment.cut.observe()
-        environment.world.masking.traced = True
+        environment.observe()
+        environment.world.selector.traced = True
         try:
             return whole()
         finally:
-            environment.world.masking.traced = False
+            environment.world.selector.traced = False
 
     return torch.compile(play, mode=mode)
 

@@ -32,8 +32,8 @@ class RunSettings:
     """Hold backends against physics with known answers and whole tasks; write JSON and an HTML report.
 
     A run that was interrupted goes on when the same command is given again. The exit code is 1 if a backend is not as
-    it declares. Other uses: 'orbit conformance compare A B', 'orbit conformance merge A B --output DIR' and 'orbit
-    conformance report DIR'.
+    it declares. Other uses: 'orbit conformance compare A B', 'orbit conformance merge A B --output DIR', 'orbit
+    conformance publish DIR --output DIR' and 'orbit conformance report DIR'.
     """
 
     backend: Names = ()
@@ -67,12 +67,12 @@ class RunSettings:
     setting: KeyValues = ()
     """A setting of a backend, as BACKEND.KEY=VALUE, or KEY=VALUE where one --backend is named; repeatable."""
     fresh: bool = False
-    """Begin anew where an unfinished run would go on."""
+    """Start again instead of resuming an unfinished run."""
 
 
 @dataclass(frozen=True)
 class CompareSettings:
-    """What got better or worse between two results, beyond noise. The exit code is 1 if a status got worse."""
+    """Report changes between two results that exceed noise. The exit code is 1 if a status got worse."""
 
     before: Annotated[Positional[Path], arg(metavar="A")]
     """A result's JSON file, or its folder."""
@@ -94,8 +94,25 @@ class MergeSettings:
 
 
 @dataclass(frozen=True)
+class PublishSettings:
+    """Write a compact page with its data, and an archive with the whole report of several finished runs.
+
+    Where two runs did one job, the later counts. The page names the archive and its sha256.
+    """
+
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR...")]
+    """The folders of finished runs."""
+    output: Annotated[Path, arg(metavar="DIR")]
+    """Folder for the compact page and its data."""
+    archive: Annotated[Path, arg(metavar="DIR")] = Path("out/release")
+    """Folder for the archive."""
+    benchmarks: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Stepping rates measured outside of the runs, as docs/figures/gpu_rates.json has them."""
+
+
+@dataclass(frozen=True)
 class ReportSettings:
-    """Make a result's HTML report anew."""
+    """Make a result's HTML report again."""
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
     """The folder of a finished run."""
@@ -138,9 +155,9 @@ def _run(words: Sequence[str]) -> int:
             if record is not None and not record.ending.acceptable:
                 bar.console.print(f"{record.job.key}: {record.ending.value}: {record.reason}", markup=False)
 
-        tell = functools.partial(bar.console.print, markup=False)
-        result = run(chosen, settings.output, _pool(settings), progress, tell, settings.fresh)
-    return _tell(result, settings.output)
+        notify = functools.partial(bar.console.print, markup=False)
+        result = run(chosen, settings.output, _pool(settings), progress, notify, settings.fresh)
+    return _conclude(result, settings.output)
 
 
 def _backend_settings(pairs: Sequence[str], backends: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -178,11 +195,12 @@ def _pool(settings: RunSettings) -> Pool:
     return LocalPool(workers, settings.time_limit, settings.output / LOG)
 
 
-def _tell(result: Result, folder: Path) -> int:
+def _conclude(result: Result, folder: Path) -> int:
     """Print the summary, each objection and where the page is; the exit code."""
     from orbit_conformance.report.page import write_report
     from orbit_conformance.tolerances import loose_tolerances
 
+    # Before the summary: an interrupted terminal still leaves the page.
     report = write_report(folder)
     console().print(_summary(result))
     for record in result.objections:
@@ -229,7 +247,19 @@ def _merge(words: Sequence[str]) -> int:
         raise ConfigurationError("name the folders of the runs to be merged")
     from orbit_conformance.merge import merge
 
-    return _tell(merge(settings.folders, settings.output, settings.overwrite), settings.output)
+    return _conclude(merge(settings.folders, settings.output, settings.overwrite), settings.output)
+
+
+def _publish(words: Sequence[str]) -> int:
+    settings = parse_words(PublishSettings, words, f"{PROGRAM} publish")
+    if not settings.folders:
+        raise ConfigurationError("name the folders of the runs to be published")
+    from orbit_conformance.publish import publish
+
+    result = publish(settings.folders, settings.output, settings.archive, settings.benchmarks)
+    assert result.archive is not None
+    print(settings.archive / result.archive.name, result.archive.sha256)
+    return 0
 
 
 def _report(words: Sequence[str]) -> int:
@@ -245,5 +275,5 @@ def _require_extra() -> None:
 
 
 _COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
-    "run": _run, "compare": _compare, "merge": _merge, "report": _report
+    "run": _run, "compare": _compare, "merge": _merge, "publish": _publish, "report": _report
 }  # fmt: skip

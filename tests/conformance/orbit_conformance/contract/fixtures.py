@@ -1,17 +1,60 @@
-"""Fixtures of tests that run on every installed backend."""
+"""Fixtures of the contract tests: engines of the backend under test, read on the host."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
-from orbit_conformance.contract.on_host import OnHost
 from orbit_core import backends
-from orbit_core.interfaces import Backend, Capability, Engine, SceneLayout, UnsupportedCapabilityError
+from orbit_core.interfaces import Backend, Capability, Engine, RayHits, SceneLayout, UnsupportedCapabilityError
 from orbit_core.scene import Scene
+
+_COMMANDS = ("position_targets", "velocity_targets", "efforts")
+
+
+class OnHost:
+    """Proxy of an engine. Commands are written here in place, and handed over before each call."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        for name in _COMMANDS:
+            setattr(self, name, getattr(engine, name).cpu())
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._engine, name)
+        return self._called(value) if callable(value) else _host(value)
+
+    def step(self, steps: int) -> None:
+        """Step the engine, and raise what its device reports."""
+        self._called(self._engine.step)(steps)
+        # An engine that does not wait for its device reports errors only when it is asked.
+        getattr(self._engine, "check", lambda: None)()
+
+    def _called(self, method: Any) -> Any:
+        def call(*arguments: Any) -> Any:
+            for name in _COMMANDS:
+                getattr(self._engine, name).copy_(getattr(self, name))
+            given = [a.to(self._engine.device) if isinstance(a, Tensor) else a for a in arguments]
+            result = _host(method(*given))
+            for name in _COMMANDS:
+                getattr(self, name).copy_(getattr(self._engine, name))
+            return result
+
+        return call
+
+
+def _host(value: Any) -> Any:
+    if isinstance(value, Tensor):
+        return value.cpu()
+    if isinstance(value, RayHits):
+        return RayHits(**{field.name: getattr(value, field.name).cpu() for field in dataclasses.fields(value)})
+    return torch.device("cpu") if isinstance(value, torch.device) else value
+
 
 MakeEngine = Callable[..., Engine]
 Needs = Callable[..., None]
@@ -36,7 +79,7 @@ def needs(backend: Backend) -> Needs:
 
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> torch.device:
-    """Where the engines under test live."""
+    """Torch device of the engines under test."""
     return torch.device(str(request.config.getoption("--device", "cpu")))
 
 
@@ -53,11 +96,13 @@ def make_engine(backend: Backend, device: torch.device) -> Iterator[MakeEngine]:
         try:
             backends.check_scene(backend, scene)
             engine = backend.create_engine(SceneLayout.of(scene), num_envs, device, config)
+        # A refusal with its reason is what the contract asks for: the scene's other promises cannot be tested.
         except UnsupportedCapabilityError as error:
             pytest.skip(str(error))
         made.append(engine)
         return engine if device.type == "cpu" else OnHost(engine)  # pyright: ignore[reportReturnType]
 
     yield make
+    # Engines hold threads and memory of the device, which the next test needs.
     for engine in made:
         engine.close()

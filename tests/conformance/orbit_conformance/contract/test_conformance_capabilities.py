@@ -111,7 +111,7 @@ def test_names_and_versions(backend: Backend) -> None:
 def test_a_scene_is_taken_or_refused_as_declared(
     backend: Backend, make_engine: MakeEngine, capability: Capability
 ) -> None:
-    """What is declared builds and steps; what is not is refused before anything is built, with the reason."""
+    """Declared capabilities build and step; others are refused before anything is built, with the reason."""
     asked = SCENES[capability]()
     assert capability in required_capabilities(asked)
     if backend.capabilities().has(capability):

@@ -59,6 +59,7 @@ def material(friction: float) -> PhysicsMaterial:
 
 def friction_felt(engine: Engine) -> Tensor:
     """Coefficient from how far a cube slides that is pushed off at 1 m/s: ``v^2 / (2 mu g)``."""
+    # Settle on the ground before the push.
     engine.step(20)
     before = engine.link_poses[:, 0, 0].clone()
     engine.write_root_state(0, None, torch.tensor([[1.0, 0, 0, 0, 0, 0]] * engine.num_envs))
@@ -132,6 +133,7 @@ def test_height_fields_collide_where_their_heights_say(make_engine: MakeEngine, 
     """Balls on the two halves of a step: rows run along y, columns along x; 2 mm."""
     needs(Capability.HEIGHT_FIELDS)
     heights = np.zeros((21, 41))
+    # Rows and columns of different number and height, so that swapped axes show.
     heights[:, 25:] = 0.3  # x > 0.5
     heights[:5] = -0.2  # y < -0.5
     field = Shape(HeightField(heights, (4.0, 2.0)), Pose((0.0, 0.0, 0.1)))
@@ -144,6 +146,7 @@ def test_height_fields_collide_where_their_heights_say(make_engine: MakeEngine, 
 
 def test_environments_do_not_touch(make_engine: MakeEngine) -> None:
     """Bodies of different environments pass through each other: each falls as if it were alone."""
+    # Engines keep environments in one world, at one place: nothing but filters keeps them apart.
     alone = make_engine(scene(cube(pose=Pose((0.0, 0.0, 1.0)))))
     many = make_engine(scene(cube(pose=Pose((0.0, 0.0, 1.0)))), num_envs=5)
     for engine in (alone, many):
@@ -178,7 +181,7 @@ def test_who_may_touch_within_an_articulation(
     engine = make_engine(scene(folding_arm(self_collisions, exclusions), gravity=WEIGHTLESS, terrain=()))
     engine.step(2)
     assert_near(engine.joint_positions, torch.zeros(1, 2), atol=1e-5)
-    # An equilateral fold: the end of the third bar lies in the first.
+    # An equilateral fold: the end of the third bar is inside the first.
     angle = 2 * math.pi / 3
     engine.write_joint_state(index(0, 1), torch.tensor([[angle, angle]]), None)
     engine.step(2)
@@ -186,7 +189,7 @@ def test_who_may_touch_within_an_articulation(
 
 
 def test_links_that_a_compound_joint_connects_never_touch(make_engine: MakeEngine, needs: Needs) -> None:
-    """They overlap beside their hip, with links without mass and shapes between them."""
+    """The links overlap next to their hip, with links without mass and shapes between them."""
     needs(Capability.SELF_COLLISIONS, Capability.MASSLESS_LINKS)
     pelvis = Link("pelvis", 5.0, inertia=np.eye(3) * 0.02, collisions=(Shape(Sphere(0.1)),))
     aside = Shape(Sphere(0.1), Pose((0.05, 0.0, 0.0)))

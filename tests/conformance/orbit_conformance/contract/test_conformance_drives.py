@@ -1,4 +1,4 @@
-"""What an engine makes of commands, limits and gains; how right its joints are is a matter of the scenarios."""
+"""Commands, limits and gains of drives; scenarios measure how accurate joints are."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_effort_alone_accelerates(make_engine: MakeEngine) -> None:
 def test_the_effort_is_that_of_the_last_physics_step_and_stays_until_the_next(
     make_engine: MakeEngine, needs: Needs
 ) -> None:
-    """However many steps a call takes, and whatever is written or set after it; 1e-5 of the largest."""
+    """Independent of the number of steps of a call, and of writes after it; 1e-5 of the largest."""
     needs(Capability.IMPLICIT_DRIVES, Capability.RANDOMIZE_GAINS)
     asked = scene(rotor(inertia=0.1, actuators=implicit(400.0, 80.0)), gravity=WEIGHTLESS)
     at_once, one_by_one = make_engine(asked), make_engine(asked)
@@ -49,6 +49,7 @@ def test_the_effort_is_that_of_the_last_physics_step_and_stays_until_the_next(
     at_once.step(3)
     for _ in range(3):
         one_by_one.step(1)
+    # Writes must not change the reading: it is of the last step.
     before = one_by_one.joint_efforts.clone()
     at_once.write_joint_state(index(0), torch.ones(1, 1), torch.ones(1, 1))
     at_once.set_drive_gains(index(0), torch.full((1, 1), 7.0), torch.full((1, 1), 1.0))
@@ -78,7 +79,7 @@ JOINTS = {"revolute": limited_rotor, "prismatic": slider}
     ("lower", "upper"), [(-0.1, 0.2), (-math.inf, 0.2), (-0.1, math.inf)], ids=["both", "upper alone", "lower alone"]
 )
 def test_limits_hold(make_engine: MakeEngine, kind: str, lower: float, upper: float) -> None:
-    """In rad or m: a joint pressed against a limit stays within 0.01 of it, and where there is none it goes on."""
+    """A joint pressed against a limit stays within 0.01 rad or m of it; without a limit it goes on."""
     robot = JOINTS[kind](lower_limit=lower, upper_limit=upper)
     engine = make_engine(scene(robot, terrain=()), num_envs=2)
     inertia = INERTIA if kind == "revolute" else MASS
@@ -108,7 +109,7 @@ def test_an_actuator_groups_armature_takes_the_joints_place(make_engine: MakeEng
 
 
 def test_an_actuator_groups_effort_limit_takes_the_joints_place(make_engine: MakeEngine, needs: Needs) -> None:
-    """Asked for 10 N m both ways: ``omega = limit t / I``, and the effort told is the limit; 1e-3."""
+    """Commands of 10 N m both ways give ``omega = limit t / I``, and the reported effort is the limit; 1e-3."""
     needs(Capability.EFFORT_LIMITS)
     motor = IdealPd(joints=(".*",), effort_limit=2.0)
     engine = make_engine(scene(rotor(inertia=INERTIA, effort_limit=5.0, actuators=(motor,)), terrain=()), num_envs=2)
@@ -140,8 +141,10 @@ def test_explicit_gains_diverge_beyond_the_limit_that_the_core_computes_and_not_
     spec = light_ended_arm()
     much = np.full(2, 1e6)
     gains = ExplicitGains(stiffness=much, damping=delay * much, implicit_damping=np.zeros(2))
+    # The core's own limit of stability decides what it refuses, so that it has to fit every engine.
     edge = unstable_drive(spec.articulation, gains, np.zeros(2), scene().physics_dt, fixed_base=True)
     assert edge is not None
+    # 4 % on either side of the edge.
     for factor, diverges in ((0.96, False), (1.04, True)):
         stiffness = 1e6 * edge.share * factor
         engine = make_engine(scene(spec, gravity=WEIGHTLESS, terrain=()))
@@ -151,6 +154,7 @@ def test_explicit_gains_diverge_beyond_the_limit_that_the_core_computes_and_not_
             engine.efforts[:] = -stiffness * (engine.joint_positions + delay * engine.joint_velocities)
             engine.step(1)
             farthest = max(farthest, float(engine.joint_positions.abs().max()))
+            # A thousand times the start: it has diverged, and more steps would only overflow.
             if farthest > 0.1:
                 break
         assert (farthest > 0.1) is diverges
@@ -161,7 +165,7 @@ def test_explicit_gains_diverge_beyond_the_limit_that_the_core_computes_and_not_
 def test_no_gain_of_an_implicit_drive_makes_a_light_ended_arm_diverge(
     backend: Backend, make_engine: MakeEngine, needs: Needs, factor: float, damping: float
 ) -> None:
-    """From 0.01 rad off, for 2 s, at multiples of the greatest stable explicit stiffness, 130 N m/rad."""
+    """The drive starts 0.01 rad off, for 2 s, at multiples of the largest stable explicit stiffness, 130 N m/rad."""
     needs(Capability.IMPLICIT_DRIVES)
     if backend.drive_integration is DriveIntegration.EXPLICIT:
         pytest.skip(f"{backend.name}: takes its drives' efforts at the beginning of a step")
@@ -222,6 +226,7 @@ def test_drive_gains_per_environment(make_engine: MakeEngine, needs: Needs) -> N
     engine.set_drive_gains(index(0), gains, torch.full((2, 1), 20.0), index(2, 1))
     engine.reset()
     engine.efforts.fill_(5.0)
+    # Long enough for the softest of the drives to settle.
     engine.step(1500)
     assert_near(engine.joint_positions, torch.tensor([[0.1], [0.2], [0.05]]), rtol=0.01, atol=0)
     engine.position_targets.fill_(1.0)

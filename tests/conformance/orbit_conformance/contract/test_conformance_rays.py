@@ -21,6 +21,7 @@ def rays_needed(needs: Needs) -> None:
 def test_beyond_the_greatest_distance_there_is_nothing(make_engine: MakeEngine) -> None:
     engine = make_engine(scene(cube()))
     origins, down = torch.tensor([[[0.5, 0.0, 2.0]]]), torch.tensor([[[0.0, 0.0, -1.0]]])
+    # Just short of the ground, and just beyond.
     near, far = engine.cast_rays(origins, down, 1.9), engine.cast_rays(origins, down, 2.1)
     assert near.distances.isinf().all()
     assert near.links.tolist() == [[BACKGROUND]]
@@ -34,13 +35,14 @@ def test_rays_see_what_was_just_written_in_their_own_environment(make_engine: Ma
     engine.write_root_state(0, poses, None)
     before = engine.link_poses.clone()
     origins, down = torch.tensor([0.0, 0.0, 3.0]).expand(2, 1, 3), torch.tensor([0.0, 0.0, -1.0]).expand(2, 1, 3)
+    # Results come in the order of the environments asked for.
     hits = engine.cast_rays(origins, down, 10.0, index(2, 0))
     assert_near(hits.distances[:, 0], torch.tensor([1.4, 2.4]), **TOLERANCE)
     assert torch.equal(engine.link_poses, before)
 
 
 def test_rays_tell_the_terrain_from_things_and_from_nothing(make_engine: MakeEngine) -> None:
-    """One meets the cube, one the ground beside it, one goes up."""
+    """One meets the cube, one the ground next to it, one goes up."""
     engine = make_engine(scene(cube(half=0.1), gravity=WEIGHTLESS))
     origins = torch.tensor([[[0.0, 0.0, 2.0], [0.5, 0.0, 2.0], [0.5, 0.0, 2.0]]])
     directions = torch.tensor([[[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
@@ -63,6 +65,7 @@ def test_rays_leave_what_carries_them_in_each_environment_by_itself(make_engine:
     for entity, height in ((0, 0.5), (1, 0.6)):
         poses = torch.tensor([[0.0, 0.0, height, *yaw_quaternion(0.2 * number)] for number in range(3)])
         engine.write_root_state(entity, poses, None)
+    # Wider than the cubes: rays past them and through both are in one call.
     place = torch.linspace(-0.2, 0.2, 12)
     x, y = torch.meshgrid(place, place, indexing="ij")
     origins = torch.stack((x, y, torch.full_like(x, 2.0)), -1).view(1, -1, 3).expand(3, -1, 3).contiguous()
@@ -73,7 +76,7 @@ def test_rays_leave_what_carries_them_in_each_environment_by_itself(make_engine:
 
 
 def test_rays_meet_what_is_nearest_behind_what_carries_them_wherever_that_goes(make_engine: MakeEngine) -> None:
-    """One's own cube goes about above another, which engines that number what a ray meets come to in any order."""
+    """The carrying cube moves above another; engines that number ray hits may find the two in any order."""
     engine = make_engine(scene(cube("own", half=0.1), cube("other", half=0.1), gravity=WEIGHTLESS))
     origins = torch.tensor([[[0.0, 0.0, 2.0], [0.0, 0.5, 2.0]]])
     down = torch.tensor([0.0, 0.0, -1.0]).expand_as(origins).contiguous()

@@ -20,6 +20,7 @@ def busy_scene(backend: Backend, *sensors: SensorSpec) -> Scene:
     """An arm, driven where the backend has drives, that strikes a cube and a second one, where it has friction."""
     has = backend.capabilities().has
     drives = (ImplicitPd(joints=(".*",), stiffness=50.0, damping=5.0),) if has(Capability.IMPLICIT_DRIVES) else ()
+    # Impacts and friction make any state that a reset forgets visible within a few steps.
     arm = pendulum(actuators=drives, base=Pose((0.0, 0.0, 0.3)))
     cubes = (cube("one", pose=Pose((0.3, 0.0, 0.06))), cube("two", pose=Pose((0.35, 0.0, 0.2))))
     if has(Capability.FRICTION):
@@ -60,6 +61,7 @@ def test_a_reset_is_complete(make_engine: MakeEngine, needs: Needs, backend: Bac
         used.set_wrenches(index(1), torch.full((2, 1, 6), 2.0))
     used.step(3)
     used.reset(index(1, 0))
+    # At once, before a step: warm starts and caches show only in the steps after it.
     assert_same(everything(used, *COMMANDS), everything(fresh, *COMMANDS))
     for engine in (used, fresh):
         engine.step(50)
@@ -88,10 +90,12 @@ def test_steps_may_be_taken_together_or_apart(make_engine: MakeEngine, needs: Ne
 
 def test_divergence_names_the_environments(make_engine: MakeEngine, backend: Backend) -> None:
     engine = make_engine(busy_scene(backend), num_envs=4)
+    # A NaN command diverges every engine at once, at a known environment.
     engine.efforts[2] = torch.nan
     with pytest.raises(SimulationError, match=r"\b2\b") as error:
         engine.step(5)
     assert not set("013") & set(str(error.value).split(" diverged")[0]), "environments that are well are named"
+    # After a reset the world has to be as good as new, or a run of days would end with one bad environment.
     engine.reset()
     engine.step(5)
     for name in STATE:

@@ -17,6 +17,7 @@ from orbit_core.scene.shapes import Geometry
 
 UPRIGHT = Pose()
 LYING = Pose.from_axis_angle((0.0, 1.0, 0.0), math.pi / 2)
+# A geometry, how it is turned, and the height of its centre at rest in metres.
 CASES: dict[str, tuple[Geometry, Pose, float]] = {
     "a box on its broad side": (Box((0.12, 0.08, 0.04)), UPRIGHT, 0.04),
     "a box on its narrow side": (Box((0.12, 0.08, 0.04)), LYING, 0.12),
@@ -26,7 +27,6 @@ CASES: dict[str, tuple[Geometry, Pose, float]] = {
     "a cylinder on its end": (Cylinder(0.08, 0.1), UPRIGHT, 0.1),
     "a cylinder on its side": (Cylinder(0.08, 0.1), LYING, 0.08),
 }
-"""A geometry, how it is turned, and the height of its centre at rest in metres."""
 
 
 def thing(geometry: Geometry, turned: Pose, height: float, placed: Pose | None = None) -> ObjectSpec:
@@ -46,7 +46,7 @@ def test_a_shape_rests_as_high_as_its_sizes_say(make_engine: MakeEngine, case: s
 
 
 def test_a_shape_stands_where_its_pose_in_the_link_says(make_engine: MakeEngine) -> None:
-    """A capsule turned about y within its link and moved up by 0.03 m lies with the link's origin below; 1.5 mm."""
+    """A capsule turned about y in its link and moved up by 0.03 m rests with the link's origin below; 1.5 mm."""
     placed = replace(LYING, position=(0.0, 0.0, 0.03))
     engine = make_engine(scene(thing(Capsule(0.05, 0.1), Pose(), 0.022, placed)))
     engine.step(40)
@@ -55,7 +55,7 @@ def test_a_shape_stands_where_its_pose_in_the_link_says(make_engine: MakeEngine)
 
 @pytest.mark.parametrize("case", CASES)
 def test_rays_meet_a_shape_where_its_sizes_say(make_engine: MakeEngine, needs: Needs, case: str) -> None:
-    """From straight above, in a second environment where the shape is 1 m higher; 1e-4 m.
+    """Rays from straight above, also in a second environment where the shape is 1 m higher; 1e-4 m.
 
     The normal within 0.1, as some engines have prisms for cylinders; the scenarios of rays measure it.
     """

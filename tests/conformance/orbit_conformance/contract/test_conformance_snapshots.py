@@ -41,6 +41,7 @@ def test_a_snapshot_repeats(make_engine: MakeEngine, backend: Backend) -> None:
         engine.load_state(saved)
     engine.step(7)
     first = everything(engine)
+    # Anything may happen after saving: motion, other commands, the reset of one environment.
     drive(engine, index(0, 1, 2), 5)
     engine.reset(index(1))
     for _ in range(2):
@@ -52,11 +53,12 @@ def test_a_snapshot_repeats(make_engine: MakeEngine, backend: Backend) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_snapshot_holds_commands(make_engine: MakeEngine, command: str) -> None:
-    """Of each environment its own, and of the time of saving, whatever was commanded since."""
+    """Each environment has its own commands, those at the time of saving."""
     engine = make_engine(scene(pendulum(), terrain=()), num_envs=2)
     given = torch.tensor([[0.1, -0.2], [0.3, 0.4]])
     getattr(engine, command)[:] = given
     saved = engine.save_state()
+    # Overwritten in place, as tasks do: a snapshot that kept a reference would change with it.
     getattr(engine, command)[:] = 7.0
     engine.step(1)
     engine.load_state(saved)
@@ -92,7 +94,7 @@ def test_a_snapshot_holds_the_efforts_of_the_last_step(make_engine: MakeEngine) 
 
 
 def test_a_snapshot_holds_contact_forces(make_engine: MakeEngine, needs: Needs) -> None:
-    """What a cube at rest felt is told again after it was lifted off and the state loaded."""
+    """Contact forces of a cube at rest are reported again after it was lifted off and the state loaded."""
     needs(Capability.CONTACT_FORCES)
     engine = make_engine(scene(cube(), sensors=(ContactSensorSpec(name="c", entity="cube"),)), num_envs=2)
     engine.step(60)
@@ -143,7 +145,7 @@ def test_a_snapshot_holds_what_was_set_per_environment(
 ) -> None:
     """Saved before and after a change of environment 1: each continues as it did, and there the change matters.
 
-    Within what sums in any order, which a GPU may take, come to.
+    Tolerances allow for sums in any order, as a GPU takes them.
     """
     needs(capability)
     engine = make_engine(busy_scene(backend), num_envs=2)
@@ -157,6 +159,7 @@ def test_a_snapshot_holds_what_was_set_per_environment(
         engine.step(30)
         for name, measured in everything(engine).items():
             assert_near(measured, expected[name], rtol=1e-5, atol=1e-5)
+    # Without this the test would pass for an engine that ignores the parameter.
     assert any(not torch.equal(unchanged[name][1], changed[name][1]) for name in STATE), "the change does nothing"
 
 

@@ -15,7 +15,7 @@ from orbit_conformance.bodies import WEIGHTLESS, ball, body, cube, index, pendul
 from orbit_conformance.contract.fixtures import MakeEngine
 from orbit_conformance.contract.truth import assert_near
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
-from orbit_core.world.build_check import check_build
+from orbit_core.world.checks import check_build
 
 EXACT = {"rtol": 1e-5, "atol": 1e-5}
 
@@ -103,6 +103,7 @@ def test_velocity_is_of_the_origin_in_world_axes_linear_first(make_engine: MakeE
     before = engine.link_poses[0, 0].clone()
     engine.step(1)
     moved = (engine.link_poses[0, 0, :3] - before[:3]) / 0.001
+    # Motion over a short step shows whether the written velocity is that of the origin or of the centre of mass.
     assert_near(moved, velocity[0, :3], rtol=0, atol=5e-3)  # one step of explicit integration
     omega = engine.link_velocities[0, 0, 3:]
     assert_near(omega, velocity[0, 3:], rtol=0, atol=5e-3)
@@ -140,6 +141,7 @@ def test_quaternions_are_unit_with_a_positive_real_part(make_engine: MakeEngine,
 def test_writes_reach_only_the_environments_named(make_engine: MakeEngine) -> None:
     engine = make_engine(scene(pendulum(), cube()), num_envs=4)
     before = engine.link_poses.clone()
+    # Environments out of order: rows belong to the order given, not to the sorted one.
     engine.write_joint_state(index(1), torch.tensor([[0.5], [0.6]]), None, index(3, 1))
     engine.write_root_state(1, torch.tensor([[0.0, 1.0, 2.0, 1.0, 0.0, 0.0, 0.0]]), None, index(2))
     assert_near(engine.joint_positions[:, 1], torch.tensor([0.0, 0.6, 0.0, 0.5]), **EXACT)
@@ -157,7 +159,7 @@ def test_joints_are_written_in_the_order_given(make_engine: MakeEngine) -> None:
 
 
 def test_a_fixed_base_moves_when_told_in_its_environment_alone(make_engine: MakeEngine) -> None:
-    """Its links go with it, and stay in all other environments, at once, after steps and after its reset."""
+    """Links follow the base in its environment only: at once, after steps and after its reset."""
     engine = make_engine(scene(pendulum(), terrain=(), gravity=WEIGHTLESS), num_envs=3)
     home = engine.link_poses.clone()
     pose = torch.tensor([[1.0, 2.0, 3.0, *yaw_quaternion(math.pi / 2)]])
@@ -200,6 +202,7 @@ def test_flat_plates_are_built_as_described(make_engine: MakeEngine, beyond: flo
     """Their largest moment is the sum of the others, or more by what files round, in frames of any orientation."""
     links, joints = [Link("base", 1.0, inertia=np.eye(3))], []
     for number in range(12):
+        # Moments over six decades, as files of small parts have them.
         generator = np.random.default_rng(number)
         first, second = generator.uniform(0.05, 1.0, 2) * 10.0 ** generator.uniform(-6, 0)
         axes = Pose.from_euler(*generator.uniform(-3, 3, 3)).rotation_matrix()
@@ -211,7 +214,7 @@ def test_flat_plates_are_built_as_described(make_engine: MakeEngine, beyond: flo
 
 
 def test_a_joint_without_effort_is_built(make_engine: MakeEngine) -> None:
-    """As URDF files have it of passive joints: ``effort="0"``."""
+    """URDF files describe passive joints so: ``effort="0"``."""
     robot = pendulum()
     joints = tuple(dataclasses.replace(joint, effort_limit=0.0) for joint in robot.articulation.joints)
     passive = dataclasses.replace(robot, articulation=dataclasses.replace(robot.articulation, joints=joints))

@@ -31,12 +31,14 @@ def test_a_joint_wrench_is_in_the_links_axes(make_engine: MakeEngine, needs: Nee
 
 
 def test_an_external_force_accelerates(make_engine: MakeEngine, needs: Needs) -> None:
-    """``F = m a`` in world axes whatever the body's orientation, until set again; 1e-3."""
+    """``F = m a`` in world axes for any orientation of the body, until set again; 1e-3."""
     needs(Capability.EXTERNAL_WRENCHES)
     engine = make_engine(scene(cube(mass=2.0), gravity=WEIGHTLESS, terrain=()), num_envs=3)
     engine.write_root_state(0, torch.tensor([[0.0, 0.0, 1.0, *yaw_quaternion(1.0)]] * 3), None)
+    # Written for environments 2 and 0, in that order.
     forces = torch.tensor([[[4.0, 0.0, 2.0, 0.0, 0.0, 0.0]], [[0.0, -4.0, 0.0, 0.0, 0.0, 0.0]]])
     engine.set_wrenches(index(0), forces, index(2, 0))
+    # In two calls: a wrench acts until it is set again, not for one call only.
     engine.step(60)
     engine.step(40)
     expected = torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.5]])
@@ -47,7 +49,7 @@ def test_an_external_force_accelerates(make_engine: MakeEngine, needs: Needs) ->
 
 
 def test_an_external_force_acts_at_the_centre_of_mass(make_engine: MakeEngine, needs: Needs) -> None:
-    """It turns nothing, however far off the link's origin is; a torque turns with ``tau / I``; 1 %."""
+    """A force turns nothing, however far off the link's origin is; a torque turns with ``tau / I``; 1 %."""
     needs(Capability.EXTERNAL_WRENCHES)
     engine = make_engine(
         scene(cube(half=0.3, center_of_mass=(0.2, 0.0, 0.0)), gravity=WEIGHTLESS, terrain=()), num_envs=2
@@ -73,8 +75,10 @@ def test_centre_of_mass_per_environment(make_engine: MakeEngine, needs: Needs) -
     """A force at the shifted centre turns nothing; the origin of a spinning body circles that centre; 1 mm."""
     needs(Capability.RANDOMIZE_CENTER_OF_MASS)
     engine = make_engine(scene(cube(), gravity=WEIGHTLESS, terrain=(), dt=0.001), num_envs=2)
+    # Only in environment 1; environment 0 is the reference.
     engine.set_centers_of_mass(index(0), torch.tensor([[[0.1, 0.0, 0.0]]]), index(1))
     spin = torch.tensor([[0.0, 0, 0, 0, 0, math.pi]] * 2)
+    # The origin's velocity of a body whose centre rests: half a turn in one second.
     spin[1, 1] = -0.1 * math.pi
     engine.write_root_state(0, None, spin)
     engine.step(1000)

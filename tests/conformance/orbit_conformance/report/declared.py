@@ -1,4 +1,4 @@
-"""Tables of what backends declare to do less than exactly, and to miss, beside what a report measured."""
+"""Tables of capabilities that backends declare less than exact and gaps that they declare, with measured errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def declarations_of(names: Sequence[str], folder: Path) -> str:
 
 
 def _about(result: Result, plugins: Sequence[Backend]) -> str:
-    """What the report is of, and where declarations or scenarios have changed since it was made."""
+    """Describe the report, and where declarations or scenarios have changed since it was made."""
     told = {info.name for info in result.header.scenarios}
     versions = (f"{name} {version}" for info in result.header.backends for name, version in info.versions.items())
     used = ", ".join(dict.fromkeys(versions))

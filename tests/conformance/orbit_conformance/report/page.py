@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
@@ -14,12 +16,16 @@ from markupsafe import Markup
 from orbit_conformance.execution import VIDEO
 from orbit_conformance.jobs import Kind
 from orbit_conformance.report import plots
-from orbit_conformance.report.courses import courses
+from orbit_conformance.report.differences import Difference, differences
+from orbit_conformance.report.plots import courses
+from orbit_conformance.report.ranking import RULE, Ranking, machine_of, rankings, slug
 from orbit_conformance.report.robots import RobotSection, robot_section
 from orbit_conformance.results import REPORT, PolicyInfo, Record, Result, ScenarioInfo, load
+from orbit_conformance.throughput import Benchmark
 from orbit_conformance.tolerances import loose_tolerances
 from orbit_conformance.verdict import Status
 from orbit_core.files import as_path, written_whole
+from orbit_core.interfaces import Gap
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.rollout.estimates import Estimate
 
@@ -76,13 +82,20 @@ class ScenarioSection:
 class GapLine:
     """A declared gap with what was measured."""
 
-    backend: str
     scenario: str
     metric: str
     tolerance: str
     limit: str
     measured: str
+
+
+@dataclass(frozen=True)
+class GapGroup:
+    """Declared gaps of one backend, or one matter solver, that have one reason."""
+
+    backend: str
     reason: str
+    gaps: tuple[GapLine, ...]
 
 
 @dataclass(frozen=True)
@@ -126,6 +139,10 @@ class Page:
     """Everything that the template shows."""
 
     result: Result
+    rankings: tuple[Ranking, ...]
+    rule: str
+    """Rule that orders the engines of a ranking."""
+    differences: tuple[Difference, ...]
     statuses: tuple[tuple[Status, str], ...]
     totals: tuple[tuple[str, tuple[int, ...]], ...]
     matrix: tuple[tuple[str, tuple[Line, ...]], ...]
@@ -138,7 +155,8 @@ class Page:
     """Lines of the policies that see pictures, with one cell for each of the run's renderers."""
     throughput: Markup
     rates: tuple[tuple[str, ...], ...]
-    gaps: tuple[GapLine, ...]
+    benchmarks: tuple[tuple[str, ...], ...]
+    gaps: tuple[GapGroup, ...]
     loose: tuple[str, ...]
     broken: tuple[Record, ...]
     """Jobs that crashed, hung or raised, at any time step."""
@@ -164,16 +182,26 @@ def render(page: Page) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["slug"] = slug
     template = environment.from_string((files / "page.html.jinja").read_text())
     style, script = (Markup((files / name).read_text()) for name in ("style.css", "script.js"))
-    return template.render(page=page, style=style, script=script)
+    html = template.render(page=page, style=style, script=script)
+    return re.sub(r"\n\s*\n+", "\n", html)  # blocks of the template that are left out leave empty lines
 
 
 def page_of(result: Result, folder: Path) -> Page:
-    """What is to be shown of a result; traces and videos are looked for in its folder."""
-    settings = result.header.settings
+    """Return what is to be shown of a result; of a condensed one no plots.
+
+    Args:
+        result: of a finished run, or a condensed one.
+        folder: where traces and videos are looked for.
+    """
+    settings, plotted = result.header.settings, result.archive is None
     return Page(
         result=result,
+        rankings=rankings(result),
+        rule=RULE,
+        differences=differences(result),
         statuses=tuple(_SYMBOLS.items()),
         totals=tuple(
             (name, tuple(sum(r.status is status for r in result.judged if r.job.backend == name) for status in Status))
@@ -181,16 +209,21 @@ def page_of(result: Result, folder: Path) -> Page:
         ),
         matrix=tuple(_matrix(result)),
         scenarios=tuple(
-            ScenarioSection(info, Markup(plots.accuracy(result, info)), Markup(plots.traces(result, info, folder)))
+            ScenarioSection(
+                info,
+                Markup(plots.accuracy(result, info) if plotted else ""),
+                Markup(plots.traces(result, info, folder) if plotted else ""),
+            )
             for info in result.header.scenarios
         ),
         robots=robot_section(result),
         tasks=tuple(_task_section(result, task, folder) for task in result.tried_tasks),
-        success=Markup(plots.success(result)),
+        success=Markup(plots.success(result) if plotted else ""),
         transfers=tuple(_transfer_line(result, info) for info in result.header.policies),
         drawn=tuple(_drawn_lines(result)),
-        throughput=Markup(plots.throughput(result)),
+        throughput=Markup(plots.throughput(result) if plotted else ""),
         rates=tuple(_rates(result)),
+        benchmarks=tuple(map(_benchmark_row, result.benchmarks)),
         gaps=tuple(_gaps(result)),
         loose=tuple(map(str, loose_tolerances(result))),
         broken=tuple(record for record in result.records if not record.ending.acceptable),
@@ -243,6 +276,7 @@ def _worst_cell(result: Result, kind: Kind, name: str, backend: str) -> Cell:
     records = [r for r in result.of(kind) if (r.job.name, r.job.backend, r.job.renderer) == (name, backend, "")]
     if not records:
         return Cell(None, "not run")
+    # Throughput has several records in a cell, one for each number of environments.
     worst = max(records, key=lambda record: list(_SYMBOLS).index(record.status))
     label = worst.played.success.percent() if worst.played else _label(worst)
     return Cell(worst.status, label, worst.why)
@@ -279,7 +313,7 @@ def _transfer_cell(result: Result, info: PolicyInfo, backend: str, renderer: str
 
 
 def _label(record: Record) -> str:
-    words = {Status.GAP: "gap", Status.STALE: "stale"}
+    words = {Status.GAP: "gap", Status.STALE: "stale", Status.UNSUPPORTED: "no"}
     return words.get(record.status, record.status.value)
 
 
@@ -295,7 +329,7 @@ def _task_section(result: Result, task: str, folder: Path) -> TaskSection:
         videos=tuple((job.backend, f"{job.key}/{VIDEO}") for job in videos),
         rows=tuple(_task_row(backend, own[backend]) for backend in backends if backend in own),
         courses=Markup(courses(result, task)),
-        divergence=Markup(plots.divergences(result, task)),
+        divergence=Markup(plots.divergences(result, task) if result.archive is None else ""),
         replays=tuple(
             (source, tuple(_replay_text(own if source == b else None, replays, source, b) for b in backends))
             for source in sources
@@ -307,6 +341,7 @@ def _task_row(backend: str, record: Record) -> tuple[str, ...]:
     task = record.task
     if task is None:
         return (backend, "-", record.why, "", "", "", "")
+    # The first metric is the leading one.
     name, metric = next(iter(task.metrics.items()))
     time = _estimate(task.seconds_to_success) if task.seconds_to_success else "-"
     broken = ", ".join(f"{check.name}: {check.failed} of {check.starts}" for check in task.premises) or "-"
@@ -331,7 +366,7 @@ def _rates(result: Result) -> Iterator[tuple[str, ...]]:
     for record in result.of(Kind.THROUGHPUT):
         rate, job = record.throughput, record.job
         if rate is None:
-            yield (job.name, job.backend, str(job.num_envs), record.why, *[""] * 7)
+            yield (job.name, job.backend, str(job.num_envs), record.why, *[""] * 8)
             continue
         raw = rate.raw
         shares = (f"{100 * rate.shares[name]:.0f} %" for name in ("engine", "layer", "rendering"))
@@ -345,18 +380,38 @@ def _rates(result: Result) -> Iterator[tuple[str, ...]]:
             *shares,
             f"{rate.start_seconds:.1f}",
             f"{rate.memory_mib:,.0f}",
+            machine_of(result, record) or "-",
         )
 
 
-def _gaps(result: Result) -> Iterator[GapLine]:
-    infos = {info.name: info for info in result.header.scenarios}
-    owners = (*result.header.backends, *result.header.matters)
-    for owner, gap in ((each, gap) for each in owners for gap in each.gaps if gap.scenario in infos):
-        info = infos[gap.scenario]
-        metric = next(metric for metric in info.metrics if metric.name == gap.metric)
-        measured = _number(_worst(result, info, owner.name, gap.metric), metric.unit)
-        tolerance, limit = (_number(value, metric.unit) for value in (metric.tolerance, gap.limit))
-        yield GapLine(owner.name, gap.scenario, gap.metric, tolerance, limit, measured, gap.reason)
+def _benchmark_row(rate: Benchmark) -> tuple[str, ...]:
+    return (
+        f"{rate.task}, {rate.robot}" if rate.robot else rate.task,
+        rate.backend,
+        rate.action,
+        f"{rate.num_envs:,}",
+        f"{rate.env_steps_per_second:,.0f}",
+        "-" if rate.ratio is None else f"{100 * rate.ratio:.0f} %",
+        rate.hardware,
+        rate.command,
+    )
+
+
+def _gaps(result: Result) -> Iterator[GapGroup]:
+    known = {info.name for info in result.header.scenarios}
+    for owner in (*result.header.backends, *result.header.matters):
+        own = (gap for gap in owner.gaps if gap.scenario in known)
+        # Gaps of one cause follow each other in declarations, so that the page says it once.
+        for reason, gaps in itertools.groupby(own, key=lambda gap: gap.reason):
+            yield GapGroup(owner.name, reason, tuple(_gap_line(result, owner.name, gap) for gap in gaps))
+
+
+def _gap_line(result: Result, owner: str, gap: Gap) -> GapLine:
+    info = next(info for info in result.header.scenarios if info.name == gap.scenario)
+    metric = next(metric for metric in info.metrics if metric.name == gap.metric)
+    measured = _number(_worst(result, info, owner, gap.metric), metric.unit)
+    tolerance, limit = (_number(value, metric.unit) for value in (metric.tolerance, gap.limit))
+    return GapLine(gap.scenario, gap.metric, tolerance, limit, measured)
 
 
 def _worst(result: Result, info: ScenarioInfo, owner: str, metric: str) -> float:

@@ -1,12 +1,16 @@
-"""The report's plots, each from a result alone."""
+"""The report's plots, each from a result only."""
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from orbit_conformance.courses import Course
 from orbit_conformance.execution import TRACES
 from orbit_conformance.jobs import Kind
 from orbit_conformance.report.svg import COLORS, color_of, plotting
@@ -16,8 +20,8 @@ from orbit_conformance.throughput import Throughput
 from orbit_core.interfaces.matter import NATIVE
 
 _MARGIN = 10**0.5
+# Errors below are drawn here: a logarithmic axis has no zero.
 _LEAST = 1e-9
-"""Errors below are drawn here: a logarithmic axis has no zero."""
 
 
 def accuracy(result: Result, info: ScenarioInfo) -> str:
@@ -44,7 +48,8 @@ def accuracy(result: Result, info: ScenarioInfo) -> str:
 
 
 def _points(records: list[Record], metric: Metric) -> list[tuple[float, float]]:
-    """Speeds and errors of the records that have finite ones; without a solver's own choice beside its sweep."""
+    """Speeds and errors of the records that have finite ones; without a solver's own choice where it has a sweep."""
+    # A solver's own choice of step would be a point off the line of its sweep.
     swept = [record for record in records if record.job.substep] or records
     results = [record.scenario for record in swept if record.scenario]
     pairs = [(found.speed, found.errors.get(metric.name, math.nan)) for found in results]
@@ -60,7 +65,7 @@ def _dash(matter: str) -> str:
 
 
 def traces(result: Result, info: ScenarioInfo, folder: Path) -> str:
-    """Measured curves beside the truth; empty if the scenario keeps none, or their files are not there."""
+    """Draw measured curves and the truth; empty if the scenario keeps none, or their files are not there."""
     backends = result.header.settings.backends
     curves: dict[str, list[tuple[str, str, Trace]]] = {}
     for backend, matter in itertools.product(backends, result.matters(info.name)):
@@ -73,6 +78,7 @@ def traces(result: Result, info: ScenarioInfo, folder: Path) -> str:
         return ""
     with plotting(list(curves)) as plot:
         for title, panel in plot.panels.items():
+            # All engines have the same truth, at the same times.
             truth = curves[title][0][2]
             panel.plot(truth.times, truth.truth, color="#bbb", linewidth=3.5, label="truth")
             for backend, matter, trace in curves[title]:
@@ -154,3 +160,45 @@ def _logarithmic(panel: Any) -> None:
 
 def _title(quantity: Metric | Trace) -> str:
     return f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name
+
+
+# Share of the extent of all curves that is left free around them.
+_COURSE_MARGIN = 0.05
+
+
+def courses(result: Result, task: str) -> str:
+    """A panel for each backend from above, one for each of heights, and one of the metric; empty without courses."""
+    backends = result.header.settings.backends
+    found = [course for course in result.courses if course.task == task]
+    if not found:
+        return ""
+    points = list(found[0].points)
+    metric = found[0].metric
+    titles = [f"{course.backend}, {view} (m)" for view in ("from above", "height") for course in found]
+    with plotting([*titles, metric]) as plot:
+        for course in found:
+            for index, point in enumerate(points):
+                color, dash = COLORS[index % len(COLORS)], "-" if index < len(COLORS) else ":"
+                style = {"color": color, "linestyle": dash, "linewidth": 1, "label": point.rpartition("/")[2]}
+                x, y, z = np.array(course.points[point]).T
+                above = plot.panels[f"{course.backend}, from above (m)"]
+                above.plot(x, y, **style)
+                above.plot(x[:1], y[:1], "o", markersize=3, color=color)
+                plot.panels[f"{course.backend}, height (m)"].plot(course.times, z, **style)
+            color = color_of(course.backend, backends)
+            plot.panels[metric].plot(course.times, course.values, color=color, label=course.backend)
+        _same_axes([plot.panels[f"{c.backend}, from above (m)"] for c in found], found, (0, 1))
+        _same_axes([plot.panels[f"{c.backend}, height (m)"] for c in found], found, (2,))
+        for title in (*titles[len(found) :], metric):
+            plot.panels[title].set_xlabel("s")
+        return plot.svg(f"courses-{task}")
+
+
+def _same_axes(panels: Sequence[Any], found: Sequence[Course], columns: Sequence[int]) -> None:
+    """The same limits for all panels, around these coordinates of all courses; the last is the vertical axis."""
+    places = np.concatenate([np.array(list(course.points.values())).reshape(-1, 3) for course in found])
+    for column, axis in zip(reversed(columns), ("y", "x"), strict=False):
+        low, high = float(np.nanmin(places[:, column])), float(np.nanmax(places[:, column]))
+        room = _COURSE_MARGIN * (high - low) + 1e-3
+        for panel in panels:
+            panel.set(**{f"{axis}lim": (low - room, high + room)})

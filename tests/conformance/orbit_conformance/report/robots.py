@@ -72,6 +72,7 @@ def robot_section(result: Result) -> RobotSection | None:
         RobotTable(backend, tuple(_line(record) for record in records if record.job.backend == backend))
         for backend in result.header.settings.backends
     )
+    # Gaps of robots that this run left out would look as if they were measured.
     robots = {record.job.name for record in records}
     declared = [(info.name, gap) for info in result.header.backends for gap in info.gaps if robots & {*gap.robots}]
     everywhere = [("all", gap) for gap in ROBOT_GAPS if robots & {*gap.robots}]
@@ -98,7 +99,7 @@ def _cell(check: RobotCheck, found: CheckResult | None, spared: Mapping[str, str
 
 
 def _errors(check: RobotCheck, found: CheckResult) -> Iterator[tuple[bool, str, str, str]]:
-    """Of each metric: whether it is within its tolerance, its name, its error and its tolerance."""
+    """Yield for each metric whether it is within its tolerance, its name, its error and its tolerance."""
     for metric in check.metrics:
         if metric.name in found.errors:
             error = found.errors[metric.name]

@@ -1,7 +1,9 @@
-// Links into a closed section open it; buttons play a task's videos together and open all details of a section.
+// Links into closed sections open them; buttons play a task's videos together and open all details of a section.
 function reveal() {
   const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
-  if (target instanceof HTMLDetailsElement) target.open = true;
+  // A link may lead into a fold within a fold: each has to be open before the target has a place to scroll to.
+  for (let fold = target?.closest("details"); fold; fold = fold.parentElement?.closest("details")) fold.open = true;
+  target?.scrollIntoView();
 }
 addEventListener("hashchange", reveal);
 reveal();

@@ -10,7 +10,7 @@ from typing import Any
 
 import matplotlib as mpl
 
-mpl.use("agg")  # no window, whatever the process was told
+mpl.use("agg")  # no window, even where the environment chooses an interactive backend
 
 from matplotlib.figure import Figure
 
@@ -29,12 +29,12 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 7,
     "path.simplify_threshold": 0.5,
 }
-# Okabe and Ito's colours, which the colour-blind can tell apart; without the yellow, which white swallows.
+# Okabe and Ito's colours, which the colour-blind can distinguish; yellow is left out, as it is too pale on white.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 PANEL_WIDTH, PANEL_HEIGHT = 2.7, 2.1
 _COLUMNS = 4
+# Columns of the legend below the panels.
 _LEGEND_COLUMNS = 2
-"""Columns of the legend below the panels."""
 
 
 class Plot:
@@ -82,9 +82,11 @@ def _slim(svg: str) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
+    # Ids of many plots in one page would clash; nothing refers to these.
     svg = re.sub(r' id="[A-Za-z0-9.]+_\d+"', "", svg)
     svg = re.sub(r' (?:xmlns(?::xlink)?|version)="[^"]*"', "", svg)
     svg = svg.replace("xlink:href", "href")
+    # A hundredth of a point is below a screen's resolution, and halves the page.
     svg = re.sub(r'\b(?:d|x|y|transform)="[^"]*"', lambda place: re.sub(r"(\.\d\d)\d+", r"\1", place[0]), svg)
     svg = re.sub(r"font-family: [^;\"]*", "", svg)  # the page's own
     svg = re.sub(r"\s*\n\s*(?=[A-Zz][ \"\d-])", " ", svg)  # a path's points on one line
@@ -93,7 +95,7 @@ def _slim(svg: str) -> str:
 
 
 def _without_bare_groups(svg: str) -> str:
-    """Groups that carry nothing but their content fall away; every tag stands on a line of its own."""
+    """Drop groups without attributes; every tag must be on a separate line."""
     kept, open_groups = [], []
     for line in svg.splitlines():
         if line.startswith("<g"):

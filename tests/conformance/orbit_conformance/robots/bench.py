@@ -1,4 +1,4 @@
-"""How a robot is put on the bench, and which of its joints are moved there."""
+"""Test bench of a robot: its placement, and the joints that are moved there."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from orbit_core.interfaces import match_names
 from orbit_core.scene import Joint, JointType, RobotSpec
 
 FloatArray = npt.NDArray[np.float64]
+# Radians to either side of zero, for joints without limits.
 _TURN = math.pi
-"""Radians to either side of zero, for joints without limits."""
 
 
 def clamped(spec: RobotSpec) -> RobotSpec:
@@ -37,7 +37,7 @@ def travel(joint: Joint) -> tuple[float, float]:
 
 
 def drive_gains(spec: RobotSpec) -> tuple[FloatArray, FloatArray]:
-    """Stiffness and damping (J,) of the joints' drives, whoever computes them; zero where there is none."""
+    """Return stiffness and damping (J,) of the joints' drives, the engine's or ORBIT's; zero where there is none."""
     gains = np.zeros((2, len(spec.articulation.joint_names)))
     for group in spec.actuators:
         joints = match_names(group.joints, spec.articulation.joint_names, "joint", f"'{spec.name}'")

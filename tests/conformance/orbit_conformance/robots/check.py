@@ -10,13 +10,13 @@ from orbit_conformance.verdict import Status, Verdict, judge_metrics
 from orbit_core.interfaces import Gap
 from orbit_core.scene import RobotSpec
 
+# Seconds, that of the tasks.
 TIME_STEP = 0.005
-"""Seconds, that of the tasks."""
 
 
 @dataclass(frozen=True)
 class Measures:
-    """What a check of one robot on one backend came to."""
+    """Errors and figures of a check of one robot on one backend."""
 
     errors: Mapping[str, float]
     """Errors by metric; a metric that does not apply to the robot is left out."""
@@ -56,8 +56,8 @@ class CheckResult:
     """The reason for anything but a pass."""
     errors: dict[str, float]
     """Errors by metric."""
-    figures: dict[str, float]
-    seconds: float
+    figures: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
     """Wall time, building of the world included."""
 
 
@@ -69,9 +69,9 @@ class RobotResult:
     """Number of joints that move freely."""
     mass: float
     """Total mass of the description in kg."""
-    categories: tuple[str, ...]
     checks: tuple[CheckResult, ...]
-    spared: dict[str, str]
+    categories: tuple[str, ...] = ()
+    spared: dict[str, str] = field(default_factory=dict)
     """Reasons by check, of those that the robot is not put to."""
 
     @property

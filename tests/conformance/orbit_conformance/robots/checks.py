@@ -10,8 +10,7 @@ from orbit_conformance.robots.check import CheckResult, RobotCheck, RobotResult,
 from orbit_conformance.robots.description import DESCRIPTION
 from orbit_conformance.robots.exceptions import ROBOT_GAPS
 from orbit_conformance.robots.grasping import GRASP
-from orbit_conformance.robots.holding import HOLD
-from orbit_conformance.robots.standing import STAND
+from orbit_conformance.robots.standing import HOLD, STAND
 from orbit_conformance.robots.tracking import TRACKING
 from orbit_conformance.scenario import Trial
 from orbit_conformance.verdict import Status

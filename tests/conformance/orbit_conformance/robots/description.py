@@ -1,4 +1,4 @@
-"""Whether an engine built the robot that was described: its mass, and where its links are."""
+"""Check that an engine built the robot that was described: its mass and its link poses."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from orbit_core.dynamics.transforms import quat_distance
 from orbit_core.interfaces import Robot, World
 from orbit_core.scene import RobotSpec
 
+# Twenty configurations, spread over environments so that a wrong one shows.
 _ENVS, _ROUNDS = 4, 5
-"""Twenty configurations, spread over environments so that a wrong one shows."""
 
 
 def _run(trial: Trial, spec: RobotSpec) -> Measures:
@@ -36,6 +36,7 @@ def _run(trial: Trial, spec: RobotSpec) -> Measures:
 
 def _mass_error(world: World, spec: RobotSpec) -> float:
     """Relative. The number of a fixed root plays no part in any motion, and engines may keep none."""
+    # A fixed root never moves.
     moving = slice(1 if spec.fixed_base else 0, None)
     links = world.engine.layout.entity(spec.name).links
     built = world.engine.built_model()[0].masses[links][moving].sum()
@@ -49,15 +50,18 @@ def _misplaced(world: World, robot: Robot, spec: RobotSpec, random: np.random.Ge
     joints = articulation.movable_joints
     low, high = np.array([travel(joint) for joint in joints]).T
     home = robot.home_positions.cpu().numpy().astype(np.float64)
+    # Random joint positions would tear a closed loop open.
     drawn = home if articulation.loops else random.uniform(low, high, (world.num_envs, len(joints)))
     positions = _tensor(world, with_followers(articulation, np.broadcast_to(drawn, (world.num_envs, len(joints)))))
     robot.set_joint_state(positions, torch.zeros_like(positions))
     root = robot.root_pose.clone()
     if not spec.fixed_base:
+        # Normal components make uniformly distributed rotations.
         turned = random.normal(size=(world.num_envs, 4))
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         root = _tensor(world, np.concatenate((random.uniform(0.5, 1.5, (world.num_envs, 3)), turned), 1))
         robot.set_root_pose(root)
+    # Double precision: the truth must be better than the engine's single.
     tree = KinematicTree(articulation, dtype=torch.float64)
     truth = tree.forward(root.cpu().double(), positions.cpu().double())
     measured = robot.link_poses.cpu().double()

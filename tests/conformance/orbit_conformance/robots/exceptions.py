@@ -1,4 +1,4 @@
-"""Where a robot misses a check on every engine, by its own nature: declared gaps that hold on all of them."""
+"""Declared gaps of robots that miss a check on every engine, by their own nature."""
 
 from __future__ import annotations
 

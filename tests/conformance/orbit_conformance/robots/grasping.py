@@ -1,28 +1,80 @@
-"""Whether a gripper or a hand closes on a cylinder and holds it against twice its weight."""
+"""Check that a gripper or a hand closes on a cylinder and holds it against twice its weight."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
 import torch
 
-from orbit_assets.audit.robots.postures import gripping
+from orbit_assets.audit.robots.postures import all_shapes, frame_pose, gripper_posture, gripping
+from orbit_assets.convex import Convex, convex_shape, within
 from orbit_assets.objects import cylinder
 from orbit_conformance.bodies import WEIGHTLESS, G, scene
 from orbit_conformance.robots.bench import clamped
 from orbit_conformance.robots.check import Measures, RobotCheck
-from orbit_conformance.robots.placing import LENGTH, RADIUS, Place, place_of
 from orbit_conformance.scenario import Metric, Trial
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
 from orbit_core.interfaces import World
 from orbit_core.interfaces.layout import gripper_positions
-from orbit_core.scene import EndEffector, Gripper, PhysicsMaterial, RobotSpec
+from orbit_core.scene import Cylinder, EndEffector, Gripper, PhysicsMaterial, Pose, RobotSpec, Shape
 
+# Metres. The axis is along the x of the end effector's frame: across the fingers' opening and the approach.
+RADIUS, LENGTH = 0.02, 0.1
+# Metres out of the hand, from the end effector's frame, within which a place is looked for.
+_FARTHEST, _STRIDE = 0.08, 0.002
+# Metres between shapes that count as touching.
+_TOUCH = 2e-4
+# Share of the radius to which closing fingers would get into the cylinder: less is no more than brushing its front.
+_CORE = 0.5
+_LYING = Pose.from_axis_angle((0.0, 1.0, 0.0), math.pi / 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Pose of the cylinder, and the robot's joints with the hand open and closed."""
+
+    pose: Pose
+    """Of the cylinder, in the world."""
+    opened: Mapping[str, float]
+    """Positions of all movable joints by name."""
+    closed: Mapping[str, float]
+
+
+def place_of(spec: RobotSpec, effector: EndEffector, gripper: Gripper) -> Place | None:
+    """Return the place nearest to the end effector's frame that the open hand leaves free and the closing one does not.
+
+    None where there is none: the hand opens too little, or closes next to it.
+    """
+    opened = gripper_posture(spec, gripper, gripper.open_position)
+    closed = gripper_posture(spec, gripper, gripper.closed_position)
+    frame = frame_pose(spec, effector.frame, opened)
+    around, within_reach = all_shapes(spec, opened), all_shapes(spec, closed)
+    whole, core = (Shape(Cylinder(radius, LENGTH / 2.0)) for radius in (RADIUS, _CORE * RADIUS))
+    # The nearest place first: far out on the fingertips every hand is weak.
+    for out in np.arange(0.0, _FARTHEST, _STRIDE):
+        pose = frame @ Pose((0.0, 0.0, float(out))) @ _LYING
+        # The core has to be met, or a closing hand would only brush the cylinder.
+        if not _touches(whole, pose, around) and _touches(core, pose, within_reach):
+            return Place(pose, opened, closed)
+    return None
+
+
+def _touches(shape: Shape, pose: Pose, others: list[Convex]) -> bool:
+    thing = convex_shape(shape, pose)
+    assert thing is not None
+    return any(within(thing, other, _TOUCH) for other in others)
+
+
+# kg, and its coefficient: rubber's, also where the finger's own is less.
 MASS, FRICTION = 0.2, 1.0
-"""kg, and its coefficient: rubber's, also where the finger's own is less."""
 _LOAD = 2.0 * MASS * G
+# One in each environment, in the end effector's axes: along the cylinder, towards a finger, and out of the hand.
 _PULLS = torch.eye(3)
-"""One in each environment, in the end effector's axes: along the cylinder, towards a finger, and out of the hand."""
+# Seconds
 _CLOSE, _SETTLE, _HOLD = 1.0, 0.5, 2.0
-"""Seconds"""
 
 
 def _run(trial: Trial, spec: RobotSpec) -> Measures:
@@ -38,13 +90,15 @@ def _hands(spec: RobotSpec) -> list[tuple[EndEffector, Gripper, Place]]:
 
 
 def _slip(trial: Trial, spec: RobotSpec, effector: EndEffector, gripper: Gripper, place: Place) -> float:
-    """How far the cylinder moves in the end effector's frame while it is pulled, in metres."""
+    """Return how far the cylinder moves in the end effector's frame while it is pulled, in metres."""
     material = PhysicsMaterial(static_friction=FRICTION, dynamic_friction=FRICTION)
     thing = cylinder("cylinder", RADIUS, LENGTH, mass=MASS, material=material, pose=place.pose)
+    # Without gravity only the pulls load the grip, from the same start in each direction.
     world = trial.world(scene(clamped(spec), thing, terrain=(), gravity=WEIGHTLESS), len(_PULLS))
     _close(trial, world, spec, gripper, place)
     robot, held = world.robots[spec.name], world.objects["cylinder"]
     before = _within(world, spec, effector)
+    # Directions of the hand, whatever its orientation in the world is.
     pulls = quat_rotate(robot.frame_pose(effector.frame)[:, 3:], _LOAD * _PULLS.to(world.device))
     held.set_wrenches(torch.cat((pulls, torch.zeros_like(pulls)), -1)[:, None])
     trial.step(world, trial.steps(_HOLD))
@@ -62,8 +116,10 @@ def _close(trial: Trial, world: World, spec: RobotSpec, gripper: Gripper, place:
     robot.set_joint_state(opened, torch.zeros_like(opened))
     fingers = list(gripper_positions(spec, gripper, gripper.closed_position))
     for time in trial.advance(world, _CLOSE):
+        # A step of the targets would hit the cylinder instead of gripping it.
         share = min(1.0, time / _CLOSE)
         robot.set_position_targets(((1.0 - share) * opened + share * closed)[:, fingers], fingers)
+    # Fingers and cylinder find their balance before the first pull.
     trial.step(world, trial.steps(_SETTLE))
 
 

@@ -1,4 +1,4 @@
-"""Whether a robot with a free base stands where it is put, its drives holding home."""
+"""Checks that a robot holds home: with its root held, and standing on the ground."""
 
 from __future__ import annotations
 
@@ -10,13 +10,70 @@ from orbit_conformance.robots.bench import held_joints
 from orbit_conformance.robots.check import Measures, RobotCheck
 from orbit_conformance.scenario import Metric, Trial
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import World
-from orbit_core.scene import RobotSpec
+from orbit_core.interfaces import Robot, World
+from orbit_core.scene import JointType, RobotSpec
 
+_SECONDS = 5.0
+_FIRM = "an arm's own controller, with an integral part, would leave nothing; these drives are asked for 1 degree"
+
+
+def _run_hold(trial: Trial, spec: RobotSpec) -> Measures:
+    world = trial.world(scene(spec, terrain=()))
+    robot = world.robots[spec.name]
+    joints = held_joints(spec)
+    farthest = torch.zeros(len(joints), device=world.device)
+    for _ in trial.advance(world, _SECONDS, every=0.05):
+        farthest = torch.maximum(farthest, _from_home(robot, joints))
+    slides = [spec.articulation.movable_joints[joint].type is JointType.PRISMATIC for joint in joints]
+    errors = dict[str, float]()
+    # Angles and distances have tolerances of their own; a robot may have only one kind of joint.
+    for name, chosen in (("angle", False), ("distance", True)):
+        if chosen in slides:
+            errors[name] = float(farthest[torch.tensor([slide is chosen for slide in slides])].max())
+    return Measures(errors)
+
+
+def _from_home(robot: Robot, joints: list[int]) -> torch.Tensor:
+    """(k,) how far joints are from home, the largest of all environments."""
+    return (robot.joint_positions - robot.home_positions)[:, joints].abs().amax(0)
+
+
+def _spared_from_hold(spec: RobotSpec) -> str:
+    if not spec.fixed_base:
+        return "its root is free: whether it stands is asked instead"
+    return "" if held_joints(spec) else "no joint has a position drive"
+
+
+HOLD = RobotCheck(
+    name="robot_hold",
+    title="holds home",
+    question="Do the drives hold the home position for 5 s?",
+    truth="the home position; links that touch at home do not collide",
+    metrics=(
+        Metric(
+            name="angle",
+            unit="rad",
+            tolerance=0.02,
+            meaning="farthest that a driven joint turns from home",
+            looser_because=_FIRM,
+        ),
+        Metric(
+            name="distance",
+            unit="m",
+            tolerance=0.005,
+            meaning="farthest that a driven joint slides from home",
+            looser_because=_FIRM,
+        ),
+    ),
+    spared=_spared_from_hold,
+    run=_run_hold,
+)
+
+
+# Seconds: when it is to be at rest, and until when it is to stay so.
 _SETTLE, _STAND = 5.0, 10.0
-"""Seconds: when it is to be at rest, and until when it is to stay so."""
+# m: a root that lies lower, as that of a wheeled base does on the ground, counts as that high.
 _LOWEST = 0.25
-"""m: a root that lies lower, as that of a wheeled base does on the ground, counts as that high."""
 
 
 def _run(trial: Trial, spec: RobotSpec) -> Measures:
@@ -24,8 +81,10 @@ def _run(trial: Trial, spec: RobotSpec) -> Measures:
     robot = world.robots[spec.name]
     joints = held_joints(spec)
     lowest = lowest_point(spec)
+    # Height of the root with the lowest point of the robot on the ground.
     standing = spec.pose.position[2] - (0.0 if lowest is None else lowest)
     trial.step(world, trial.steps(_SETTLE))
+    # Drives may sag when the robot is put down; from here on nothing may move.
     settled, rest = robot.joint_positions.clone(), robot.root_pose.clone()
     trial.step(world, trial.steps(_STAND - _SETTLE))
     end = robot.root_pose

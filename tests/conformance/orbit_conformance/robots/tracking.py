@@ -1,4 +1,4 @@
-"""How a robot's drives follow a sine, one joint in each environment, against the linear frequency response."""
+"""Check of drives that follow a sine, one joint per environment, against the linear frequency response."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from orbit_core.scene import Joint, JointType, RobotSpec
 
 FloatArray = npt.NDArray[np.float64]
 
+# Hz
 FREQUENCY = 0.5
-"""Hz"""
 _RATE = 2.0 * math.pi * FREQUENCY
+# Largest swing from end to end, of a joint's range.
 _SWING = 0.3
-"""Largest swing from end to end, of a joint's range."""
+# Largest peak velocity, of a joint's velocity limit.
 _SPEED = 0.8
-"""Largest peak velocity, of a joint's velocity limit."""
+# Largest peak effort of the linear solution, of a joint's effort limit.
 _EFFORT = 0.5
-"""Largest peak effort of the linear solution, of a joint's effort limit."""
+# The sine grows in the first, and is measured over the second.
 _PERIODS = 2
-"""The sine grows in the first, and is measured over the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,7 @@ def _run(trial: Trial, spec: RobotSpec) -> Measures:
     fitted, residual = _fitted(trial, motion)
     measured = fitted / plan.amplitudes
     turned = measured / plan.response
+    # Phase over angular frequency is the lag in seconds, which users compare.
     lags = -np.angle(measured) / _RATE
     errors = {
         "gain": float(np.abs(np.abs(measured) - np.abs(plan.response)).max()),
@@ -93,11 +94,13 @@ def _planned(spec: RobotSpec) -> _Plan:
     )
     response = drive_response(spec.articulation, linear, positions, FREQUENCY)[rows, :, joints]
     # Efforts of all drives, per unit of the sine of one: k (q* - q) - d q'.
+    # Only the driven joint's target moves; coupled joints answer without a target of their own motion.
     moved = np.zeros_like(response)
     moved[rows, joints] = 1.0
     efforts = np.abs(stiffness * (moved - response) - 1j * _RATE * damping * response)
     strongest = (_EFFORT * limits.effort_limit / np.maximum(efforts, 1e-12)).min(1)
     fastest = _SPEED * limits.velocity_limit[joints] / _RATE
+    # The linear response holds only where no limit of range, effort or speed is met.
     amplitudes = np.minimum(np.minimum(widest, strongest), fastest)
     return _Plan(joints, positions, amplitudes, response[rows, joints])
 
@@ -122,11 +125,13 @@ def _tracked(trial: Trial, world: World, robot: Robot, plan: _Plan, spec: RobotS
     strays = list[torch.Tensor]()
     for step in range(_PERIODS * period):
         time = (step + 0.5) * trial.time_step  # the middle of the step in which the target holds
+        # The sine grows smoothly over the first period, so that its start excites no free motion.
         growth = min(1.0, time * FREQUENCY)
         sine = growth * growth * (3.0 - 2.0 * growth) * math.sin(_RATE * time)
         targets[rows, joints] = start[rows, joints] + sine * amplitudes
         robot.set_position_targets(targets)
         trial.step(world)
+        # Only the last period, in which the transient has died out.
         if step >= (_PERIODS - 1) * period:
             motion.append((robot.joint_positions - start)[rows, joints].clone())
             strays.append(_stray(spec, robot.joint_positions))
@@ -148,6 +153,7 @@ def _fitted(trial: Trial, motion: FloatArray) -> tuple[npt.NDArray[np.complex128
     """(k,) complex amplitudes of the sine in each motion (T, k), and what is left of it, as a root mean square."""
     steps = np.arange(len(motion)) + 1 + (_PERIODS - 1) * trial.steps(1.0 / FREQUENCY)
     phase = _RATE * trial.time_step * steps
+    # A least-squares fit of the sine: what remains is distortion, such as stick-slip or saturation.
     basis = np.stack((np.ones_like(phase), np.sin(phase), np.cos(phase)), 1)
     coefficients = np.linalg.lstsq(basis, motion, rcond=None)[0]
     residual = np.sqrt(np.square(motion - basis @ coefficients).mean(0))

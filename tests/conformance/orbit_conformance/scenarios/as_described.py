@@ -1,4 +1,4 @@
-"""Whether what moves is what was described: masses, inertias, axes, limits, armatures and sizes, by their effects."""
+"""Scenarios that bodies move as described: masses, inertias, axes, limits, armatures and sizes, by their effects."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from orbit_core.scene import Articulation, IdealPd, Joint, JointType, Link, Obje
 
 # Inertias and frames -------------------------------------------------------------------------------------------------
 
+# Armature in kg m^2 that an actuator group gives a joint in the place of its own.
 _MOTOR_ARMATURE = 0.05
-"""Armature in kg m^2 that an actuator group gives a joint in the place of its own."""
 
 
 def _skew_link(name: str, mass: float, number: int) -> Link:
@@ -41,6 +41,7 @@ def _every_joint() -> RobotSpec:
             links[number].name,
             links[number + 1].name,
             Pose.from_euler(0.2, 0.4 * number, -0.3, (0.15, 0.02 * number, 0.1)),
+            # Frames on both sides of each joint, as URDF, MJCF and USD place them differently.
             Pose.from_euler(-0.1 * number, 0.3, 0.5, (0.01, -0.02, 0.03)),
             axis=(0.6, 0.0, 0.8) if number % 2 else (0.0, 0.8, -0.6),
             lower_limit=-math.inf if type_ is JointType.CONTINUOUS else -2.0,
@@ -66,20 +67,23 @@ def _equation_of_motion(trial: Trial) -> float:
     still = torch.zeros(len(_POSTURES), 4, device=world.device)
     thing.set_joint_state(torch.tensor(_POSTURES, device=world.device), still)
     thing.set_effort_targets(torch.tensor(_EFFORTS, device=world.device))
+    # An actuator group's armature replaces the joint's own.
     armature = [_MOTOR_ARMATURE, *(joint.armature for joint in robot.articulation.joints[1:])]
     model = RigidBodyModel(robot.articulation, True, armature=armature)
     poses = thing.link_poses.cpu()
+    # From rest there are no velocity-dependent forces.
     forces = torch.tensor(_EFFORTS) - model.gravity_forces(poses)
     truth = torch.linalg.solve(model.mass_matrix(poses), forces[..., None])[..., 0]
     trial.step(world)
+    # One step from rest: velocity over time is the acceleration, to first order.
     measured = thing.joint_velocities.cpu() / trial.time_step
     return float(((measured - truth).norm(dim=-1) / truth.norm(dim=-1)).max())
 
 
 # Limits --------------------------------------------------------------------------------------------------------------
 
+# Inertia, damping and effort of each joint in SI units; the speed ends at two units a second.
 _INERTIA, _DRAG, _PUSH = 0.5, 0.5, 1.0
-"""Inertia, damping and effort of each joint in SI units; the speed ends at two units a second."""
 _LIMITS = {"both": (-0.5, 0.8), "above": (-math.inf, 0.6), "below": (-0.7, math.inf)}
 
 
@@ -113,12 +117,14 @@ def _limits(trial: Trial) -> tuple[float, float]:
     time = 2.0
     trial.step(world, trial.steps(time))
     rate = _DRAG / _INERTIA
+    # Way of a pushed joint with viscous drag, from rest.
     free = _PUSH / _DRAG * (time - (1 - math.exp(-rate * time)) / rate)
     held = loose = 0.0
     for name, robot in robots.items():
         joint = robot.articulation.joints[0]
         for row, (limit, sign) in enumerate(((joint.upper_limit, 1.0), (joint.lower_limit, -1.0))):
             position = float(world.robots[name].joint_positions[row, 0])
+            # A joint limited on one side only has to go on freely on the other.
             if math.isfinite(limit):
                 held = max(held, abs(position - limit))
             else:
@@ -150,8 +156,10 @@ def _solids() -> dict[str, tuple[ObjectSpec, float]]:
     for name, solid, standing, lying in (
         ("cylinder", drum, long / 2, round_),
         ("capsule", pole, long / 2 + round_, round_),
+        # A prism lies on a side face, at the distance of the hexagon's sides.
         ("hull", hull, long / 2, round_ * math.sqrt(3) / 2),
     ):
+        # Each solid along each of its axes: swapped or halved sizes change the height of one of them.
         add(f"{name}_standing", solid, "z", standing)
         add(f"{name}_lying", solid, "y", lying)
     return found
@@ -162,6 +170,7 @@ def _sizes(trial: Trial) -> float:
     solids = _solids()
     world = trial.world(scene(*(solid for solid, _ in solids.values()), terrain=SMOOTH_GROUND))
     trial.step(world, trial.steps(0.1))
+    # A wrong size makes a solid fall or be pushed out at once.
     return max(abs(float(world.objects[name].root_pose[0, 2]) - height) for name, (_, height) in solids.items())
 
 

@@ -16,8 +16,8 @@ from orbit_conformance.slender import elastica_droop
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Attachment, Cloth, Pose, Scene
 
+# Rows of the hanging cloth.
 MESHES = (7, 13, 21)
-"""Rows of the hanging cloth."""
 
 
 def _hanging(trial: Trial) -> Mapping[str, float]:
@@ -32,6 +32,8 @@ def _hanging_error(trial: Trial, count: int) -> float:
     world = trial.world(Scene(deformables=(cloth,), terrain=()))
     trial.step(world, trial.steps(1.5))
     heights = world.deformables["cloth"].positions[0, :, 2]
+    # Each row bears the cloth below it, so that the strain falls evenly to zero: half the stretch of a load at the
+    # end.
     truth = length + 0.5 * density * G * length**2 / stiffness
     return abs(float(heights.max() - heights.min()) / truth - 1.0)
 
@@ -43,6 +45,7 @@ def _strip(trial: Trial) -> Mapping[str, float]:
     cloth = Cloth("strip", mesh, density, pose, stiffness, ratio, damping=3.0, attachments=(held,))
     world = trial.world(Scene(deformables=(cloth,), terrain=()))
     trial.step(world, trial.steps(2.5))
+    # Contraction is measured in the middle of the strip, since the held edge cannot narrow.
     points = world.deformables["strip"].positions[0].reshape(5, 17, 3)
     longer = float(points[2, 0, 2] - points[2, -1, 2]) - length
     narrower = width - float((points[-1, 8, 1] - points[0, 8, 1]).norm())
@@ -56,6 +59,7 @@ def _strip(trial: Trial) -> Mapping[str, float]:
 def _cantilever(trial: Trial) -> Mapping[str, float]:
     length, density, stiffness, count = 0.1, 0.2, 1e-4, 11
     mesh = sheet((length * count / (count - 1), 0.03), (count + 1, 4))
+    # Two columns are held: one would be a hinge, two clamp the strip level.
     held = Attachment(tuple(row * (count + 1) + column for row in range(4) for column in (0, 1)))
     pose, still = Pose((0.0, 0.0, 1.0)), 6.0
     cloth = Cloth("strip", mesh, density, pose, 2000.0, 0.0, stiffness, still, attachments=(held,))
@@ -82,6 +86,7 @@ def _free(trial: Trial) -> Mapping[str, float]:
     turn = torch.tensor([3.0, 0.0, 4.0], device=world.device).expand(2, 81, 3)
     onward = torch.tensor([1.0, 0.0, 0.5], device=world.device)
     velocities = torch.linalg.cross(turn, body.positions) + onward
+    # The noise excites every mode of the mesh, which a rigid turn does not.
     noise = 0.3 * torch.randn(81, 3, generator=torch.Generator().manual_seed(0))
     velocities[1] += noise.to(velocities.device)
     body.set_state(body.positions.clone(), velocities)
@@ -89,6 +94,7 @@ def _free(trial: Trial) -> Mapping[str, float]:
     def measured() -> tuple[Tensor, Tensor, float]:
         x, v = body.positions.double().cpu(), body.velocities.double().cpu()
         moments = masses[:, None] * v
+        # Angular momentum about the moving centre of mass, so that translation does not add to it.
         x = x - (masses[:, None] * x).sum(1, keepdim=True) / masses.sum()
         return moments.sum(1), torch.linalg.cross(x, moments).sum(1), 0.5 * float((moments[0] * v[0]).sum())
 

@@ -17,8 +17,8 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, IdealPd, Joint, JointType, Link, Pose, RobotSpec
 
 _LEVER, _MASS, _INERTIA, _TILT = 0.5, 2.0, 0.05, 0.5
+# Size of a body of 2 g, whose smallest moment of inertia is 5e-7 kg m^2.
 _LIGHT = 0.1
-"""Size of a body of 2 g, whose smallest moment of inertia is 5e-7 kg m^2."""
 _POSTURE = (0.4, -0.5, 0.3, 0.6, -0.4, 0.7)
 
 
@@ -27,6 +27,7 @@ def _hung(
 ) -> RobotSpec:
     """A body of 2 kg, its centre half a metre below a compound joint; its lengths times ``size``, of one density."""
     joint = Joint(name, JointType.CONTINUOUS, "base", "bob")
+    # Links without mass between the joints, which engines of reduced coordinates may find singular.
     links, joints = compound(joint, freedoms)
     bob = Link("bob", _MASS * size**3, (0.0, 0.0, -_LEVER * size), np.diag(moments) * size**5)
     return RobotSpec(

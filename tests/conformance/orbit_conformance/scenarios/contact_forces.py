@@ -1,4 +1,4 @@
-"""What contact sensors measure."""
+"""Scenarios of contact sensors."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ RADIUS = 0.05
 def _sandwich(trial: Trial) -> Mapping[str, float]:
     """A plate of 2 kg on a fixed table, 1 kg and 3 kg on the plate; a bystander apart."""
     material = smooth_material(0.5)
+    # The plate bears two loads and rests on a third body: net force and pair forces differ in sign and size.
     table = fixed("table", Box((0.5, 0.5, 0.05)), Pose((0.0, 0.0, 0.05)), material)
     plate = box("plate", (0.4, 0.2, 0.04), mass=2.0, material=material, pose=Pose((0.0, 0.0, 0.12)))
     light = box("light", (0.1, 0.1, 0.1), mass=1.0, material=material, pose=Pose((-0.1, 0.0, 0.19)))
@@ -32,9 +33,11 @@ def _sandwich(trial: Trial) -> Mapping[str, float]:
             sensors=(ContactSensorSpec(name="plate", entity="plate", filters=filters),),
         )
     )  # fmt: skip
+    # One second for the stack to settle; then a sensor's mean over a tenth of a second.
     trial.step(world, trial.steps(1.0))
     trial.step(world, trial.steps(0.1))
     sensor = contact_sensor(world, "plate")
+    # The table bears all 6 kg, the loads press with 1 and 3 kg, the bystander and the ground touch nothing.
     truth = torch.tensor([6.0, -1.0, -3.0, 0.0, 0.0]) * G
     up = torch.tensor([0.0, 0.0, 1.0])
     weight = 6.0 * G
@@ -45,6 +48,7 @@ def _sandwich(trial: Trial) -> Mapping[str, float]:
 
 
 def _held_on_slope(trial: Trial) -> Mapping[str, float]:
+    # Held below the angle of friction: normal force and friction add up to the weight, straight up.
     angle, mu = math.atan(0.4), 0.5
     solids = standing_solids(smooth_material(mu), on_slope(angle, 0.0))
     sensors = tuple(ContactSensorSpec(name=s.name, entity=s.name, filters=("terrain",)) for s in solids)
@@ -61,6 +65,7 @@ def _impulses(trial: Trial) -> Mapping[str, float]:
     masses = {"one": 1.0, "other": 2.0}
     for restitution in (0.0, 0.7):
         material = smooth_material(0.0, restitution)
+        # Off centre by 1 cm: the impact's normal is no axis of the world.
         one = marble("one", RADIUS, material, Pose((0.0, 0.01, 0.0)))
         other = marble("other", RADIUS, material, Pose((0.15, 0.0, 0.0)), masses["other"])
         sensors = (
@@ -80,6 +85,7 @@ def _impulses(trial: Trial) -> Mapping[str, float]:
         gained = torch.stack(
             (world.objects["one"].root_velocity[0, :3], 2.0 * world.objects["other"].root_velocity[0, :3])
         )
+        # Gains of momentum: the first ball had all of it before the impact.
         gained[0, 0] -= speed
         size = gained.norm(dim=-1).max()
         errors["net"] = max(errors["net"], float((sums[:, 0] - gained).norm(dim=-1).max() / size))
@@ -89,7 +95,7 @@ def _impulses(trial: Trial) -> Mapping[str, float]:
 
 
 def _landing(trial: Trial) -> Mapping[str, float]:
-    """The mean force on a ball that falls and comes to rest is its change of momentum over time, and its weight."""
+    """The mean force on a ball that falls and settles is its change of momentum over time plus its weight."""
     ball = marble("marble", RADIUS, smooth_material(0.0), Pose((0.0, 0.0, RADIUS + 0.2)), 2.0)
     sensors = (ContactSensorSpec(name="touch", entity="marble", filters=("terrain",)),)
     world = trial.world(scene(ball, terrain=SMOOTH_GROUND, sensors=sensors))
@@ -101,6 +107,7 @@ def _landing(trial: Trial) -> Mapping[str, float]:
         after = body.root_velocity[0, 2].item()
         times.append(period * count)
         measured.append(sensor.forces[0, 0, 2].item())
+        # The mean force over the period follows from the change of momentum, however short the peak in it was.
         truth.append(2.0 * ((after - speed) / period + G))
         speed = after
     trial.trace("force", "N", times, measured, truth)

@@ -54,9 +54,11 @@ def momenta(thing: Object) -> Momenta:
     inertias = torch.stack([torch.as_tensor(link.inertia) for link in links])
     offsets = torch.tensor([link.center_of_mass for link in links], dtype=torch.float64)
     spins, turned = velocities[..., 3:], poses[..., 3:]
+    # Velocities are those of link origins; momenta need those of the centres of mass.
     levers = quat_rotate(turned, offsets.expand_as(spins))
     centers = poses[..., :3] + levers
     speeds = velocities[..., :3] + torch.linalg.cross(spins, levers)
+    # Inertias are constant in the link's frame: rotate the spin into it and the momentum back.
     own = quat_rotate(turned, (inertias @ quat_rotate_inverse(turned, spins)[..., None])[..., 0])
     mass = float(masses.sum())
     center, linear = (masses * centers).sum(-2) / mass, (masses * speeds).sum(-2)
@@ -67,6 +69,7 @@ def momenta(thing: Object) -> Momenta:
 
 def _skew(name: str, mass: float, moments: tuple[float, float, float], pose: Pose) -> ObjectSpec:
     """A body whose principal axes and centre of mass are askew in its link."""
+    # Any rotation off the axes will do: an engine that ignores products of inertia fails.
     axes = Pose.from_euler(0.4, -0.7, 1.1).rotation_matrix()
     shape = Shape(Box((0.05, 0.08, 0.03)))
     articulation = single_link(name, shape, mass, axes @ np.diag(moments) @ axes.T, (0.03, -0.02, 0.01))
@@ -85,6 +88,7 @@ def _cylinder(name: str, pose: Pose) -> ObjectSpec:
 
 def _free_fall(trial: Trial) -> Mapping[str, float]:
     height = 10.0
+    # 500 times the mass of the ball: gravity must not depend on it.
     heavy = cube(mass=50.0, pose=Pose((1.0, 0.0, height)))
     world = trial.world(scene(ball(mass=0.1, height=height), heavy, terrain=()))
     positions, speeds, times = [], [], []
@@ -108,6 +112,7 @@ def _projectile(trial: Trial) -> Mapping[str, float]:
     spinning = cube("spinning", pose=Pose((-0.04, 2.0, 5.0)), center_of_mass=(0.04, 0.0, 0.0))
     world = trial.world(scene(plain, spinning, terrain=()))
     spin = torch.tensor([4.0, 6.0, -3.0])
+    # The origin's velocity that gives the centre of mass the same speed as the plain cube's.
     slip = torch.linalg.cross(spin, torch.tensor([-0.04, 0.0, 0.0]))
     world.objects["plain"].set_root_velocity(torch.cat((speed, torch.zeros(3)))[None].to(world.device))
     world.objects["spinning"].set_root_velocity(torch.cat((speed + slip, spin))[None].to(world.device))
@@ -157,8 +162,8 @@ def _spinning_bodies(trial: Trial) -> Mapping[str, float]:
 
 
 _MOMENTS = (0.01, 0.02, 0.03)
+# Angular velocity in rad/s about the principal axes: a tilt of about half a degree.
 _TURN = (0.05, 5.0, 0.05)
-"""Angular velocity in rad/s about the principal axes: a tilt of about half a degree."""
 _TUMBLE = 4.0
 
 
@@ -178,9 +183,11 @@ def _intermediate_axis(trial: Trial) -> Mapping[str, float]:
         pose, velocity = thing.root_pose[0].cpu(), thing.root_velocity[0].cpu()
         times.append(time)
         along.append(quat_rotate(pose[3:], torch.tensor([0.0, 1.0, 0.0])).tolist())
+        # Spin in the body's axes, where Euler's equations hold.
         spins.append(quat_rotate_inverse(pose[3:], velocity[3:])[1].item())
     truth = _tumbling(tuple(times))
     axis = quat_rotate(torch.as_tensor(truth[:, :4]), torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64))
+    # The chord between two unit vectors keeps its precision at small angles, where an arc cosine has none.
     apart = torch.linalg.vector_norm(torch.tensor(along, dtype=torch.float64) - axis, dim=-1)
     trial.trace("spin about the intermediate axis", "rad/s", times, spins, truth[:, 5].tolist())
     flip, expected = _first_zero(times, spins), _first_zero(times, truth[:, 5].tolist())
@@ -200,6 +207,7 @@ def _first_zero(times: list[float], values: list[float]) -> float:
 
 def _chain(name: str, x: float) -> RobotSpec:
     """Four unequal links on hinges about different axes, motors in them, nothing fixed."""
+    # Axes in different directions couple all six components of the momenta.
     axes = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.6, 0.0, 0.8))
     links = [body("trunk", 3.0, (0.02, 0.0, 0.0), 0.05)]
     links += [body(f"link{i}", 1.0 / (i + 1), (0.15, 0.0, 0.02), 0.01 / (i + 1)) for i in range(3)]
@@ -219,6 +227,7 @@ def _floating_chain(trial: Trial) -> Mapping[str, float]:
     for robot in world.robots.values():
         robot.set_root_velocity(torch.tensor([[0.2, -0.1, 0.3, 0.5, -0.4, 0.6]], device=world.device))
         robot.set_joint_state(velocities=torch.tensor([[2.0, -3.0, 1.5]], device=world.device))
+    # Internal efforts change the energy, so that only the passive chain is held to that.
     world.robots["driven"].set_effort_targets(torch.tensor([[0.04, -0.03, 0.02]], device=world.device))
     before = {name: momenta(robot) for name, robot in world.robots.items()}
     error = {"linear_momentum": 0.0, "angular_momentum": 0.0, "path": 0.0, "energy": 0.0}

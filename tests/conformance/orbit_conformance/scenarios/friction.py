@@ -30,16 +30,20 @@ def _solids_on_slope(trial: Trial, angle: float, material: PhysicsMaterial) -> W
 def _stick_and_slip(trial: Trial) -> Mapping[str, float]:
     creep, friction = [], []
     for mu in FRICTIONS:
+        # 5 % below the angle of friction: a true law of friction holds without a margin for softness.
         angle = math.atan(0.95 * mu)
         held = _solids_on_slope(trial, angle, smooth_material(mu))
+        # Contacts sink in first; only the motion after that is creep.
         trial.step(held, trial.steps(0.2))
         before = positions(held)
         trial.step(held, trial.steps(0.2))
         creep.append((positions(held) - before).norm(dim=-1).max() / 0.2)
 
+        # 20 % beyond the angle of friction: steep enough to slip at once, and too flat to lose contact.
         angle = math.atan(1.2 * mu)
         slipping = _solids_on_slope(trial, angle, smooth_material(mu))
         trial.step(slipping, trial.steps(0.1))
+        # The first tenth of a second, in which contacts settle, is left out of the acceleration.
         slow = velocities(slipping)[..., :3] @ _downhill(angle)
         trial.step(slipping, trial.steps(0.3))
         acceleration = (velocities(slipping)[..., :3] @ _downhill(angle) - slow) / 0.3
@@ -51,6 +55,7 @@ def _stick_and_slip(trial: Trial) -> Mapping[str, float]:
 def _stopping_distance(trial: Trial) -> Mapping[str, float]:
     errors, turns = [], []
     speed = 2.0
+    # A pyramidal cone is right along its axes and wrong on its diagonals, so that one heading would hide it.
     headings = torch.tensor([0.0, math.pi / 8, math.pi / 4])
     for mu in FRICTIONS:
         world = trial.world(scene(*standing_solids(smooth_material(mu)), terrain=SMOOTH_GROUND), len(headings))
@@ -61,15 +66,18 @@ def _stopping_distance(trial: Trial) -> Mapping[str, float]:
         for thing in world.objects.values():
             thing.set_root_velocity(velocity)
         truth = speed**2 / (2 * mu * G)
+        # A tenth of a second more than the true time, so that slow engines stop as well.
         trial.step(world, trial.steps(speed / (mu * G) + 0.1))
         slid = (positions(world) - before).norm(dim=-1)
         errors.append((slid / truth - 1).abs().max())
+        # Friction through the centre turns nothing: each turn is an error of the contact's load distribution.
         w, z = torch.stack([thing.root_pose[:, (3, 6)] for thing in world.objects.values()]).unbind(-1)
         turns.append((2 * torch.atan2(z, w)).abs().max())
     return {"distance": float(max(errors)), "turn": float(max(turns))}
 
 
 def _static_above_dynamic(trial: Trial) -> Mapping[str, float]:
+    # The slope is between both coefficients: at rest static friction holds, in motion dynamic friction lets go.
     angle, static, dynamic = math.atan(0.45), 0.6, 0.3
     world = trial.world(
         scene(
@@ -80,6 +88,7 @@ def _static_above_dynamic(trial: Trial) -> Mapping[str, float]:
     )
     trial.step(world, trial.steps(0.2))
     before, start = positions(world)[0], 0.5
+    # Environment 1 is pushed off, environment 0 stays at rest: the same slope shows both coefficients.
     push = torch.cat((start * _downhill(angle), torch.zeros(3)))[None]
     for thing in world.objects.values():
         thing.set_root_velocity(push, torch.tensor([1]))
@@ -104,6 +113,7 @@ def _rolling_down(trial: Trial, mu: float, tangent: float) -> tuple[float, float
 
 def _ball_on_slope(trial: Trial) -> Mapping[str, float]:
     mu = 0.3
+    # A ball rolls without slip up to a slope of 7/2 of its friction.
     limit = 3.5 * mu
     rolling, slipping = [], []
     for share in (0.3, 0.6, 0.9):
@@ -131,6 +141,7 @@ def _sliding_to_rolling(trial: Trial) -> Mapping[str, float]:
         speeds.append(body.root_velocity[0, 0].item())
         spins.append(body.root_velocity[0, 4].item() * RADIUS)
     time = torch.tensor(times)
+    # Friction slows the ball until its spin fits its speed, which is then 5/7 of the first.
     truth = torch.clamp(speed - mu * G * time, min=5 / 7 * speed)
     trial.trace("speed", "m/s", times, speeds, truth.tolist())
     end = 5 / 7 * speed
@@ -148,6 +159,7 @@ def _torsional(trial: Trial) -> Mapping[str, float]:
     trial.step(world, trial.steps(0.1))
     body.set_root_velocity(torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, spin]]))
     trial.step(world, trial.steps(duration))
+    # The torque is friction times the weight, on the inertia 2/5 m r^2 of a ball.
     lost = spin - body.root_velocity[0, 5].item()
     return {"deceleration": abs(lost / (friction * G / (0.4 * RADIUS**2) * duration) - 1)}
 
@@ -158,6 +170,7 @@ def _rolling_resistance(trial: Trial) -> Mapping[str, float]:
     world = trial.world(scene(marble("marble", RADIUS, material, Pose((0.0, 0.0, RADIUS))), terrain=SMOOTH_GROUND))
     body = world.objects["marble"]
     trial.step(world, trial.steps(0.1))
+    # The ball starts in pure rolling, so that no sliding friction adds to the loss.
     body.set_root_velocity(torch.tensor([[speed, 0.0, 0.0, 0.0, speed / RADIUS, 0.0]]))
     trial.step(world, trial.steps(duration))
     lost = speed - body.root_velocity[0, 0].item()

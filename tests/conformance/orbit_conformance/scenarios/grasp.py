@@ -27,11 +27,11 @@ from orbit_core.scene import (
 )
 
 MASS, FRICTION, HALF = 1.0, 0.5, 0.03
+# Metres between the open fingers and the box.
 GAP = 0.002
-"""Metres between the open fingers and the box."""
 LIFT = 0.05
+# Ratio in each environment of the weight to the load that the fingers can hold: ``m g / (2 mu F)``.
 LOADS = torch.arange(0.91, 1.1, 0.02)
-"""Ratio in each environment of the weight to the load that the fingers can hold: ``m g / (2 mu F)``."""
 
 
 def gripper(material: PhysicsMaterial, tip: Geometry | None = None) -> RobotSpec:
@@ -53,6 +53,7 @@ def gripper(material: PhysicsMaterial, tip: Geometry | None = None) -> RobotSpec
         name="gripper", articulation=Articulation("gripper", tuple(links), tuple(joints)), fixed_base=True,
         pose=Pose((0.0, 0.0, HALF)), gravity_compensation=True,
         actuators=(
+            # Stiff enough to lift by position without a sag that would count as slip.
             ImplicitPd(joints=("lift",), stiffness=2e5, damping=4e3),
             ImplicitPd(joints=(".*_slide",), stiffness=0.0, damping=20.0),
         ),
@@ -69,6 +70,7 @@ def _grasp(trial: Trial) -> Mapping[str, float]:
     material = smooth_material(FRICTION)
     thing = block("box", 2 * HALF, material, Pose((0.0, 0.0, HALF)), MASS)
     world = trial.world(scene(gripper(material), thing, terrain=SMOOTH_GROUND), len(LOADS))
+    # Gripped at half the limit in all environments, and loosened only after the lift.
     squeeze(world, 0.5 * torch.ones_like(LOADS))
     trial.step(world, trial.steps(0.2))
     before = _offset(world).clone()
@@ -81,6 +83,7 @@ def _grasp(trial: Trial) -> Mapping[str, float]:
     trial.step(world, trial.steps(duration))
     slipped = start - _offset(world)
     # The first load above the limit slips by g (1 - 1 / load) t^2 / 2, and further if it slipped before.
+    # A quarter of the slip of a load 1 % above the limit separates creep from sliding.
     holds = slipped < 0.25 * G * (1 - 1 / 1.01) * duration**2
     strongest = LOADS[holds].max() if holds.any() else LOADS[0] - 0.02
     return {

@@ -130,6 +130,7 @@ def _friction(trial: Trial) -> Mapping[str, float]:
     world = trial.world(scene(*robots, gravity=WEIGHTLESS, terrain=()))
     start = 2.0
     world.robots["sliding"].set_joint_state(velocities=torch.full((1, 1), start, device=world.device))
+    # One below the friction, which must hold, and one above, which must move.
     push(world, [[0.0, 0.8 * _FRICTION, 1.5 * _FRICTION, 0.0]])
     world.robots["driven"].set_velocity_targets(torch.full((1, 1), start, device=world.device))
     slowing = _FRICTION / _INERTIA
@@ -167,6 +168,7 @@ def _effort_limits(trial: Trial) -> Mapping[str, float]:
     push(world, [[10.0, 10.0, 10.0, -10.0]])
     for name in ("implicit", "ideal"):
         world.robots[name].set_position_targets(torch.full((1, 1), 50.0, device=world.device))
+    # All are limited to 2 N m (2 N), whatever is commanded.
     rates = torch.tensor([2.0 / _INERTIA] * 3 + [-2.0 / _MASS], dtype=torch.float64)
     error = effort = 0.0
     for time in trial.advance(world, 0.5, every=0.05):
@@ -177,16 +179,17 @@ def _effort_limits(trial: Trial) -> Mapping[str, float]:
     return {"acceleration": error, "effort": effort, **_strong_drives(trial)}
 
 
+# On 0.1 kg m^2: its damping over a step of 5 ms is five times the inertia.
 _STRONG = ImplicitPd(joints=(".*",), damping=100.0, effort_limit=10.0)
-"""On 0.1 kg m^2: its damping over a step of 5 ms is five times the inertia."""
+# Too weak to hold a level link of 1 kg with its centre 0.25 m from the hinge.
 _HOLDING = ImplicitPd(joints=(".*",), damping=100.0, effort_limit=0.5)
-"""Too weak to hold a level link of 1 kg with its centre 0.25 m from the hinge."""
 
 
 def _strong_drives(trial: Trial) -> Mapping[str, float]:
     """A drive leaves its limit and reaches its target; one that a load strikes at rest gives its limit and no more."""
     world = trial.world(scene(named("settling", rotor(inertia=0.1, actuators=(_STRONG,))), gravity=WEIGHTLESS))
     robot = world.robots["settling"]
+    # A speed that the drive passes while it is at its limit, so that it has to leave the limit again.
     wanted = 2.25
     robot.set_velocity_targets(torch.full((1, 1), wanted, device=world.device))
     trial.step(world, trial.steps(0.5))
@@ -194,6 +197,7 @@ def _strong_drives(trial: Trial) -> Mapping[str, float]:
     for _ in trial.advance(world, 0.05):
         off = max(off, abs(float(robot.joint_velocities[0, 0]) / wanted - 1.0))
     world = trial.world(scene(pendulum(links=1, actuators=(_HOLDING,)), terrain=()))
+    # Short: the arm is still level, and gravity's torque constant.
     falling = 0.05
     trial.step(world, trial.steps(falling))
     limit = _HOLDING.effort_limit

@@ -32,12 +32,12 @@ from orbit_core.scene import (
 )
 
 FRICTION = 0.4
+# Tangents of the slopes.
 HOLDING, SLIDING = 0.38, 0.6
-"""Tangents of the slopes."""
 EDGE_FRICTION, RADIUS, LENGTH, SPACING = 0.3, 0.03, 0.4, 0.01
 SHARES = (0.85, 0.95, 1.05, 1.3)
+# Lengths that hang over the edge in each environment, as parts of the one at which it begins to slide.
 _FIRST_TO_SLIDE = SHARES.index(1.05)
-"""Lengths that hang over the edge in each environment, as parts of the one at which it begins to slide."""
 THICKNESS = 0.004
 
 
@@ -97,7 +97,7 @@ def _over_edge(trial: Trial, strip: Cloth | Rope, clearance: float) -> Mapping[s
     body = world.deformables["strip"]
     body.set_state(torch.stack(starts).to(world.device))
     body.anchor(torch.nonzero(rest[:, 0] == rest[:, 0].min())[:, 0].tolist())
-    trial.step(world, trial.steps(0.2))  # until it lies close
+    trial.step(world, trial.steps(0.2))  # until it is close to the edge
     body.release()
     ends = body.positions[..., 2].argmin(1)  # the last of what hangs down
 
@@ -105,6 +105,7 @@ def _over_edge(trial: Trial, strip: Cloth | Rope, clearance: float) -> Mapping[s
         return -body.positions[torch.arange(len(SHARES)), ends, 2].double().cpu()
 
     started = depths()
+    # Settle first: a hanging part that starts slack would fall before it pulls.
     trial.step(world, trial.steps(0.1))  # until the tension is that of one that slides
     begun, speed = depths(), -float(body.velocities[-1, ends[-1], 2])
     times, moved = _moved(trial, world, depths)
@@ -151,6 +152,7 @@ def _laid(rest: Tensor, on_table: float, radius: float) -> Tensor:
 
 
 def _cloth_grasp(trial: Trial) -> Mapping[str, float]:
+    # The upper edge is held until the fingers have closed.
     held = Attachment(tuple(range(0, 31 * 4, 31)))
     across = Pose.from_euler(0.0, 0.0, 0.5 * math.pi)
     mesh, pose = sheet((0.3, 0.03), (31, 4)), across @ Pose((0.0, 0.0, HALF - 0.13), HANGING)
@@ -169,6 +171,7 @@ def _pinched(trial: Trial, strip: Cloth | Rope) -> Mapping[str, float]:
     hand = gripper(PhysicsMaterial(1.0, 1.0))
     world = trial.world(Scene(robots=(hand,), deformables=(strip,), terrain=()))
     world.robots["gripper"].set_effort_targets(torch.full((1, 2), 2.0, device=world.device), [1, 2])
+    # A second for the fingers to close and the strip to hang still.
     trial.step(world, trial.steps(1.0))
     body = world.deformables["strip"]
     before = float(body.positions[0, :, 2].mean())
@@ -185,11 +188,12 @@ def _cloth_weight(trial: Trial) -> Mapping[str, float]:
 
 
 def _cloth_load(trial: Trial) -> Mapping[str, float]:
-    """A box falls from 2 cm on a cloth that lies on the ground, and rests on it."""
+    """A box falls from 2 cm on a cloth on the ground, and rests on it."""
     mass, half = 1.0, 0.04
     cloth = Cloth("cloth", sheet((0.15, 0.15), (11, 11)), 0.2, Pose((0.0, 0.0, 0.5 * THICKNESS)), thickness=THICKNESS)
     block = cube("block", half, mass, Pose((0.0, 0.0, half + 0.02 + THICKNESS)))
     world = trial.world(Scene(objects=(block,), deformables=(cloth,)))
+    # The box has fallen and the cloth has settled by then; the load is a mean over the last 0.2 s.
     trial.step(world, trial.steps(1.2))
     felt, speed, count = 0.0, 0.0, trial.steps(0.2)
     for _ in range(count):
@@ -216,8 +220,8 @@ _FORCE = Metric(
     looser_because=ASKED,
 )
 _SLIP = "how far its middle moves in the 1.5 s after it is let go"
+# Seconds, as in tasks: at 5 ms light fingers chatter on what another solver moves, and feels them a step late.
 _FINGERS_STEP = 0.0025
-"""Seconds, as in tasks: at 5 ms light fingers chatter on what another solver moves, and feels them a step late."""
 _WEIGHT = "m g down on both fingers together, and nothing across"
 
 SCENARIOS = (

@@ -15,10 +15,10 @@ from orbit_core.interfaces import Capability, Object, World
 from orbit_core.scene import ImplicitPd, Pose
 
 _GROUP = "Randomised parameters"
+# The rotation that takes the z axis to y.
 _ON_ITS_SIDE = Pose((0.0, 0.0, 1.0), (math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0))
-"""The rotation that takes the z axis to y."""
+# Values are given out of order, so that a mix-up of environments shows.
 _PLACES = torch.tensor([0, 2, 1])
-"""Values are given out of order, so that a mix-up of environments shows."""
 
 
 def _thing(world: World, name: str) -> Object:
@@ -36,6 +36,7 @@ def _mass(trial: Trial) -> Mapping[str, float]:
     thing = _thing(world, "cube")
     thing.set_masses(masses[_PLACES][:, None].to(world.device), env_ids=_PLACES.to(world.device))
     world.reset()
+    # Of the cube of 1 kg and 0.1 m: set masses scale it along.
     inertia = 0.1**2 / 6
     wrench = torch.tensor([2.0, 0.0, 0.0, 0.0, 0.0, 2.0 * inertia], device=world.device)
     thing.set_wrenches(wrench.expand(3, 1, 6))
@@ -50,6 +51,7 @@ def _friction(trial: Trial) -> Mapping[str, float]:
     world = trial.world(scene(cube()), num_envs=3)
     thing, ids = _thing(world, "cube"), _PLACES.to(world.device)
     thing.set_friction(coefficients[_PLACES][:, None].to(world.device), env_ids=ids)
+    # The larger coefficient of a pair counts, so that the ground's must be below each cube's.
     world.set_terrain_friction(torch.full((3,), 0.1, device=world.device))
     world.reset()
     trial.step(world, trial.steps(0.2))
@@ -64,6 +66,7 @@ def _gains(trial: Trial) -> Mapping[str, float]:
     drive = ImplicitPd(joints=(".*",), stiffness=5.0, damping=1.0)
     world = trial.world(scene(rotor(inertia=0.05, actuators=(drive,)), terrain=()), num_envs=3)
     robot, ids = world.robots["rotor"], _PLACES.to(world.device)
+    # Critical damping settles fastest, so that two seconds suffice at every stiffness.
     damping = 2.0 * (0.05 * stiffness).sqrt()  # critical
     gains = [gain[_PLACES][:, None].to(world.device) for gain in (stiffness, damping)]
     _thing(world, "rotor").set_gains(gains[0], gains[1], env_ids=ids)
@@ -74,10 +77,11 @@ def _gains(trial: Trial) -> Mapping[str, float]:
 
 
 def _joints(trial: Trial) -> Mapping[str, float]:
-    """Four wheels in each environment: one is damped, one rubs, one is driven, and one hangs on a spring of its own."""
+    """Four wheels in each environment: one is damped, one rubs, one is driven, and one hangs on a spring."""
     inertia, speed, effort, seconds = 0.05, 4.0, 0.3, 0.5
     damping, friction = torch.tensor([0.05, 0.15, 0.1]), torch.tensor([0.1, 0.3, 0.2])
     armature, stiffness = torch.tensor([0.05, 0.2, 0.1]), torch.tensor([1.0, 4.0, 2.0])
+    # Each wheel starts with a value that no environment is set to: one that is not written shows.
     parts = {
         "damped": rotor(inertia=inertia, damping=0.02),
         "rubbed": rotor(inertia=inertia, friction=0.05),
@@ -100,9 +104,10 @@ def _joints(trial: Trial) -> Mapping[str, float]:
         world.robots[name].set_joint_state(velocities=turning)
     for name in ("heavy", "sprung"):
         world.robots[name].set_effort_targets(torch.full((3, 1), effort, device=world.device))
+    # Damped and rubbed wheels still turn after this time; at rest nothing could be told apart.
     trial.step(world, trial.steps(seconds))
     speeds = {name: world.robots[name].joint_velocities[:, 0].clone() for name in parts}
-    trial.step(world, trial.steps(3.0))  # springs come to rest by exp(-4 t)
+    trial.step(world, trial.steps(3.0))  # springs settle by exp(-4 t)
     return {
         "damping": _relative(speeds["damped"], speed * (-damping * seconds / inertia).exp()),
         "friction": _relative(speeds["rubbed"], speed - friction * seconds / inertia),
@@ -114,6 +119,7 @@ def _joints(trial: Trial) -> Mapping[str, float]:
 def _limits(trial: Trial) -> Mapping[str, float]:
     """Carriages that a force pushes up to their upper limits, and then down to their lower ones."""
     lower, upper = torch.tensor([-0.1, -0.3, -0.2]), torch.tensor([0.3, 0.1, 0.2])
+    # The limits of the model are wider than all that are set, so that an ignored setting shows as a longer way.
     carriage = slider(damping=20.0, lower_limit=-0.5, upper_limit=0.5)
     world = trial.world(scene(carriage, gravity=WEIGHTLESS, terrain=()), num_envs=3)
     robot, ids = world.robots["slider"], _PLACES.to(world.device)
@@ -129,6 +135,7 @@ def _limits(trial: Trial) -> Mapping[str, float]:
 
 
 def _gravity(trial: Trial) -> Mapping[str, float]:
+    # The Moon's, one in no axis of the world, and Jupiter's.
     gravity = torch.tensor([[0.0, 0.0, -1.62], [1.0, 2.0, 3.0], [0.0, 0.0, -24.8]])
     world = trial.world(scene(ball(height=10.0), terrain=()), num_envs=3)
     world.set_gravity(gravity[_PLACES].to(world.device), _PLACES.to(world.device))
@@ -156,6 +163,7 @@ def _center_of_mass(trial: Trial) -> Mapping[str, float]:
     sag = torch.zeros(3, dtype=torch.float64)
     for _ in range(100):  # k q = m g r cos(q), by iteration; the axis points along +y, so gravity turns it forwards
         sag = G * aside / stiffness * sag.cos()
+    # Cosine between the cube's up axis and the world's: tipped by more than 60 degrees counts as fallen.
     upright = 1.0 - 2.0 * world.objects["cube"].root_pose[:, 4:6].cpu().square().sum(1)
     return {
         "sag": float((world.robots["rotor"].joint_positions[:, 0].cpu() - sag).abs().max()),

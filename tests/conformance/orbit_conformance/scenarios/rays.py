@@ -17,12 +17,12 @@ from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshColl
 from orbit_core.scene.shapes import Geometry
 
 GROUND = Shape(Plane(), name="ground")
+# Length of the rays in metres.
 _REACH = 20.0
-"""Length of the rays in metres."""
+# Angle in radians between a ray and those beside it, which tell whether it passes an edge.
 _BESIDE = 2e-3
-"""Angle in radians between a ray and those beside it, which tell whether it passes an edge."""
+# Cosine of the angle by which the surface may turn between them.
 _ALIKE = 0.98
-"""Cosine of the angle by which the surface may turn between them."""
 
 
 def primitives() -> list[tuple[Geometry, Pose]]:
@@ -70,6 +70,7 @@ def _rays(count: int, above: bool) -> _Rays:
     random = np.random.default_rng(0)
     origins = random.normal(size=(count, 3))
     origins[:, 2] = np.abs(origins[:, 2]) + (2.0 if above else 0.0)
+    # On a sphere outside of all things: no ray starts within a solid, where engines differ.
     origins *= 4.0 / np.linalg.norm(origins, axis=1, keepdims=True)
     targets = random.uniform((-1.4, -1.4, 0.0), (1.4, 1.4, 0.9), size=(count, 3))
     directions = targets - origins
@@ -77,7 +78,8 @@ def _rays(count: int, above: bool) -> _Rays:
 
 
 def _truth(things: Sequence[tuple[Geometry, Pose]], rays: _Rays) -> tuple[Hits, np.ndarray]:
-    """What the rays meet, and which of them pass no edge."""
+    """Return the hits of the rays, and a mask of rays that pass no edge."""
+    # Four neighbours around each ray: an edge between them makes the hit a matter of rounding.
     aside: Array = np.cross(rays.directions, np.array([0.0, 0.0, 1.0]))
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
     shifts = (aside, -aside, np.cross(rays.directions, aside), np.cross(aside, rays.directions))
@@ -104,6 +106,7 @@ def _measure(
     met = sure & (links != BACKGROUND)
     with np.errstate(invalid="ignore"):  # infinite, both
         errors = np.abs(found.distances.double().cpu().numpy() - truth.distances)[:, met]
+    # Rounding may leave a cosine a little above one.
     cosines = (found.normals.double().cpu().numpy() * truth.normals).sum(-1)[:, met].clip(-1.0, 1.0)
     return {
         "distance": float(errors.max()),

@@ -23,14 +23,15 @@ from orbit_core.scene import (
 from orbit_core.sensors import ContactSensor, FrameSensor, ImuSensor, JointSensor
 
 _STATE = ("joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities")
+# Number of physics steps for which a command is held.
 _STEPS = 4
-"""Number of physics steps for which a command is held."""
 
 
 def _busy_scene(*sensors: SensorSpec) -> Scene:
     """A driven arm that strikes a cube, on which another cube stands."""
     drive = ImplicitPd(joints=(".*",), stiffness=50.0, damping=5.0)
     arm = pendulum(actuators=(drive,), base=Pose((0.0, 0.0, 0.3)))
+    # Impacts and stacked contacts amplify any difference, to be seen within a fraction of a second.
     cubes = (cube("one", pose=Pose((0.3, 0.0, 0.06))), cube("two", pose=Pose((0.35, 0.0, 0.2))))
     return scene(arm, *cubes, sensors=sensors)
 
@@ -67,11 +68,12 @@ def _the_same_run_twice(trial: Trial) -> Mapping[str, float]:
 
 
 def _alone_and_among_seven(trial: Trial) -> Mapping[str, float]:
-    """Environments 0, 3 and 6, each beside a world of its own that is given the same commands."""
+    """Compare environments 0, 3 and 6 each with a separate world that is given the same commands."""
     among = trial.world(_busy_scene(), num_envs=7)
     _drive(trial, among, 0.6)
     told = _state(among)
     difference = 0.0
+    # The first, the middle and the last: batches may be split among threads.
     for number in (0, 3, 6):
         alone = trial.world(_busy_scene())
         _drive(trial, alone, 0.6, numbers=(number,))
@@ -142,11 +144,13 @@ def _told(world: World) -> dict[str, Tensor]:
 
 
 def _every_environment(trial: Trial) -> Mapping[str, float]:
-    """Of four environments 2 is commanded as 0 and 3 as 1; what is written in 1 and 3 alone leaves 0 and 2 alone."""
+    """Command environment 2 as 0 and 3 as 1; writes to 1 and 3 must leave 0 and 2 unchanged."""
     written, calm = (trial.world(_busy_scene(*_SENSORS), num_envs=4) for _ in range(2))
+    # Equal commands in pairs: each environment has a twin to be compared with.
     kinds = (0, 1, 0, 1)
     for world in (written, calm):
         _drive(trial, world, 0.2, numbers=kinds)
+    # Writes to some environments only: indices that are mixed up show in the others.
     odd = torch.tensor([1, 3], device=written.device)
     thing, arm = written.objects["two"], written.robots["pendulum"]
     pose = thing.root_pose[odd].clone()

@@ -1,4 +1,4 @@
-"""Wheels, coins, and balls on a turntable, which roll without slipping."""
+"""Scenarios of rolling: wheels, coins, balls on turntables, and wheels that drive a base."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ from orbit_core.scene import (
     JointType,
     Link,
     ObjectSpec,
+    PhysicsMaterial,
     Pose,
     RobotSpec,
     Shape,
+    Sphere,
 )
 
 # Wheels --------------------------------------------------------------------------------------------------------------
 
 RADIUS, WIDTH = 0.1, 0.04
 _SPEED = 1.0
+# Headings in rad of the two wheels on level ground.
 _HEADINGS = (0.0, 0.6)
-"""Headings in rad of the two wheels on level ground."""
+# Slopes as the tangent of the angle; at friction 0.5 a wheel rolls up to 1.5.
 _SLOPES = (0.1, 0.4)
-"""Slopes as the tangent of the angle; at friction 0.5 a wheel rolls up to 1.5."""
 
 
 def _wheel(name: str, pose: Pose) -> ObjectSpec:
@@ -55,6 +57,7 @@ def _rolling_wheel(trial: Trial) -> Mapping[str, float]:
     for wheel, heading in zip(world.objects.values(), _HEADINGS, strict=True):
         starts.append(wheel.root_pose[0, :3].cpu().clone())
         along = torch.tensor([math.cos(heading), math.sin(heading), 0.0])
+        # Pure rolling from the start: friction has nothing to do on the level.
         spin = torch.tensor([-math.sin(heading), math.cos(heading), 0.0]) / RADIUS
         wheel.set_root_velocity((_SPEED * torch.cat((along, spin)))[None].to(world.device))
     slower, aside, curve = 0.0, 0.0, []
@@ -62,6 +65,7 @@ def _rolling_wheel(trial: Trial) -> Mapping[str, float]:
         for wheel, heading, start in zip(world.objects.values(), _HEADINGS, starts, strict=True):
             along = torch.tensor([math.cos(heading), math.sin(heading), 0.0])
             way = wheel.root_pose[0, :3].cpu() - start
+            # Distance instead of speed: slips of single steps add up.
             slower = max(slower, abs(float(way @ along) / _SPEED - time))
             aside = max(aside, float((way - (way @ along) * along).norm()))
         curve.append((time, float(world.objects["wheel0"].root_velocity[0, :3].norm()), _SPEED))
@@ -79,6 +83,7 @@ def _down(trial: Trial, tangent: float) -> tuple[float, float]:
     before = wheel.root_velocity[0].cpu().clone()
     trial.step(world, trial.steps(0.5))
     gained = wheel.root_velocity[0].cpu() - before
+    # A solid cylinder has 1 + 1/2 of its mass as inertia along the slope.
     truth = 2 / 3 * G * math.sin(angle) * 0.5
     along = torch.tensor([math.cos(angle), 0.0, -math.sin(angle)])
     return float(gained[:3] @ along) / truth, float(gained[4]) * RADIUS / truth
@@ -86,10 +91,10 @@ def _down(trial: Trial, tangent: float) -> tuple[float, float]:
 
 # A coin --------------------------------------------------------------------------------------------------------------
 
+# Thickness of the coin in metres; its radius is that of the wheels.
 THICKNESS = 0.02
-"""Thickness of the coin in metres; its radius is that of the wheels."""
+# Lean in rad from upright, and angular velocity in rad/s about the vertical.
 _LEAN, _TURNING = 0.3, 1.5
-"""Lean in rad from upright, and angular velocity in rad/s about the vertical."""
 
 
 def steady_roll(lean: float, turning: float) -> tuple[float, float]:
@@ -130,6 +135,7 @@ def _rolling_coin(trial: Trial) -> Mapping[str, float]:
         truth = torch.tensor([radius * math.sin(angle), radius * (1 - math.cos(angle)), height])
         path = max(path, float((pose_now[:3] - truth).norm()) / radius)
         own = quat_rotate(pose_now[3:], torch.tensor([0.0, 0.0, 1.0]))
+        # Clamped, as rounding may leave the axis a little longer than one.
         lean = max(lean, abs(math.asin(max(-1.0, min(1.0, float(own[2])))) - _LEAN))
         curve.append((time, float(pose_now[1]), float(truth[1])))
     trial.trace("way of the coin aside", "m", *zip(*curve, strict=True))
@@ -168,6 +174,7 @@ def _ball_on_turntable(trial: Trial) -> Mapping[str, float]:
     # No slip: v - a spin x z = W z x r, so the horizontal spin is z x (v - W z x r) / a.
     spin = _quarter(slip) / _BALL
     thing.set_root_velocity(torch.tensor([[*speed.tolist(), 0.0, *spin.tolist(), 0.0]], device=world.device))
+    # A solid ball circles at 2/7 of the table's rate, whatever its radius and its place.
     own = 2 / 7 * _TABLE_RATE
     center = place + _quarter(speed) / own
     radius = float(speed.norm()) / own
@@ -186,6 +193,53 @@ def _ball_on_turntable(trial: Trial) -> Mapping[str, float]:
 def _quarter(vector: Tensor) -> Tensor:
     """The vector (2,) turned by a right angle: z x vector."""
     return torch.stack((-vector[1], vector[0]))
+
+
+_RADIUS, _TRACK, _CASTER = 0.1, 0.4, 0.05
+# Of a wheel about its axle, kg m^2, and of its drive, N m s/rad: 50 times the inertia over a step of 5 ms.
+_INERTIA, _DAMPING = 2e-3, 20.0
+_BASE_SPEED = 0.5
+
+
+def _base() -> RobotSpec:
+    """10 kg on two driven wheels and a smooth caster behind them."""
+    caster = Shape(Sphere(_CASTER), Pose((-0.2, 0.0, _CASTER - _RADIUS)), SMOOTH)
+    trunk = Link("trunk", 10.0, (-0.03, 0.0, 0.0), np.diag((0.1, 0.2, 0.2)), collisions=(caster,))
+    tyre = Shape(Sphere(_RADIUS), material=PhysicsMaterial(1.0, 1.0))
+    moments = np.diag((0.5 * _INERTIA, _INERTIA, 0.5 * _INERTIA))
+    wheels = {"left": 0.5 * _TRACK, "right": -0.5 * _TRACK}
+    links = tuple(Link(name, 0.4, (0.0, 0.0, 0.0), moments, collisions=(tyre,)) for name in wheels)
+    joints = tuple(
+        Joint(f"{name}_axle", JointType.CONTINUOUS, "trunk", name, Pose((0.0, y, 0.0)), axis=(0.0, 1.0, 0.0))
+        for name, y in wheels.items()
+    )
+    drive = ImplicitPd(joints=(".*",), damping=_DAMPING)
+    articulation = Articulation("base", (trunk, *links), joints)
+    return RobotSpec(name="base", articulation=articulation, pose=Pose((0.0, 0.0, _RADIUS)), actuators=(drive,))
+
+
+def _driven(trial: Trial) -> Mapping[str, float]:
+    """Command half a metre per second from rest: friction limits what a strong drive may do."""
+    world = trial.world(scene(_base()))
+    base = world.robots["base"]
+    trial.step(world, trial.steps(0.2))
+    base.set_velocity_targets(torch.full((1, 2), _BASE_SPEED / _RADIUS, device=world.device))
+    times: list[float] = []
+    speeds: list[float] = []
+    pitch = 0.0
+    for time in trial.advance(world, 1.2):
+        w, _, y, _ = base.root_pose[0, 3:].tolist()
+        pitch = max(pitch, abs(2.0 * math.atan2(y, w)))
+        times.append(time)
+        speeds.append(float(base.root_velocity[0, 0]))
+    trial.trace("speed of the base", "m/s", times, speeds, [_BASE_SPEED] * len(times))
+    # The first half is acceleration, limited by friction.
+    later = np.array(speeds[len(speeds) // 2 :])
+    return {
+        "speed": abs(float(later.mean()) / _BASE_SPEED - 1.0),
+        "overshoot": max(0.0, max(speeds) / _BASE_SPEED - 1.0),
+        "pitch": pitch,
+    }
 
 
 SCENARIOS = (
@@ -254,6 +308,34 @@ SCENARIOS = (
                 unit="",
                 tolerance=0.02,
                 meaning="largest distance from where it should be within 3 s, over the circle's radius",
+            ),
+        ),
+    ),
+    Scenario(
+        name="driven_wheels",
+        group="Friction",
+        question="Do light wheels under strong velocity drives drive their base, and not throw it?",
+        truth="v = omega r once friction has brought the base to speed, and a trunk that stays level",
+        source="Siegwart, Nourbakhsh and Scaramuzza, Introduction to Autonomous Mobile Robots, 2nd ed., section 3.2",
+        run=_driven,
+        needs=(Capability.FLOATING_BASE, Capability.IMPLICIT_DRIVES, Capability.FRICTION),
+        metrics=(
+            Metric(
+                name="speed", unit="", tolerance=0.02, meaning="error of the mean speed in the second half, relative"
+            ),
+            Metric(
+                name="overshoot",
+                unit="",
+                tolerance=0.01,
+                meaning="speed beyond the commanded one, relative to it",
+                looser_because="a hundredth of its speed is less than any base's odometry tells apart",
+            ),
+            Metric(
+                name="pitch",
+                unit="rad",
+                tolerance=5e-3,
+                meaning="largest tilt of the trunk",
+                looser_because="a third of a degree is less than the unevenness of floors",
             ),
         ),
     ),

@@ -19,17 +19,17 @@ from orbit_core.scene import Articulation, Attachment, Link, ObjectSpec, Pose, R
 
 GROUP = "Matter"
 TIME_STEPS = (0.005, 0.0025, 0.00125)
+# Turns x down.
 HANGING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
-"""Turns x down."""
+# A reason for a :attr:`Metric.looser_because`.
 ASKED = "what tasks with cloth and rope ask for; the best holds together exactly what it holds"
-"""A reason for a :attr:`Metric.looser_because`."""
+# Of links that carry cloth or rope.
 WEIGHT_FELT = Metric(
     name="force", unit="", tolerance=0.02, meaning="error of the mean force over the weight", looser_because=ASKED
 )
-"""Of links that carry cloth or rope."""
 _LATE = "a body that another solver moves feels its rope one physics step late, which gives to slow swings or takes"
+# Metres, or radians times metres, of swings that are small.
 SMALL = 0.01
-"""Metres, or radians times metres, of swings that are small."""
 
 
 def hanging_rope(
@@ -58,6 +58,7 @@ def period_of(times: Sequence[float], positions: Sequence[float]) -> float:
     before = np.flatnonzero(signs[:-1] != signs[1:])
     if len(before) < 2:
         return math.inf
+    # The mean over all swings between the first and the last crossing averages out the time step's grid.
     moments = [_crossing(times[k : k + 2], positions[k : k + 2]) for k in (before[0], before[-1])]
     return 2.0 * (moments[1] - moments[0]) / (len(before) - 1)
 
@@ -79,9 +80,11 @@ def particle_masses(rope: Rope) -> Tensor:
 def _catenary(trial: Trial) -> Mapping[str, float]:
     length, span, count = 0.6, 0.4, 51
     along = np.linspace(0.0, length, count)
+    # The rope starts as two straight halves of the right length, close to the catenary without being it.
     fall = np.minimum(along, length - along) * math.sqrt(1.0 - (span / length) ** 2)
     points = np.stack((along * span / length - 0.5 * span, 0.0 * along, -fall), axis=-1)
     held = (Attachment((0, count - 1)),)
+    # Stiff along and limp across, as the catenary assumes; damping brings it to rest in the time given.
     axial, bending, still = 5000.0, 1e-6, 3.0
     rope = Rope("rope", points, 0.1, Pose((0.0, 0.0, 1.0)), 0.005, axial, bending, still, attachments=held)
     world = trial.world(Scene(deformables=(rope,), terrain=()))
@@ -115,7 +118,7 @@ def _watched(
 
 
 def _drift(positions: Sequence[float], amplitude: float) -> float:
-    """By what part of it the last third's greatest deflection differs from the amplitude."""
+    """Return the relative difference of the last third's greatest deflection from the amplitude."""
     last = np.abs(positions[-len(positions) // 3 :])
     return abs(float(last.max()) / amplitude - 1.0)
 
@@ -143,7 +146,7 @@ def _pulls(trial: Trial) -> Mapping[str, float]:
 
 
 def weight_error(trial: Trial, world: World, name: str, links: Sequence[tuple[str, str]]) -> float:
-    """By what part of the matter's weight the force on what bears it differs from that, over half a second."""
+    """Return the relative error of the force that bears the matter's weight, over half a second."""
     matter = world.deformables[name]
     trial.step(world, trial.steps(1.0))
     felt = torch.zeros(3, device=world.device)

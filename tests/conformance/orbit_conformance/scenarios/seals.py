@@ -14,21 +14,21 @@ from orbit_core.interfaces import Capability, World
 from orbit_core.scene import Articulation, Joint, JointType, MagneticSeal, ObjectSpec, Pose
 
 _MASS, _FORCE, _DECAY = 2.0, 30.0, 0.01
+# Metres from the hinge to the seal; kg m^2 about the hinge.
 _ARM, _INERTIA = 0.5, 0.1
-"""Metres from the hinge to the seal; kg m^2 about the hinge."""
+# Share of the seal's force by which a pull is weaker, or stronger, than what pulls it off.
 _MARGIN = 0.02
-"""Share of the seal's force by which a pull is weaker, or stronger, than what pulls it off."""
+# Metres of gap from which it is let go, to be pulled shut.
 _AJAR = 0.05
-"""Metres of gap from which it is let go, to be pulled shut."""
 
 
+# Metres of gap up to which speeds are compared: there the motion is still free.
 _FARTHEST = 0.35
-"""Metres of gap up to which speeds are compared: there the motion is still free."""
 
 
 @dataclass(frozen=True)
 class _Part:
-    """What a seal holds shut: inertia and arm as the seal sees them, and where it is shut."""
+    """Body that a seal holds shut: inertia and arm as the seal sees them, and its closed position."""
 
     name: str
     mass: float
@@ -77,7 +77,9 @@ def _pulled(trial: Trial, world: World) -> dict[str, float]:
     drawer, door = world.objects["drawer"], world.objects["door"]
     strength = torch.tensor([1.0, 1.0, 0.5], device=world.device)
     for thing in (drawer, door):
+        # The third environment shows that a parameter set for one environment acts there only.
         thing.active["seal"].set_parameter("force", _FORCE * strength)
+    # On both sides of the force that holds, so that the limit itself is tested.
     pull = _FORCE * torch.tensor([1.0 - _MARGIN, 1.0 + _MARGIN, 1.0], device=world.device)
     wrench = torch.zeros(3, 1, 6, device=world.device)
     wrench[:, 0, 0] = pull
@@ -93,6 +95,7 @@ def _pulled(trial: Trial, world: World) -> dict[str, float]:
             # Nearer, the speed is little and the start of the motion, which is a step's, is most of it.
             if _DECAY < gap < _FARTHEST:
                 work = float(pull[row]) * gap - float(strength[row]) * _work(gap)
+                # Work done on the part is its kinetic energy, at any time step.
                 truth = math.sqrt(2.0 * work / part.mass)
                 slow = max(slow, abs(speed / truth - 1.0))
                 if part is _PARTS[0] and row == 1:

@@ -34,8 +34,8 @@ from orbit_core.sensors.proprioception import ForceTorqueSensor, FrameSensor, Im
 _Kind = TypeVar("_Kind", bound=Sensor)
 
 _RADIUS, _MASS = 0.4, 2.0
+# Angular velocity in radians per second.
 _SPIN = 3.0
-"""Angular velocity in radians per second."""
 _IMU = ImuSpec(name="imu", entity="arm", frame="tip")
 _WRENCH = ForceTorqueSpec(name="wrench", entity="arm", link="arm")
 _GROUP = "Sensors"
@@ -54,6 +54,7 @@ def _spin(trial: Trial, *sensors: SensorSpec, seconds: float = 0.5) -> World:
     """The arm after half a second at a steady speed, under gravity along its axis."""
     world = trial.world(scene(_spinning_arm(), sensors=sensors, terrain=()), num_envs=2)
     world.robots["arm"].set_joint_state(velocities=torch.full((2, 1), _SPIN, device=world.device))
+    # The last step alone, so that the sensor's mean is over one physics step.
     trial.step(world, trial.steps(seconds) - 1)
     trial.step(world)
     return world
@@ -79,12 +80,13 @@ def _imu_in_a_circle(trial: Trial) -> Mapping[str, float]:
 
 
 def _imu_falling_and_at_rest(trial: Trial) -> Mapping[str, float]:
-    """One cube falls while it spins about its centre, and one lies on its side on the ground."""
+    """One cube falls while it spins about its centre, and one rests on its side on the ground."""
     on_its_side = Pose((1.0, 0.0, 0.05), (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0))
     entities = (cube("falling", pose=Pose((0.0, 0.0, 10.0))), cube("resting", pose=on_its_side))
     sensors = tuple(ImuSpec(name=entity.name, entity=entity.name, frame=entity.name) for entity in entities)
     world = trial.world(scene(*entities, sensors=sensors), num_envs=2)
     world.objects["falling"].set_root_velocity(torch.tensor([[0.0, 0, 0, 1, 2, 3]] * 2, device=world.device))
+    # The last step alone, so that the sensor's mean is over one physics step.
     trial.step(world, trial.steps(1.0) - 1)
     trial.step(world)
     return {
@@ -108,6 +110,7 @@ def _force_torque_of_a_level_arm(trial: Trial) -> Mapping[str, float]:
     world = trial.world(scene(pendulum(actuators=(_HELD,)), sensors=sensors, terrain=()), num_envs=2)
     trial.step(world, trial.steps(2.0))
     truth = {"base": (3 * G, -G), "link0": (2 * G, -G), "link1": (G, -0.25 * G)}
+    # Wrenches come in the sensor's frame, which sags with the arm; compare in the world's.
     poses = dict(zip(truth, world.robots["pendulum"].link_poses.unbind(1), strict=True))  # they sag by 1 mrad
     force, torque = (
         {link: quat_rotate(pose[:, 3:], getattr(world.sensors[link], part)) for link, pose in poses.items()}
@@ -130,6 +133,7 @@ def _frames_and_joints(trial: Trial) -> Mapping[str, float]:
     world = trial.world(still, num_envs=2)
     world.robots["arm"].set_joint_state(velocities=torch.full((2, 1), _SPIN, device=world.device))
     trial.step(world, trial.steps(0.5))
+    # After half a second at a steady speed.
     angle = 0.5 * _SPIN
     cosine, sine = _RADIUS * math.cos(angle), _RADIUS * math.sin(angle)
     joint, tip, seen = _sensor(world, "joint", JointSensor), *(_sensor(world, n, FrameSensor) for n in ("tip", "seen"))

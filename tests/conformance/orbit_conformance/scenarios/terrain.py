@@ -1,13 +1,15 @@
-"""Generated terrain: what rays measure of it, and where a foot stands on it."""
+"""Scenarios of terrain: rays and feet on it, level floors, and bowls."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 import torch
 
+from orbit_assets.objects import box
 from orbit_assets.terrain import (
     Boxes,
     Flat,
@@ -23,17 +25,31 @@ from orbit_assets.terrain import (
     Waves,
 )
 from orbit_assets.terrain.kinds import Array
-from orbit_conformance.bodies import scene
+from orbit_conformance.bodies import SMOOTH, G, scene
+from orbit_conformance.contact import marble, positions, smooth_material
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability
-from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec, Shape, Sphere
+from orbit_core.plugin_kit.meshes import height_field_mesh
+from orbit_core.scene import (
+    Articulation,
+    HeightField,
+    Joint,
+    JointType,
+    Link,
+    Mesh,
+    MeshCollision,
+    Pose,
+    RobotSpec,
+    Shape,
+    Sphere,
+)
 
+# Metres: height from which rays are cast down.
 _ABOVE = 3.0
-"""Metres: height from which rays are cast down."""
+# Metres: where the surface bends by more over a resolution, samples round off an edge; such places are left out.
 _BEND = 5e-4
-"""Metres: where the surface bends by more over a resolution, samples round off an edge; such places are left out."""
+# Metres, of a foot.
 _RADIUS = 0.03
-"""Metres, of a foot."""
 GRID = TerrainGrid(
     kinds=(
         Flat(), Rough(platform=0.6), Slope(platform=0.6), Slope(platform=0.6, down=True), Stairs(platform=0.6),
@@ -43,6 +59,7 @@ GRID = TerrainGrid(
     ),
     levels=2, cell_size=3.0, resolution=0.05, border=1.0,
 )  # fmt: skip
+# Few triangles, which some engines collide one by one.
 COARSE = replace(
     GRID,
     kinds=(Rough(platform=0.6, spacing=0.25), Slope(platform=0.5), Stairs(platform=0.5, run=0.25)),
@@ -51,9 +68,8 @@ COARSE = replace(
     resolution=0.125,
     form=TerrainForm.MESH,
 )
-"""Few triangles, which some engines collide one by one."""
+# Fewer still, and wide enough for a foot.
 FACETS = replace(COARSE, kinds=(Rough(platform=0.6, spacing=1.0), Slope(platform=0.6)), border=0.25)
-"""Fewer still, and wide enough for a foot."""
 
 
 def _smooth(grid: TerrainGrid, places: Array, reach: float) -> np.ndarray:
@@ -63,6 +79,7 @@ def _smooth(grid: TerrainGrid, places: Array, reach: float) -> np.ndarray:
     for shift in reach * np.array(((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, -1.0))):
         sides = [grid.height(*(places + sign * shift).T) for sign in (1.0, -1.0)]
         fine &= np.abs(sides[0] + sides[1] - 2.0 * middle) < _BEND
+        # A step of a staircase bends nowhere but at its edge; steep places are left out as well.
         fine &= np.abs(sides[0] - middle) < 2.0 * reach
     return fine
 
@@ -70,6 +87,7 @@ def _smooth(grid: TerrainGrid, places: Array, reach: float) -> np.ndarray:
 def _rays(trial: Trial, grid: TerrainGrid) -> Mapping[str, float]:
     world = trial.world(scene(terrain=grid.shapes()), num_envs=2)
     half = 0.5 * np.asarray(grid.size) + 0.5 * grid.border
+    # Places off the grid's points, where interpolation matters.
     places = np.random.default_rng(1).uniform(-half, half, (4000, 2))
     places = places[_smooth(grid, places, grid.resolution)]
     origins = torch.tensor(np.column_stack((places, np.full(len(places), _ABOVE))), dtype=torch.float32)
@@ -99,7 +117,7 @@ def _rest_height(grid: TerrainGrid, place: Array) -> float:
 
 
 def _feet(places: Array, heights: Array) -> RobotSpec:
-    """Balls of 1 kg, each on an upright rail of its own, a millimetre above where it comes to rest."""
+    """Build balls of 1 kg, each on a separate upright rail, a millimetre above their place of rest."""
     links = [Link("rails", 1.0, (0.0, 0.0, 0.0), np.eye(3))]
     ball = np.eye(3) * 0.4 * _RADIUS**2
     links += [
@@ -113,6 +131,7 @@ def _feet(places: Array, heights: Array) -> RobotSpec:
         for n, ((x, y), z) in enumerate(zip(places, heights, strict=True))
     )  # fmt: skip
     feet = Articulation("feet", tuple(links), joints)
+    # On fixed rails no foot can roll off a slope.
     return RobotSpec(name="feet", articulation=feet, fixed_base=True, home={".*": 1e-3})
 
 
@@ -160,22 +179,211 @@ _FOOT_HEIGHT = replace(
     meaning="largest error of a foot's height after a second",
     looser_because="engines without compliance of their own sink by micrometres, others by tenths of a millimetre",
 )
+
+
+Form = Callable[[HeightField], HeightField | Mesh]
+_FLOOR_RADIUS, _SPEED, _SLIDING, _MU = 0.05, 1.0, 1.5, 0.3
+# Radians: along the cells' sides, and across their diagonals.
+_HEADINGS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
+# Radius of the bowl and first distance of the ball's middle from its axis, in metres.
+_BOWL, _AMPLITUDE = 1.0, 0.3
+
+
+def _as_mesh(field: HeightField) -> Mesh:
+    return Mesh(*height_field_mesh(field), collision=MeshCollision.TRIANGLES)
+
+
+def _as_field(field: HeightField) -> HeightField:
+    return field
+
+
+def _level_field() -> HeightField:
+    """A level floor of cells of 0.1 m, 4 m wide, that is rough in a corner where nothing comes."""
+    heights = np.zeros((41, 41))
+    heights[30:, 30:] = np.random.default_rng(1).uniform(0.0, 0.1, (11, 11))
+    return HeightField(heights, (4.0, 4.0))
+
+
+def _level(trial: Trial, form: Form) -> Mapping[str, float]:
+    ball = marble("ball", _FLOOR_RADIUS, smooth_material(1.0), Pose((-0.7, -0.3, _FLOOR_RADIUS)))
+    boxes = [
+        box(f"box{n}", (0.15, 0.15, 0.06), mass=1.0, material=smooth_material(_MU), pose=Pose((x, y, 0.03)))
+        # Boxes start across cell borders at different offsets, which is where prisms and edges are felt.
+        for n, (x, y) in enumerate(((-1.6, -1.5), (-0.8, -1.487), (-1.587, -0.8)))
+    ]
+    floor = Shape(form(_level_field()), material=SMOOTH, name="floor")
+    world = trial.world(scene(ball, *boxes, terrain=(floor,)), len(_HEADINGS))
+    trial.step(world, trial.steps(0.1))
+    angles = torch.tensor(_HEADINGS, device=world.device)
+    ahead = torch.stack((angles.cos(), angles.sin()), -1)
+    left = torch.stack((-angles.sin(), angles.cos()), -1)
+    rolling_ball, *sliding = world.objects.values()
+    rolling, pushed = torch.zeros(2, len(angles), 6, device=world.device)
+    rolling[:, :2], rolling[:, 3:5] = _SPEED * ahead, _SPEED / _FLOOR_RADIUS * left
+    pushed[:, :2] = _SLIDING * ahead
+    before = positions(world)[:, 1:, :2]
+    rolling_ball.set_root_velocity(rolling)
+    for thing in sliding:
+        thing.set_root_velocity(pushed)
+    trial.step(world, trial.steps(1.2))
+    velocity, way = rolling_ball.root_velocity[:, :2], positions(world)[:, 1:, :2] - before
+    truth = _SLIDING**2 / (2 * _MU * G)
+    return {
+        "speed": float(((velocity * ahead).sum(-1) / _SPEED - 1).abs().max()),
+        "turn": float((velocity * left).sum(-1).abs().max()) / _SPEED,
+        "way": float(((way * ahead[:, None]).sum(-1) / truth - 1).abs().max()),
+        "aside": float((way * left[:, None]).sum(-1).abs().max()) / truth,
+    }
+
+
+def _bowl(trial: Trial, form: Form) -> Mapping[str, float]:
+    places = np.linspace(-0.4, 0.4, 17)
+    x, y = np.meshgrid(places, places)
+    field = HeightField(_BOWL - np.sqrt(_BOWL**2 - x**2 - y**2), (0.8, 0.8))
+    reach = _BOWL - _FLOOR_RADIUS
+    # A little off the middle line, so that the ball does not run along the mesh's own edges.
+    start = Pose((_AMPLITUDE, 0.013, _BOWL - math.sqrt(reach**2 - _AMPLITUDE**2) + 5e-4))
+    ball = marble("ball", _FLOOR_RADIUS, smooth_material(1.0), start)
+    world = trial.world(scene(ball, terrain=(Shape(form(field), material=SMOOTH, name="bowl"),)))
+    # A rolling ball swings by sqrt(7/5) slower than a sliding point.
+    period = 2 * math.pi * math.sqrt(7 * reach / (5 * G))
+    trial.step(world, trial.steps(period))
+    farthest = 0.0
+    for _ in trial.advance(world, period, every=0.02):
+        farthest = max(farthest, abs(world.objects["ball"].root_pose[0, 0].item()))
+    return {"amplitude": abs(farthest / _AMPLITUDE - 1)}
+
+
+_FLOOR = (
+    Metric(
+        name="speed",
+        unit="",
+        tolerance=0.01,
+        meaning="largest relative loss of a rolling ball's speed in 1.2 s",
+        looser_because="the best engines err by rounding alone",
+    ),
+    Metric(
+        name="turn",
+        unit="rad",
+        tolerance=0.01,
+        meaning="largest turn of its path",
+        looser_because="the best engines err by rounding alone",
+    ),
+    Metric(
+        name="way",
+        unit="",
+        tolerance=0.05,
+        meaning="largest relative error of the way of a sliding box",
+        looser_because="integrators of first order err by mu g dt / v, 1 % here",
+    ),
+    Metric(
+        name="aside",
+        unit="",
+        tolerance=0.01,
+        meaning="its largest way aside, over the way ahead",
+        looser_because="the best engines err by rounding alone",
+    ),
+)
+_AMPLITUDE_KEPT = (
+    Metric(
+        name="amplitude",
+        unit="",
+        tolerance=0.05,
+        meaning="loss of the amplitude after one period, relative",
+        looser_because="the ball meets an edge between facets of 0.05 rad every 50 mm, and loses speed at each",
+    ),
+)
+
+
+def _floor_scenario(
+    name: str,
+    question: str,
+    truth: str,
+    run: Callable[[Trial], Mapping[str, float]],
+    capability: Capability,
+    metrics: tuple[Metric, ...],
+) -> Scenario:
+    return Scenario(
+        name=name,
+        group="Terrain",
+        question=question,
+        truth=truth,
+        source="Goldstein, Classical Mechanics, 3rd ed., sections 1.5 and 2.4: sliding friction, and rolling",
+        run=run,
+        needs=(capability,),
+        judges=(capability,),
+        time_steps=(0.005, 0.0025),
+        metrics=metrics,
+    )
+
+
+_PLANE = "constant velocity of a ball that rolls at 1 m/s; v^2 / (2 mu g) straight ahead, v = 1.5 m/s, mu = 0.3"
+_PENDULUM = "the same amplitude period by period, for a ball of 0.05 m in a bowl of radius 1 m"
+
+
 SCENARIOS = (
     _scenario(
-        "rays_on_terrain", "Do rays measure slopes, stairs, stones, gaps and waves right?", _SURFACE,
-        lambda trial: _rays(trial, GRID), (Capability.RAY_CASTS, Capability.HEIGHT_FIELDS), _HEIGHT,
+        "rays_on_terrain",
+        "Do rays measure slopes, stairs, stones, gaps and waves right?",
+        _SURFACE,
+        lambda trial: _rays(trial, GRID),
+        (Capability.RAY_CASTS, Capability.HEIGHT_FIELDS),
+        _HEIGHT,
     ),
     _scenario(
-        "rays_on_terrain_mesh", "Do rays measure terrain right that is a mesh?", _SURFACE,
-        lambda trial: _rays(trial, COARSE), (Capability.RAY_CASTS, Capability.TRIANGLE_MESHES),
+        "rays_on_terrain_mesh",
+        "Do rays measure terrain right that is a mesh?",
+        _SURFACE,
+        lambda trial: _rays(trial, COARSE),
+        (Capability.RAY_CASTS, Capability.TRIANGLE_MESHES),
         replace(_HEIGHT, tolerance=1e-5, looser_because="single precision rounds the squares of metres"),
     ),
     _scenario(
-        "feet_on_terrain", "Does a foot stand on terrain where its surface is?", _FOOT,
-        lambda trial: _standing(trial, GRID), (Capability.HEIGHT_FIELDS,), _FOOT_HEIGHT,
+        "feet_on_terrain",
+        "Does a foot stand on terrain where its surface is?",
+        _FOOT,
+        lambda trial: _standing(trial, GRID),
+        (Capability.HEIGHT_FIELDS,),
+        _FOOT_HEIGHT,
     ),
     _scenario(
-        "feet_on_terrain_mesh", "Does a foot stand where the surface is of terrain that is a mesh?", _FOOT,
-        lambda trial: _standing(trial, FACETS), (Capability.TRIANGLE_MESHES,), _FOOT_HEIGHT,
+        "feet_on_terrain_mesh",
+        "Does a foot stand where the surface is of terrain that is a mesh?",
+        _FOOT,
+        lambda trial: _standing(trial, FACETS),
+        (Capability.TRIANGLE_MESHES,),
+        _FOOT_HEIGHT,
     ),
-)  # fmt: skip
+    _floor_scenario(
+        "level_mesh",
+        "Is a level floor of triangles as level as a plane?",
+        _PLANE,
+        lambda trial: _level(trial, _as_mesh),
+        Capability.TRIANGLE_MESHES,
+        _FLOOR,
+    ),
+    _floor_scenario(
+        "level_height_field",
+        "Is a level height field as level as a plane?",
+        _PLANE,
+        lambda trial: _level(trial, _as_field),
+        Capability.HEIGHT_FIELDS,
+        _FLOOR,
+    ),
+    _floor_scenario(
+        "mesh_bowl",
+        "Does a ball roll on in a bowl of triangles?",
+        _PENDULUM,
+        lambda trial: _bowl(trial, _as_mesh),
+        Capability.TRIANGLE_MESHES,
+        _AMPLITUDE_KEPT,
+    ),
+    _floor_scenario(
+        "height_field_bowl",
+        "Does a ball roll on in a bowl that is a height field?",
+        _PENDULUM,
+        lambda trial: _bowl(trial, _as_field),
+        Capability.HEIGHT_FIELDS,
+        _AMPLITUDE_KEPT,
+    ),
+)

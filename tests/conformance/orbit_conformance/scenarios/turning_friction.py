@@ -1,4 +1,4 @@
-"""What resists turning: friction about a contact's normal, friction against rolling, and faces that turn flat."""
+"""Friction that resists turning: about a contact's normal, against rolling, and of faces that turn flat."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from orbit_core.scene import Box, ObjectSpec, PhysicsMaterial, Pose, Shape, Sphe
 
 # Friction that is asked for ------------------------------------------------------------------------------------------
 
+# Coefficients in metres: four and fifty times a material's defaults.
 _TORSIONAL, _ROLLING = 0.02, 0.005
-"""Coefficients in metres: four and fifty times a material's defaults."""
 _RADIUS, _DOME = 0.05, 0.5
 
 
@@ -35,12 +35,14 @@ def _spinning_on_domes(trial: Trial) -> Mapping[str, float]:
         block("box", 2 * _RADIUS, material, at[1]),
         cylinder("cylinder", _RADIUS, 2 * _RADIUS, mass=1.0, material=material, pose=at[2]),
     )
+    # On a dome even a box touches in one point, so that only torsional friction can slow its spin.
     domes = [
         fixed(f"dome{number}", Sphere(_DOME), Pose((1.5 * number, 0.0, 0.0)), smooth_material())
         for number in range(len(tops))
     ]
     world = trial.world(scene(*things, *domes, terrain=()))
     trial.step(world, trial.steps(0.3))
+    # Fast enough that none stops within the time.
     spin, time = 60.0, 0.2
     for name in tops:
         world.objects[name].set_root_velocity(torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, spin]], device=world.device))
@@ -52,6 +54,7 @@ def _spinning_on_domes(trial: Trial) -> Mapping[str, float]:
 def _rolling_out(trial: Trial) -> Mapping[str, float]:
     """A ball and a wheel that roll on the level: ``a = mu g r / (r^2 + I / m)``."""
     material = PhysicsMaterial(1.0, 1.0, 0.0, _ROLLING)
+    # The cylinder's axis, z in its frame, is turned to lie across the direction of travel.
     wheel = Pose.from_euler(-math.pi / 2, 0.0, 0.0, (0.0, 1.0, _RADIUS))
     things = (
         marble("ball", _RADIUS, material, Pose((0.0, 0.0, _RADIUS))),
@@ -64,6 +67,7 @@ def _rolling_out(trial: Trial) -> Mapping[str, float]:
         rolling = torch.tensor([[speed, 0.0, 0.0, 0.0, speed / _RADIUS, 0.0]], device=world.device)
         thing.set_root_velocity(rolling)
     trial.step(world, trial.steps(time))
+    # m r^2 / (m r^2 + I): the share of the resisting moment that slows the centre.
     shares = {"ball": 5 / 7, "wheel": 2 / 3}
     lost = {name: speed - float(world.objects[name].root_velocity[0, 0]) for name in shares}
     return {name: abs(lost[name] / (share * _ROLLING * G / _RADIUS * time) - 1) for name, share in shares.items()}
@@ -71,12 +75,12 @@ def _rolling_out(trial: Trial) -> Mapping[str, float]:
 
 # In a grip -----------------------------------------------------------------------------------------------------------
 
+# Distance in metres of the bar's centre of mass from the grip, its mass in kg, and its inertia in kg m^2.
 _LEVER, _BAR_MASS, _BAR_INERTIA = 0.05, 0.2, 5e-4
-"""Distance in metres of the bar's centre of mass from the grip, its mass in kg, and its inertia in kg m^2."""
+# Torsional friction of the fingers' round tips, in metres.
 _TIP = 0.005
-"""Torsional friction of the fingers' round tips, in metres."""
+# Ratio in each environment of the weight's torque to the torque that both fingers resist: ``m g l / (2 mu F)``.
 _LOADS = (0.5, 0.8, 0.95, 1.25, 2.0)
-"""Ratio in each environment of the weight's torque to the torque that both fingers resist: ``m g l / (2 mu F)``."""
 
 
 def _held_bar(trial: Trial, torsional: float, forces: tuple[float, ...]) -> World:
@@ -120,9 +124,11 @@ def _torsional_grip(trial: Trial) -> Mapping[str, float]:
     world = _held_bar(trial, _TIP, tuple(torque / (2 * _TIP * load) for load in _LOADS))
     time, held = 0.15, torch.tensor(_LOADS) < 1
     trial.step(world, trial.steps(time))
+    # Loads above one turn from the start; the time is short, so that the bar is still far from hanging.
     turned = _dip(world)
     truth = torch.tensor([_swing(torque / load, time) for load in _LOADS if load > 1], dtype=torch.float64)
     trial.step(world, trial.steps(0.35))
+    # Bars that should hold may settle first, and must then stand still.
     creep = (_dip(world) - turned)[held].abs() / 0.35
     return {"creep": float(creep.max()), "turning": float((turned[~held] / truth - 1).abs().max())}
 
@@ -144,13 +150,14 @@ def _pivot(trial: Trial) -> Mapping[str, float]:
 
 # Faces that turn flat ------------------------------------------------------------------------------------------------
 
+# Headings in rad, from along an axis of the world to across it.
 _HEADINGS = tuple(math.pi / 8 * number for number in range(5))
-"""Headings in rad, from along an axis of the world to across it."""
 
 
 def _spin_down(trial: Trial) -> Mapping[str, float]:
     """Boxes, one heading in each environment, spin on the spot; then others slide and spin at once."""
     count, friction, spin, speed = len(_HEADINGS), 0.4, 12.0, 0.8
+    # The first environments spin on the spot, the others slide as well; each at another heading to the world's axes.
     thing = block("box", 0.1, smooth_material(friction), Pose((0.0, 0.0, 0.05)))
     world = trial.world(scene(thing, terrain=SMOOTH_GROUND), 2 * count)
     box, headings = world.objects["box"], torch.tensor(_HEADINGS * 2, device=world.device)
@@ -165,6 +172,7 @@ def _spin_down(trial: Trial) -> Mapping[str, float]:
     box.set_root_velocity(velocity)
     turned = torch.zeros(2 * count, device=world.device)
     for _ in trial.advance(world, 0.6):
+        # The sum of velocities, not the angle: a box may turn by more than half a turn.
         turned += trial.time_step * box.root_velocity[:, 5]
     slid = (box.root_pose - before)[:, :2].norm(dim=-1)
     spread = [_spread(turned[:count]), _spread(turned[count:])]

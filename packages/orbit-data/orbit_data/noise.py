@@ -1,0 +1,64 @@
+"""Noise on the actions of a demonstrator, who then shows how to return: Laskey et al., DART: Noise Injection for Robust
+Imitation Learning (2017)."""  # fmt: skip
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.random import RandomStreams
+from orbit_core.envs.actors import Actor
+from orbit_core.interfaces import ConfigurationError
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+
+CLEAN = "clean_actions"
+"""Array of the actions that the demonstrator chose, before noise; ``actions`` are those that were executed."""
+_RENEWED = 0.1
+"""Probability of new noise at a step: noise that changes at each step is what the drives average away."""
+_STREAM = 0xDA27
+"""Added to the seed, so that noise is not the numbers that the task draws."""
+
+
+class NoisyActor(Actor):
+    """Adds noise to another actor's actions, held for ten steps on average, in the same way for every seed.
+
+    Args:
+        actor: whose actions are disturbed.
+        environment: that it acts in.
+        deviation: standard deviation of the noise, in units of the action; each episode has its own, uniform between
+            zero and twice this, so that a dataset holds quiet episodes and disturbed ones.
+        seed: of the random streams.
+
+    Raises:
+        ConfigurationError: the deviation is not above zero and finite.
+    """
+
+    def __init__(self, actor: Actor, environment: Environment, deviation: float, seed: int) -> None:
+        if not 0.0 < deviation < math.inf:
+            raise ConfigurationError(f"noise is a standard deviation above zero, not {deviation:g}")
+        self._actor, self._environment, self._deviation = actor, environment, deviation
+        count, size = environment.num_envs, environment.action_size
+        self._streams = RandomStreams(count, (seed + _STREAM) % 2**63, environment.device)
+        self._noise = torch.zeros(count, size, device=environment.device)
+        self._scale = torch.zeros(count, 1, device=environment.device)
+        self.clean = torch.zeros(count, size, device=environment.device)
+        """(N, A) what the actor chose at the last step, clipped to [-1, 1]."""
+
+    def act(self) -> Tensor:
+        self.clean = self._actor.act().clamp(-1.0, 1.0)
+        self._streams.begin(self._environment.world.random.episode)
+        begun = (self._environment.state.episode_step == 0)[:, None]
+        size = self._environment.action_size
+        drawn = self._streams.uniform((2 * size + 2,), 0.0, 1.0)
+        self._scale = torch.where(begun, 2.0 * self._deviation * drawn[:, :1], self._scale)
+        # Box and Muller, A Note on the Generation of Random Normal Deviates (1958); 1 - u is never zero.
+        radius = (-2.0 * (1.0 - drawn[:, 2 : size + 2]).log()).sqrt()
+        normal = radius * (2.0 * math.pi * drawn[:, size + 2 :]).cos()
+        renewed = begun | (drawn[:, 1:2] < _RENEWED)
+        self._noise = torch.where(renewed, self._scale * normal, self._noise)
+        return (self.clean + self._noise).clamp(-1.0, 1.0)

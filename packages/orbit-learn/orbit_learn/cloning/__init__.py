@@ -1,0 +1,1 @@
+"""Behaviour cloning: policies learned from recorded demonstrations (``orbit train TASK --library imitation``)."""

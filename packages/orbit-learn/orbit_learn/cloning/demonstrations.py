@@ -1,0 +1,164 @@
+"""Demonstrations as tensors: observations and actions of all episodes one after another, and windows of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from orbit_core.installing import install_extra
+from orbit_core.interfaces import ConfigurationError
+from orbit_data.manifest.compare import Kind, differences, renamed_group
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import TRUSTED
+from orbit_learn.description import Part, group_parts
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+    from orbit_data.episodes import Dataset
+
+CLEAN = "clean_actions"
+"""Array of the actions that the demonstrator chose, where noise was added to the ones that were executed."""
+_FEWEST_STEPS = 64
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """Steps of all episodes, one episode after another."""
+
+    observation: Tensor | dict[str, Tensor]
+    """(T, O), or terms (T, ...) by name."""
+    actions: Tensor
+    """(T, A) that the demonstrator chose."""
+    ends: Tensor
+    """(T,) last step of the episode that each step belongs to."""
+    episodes: int
+
+    @property
+    def steps(self) -> int:
+        """T, steps of all episodes."""
+        return len(self.actions)
+
+    def observed(self, rows: Tensor) -> Tensor | dict[str, Tensor]:
+        """Return the observations of some steps, of any shape of ``rows``."""
+        if isinstance(self.observation, Tensor):
+            return self.observation[rows]
+        return {name: value[rows] for name, value in self.observation.items()}
+
+    def windows(self, rows: Tensor, chunk: int) -> tuple[Tensor, Tensor]:
+        """Return the actions (..., H, A) from each of ``rows`` (...) on, and which of them are within the episode.
+
+        Beyond the end of an episode its last action is repeated.
+        """
+        steps = rows[..., None] + torch.arange(chunk, device=rows.device)
+        ends = self.ends[rows][..., None]
+        return self.actions[torch.minimum(steps, ends)], steps <= ends
+
+
+def load_demonstrations(path: Path | str, environment: Environment, group: str, only_successes: bool) -> Demonstrations:
+    """Read a dataset for a policy of an environment.
+
+    Args:
+        path: of the dataset, in any format.
+        environment: that the policy is for.
+        group: observation group that the policy sees.
+        only_successes: leave episodes out that are known to have failed.
+
+    Raises:
+        ConfigurationError: the dataset is of another robot, task, action space or scale, or too small; names all that
+            differs.
+    """
+    try:
+        from orbit_data.formats import opened
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(f"reading {path} needs {error.name}: {install_extra('imitation')}") from None
+    layout = environment.observation[group]
+    parts, concatenated = group_parts(layout), layout.concatenated
+    with opened(path, TRUSTED) as dataset:
+        check_fit(dataset, environment, group)
+        positions = [i for i, info in enumerate(dataset.episodes) if not (only_successes and info.success is False)]
+        total = sum(dataset.episodes[i].length for i in positions)
+        if total < _FEWEST_STEPS:
+            raise ConfigurationError(
+                f"{path} has {total} steps in {len(positions)} episodes to clone, and cloning needs {_FEWEST_STEPS}: "
+                "record more"
+            )
+        return _load(dataset, positions, total, parts, group, concatenated, environment)
+
+
+def joined(loaded: Sequence[Demonstrations]) -> Demonstrations:
+    """Return demonstrations of several datasets as one."""
+    if len(loaded) == 1:
+        return loaded[0]
+    begins = np.cumsum([0, *(each.steps for each in loaded[:-1])])
+    ends = torch.cat([each.ends + int(begin) for each, begin in zip(loaded, begins, strict=True)])
+    observation = _concatenated([each.observation for each in loaded])
+    actions = torch.cat([each.actions for each in loaded])
+    return Demonstrations(observation, actions, ends, sum(each.episodes for each in loaded))
+
+
+def _concatenated(observations: Sequence[Tensor | dict[str, Tensor]]) -> Tensor | dict[str, Tensor]:
+    """Return observations of one form, one after another."""
+    first = observations[0]
+    if isinstance(first, Tensor):
+        return torch.cat([each for each in observations if isinstance(each, Tensor)])
+    return {name: torch.cat([each[name] for each in observations]) for name in first}  # pyright: ignore
+
+
+def check_fit(dataset: Dataset, environment: Environment, group: str) -> None:
+    """Reject a dataset whose numbers mean something else in an environment.
+
+    Raises:
+        ConfigurationError: names every difference.
+    """
+    recorded = dataset.known()
+    present = Manifest.of(environment, recorded.task, recorded.seed)
+    if group not in recorded.observations:
+        raise ConfigurationError(
+            f"{dataset.path} holds observation groups {', '.join(recorded.observations)}, not '{group}': record it, or "
+            "name one of these by --imitation group=NAME"
+        )
+    found = differences(renamed_group(recorded, group, group), present, [group])
+    wrong = [str(each) for each in found if each.kind is Kind.ERROR]
+    if wrong:
+        raise ConfigurationError(f"{dataset.path} cannot be cloned for this environment: {'; '.join(wrong)}")
+
+
+def _load(
+    dataset: Dataset, positions: list[int], total: int, parts: tuple[Part, ...], group: str, concatenated: bool,
+    environment: Environment,
+) -> Demonstrations:  # fmt: skip
+    prefix = "obs/" if group == "policy" else f"obs/{group}/"
+    # Filled in place: pictures of a thousand episodes do not fit into memory twice.
+    arrays: dict[str, np.ndarray] = {}
+    actions = np.empty((total, environment.action_size), np.float32)
+    ends = np.empty(total, np.int64)
+    begin = 0
+    for position in positions:
+        episode = dataset.read(position)
+        length = episode.info.length
+        stop = begin + length
+        for part in parts:
+            value = episode.arrays.get(prefix + part.name)
+            if value is None or tuple(value.shape[1:]) != part.shape:
+                held = "lacks it" if value is None else f"has shape {tuple(value.shape[1:])}"
+                raise ConfigurationError(
+                    f"the policy sees '{part.name}' of shape {part.shape}, and episode {episode.info.number} of "
+                    f"{dataset.path} {held}"
+                )
+            if part.name not in arrays:
+                arrays[part.name] = np.empty((total, *value.shape[1:]), value.dtype)
+            arrays[part.name][begin:stop] = value
+        actions[begin:stop] = episode.arrays.get(CLEAN, episode.arrays["actions"])
+        ends[begin:stop] = stop - 1
+        begin = stop
+    tensors: Mapping[str, Tensor] = {name: torch.from_numpy(value) for name, value in arrays.items()}
+    observation = (
+        torch.cat([tensors[part.name].float().flatten(1) for part in parts], 1) if concatenated else dict(tensors)
+    )
+    return Demonstrations(observation, torch.from_numpy(actions), torch.from_numpy(ends), len(positions))

@@ -1,0 +1,271 @@
+"""Observation and action as a cloned policy sees them.
+
+Two things decide whether cloning works, measured on Lift with joint position targets of 2 rad per unit. Labels are
+relative to the present joint positions: an error of 8e-4 of a unit is some 4 cm at the hand otherwise. And differences
+of positions are also shown in centimetres, through ``tanh``: 49 successes of 64 with them, 18 without.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_data.manifest.manifest import ActionTermManifest, Manifest, ObservationTermManifest
+from orbit_learn.convolutional import Convolutional, PictureEncoder, encoded_pictures
+from orbit_learn.description import Part
+
+FINE = 0.03
+"""Metres at which a fine difference saturates: the width of a small object."""
+_LEAST_STD = 1e-2
+"""Least standard deviation of a feature: one that hardly changes in the data must not become huge outside of it."""
+_LEAST_LABEL_STD = 1e-3
+_MOST_DEVIATIONS = 10.0
+_LAST_ACTION = "last_action"
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How a cloned policy reads its observation and what its action is relative to; plain data for a policy's file."""
+
+    parts: tuple[Part, ...]
+    """Terms of the observation, in order."""
+    concatenated: bool = True
+    """True if the terms are side by side in one tensor; False for a dictionary of them."""
+    hidden: tuple[int, ...] = ()
+    """Columns that the network does not see, such as the last action, which it would learn to copy."""
+    vectors: tuple[int, ...] = ()
+    """First columns of positions and distances (3 columns in metres), of which fine differences are shown."""
+    joints: tuple[int, ...] = ()
+    """Column of the joint position that each component of the action is relative to; -1 for none. Empty for none."""
+    gains: tuple[float, ...] = ()
+    """Units of action for a unit of that column."""
+    biases: tuple[float, ...] = ()
+    """Action where that column is zero."""
+    binary: tuple[bool, ...] = ()
+    """Components of the action of which only the sign counts, such as a gripper's. Empty for none."""
+    pictures: tuple[PictureEncoder, ...] = ()
+    """Encoders of the terms that are pictures."""
+
+    def __post_init__(self) -> None:
+        size = self.vector_size
+        columns = (*self.hidden, *self.vectors, *(column for column in self.joints if column != -1))
+        if any(not 0 <= column < size for column in columns) or any(column + 3 > size for column in self.vectors):
+            raise ValueError(f"an encoding's columns are 0 to {size - 1}")
+        if not len(self.joints) == len(self.gains) == len(self.biases):
+            raise ValueError("joints, gains and biases are as many as components of the action")
+        if len(self.vectors) > 32:
+            raise ValueError("an encoding shows fine differences of up to 32 positions")
+
+    @property
+    def vector_size(self) -> int:
+        """O, columns of the terms that are no pictures."""
+        return sum(part.size for part in self.parts if not part.is_picture)
+
+    @property
+    def feature_size(self) -> int:
+        """F, numbers that the network sees beside features of pictures."""
+        count = len(self.vectors)
+        pairs = count * (count - 1) // 2
+        return self.vector_size - len(set(self.hidden)) + 3 * pairs + 3 * (count + pairs)
+
+
+def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concatenated: bool) -> Encoding:
+    """Return the encoding for an environment's observation group and action, by what its manifest says of them.
+
+    Args:
+        manifest: of the environment that the demonstrations were recorded in.
+        group: observation group that the policy sees.
+        parts: its terms, as a policy's description lists them.
+        concatenated: whether they are side by side.
+    """
+    from orbit_learn.convolutional import convolutional
+
+    terms = manifest.observations[group].terms
+    columns: dict[str, int] = {}
+    begin = 0
+    for part in parts:
+        if not part.is_picture:
+            columns[part.name] = begin
+            begin += part.size
+    hidden = [c for p in parts if p.name == _LAST_ACTION for c in range(columns[p.name], columns[p.name] + p.size)]
+    vectors = [columns[name] for name, term in terms.items() if name in columns and _is_position(term)]
+    joints: list[int] = []
+    gains: list[float] = []
+    biases: list[float] = []
+    binary: list[bool] = []
+    for action in manifest.action_terms.values():
+        binary += [action.generator == "binary_gripper"] * len(action.components)
+        for i, joint in enumerate(action.components):
+            column, gain, bias = _relative(action, i, joint, terms, columns)
+            joints.append(column)
+            gains.append(gain)
+            biases.append(bias)
+    pictures = () if concatenated else convolutional(parts, ()).encoders
+    return Encoding(
+        parts, concatenated, tuple(hidden), tuple(vectors), tuple(joints), tuple(gains), tuple(biases), tuple(binary),
+        pictures,
+    )  # fmt: skip
+
+
+def _is_position(term: ObservationTermManifest) -> bool:
+    """Return True if a term's first three columns are a position or a distance in metres."""
+    shape = tuple(term.shape)
+    placed = (term.unit == "m" and shape == (3,)) or (term.unit.startswith("m, quaternion") and shape == (7,))
+    return placed and term.history == 1 and term.scale == 1.0
+
+
+def _relative(
+    action: ActionTermManifest,
+    component: int,
+    joint: str,
+    terms: Mapping[str, ObservationTermManifest],
+    columns: Mapping[str, int],
+) -> tuple[int, float, float]:
+    """Return the column of a joint's position, and the action that commands this very position as a line over it."""
+    if action.scale is None or action.offset is None or action.settings.get("mode") != "absolute":
+        return -1, 0.0, 0.0
+    for name, term in terms.items():
+        measured = term.formula.startswith("measured position of each joint")
+        if name in columns and measured and term.history == 1 and term.offset and joint in term.components:
+            place = list(term.components).index(joint)
+            gain = 1.0 / action.scale[component]
+            # observed = scale * (position - its offset); commanded position = offset + scale * action
+            bias = (term.offset[place] - action.offset[component]) * gain
+            return columns[name] + place, gain / term.scale, bias
+    return -1, 0.0, 0.0
+
+
+class Encoder(nn.Module):
+    """Features of an observation, normalised, with those of its pictures.
+
+    Args:
+        encoding: that says what is seen.
+    """
+
+    mean: Tensor
+    """(F,) of features in the demonstrations."""
+    std: Tensor
+    """(F,) theirs."""
+
+    def __init__(self, encoding: Encoding) -> None:
+        super().__init__()
+        self.encoding = encoding
+        hidden = set(encoding.hidden)
+        self._shown = [column for column in range(encoding.vector_size) if column not in hidden]
+        self._pairs = list(itertools.combinations(range(len(encoding.vectors)), 2))
+        self.register_buffer("mean", torch.zeros(encoding.feature_size))
+        self.register_buffer("std", torch.ones(encoding.feature_size))
+        self._convolutional = None
+        self.size = encoding.feature_size
+        """Numbers that :meth:`forward` gives."""
+        if encoding.pictures:
+            vectors = tuple(part for part in encoding.parts if not part.is_picture)
+            self._convolutional = Convolutional(encoding.pictures, vectors, ())
+            self.pictures = self._convolutional.build_encoders()
+            self.size += self._convolutional.features
+
+    def vectors(self, observation: Tensor | Mapping[str, Tensor]) -> Tensor:
+        """Return (N, O) the terms that are no pictures, side by side."""
+        if isinstance(observation, Tensor):
+            return observation
+        terms = [part.name for part in self.encoding.parts if not part.is_picture]
+        return torch.cat([observation[name].float().flatten(1) for name in terms], dim=1)
+
+    def features(self, vectors: Tensor) -> Tensor:
+        """Return (N, F) features of ``vectors`` (N, O), before they are normalised."""
+        seen = [vectors[:, self._shown]]
+        if self.encoding.vectors:
+            places = [vectors[:, begin : begin + 3] for begin in self.encoding.vectors]
+            differences = [places[j] - places[i] for i, j in self._pairs]
+            seen += [*differences, *((value / FINE).tanh() for value in (*places, *differences))]
+        return torch.cat(seen, dim=1)
+
+    def forward(self, observation: Tensor | Mapping[str, Tensor]) -> Tensor:
+        features = (self.features(self.vectors(observation)) - self.mean) / self.std
+        features = features.clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+        if self._convolutional is None:
+            return features
+        assert not isinstance(observation, Tensor)
+        return torch.cat((features, encoded_pictures(self._convolutional, self.pictures, observation)), dim=1)
+
+    def fit(self, vectors: Tensor) -> None:
+        """Take mean and standard deviation from demonstrations (T, O)."""
+        count, total, squares = 0, torch.zeros_like(self.mean), torch.zeros_like(self.mean)
+        for rows in vectors.split(65536):
+            features = self.features(rows)
+            count, total, squares = count + len(rows), total + features.sum(0), squares + features.square().sum(0)
+        self.mean.copy_(total / count)
+        self.std.copy_((squares / count - self.mean.square()).clamp(min=0.0).sqrt() + _LEAST_STD)
+
+
+class Labels(nn.Module):
+    """Actions as a network's outputs: relative to joint positions, in standard deviations, signs as logits.
+
+    Args:
+        encoding: that says what is relative and what is a sign.
+        action_size: A.
+
+    Raises:
+        ValueError: the encoding is of another number of components.
+    """
+
+    mean: Tensor
+    """(A,) of relative actions in the demonstrations."""
+    std: Tensor
+    """(A,) theirs."""
+
+    def __init__(self, encoding: Encoding, action_size: int) -> None:
+        super().__init__()
+        for values in (encoding.joints, encoding.binary):
+            if values and len(values) != action_size:
+                raise ValueError(f"an encoding for {len(values)} components of an action of {action_size}")
+        joints = encoding.joints or (-1,) * action_size
+        relative = [column != -1 for column in joints]
+        # Plain lists, for buffers would be weights of the policy's file; tensors of them are made on first use.
+        self._columns = [max(column, 0) for column in joints]
+        none = (0.0,) * action_size
+        self._gains = [gain * used for gain, used in zip(encoding.gains or none, relative, strict=True)]
+        self._biases = [bias * used for bias, used in zip(encoding.biases or none, relative, strict=True)]
+        self.binary = list(encoding.binary or (False,) * action_size)
+        """Components that are a sign."""
+        self.register_buffer("mean", torch.zeros(action_size))
+        self.register_buffer("std", torch.ones(action_size))
+
+    def base(self, vectors: Tensor) -> Tensor:
+        """Return (N, A) actions that command the present joint positions; zero where a component is not relative."""
+        gains, biases = (vectors.new_tensor(values) for values in (self._gains, self._biases))
+        return vectors[:, self._columns] * gains + biases
+
+    def signs(self, like: Tensor) -> Tensor:
+        """Return (A,) bool, components that are a sign."""
+        return torch.tensor(self.binary, device=like.device)
+
+    def normalised(self, actions: Tensor, vectors: Tensor) -> Tensor:
+        """Return labels (B, H, A) of actions (B, H, A) that began at observations (B, O); signs are -1 and 1."""
+        labels = (actions - self.base(vectors)[:, None] - self.mean) / self.std
+        return torch.where(self.signs(actions), torch.where(actions < 0.0, -1.0, 1.0), labels)
+
+    def actions(self, outputs: Tensor, vectors: Tensor) -> Tensor:
+        """Return actions (N, H, A) in [-1, 1] of a network's outputs (N, H, A), whose signs are logits."""
+        actions = outputs * self.std + self.mean + self.base(vectors)[:, None]
+        # A gripper that is told nothing definite stays open, as a binary gripper reads zero.
+        signs = torch.where(outputs < 0.0, -1.0, 1.0)
+        return torch.where(self.signs(outputs), signs, actions).clamp(-1.0, 1.0)
+
+    def fit(self, actions: Tensor, vectors: Tensor) -> None:
+        """Take mean and standard deviation from windows (B, H, A) that began at observations (B, O).
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        if not len(actions):
+            raise ConfigurationError("there are no demonstrations to take statistics from")
+        relative = (actions - self.base(vectors)[:, None]).flatten(0, 1)
+        signs = self.signs(actions)
+        self.mean.copy_(relative.mean(0).where(~signs, 0.0))
+        self.std.copy_((relative.std(0) + _LEAST_LABEL_STD).where(~signs, 1.0))

@@ -1,0 +1,206 @@
+"""Cloning of recorded demonstrations, judged by episodes that the policy plays."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from torch import nn
+
+from orbit_core.envs.environment import Environment
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_data.manifest.manifest import Manifest
+from orbit_learn.cloning.demonstrations import joined, load_demonstrations
+from orbit_learn.cloning.encoding import Encoding, encoding_for
+from orbit_learn.cloning.networks import (
+    ClonedDiffusion,
+    ClonedNetwork,
+    ClonedPerceptron,
+    ClonedRecurrent,
+    ClonedTransformer,
+    Planner,
+)
+from orbit_learn.description import group_parts
+from orbit_learn.distill import copied_actor
+from orbit_learn.ends import EpisodeTally
+from orbit_learn.memory import Remembering
+from orbit_learn.networks import ActorNetwork
+from orbit_learn.trainer import Progress, Trainer
+
+_MOST_GRADIENT = 1.0
+_MODES = 5
+ALGORITHMS = ("bc", "bc-gmm", "bc-rnn", "bc-rnn-gmm", "act", "diffusion")
+
+
+@dataclass(frozen=True)
+class ImitationSettings:
+    """Cloning of demonstrations. The learning rate falls to zero along half a cosine (Loshchilov and Hutter, SGDR,
+    2017)."""  # fmt: skip
+
+    algorithm: str = "bc"
+    """bc, bc-gmm (mixture of Gaussians), bc-rnn, bc-rnn-gmm, act (action chunking with transformers), diffusion."""
+    dataset: tuple[str, ...] = ()
+    """Paths of the demonstrations, one dataset or several of one kind."""
+    iterations: int = 40
+    updates_per_iteration: int = 200
+    """Gradient steps in an iteration."""
+    batch_size: int = 256
+    learning_rate: float = 1e-3
+    chunk: int = 16
+    """Actions that are planned at a time."""
+    executed: int = 8
+    """Actions of a plan that are executed before the next one is made."""
+    hidden_size: int = 256
+    """Units of hidden layers; width of a transformer."""
+    ensemble: float | None = None
+    """For act: plan at every step and average plans for one moment with weights exp(-ensemble * age)."""
+    only_successes: bool = False
+    """Leave out episodes that failed; with noise on the actions they teach too."""
+    evaluate_every: int = 10
+    """Iterations between evaluations, each an episode in every environment; the last iteration is always evaluated."""
+    steps_per_iteration: int = 0
+    """Environment steps of an iteration; demonstrations are recorded before."""
+
+    def __post_init__(self) -> None:
+        if self.algorithm not in ALGORITHMS:
+            raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS, "library imitation")
+        for name in ("updates_per_iteration", "batch_size", "learning_rate", "hidden_size", "evaluate_every"):
+            if not getattr(self, name) > 0:
+                raise ConfigurationError(f"imitation setting '{name}' is positive, not {getattr(self, name)}")
+        if not 0 < self.executed <= self.chunk:
+            raise ConfigurationError(
+                f"imitation setting 'executed' is 1 to chunk, which is {self.chunk}, not {self.executed}"
+            )
+
+
+class ImitationTrainer(Trainer[ImitationSettings]):
+    """Clones a dataset. The success that is reported is that of whole episodes which the policy played.
+
+    Raises:
+        ConfigurationError: there is no dataset, or it does not fit the environment.
+    """
+
+    name: ClassVar[str] = "imitation"
+    settings_type: ClassVar[type[Any]] = ImitationSettings
+    options: ClassVar[tuple[str, ...]] = ("imitation", "algorithm", "dataset")
+
+    def __init__(self, environment: Environment, settings: ImitationSettings, folder: Path | str, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        if not settings.dataset:
+            raise ConfigurationError("cloning needs demonstrations: give --dataset FILE ('orbit record' makes one)")
+        torch.manual_seed(seed)
+        layout = environment.observation["policy"]
+        loaded = [
+            load_demonstrations(path, environment, "policy", settings.only_successes) for path in settings.dataset
+        ]
+        self._demonstrations = shown = joined(loaded)
+        manifest = Manifest.of(environment, "", seed)
+        encoding = encoding_for(manifest, "policy", group_parts(layout), layout.concatenated)
+        self._network = _network(settings, encoding)
+        planner = self._network.build(encoding.vector_size, environment.action_size)  # pyright: ignore
+        assert isinstance(planner, Planner)
+        every = torch.arange(0, shown.steps, max(1, shown.steps // 65536))
+        vectors = planner.encoder.vectors(shown.observed(every))
+        planner.encoder.fit(vectors)
+        planner.labels.fit(shown.windows(every, settings.chunk)[0], vectors)
+        self._planner = planner.to(environment.device)
+        self._optimizer = torch.optim.AdamW(self._planner.parameters(), settings.learning_rate, weight_decay=1e-6)
+        self._generator = torch.Generator().manual_seed(seed)
+        self._iteration = 0
+        self._loss = math.nan
+        self._played = (math.nan, math.nan, 0)
+        self._tally = EpisodeTally(environment.device)
+
+    def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
+        begin, first, env_steps = time.perf_counter(), self._iteration, 0
+        last = first + iterations - 1
+        for iteration in range(first, last + 1):
+            self._update_all(iteration)
+            self._iteration = iteration + 1
+            if iteration == last or (iteration + 1) % self.settings.evaluate_every == 0:
+                env_steps += self._evaluate()
+            returns, success, episodes = self._played
+            seconds = time.perf_counter() - begin
+            progress = Progress(iteration, env_steps, seconds, returns, success, episodes)
+            report(replace(progress, loss=self._loss, metrics=self._tally.metrics))
+
+    def state(self) -> Any:
+        return {"planner": self._planner.state_dict(), "optimizer": self._optimizer.state_dict()}
+
+    def restore(self, state: Any, iteration: int) -> None:
+        self._planner.load_state_dict(state["planner"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._iteration = iteration + 1
+        self._generator.manual_seed(self.seed + self._iteration)
+
+    def actor(self) -> ActorNetwork:
+        return copied_actor(self._network, self._planner)  # pyright: ignore[reportArgumentType]
+
+    def _update_all(self, iteration: int) -> None:
+        """Take the gradient steps of an iteration."""
+        settings, shown, device = self.settings, self._demonstrations, self.environment.device
+        total = settings.iterations * settings.updates_per_iteration
+        losses = torch.zeros((), device=device)
+        sequence = torch.arange(self._planner.sequence)
+        self._planner.train()
+        for update in range(settings.updates_per_iteration):
+            progress = min(1.0, (iteration * settings.updates_per_iteration + update) / total)
+            for group in self._optimizer.param_groups:
+                group["lr"] = settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
+            count = max(1, settings.batch_size // self._planner.sequence)
+            rows = torch.randint(shown.steps, (count,), generator=self._generator)
+            if self._planner.sequence > 1:
+                # Sequences stay within their episode; near its end its last steps repeat.
+                rows = torch.minimum(rows[:, None] + sequence, shown.ends[rows][:, None])
+            actions, valid = shown.windows(rows, self._planner.network.chunk)
+            loss = self._planner.loss(_moved(shown.observed(rows), device), actions.to(device), valid.to(device))
+            self._optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(self._planner.parameters(), _MOST_GRADIENT)
+            self._optimizer.step()
+            losses += loss.detach()
+        self._planner.eval()
+        self._loss = float(losses) / settings.updates_per_iteration
+
+    def _evaluate(self) -> int:
+        """Play an episode in every environment; return the steps of all environments."""
+        environment = self.environment
+        seen, _ = environment.reset(self.seed + 1)  # other episodes than the demonstrations'
+        acting = Remembering(self._planner, environment.num_envs, environment.device)
+        begun = torch.ones(environment.num_envs, dtype=torch.bool, device=environment.device)
+        first = begun.clone()
+        self._tally = EpisodeTally(environment.device)
+        for _ in range(environment.max_episode_steps):
+            action = acting.act(seen["policy"], begun)
+            seen, _, terminated, truncated, info = environment.step(action)
+            begun = terminated | truncated
+            # An environment whose first episode ended early plays on uncounted.
+            self._tally.add(info, environment.num_envs, first)
+            first &= ~begun
+        self._played = self._tally.read()
+        return environment.max_episode_steps * environment.num_envs
+
+
+def _network(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
+    """Return the network of an algorithm."""
+    shared: dict[str, Any] = {"encoding": encoding, "chunk": settings.chunk, "executed": settings.executed}
+    modes = _MODES if settings.algorithm.endswith("gmm") else 1
+    if settings.algorithm in ("bc", "bc-gmm"):
+        return ClonedPerceptron(**shared, hidden_sizes=(settings.hidden_size,) * 2, modes=modes)
+    if settings.algorithm in ("bc-rnn", "bc-rnn-gmm"):
+        return ClonedRecurrent(**shared, hidden_size=settings.hidden_size, modes=modes)
+    if settings.algorithm == "act":
+        return ClonedTransformer(**shared, width=settings.hidden_size, ensemble=settings.ensemble)
+    return ClonedDiffusion(**shared, width=2 * settings.hidden_size)
+
+
+def _moved(observation: Any, device: torch.device) -> Any:
+    """Return an observation on a device."""
+    if isinstance(observation, torch.Tensor):
+        return observation.to(device)
+    return {name: value.to(device) for name, value in observation.items()}

@@ -1,0 +1,126 @@
+"""Page of an evaluation: success, differences on the same starts, sources of variance, and how episodes fail."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from itertools import combinations
+
+from orbit_core.rollout.estimates import Estimate
+from orbit_learn.evaluation.results import BASE, Block, Plan
+from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
+
+_STYLE = """
+body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
+table{border-collapse:collapse;margin:1rem 0;display:block;overflow-x:auto}
+th,td{padding:.3rem .8rem;border-bottom:1px solid #ddd;text-align:left;white-space:nowrap}
+.bar{display:inline-block;height:.6rem;background:#2a7;vertical-align:middle}
+.interval{color:#666}.sure{font-weight:600}
+"""
+_SURE = 0.05
+
+
+def page(plan: Plan, blocks: Sequence[Block]) -> str:
+    """Return the page as HTML, which needs no other file."""
+    engines = sorted({f"{block.key.backend} {block.engine}" for block in blocks})
+    parts = [
+        f"<h1>{escape(plan.task)}</h1>",
+        f"<p>{plan.episodes} episodes of each policy, engine, variant and seed ({len(plan.seeds)} seeds), from the "
+        f"same starts for all. Engines: {escape(', '.join(engines))}. Intervals are of 95 % (Wilson).</p>",
+        *_different_starts(blocks),
+        "<h2>Success</h2>",
+        _table(("policy", "variant", *plan.backends), _success_rows(plan, blocks)),
+        "<h2>Differences on the same starts</h2>",
+        "<p>Second minus first, in percentage points; p by McNemar's test with mid-p. Many comparisons stand side by "
+        "side: one in twenty is below 0.05 by chance.</p>",
+        _table(("first", "second", "difference", "only first", "only second", "p"), _difference_rows(plan, blocks)),
+        "<h2>Where success varies</h2>",
+        _table(("source", "share of the variance"), _variance_rows(blocks)),
+        "<h2>How episodes fail</h2>",
+        "<p>Named by the first reward term that brought less than a tenth of what it brings in a success.</p>",
+        _table(("kind", "episodes", "where (policy, engine, variant, seed: starts)"), _failure_rows(blocks)),
+    ]
+    title = f"Evaluation of {escape(plan.task)}"
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{title}</title><style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
+    )
+
+
+def _different_starts(blocks: Sequence[Block]) -> Iterable[str]:
+    """Yield a warning for each seed whose blocks show other first observations."""
+    for seed in sorted({block.key.seed for block in blocks}):
+        found: dict[str, str] = {}
+        for block in (each for each in blocks if each.key.seed == seed):
+            found.setdefault(block.fingerprint, f"{block.key.policy} on {block.key.backend}, {block.key.variant}")
+        if len(found) > 1:
+            told = escape("; ".join(found.values()))
+            yield f'<p class="sure">Seed {seed} begins differently for: {told}. Differences are of these too.</p>'
+
+
+def _success_rows(plan: Plan, blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
+    for policy in plan.policies:
+        for variant in plan.variants:
+            row = [block for block in blocks if (block.key.policy, block.key.variant) == (policy, variant)]
+            cells = (_rate(success_of(b for b in row if b.key.backend == name)) for name in plan.backends)
+            yield escape(policy), escape(variant), *cells
+
+
+def _difference_rows(plan: Plan, blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
+    base = [block for block in blocks if block.key.variant == BASE]
+    for name in plan.backends:
+        for one, other in combinations(plan.policies, 2):
+            sets = [[b for b in base if b.key.policy == policy and b.key.backend == name] for policy in (one, other)]
+            yield _difference(f"{one} on {name}", f"{other} on {name}", *sets)
+    for policy in plan.policies:
+        for one, other in combinations(plan.backends, 2):
+            sets = [[b for b in base if b.key.policy == policy and b.key.backend == name] for name in (one, other)]
+            yield _difference(f"{policy} on {one}", f"{policy} on {other}", *sets)
+
+
+def _difference(first: str, second: str, one: Sequence[Block], other: Sequence[Block]) -> Sequence[str]:
+    found = paired_difference(one, other)
+    low, high = 100.0 * found.low, 100.0 * found.high
+    told = f'{100.0 * found.difference:+.1f} <span class="interval">[{low:+.1f}, {high:+.1f}]</span>'
+    if found.p_value < _SURE:
+        told = f'<span class="sure">{told}</span>'
+    discordant = str(found.only_first), str(found.only_second)
+    return escape(first), escape(second), told, *discordant, f"{found.p_value:.3f}"
+
+
+def _variance_rows(blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
+    shares = variance_shares(blocks)
+    if not shares:
+        yield "none: all episodes end alike", ""
+    for name, share in shares.items():
+        yield escape(name), f'<span class="bar" style="width:{10.0 * share:.2f}rem"></span> {100.0 * share:.1f} %'
+
+
+def _failure_rows(blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
+    for kind, found in failure_kinds(blocks).items():
+        places: dict[str, list[int]] = {}
+        for block, index in found:
+            key = block.key
+            places.setdefault(f"{key.policy}, {key.backend}, {key.variant}, {key.seed}", []).append(index)
+        told = "<br>".join(f"{escape(place)}: {_listed(indices)}" for place, indices in places.items())
+        yield escape(kind), str(len(found)), told
+
+
+def _listed(indices: Sequence[int], most: int = 12) -> str:
+    shown = ", ".join(map(str, indices[:most]))
+    return shown if len(indices) <= most else f"{shown} and {len(indices) - most} more"
+
+
+def _rate(estimate: Estimate) -> str:
+    width = 6.0 * estimate.value
+    interval = f"[{100.0 * estimate.low:.0f}, {100.0 * estimate.high:.0f}]"
+    return (
+        f'<span class="bar" style="width:{width:.2f}rem"></span> {100.0 * estimate.value:.1f} % '
+        f'<span class="interval">{interval}</span>'
+    )
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    head = "".join(f"<th>{escape(each)}</th>" for each in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -1,0 +1,123 @@
+"""Results of an evaluation as a file that grows block by block, so that one that was cut off goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from orbit_core.files import append_line, as_path, read_bytes
+from orbit_core.interfaces import ConfigurationError
+
+_MOST_BYTES = 1 << 28
+BASE = "as it is"
+"""Name of the variant without changes."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is evaluated; a file of results holds one plan."""
+
+    task: str
+    policies: tuple[str, ...]
+    backends: tuple[str, ...]
+    variants: dict[str, tuple[str, ...]]
+    """Changes of the task by the variant's name, each ``key=value``; :data:`BASE` has none."""
+    seeds: tuple[int, ...]
+    episodes: int
+    """Of each policy, engine, variant and seed."""
+    settings: dict[str, str] = field(default_factory=dict)
+    """All else that the command line says of the environment."""
+
+    def blocks(self) -> Iterator[BlockKey]:
+        """Yield all blocks, those of one environment one after another."""
+        for backend in self.backends:
+            for variant in self.variants:
+                for policy in self.policies:
+                    for seed in self.seeds:
+                        yield BlockKey(policy, backend, variant, seed)
+
+
+@dataclass(frozen=True)
+class BlockKey:
+    """Episodes that are run together."""
+
+    policy: str
+    backend: str
+    variant: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class Block:
+    """Results of a block: a value for each start, in the order of starts."""
+
+    key: BlockKey
+    engine: str
+    """Version of the engine."""
+    success: tuple[bool, ...]
+    returns: tuple[float, ...]
+    steps: tuple[int, ...]
+    metrics: dict[str, tuple[float, ...]]
+    rewards: dict[str, tuple[float, ...]]
+    """Each term's contribution to the return."""
+    failed: tuple[bool, ...]
+    """Episodes in which the policy did not answer, or the simulation diverged; they count as failures."""
+    fingerprint: str = ""
+    """Digest of the first observations, rounded: blocks of one seed begin alike."""
+
+
+class ResultFile:
+    """Reads and extends a file of results: a line for the plan, and one for each block.
+
+    Args:
+        path: of the file (JSON lines).
+        plan: that it must hold.
+
+    Raises:
+        ConfigurationError: the file holds another plan, or is none.
+    """
+
+    def __init__(self, path: Path | str, plan: Plan) -> None:
+        self.path = as_path(path)
+        self.plan = plan
+        self.blocks: dict[BlockKey, Block] = {}
+        if not self.path.exists():
+            append_line(self.path, json.dumps({"plan": asdict(plan)}))
+            return
+        recorded, blocks = read_results(self.path)
+        if recorded != plan:
+            differing = [name for name in asdict(plan) if getattr(plan, name) != getattr(recorded, name)]
+            raise ConfigurationError(
+                f"{self.path} holds another evaluation, which differs in {', '.join(differing)}: give another "
+                "--output, or the words that it was begun with"
+            )
+        self.blocks = {block.key: block for block in blocks}
+
+    def add(self, block: Block) -> None:
+        """Append a block; the line is whole on disk when this returns."""
+        append_line(self.path, json.dumps({"block": asdict(block)}))
+        self.blocks[block.key] = block
+
+    def left(self) -> list[BlockKey]:
+        """Return the blocks that are not there yet."""
+        return [key for key in self.plan.blocks() if key not in self.blocks]
+
+
+def read_results(path: Path | str) -> tuple[Plan, list[Block]]:
+    """Read a file of results; a last line that was cut off is left out.
+
+    Raises:
+        ConfigurationError: it is no such file.
+    """
+    path = as_path(path)
+    lines = read_bytes(path, _MOST_BYTES).split(b"\n")
+    try:
+        plan = msgspec.convert(msgspec.json.decode(lines[0])["plan"], Plan)
+        blocks = [msgspec.convert(msgspec.json.decode(line)["block"], Block) for line in lines[1:-1] if line]
+    except (msgspec.DecodeError, msgspec.ValidationError, KeyError, TypeError) as error:
+        raise ConfigurationError(f"{path} holds no results of an evaluation: {error}") from None
+    return plan, blocks

@@ -1,0 +1,120 @@
+"""Blocks of an evaluation: episodes of a policy on an engine, from the same starts for all."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from multiprocessing import get_context
+from typing import TYPE_CHECKING
+
+import torch
+
+from orbit_core.backends import versions_of
+from orbit_core.cli.making import make_actor, make_environment
+from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.envs.observation_layout import leaves_of
+from orbit_learn.evaluation.results import Block, BlockKey, Plan
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+    from orbit_core.envs.episode import EpisodeEnd
+
+
+def run_blocks(
+    plan: Plan,
+    keys: Sequence[BlockKey],
+    settings: Mapping[str, EnvironmentSettings],
+    jobs: int,
+    done: Callable[[Block], None],
+) -> None:
+    """Run some blocks of a plan, those of one engine, variant and kind of environment in one environment.
+
+    Args:
+        plan: that they are of.
+        keys: to run, those of one environment one after another.
+        settings: of each policy's environment, but for the engine and the variant.
+        jobs: processes side by side; 1 for none but this.
+        done: is given each block as it ends.
+    """
+    groups: dict[tuple[str, str, str], list[BlockKey]] = {}
+    for key in keys:
+        groups.setdefault((key.backend, key.variant, repr(settings[key.policy])), []).append(key)
+    if jobs == 1:
+        for group in groups.values():
+            for block in run_group(plan, group, settings[group[0].policy]):
+                done(block)
+        return
+    # Engines and torch keep threads, which a fork would leave locked.
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        running = [pool.submit(_whole_group, plan, each, settings[each[0].policy]) for each in groups.values()]
+        try:
+            for future in as_completed(running):
+                for block in future.result():
+                    done(block)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _whole_group(plan: Plan, keys: Sequence[BlockKey], settings: EnvironmentSettings) -> list[Block]:
+    return list(run_group(plan, keys, settings))
+
+
+def run_group(plan: Plan, keys: Sequence[BlockKey], settings: EnvironmentSettings) -> Iterable[Block]:
+    """Yield the blocks of one engine and variant, whose policies act in one kind of environment."""
+    first = keys[0]
+    own = replace(settings, backend=first.backend, set=(*settings.set, *plan.variants[first.variant]))
+    environment = make_environment(own, plan.episodes, reset_diverged=True)
+    try:
+        for key in keys:
+            yield _run_block(environment, key)
+    finally:
+        environment.close()
+
+
+def _run_block(environment: Environment, key: BlockKey) -> Block:
+    """Run an episode in every environment."""
+    actor = make_actor(key.policy, environment, key.seed)
+    seen, _ = environment.reset(key.seed)
+    # Engines differ in the last bits; a start is the same where it agrees to a tenth of a millimetre.
+    rounded = [(value.double() * 1e3).round().long() for value in leaves_of(seen) if value.is_floating_point()]
+    fingerprint = hashlib.sha256(b"".join(value.cpu().numpy().tobytes() for value in rounded)).hexdigest()[:16]
+    ends: dict[int, tuple[EpisodeEnd, int]] = {}
+    failed = [False] * environment.num_envs
+    for _ in range(environment.max_episode_steps):
+        *_, info = environment.step(actor.act())
+        if "final" in info:
+            end = info["final"]
+            unanswered = getattr(actor, "unanswered", failed)
+            lost = failed if environment.lost is None else environment.lost.now.tolist()
+            for row, index in enumerate(end.env_ids.tolist()):
+                if index not in ends:
+                    ends[index] = end, row
+                    failed[index] = bool(unanswered[index] or lost[index])
+        if len(ends) == environment.num_envs:
+            break
+    rows = [ends[index] for index in range(environment.num_envs)]
+
+    def each(value: Callable[[EpisodeEnd], torch.Tensor]) -> tuple[float, ...]:
+        return tuple(float(value(end)[row]) for end, row in rows)
+
+    some = rows[0][0]
+    rewards = {name: each(lambda end, name=name: end.rewards[name]) for name in some.rewards}
+    metrics = {name: each(lambda end, name=name: end.metrics[name]) for name in some.metrics}
+    success = [bool(value) and not bad for value, bad in zip(each(lambda end: end.success), failed, strict=True)]
+    close = getattr(actor, "close", None)
+    if close is not None:
+        close()
+    return Block(
+        key=key,
+        engine=versions_of(key.backend).get(key.backend, ""),
+        success=tuple(success),
+        returns=tuple(map(sum, zip(*rewards.values(), strict=True))) if rewards else (0.0,) * len(rows),
+        steps=tuple(int(value) for value in each(lambda end: end.steps)),
+        metrics=metrics,
+        rewards=rewards,
+        failed=tuple(failed),
+        fingerprint=fingerprint,
+    )

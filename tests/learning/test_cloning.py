@@ -1,0 +1,251 @@
+"""Policies cloned from recorded demonstrations: learned for real, at the smallest size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.backends import default_backend
+from orbit_core.cli import main
+from orbit_core.envs import make
+from orbit_core.envs.environment import Environment
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_data.hdf5 import Hdf5Dataset
+from orbit_learn.cloning.encoding import FINE, Encoding, Labels, encoding_for
+from orbit_learn.cloning.networks import ClonedRecurrent, ClonedTransformer, Planner
+from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer
+from orbit_learn.description import Part, group_parts
+from orbit_learn.memory import Remembering
+from orbit_learn.policy import PolicyActor, load_policy
+from orbit_learn.training import Training
+
+BACKEND = default_backend()
+QUICK = ImitationSettings(iterations=1, updates_per_iteration=3, batch_size=32, hidden_size=32, chunk=8, executed=4)
+
+
+def reach(count: int = 4, action: str = "joint_position") -> Environment:
+    return make("Reach", num_envs=count, backend=BACKEND, action=action, episode_length=1.0)
+
+
+@pytest.fixture(scope="module")
+def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("demos") / "reach.hdf5"
+    words = f"record Reach --backend {BACKEND} --num-envs 8 --episodes 16 --set episode_length=1.0 --noise 0.02"
+    assert main([*words.split(), "--output", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def environment() -> Iterator[Environment]:
+    environment = reach()
+    yield environment
+    environment.close()
+
+
+def train(environment: Environment, demos: Path, folder: Path, settings: ImitationSettings = QUICK) -> None:
+    trainer = ImitationTrainer(environment, replace(settings, dataset=(str(demos),)), folder, 0)
+    Training(trainer, "Reach", {}).run(settings.iterations, 1, lambda progress: None)
+
+
+def actions_of(environment: Environment, folder: Path, steps: int) -> list[Tensor]:
+    environment.reset(3)
+    actor, made = PolicyActor(environment, folder), []
+    for _ in range(steps):
+        made.append(actor.act())
+        environment.step(made[-1])
+    return made
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_cloned_policy_is_written_played_and_repeats_itself(
+    algorithm: str, demos: Path, environment: Environment, tmp_path: Path
+) -> None:
+    train(environment, demos, tmp_path, replace(QUICK, algorithm=algorithm))
+    first, again = (actions_of(environment, tmp_path, 6) for _ in range(2))
+    for one, other in zip(first, again, strict=True):
+        assert one.shape == (4, environment.action_size)
+        assert bool((one.abs() <= 1.0).all())
+        torch.testing.assert_close(one, other, rtol=0.0, atol=1e-6)
+    assert not torch.equal(first[0], first[5])
+
+
+def test_cloning_brings_a_reaching_hand_nearer(demos: Path, tmp_path: Path) -> None:
+    environment = reach(16)
+    settings = replace(QUICK, dataset=(str(demos),), iterations=2, updates_per_iteration=150, hidden_size=64)
+    trainer = ImitationTrainer(environment, settings, tmp_path, 0)
+    losses: list[float] = []
+    distances: list[float] = []
+
+    def look(progress: object) -> None:
+        losses.append(progress.loss)  # pyright: ignore[reportAttributeAccessIssue]
+        distances.append(progress.metrics.get("position_error_m", float("nan")))  # pyright: ignore
+
+    trainer.learn(2, look)
+    environment.close()
+    assert losses[1] < 0.8 * losses[0]
+    assert distances[1] < 0.1
+
+
+def test_memory_begins_again_with_each_environments_episode() -> None:
+    part = Part("seen", 3)
+    module = ClonedRecurrent(encoding=Encoding((part,)), chunk=4, executed=2, hidden_size=8).build(3, 2).eval()
+    acting, alone = Remembering(module, 2, "cpu"), Remembering(module, 2, "cpu")
+    never = torch.zeros(2, dtype=torch.bool)
+    torch.manual_seed(0)
+    before = torch.randn(3, 2, 3)
+    for seen in before:
+        acting.act(seen, never)
+    after = torch.randn(2, 3)
+    mixed = acting.act(after, torch.tensor([True, False]))
+    fresh = alone.act(after, ~never)
+    torch.testing.assert_close(mixed[0], fresh[0])
+    assert not torch.allclose(mixed[1], fresh[1])
+
+
+def test_plans_are_executed_as_far_as_the_settings_say() -> None:
+    part = Part("seen", 3)
+    module = ClonedRecurrent(encoding=Encoding((part,)), chunk=4, executed=2, hidden_size=8).build(3, 2).eval()
+    memory = module.initial_memory(1, "cpu")
+    torch.manual_seed(0)
+    with torch.no_grad():
+        first, memory = module.act(torch.randn(1, 3), memory)
+        plan = memory["plan"].clone()
+        second, memory = module.act(torch.randn(1, 3), memory)
+        third, _ = module.act(torch.randn(1, 3), memory)
+    torch.testing.assert_close(first, plan[:, 0])
+    torch.testing.assert_close(second, plan[:, 1])
+    assert not torch.allclose(third, plan[:, 2])
+
+
+def test_ensembled_plans_are_averaged_by_age() -> None:
+    part, rate = Part("seen", 2), 0.5
+    network = ClonedTransformer(encoding=Encoding((part,)), chunk=3, executed=1, width=8, heads=2, ensemble=rate)
+    module = network.build(2, 1).eval()
+    assert isinstance(module, Planner)
+    memory, plans, actions = module.initial_memory(1, "cpu"), [], []
+    torch.manual_seed(0)
+    with torch.no_grad():
+        for _ in range(4):
+            seen = torch.randn(1, 2)
+            plans.append(module.labels.actions(module.outputs(module.encoder(seen)), seen)[0])
+            action, memory = module.act(seen, memory)
+            actions.append(action)
+    # Step 3 is planned by steps 1 (its third action), 2 and 3.
+    weights = torch.tensor([1.0, np.exp(-rate), np.exp(-2 * rate)])
+    expected = (weights[0] * plans[1][2] + weights[1] * plans[2][1] + weights[2] * plans[3][0]) / weights.sum()
+    torch.testing.assert_close(actions[3][0], expected.float())
+
+
+def test_labels_are_relative_to_the_present_joint_positions() -> None:
+    encoding = Encoding((Part("joints", 2),), joints=(1, -1), gains=(0.5, 0.0), biases=(0.1, 0.0), binary=(False, True))
+    labels = Labels(encoding, 2)
+    seen = torch.tensor([[9.0, 0.4]])
+    actions = torch.tensor([[[0.5, -1.0], [0.25, 1.0]]])
+    made = labels.normalised(actions, seen)
+    torch.testing.assert_close(made[0], torch.tensor([[0.2, -1.0], [-0.05, 1.0]]))
+    torch.testing.assert_close(labels.actions(made, seen), actions)
+
+
+def test_the_encoding_follows_from_what_the_manifest_says(demos: Path, environment: Environment) -> None:
+    dataset = Hdf5Dataset(demos)
+    manifest = dataset.known()
+    dataset.close()
+    parts = group_parts(environment.observation["policy"])
+    encoding = encoding_for(manifest, "policy", parts, True)
+    assert len(encoding.joints) == environment.action_size
+    assert all(column >= 0 for column in encoding.joints[:7])
+    assert encoding.vectors, "the goal is a position"
+    columns = [name for part in parts for name in [part.name] * part.size]
+    assert all(columns[column] == "last_action" for column in encoding.hidden)
+    # What the joint's position commands is where the joint is: the robot rests at it.
+    for column, gain, bias in zip(encoding.joints[:7], encoding.gains, encoding.biases, strict=False):
+        assert gain == pytest.approx(1.0 / manifest.action_terms["joint_position"].scale[0])  # pyright: ignore
+        assert bias == pytest.approx(0.0, abs=1e-6)
+        assert columns[column] == "joint_positions"
+    assert pytest.approx(0.03) == FINE
+
+
+def test_noise_disturbs_the_executed_actions_and_leaves_the_labels(demos: Path) -> None:
+    dataset = Hdf5Dataset(demos)
+    spreads = []
+    for position in range(len(dataset.episodes)):
+        arrays = dataset.read(position).arrays
+        difference = arrays["actions"] - arrays["clean_actions"]
+        spreads.append(np.abs(difference).max())
+        held = np.isclose(difference[1:], difference[:-1], atol=1e-6).all(1).mean()
+        assert held > 0.6, "noise is held for ten steps on average"
+    dataset.close()
+    assert max(spreads) > 0.02
+    assert len({round(float(each), 5) for each in spreads}) > 8, "each episode has its own"
+
+
+def test_a_graph_with_memory_acts_as_its_module(demos: Path, environment: Environment, tmp_path: Path) -> None:
+    onnxruntime = pytest.importorskip("onnxruntime")
+    train(environment, demos, tmp_path, replace(QUICK, algorithm="bc-rnn"))
+    assert main(["export", str(tmp_path), "--output", str(tmp_path / "out")]) == 0
+    policy = load_policy(tmp_path / "out" / "policy.safetensors")
+    assert [part.name for part in policy.description.memory] == ["plan", "step", "hidden", "cell", "seen"]
+    session = onnxruntime.InferenceSession(str(tmp_path / "out" / "policy.onnx"))
+    assert isinstance(policy.module, Planner)
+    memory = policy.module.initial_memory(3, "cpu")
+    graph = {name: value.numpy() for name, value in memory.items()}
+    torch.manual_seed(0)
+    for _ in range(7):
+        seen = torch.randn(3, policy.description.observation_size)
+        with torch.no_grad():
+            action, memory = policy.module.act(seen, memory)
+        outputs = session.run(None, {"observation": seen.numpy(), **graph})
+        np.testing.assert_allclose(outputs[0], action.numpy(), atol=1e-5)
+        graph = dict(zip(graph, outputs[1:], strict=True))
+    with pytest.raises(ConfigurationError, match="policy with memory"):
+        load_policy(tmp_path / "out" / "policy.onnx")
+
+
+def test_a_training_goes_on_where_it_was_cut_off(demos: Path, environment: Environment, tmp_path: Path) -> None:
+    settings = replace(QUICK, dataset=(str(demos),), iterations=2)
+    Training(ImitationTrainer(environment, settings, tmp_path, 0), "Reach", {}).run(1, 1, lambda progress: None)
+    resumed = ImitationTrainer(environment, settings, tmp_path, 0)
+    policy = Training(resumed, "Reach", {}).run(2, 1, lambda progress: None, resume=True)
+    assert policy.description.iteration == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--library imitation", "give --dataset"),
+        ("--library imitation --dataset nowhere.hdf5", "nowhere.hdf5"),
+        ("--library imitation --algorithm bcc --dataset {demos}", "did you mean 'bc'"),
+        ("--library imitation --teacher expert --dataset {demos}", "takes no --teacher"),
+        ("--library rsl-rl --dataset {demos}", "takes no --dataset"),
+        (
+            "--library imitation --dataset {demos} --imitation chunk=4 --imitation executed=8",
+            "'executed' is 1 to chunk",
+        ),
+        ("--library imitation --dataset {demos} --action ik_relative", "action_terms"),
+        ("--library imitation --dataset {demos} --robot ur10", "joint_names"),
+    ],
+)
+def test_bad_calls_are_told(
+    words: str, told: str, demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"train Reach --backend {BACKEND} --num-envs 2 --iterations 1 " + words.format(demos=demos)
+    assert main([*line.split(), "--output", str(tmp_path / "out")]) != 0
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_dataset_of_another_task_is_named(demos: Path, tmp_path: Path) -> None:
+    environment = make("Lift", num_envs=2, backend=BACKEND)
+    with pytest.raises(ConfigurationError, match=r"hand_pose was there and is absent.*cube_pose was absent"):
+        ImitationTrainer(environment, replace(QUICK, dataset=(str(demos),)), tmp_path, 0)
+    environment.close()
+
+
+def test_unknown_algorithms_tell_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="diffusion"):
+        ImitationSettings(algorithm="diffusio")
