@@ -7,6 +7,7 @@ from functools import cache
 
 from orbit_core.actuators.model import ActuatorModel
 from orbit_core.actuators.models import DcMotorModel, PdModel
+from orbit_core.distributions import missing_note
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry
 from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
@@ -49,7 +50,8 @@ def model_of(group: ActuatorConfig, entity: str) -> type[ActuatorModel] | None:
             kind.__name__,
             [ImplicitPd.__name__, *names],
             f"actuators of '{entity}'",
-            f"nothing computes the efforts of a {kind.__name__}: add its model, "
+            missing_note(GROUP)
+            or f"nothing computes the efforts of a {kind.__name__}: add its model, "
             f'orbit_core.actuators.actuator_models().add("{kind.__name__}", ...), see docs/actuators.md',
         )
     if found is ImplicitPd:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from orbit_core.envs.actors import ACTORS, scripted_actor
-from orbit_core.installing import install_command
 from orbit_core.interfaces.errors import UnknownNameError
 from orbit_core.registry import Registry
 
@@ -64,12 +62,10 @@ def _sources() -> Registry[ActorSource]:
 
 def _source(name: str) -> ActorSource:
     """Return the package's source that has an actor of that name."""
-    sources = _sources().values.values()
+    registry = _sources()
+    sources = registry.values.values()
     for source in sources:
         if source.has(name):
             return source
     names = {*ACTORS, *(other for source in sources for other in source.names())}
-    lacking = ""
-    if not sources and Path(name).exists():
-        lacking = f"policies are played by the distribution orbit-learn: {install_command('orbit-learn')}"
-    raise UnknownNameError("actor or policy", name, names, note=lacking)
+    raise UnknownNameError("actor or policy", name, names, note=registry.note)

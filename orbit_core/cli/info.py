@@ -18,6 +18,7 @@ from orbit_core.cli.info_scene import show_object, show_sensor
 from orbit_core.cli.output import console as make_console
 from orbit_core.cli.output import new_table, print_heading, print_line, print_rows
 from orbit_core.cli.parsing import parse_words
+from orbit_core.distributions import missing_note
 from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces.capabilities import Capability
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
@@ -60,7 +61,8 @@ def main(words: Sequence[str]) -> None:
     else:
         things = [*task_entries(), *robot_names(), *object_kinds().names, *sensor_types().names]
         known = [*things, *backend_names(), *installable_backends(), *renderer_names()]
-        raise UnknownNameError("task, robot, object, sensor, backend or renderer", name, known)
+        note = "; ".join(filter(None, map(missing_note, ("orbit.tasks", "orbit.robots"))))
+        raise UnknownNameError("task, robot, object, sensor, backend or renderer", name, known, note=note)
 
 
 def _show_task(console: Console, name: str) -> None:

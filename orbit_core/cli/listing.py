@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,6 +12,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from orbit_core.cli.parsing import parse_words
+from orbit_core.distributions import missing_note
 from orbit_core.interfaces.errors import OrbitError
 from orbit_core.registry import Registry
 
@@ -29,10 +31,13 @@ class ListSettings:
 
 def main(words: Sequence[str]) -> None:
     """Print the names of one kind."""
-    rows = lists().get(parse_words(ListSettings, words, "orbit list").kind)()
+    kind = parse_words(ListSettings, words, "orbit list").kind
+    rows = lists().get(kind)()
     width = max((len(name) for name, _ in rows), default=0)
     for name, description in rows:
         print(f"{name:<{width}}  {description}")
+    if note := missing_note(f"orbit.{kind}"):
+        print(f"note: {note}", file=sys.stderr)
 
 
 @functools.cache

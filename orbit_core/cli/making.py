@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from orbit_core.backends import backend, default_backend, renderer
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.configuration import assignments
+from orbit_core.distributions import missing_note
 from orbit_core.envs.registry import task_entries, task_entry
 from orbit_core.interfaces.errors import ConfigurationError
 
@@ -21,7 +22,8 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
         OrbitError: of many kinds; each names the setting.
     """
     if settings.task is None:
-        raise ConfigurationError(f"name a task: {', '.join(sorted(task_entries()))}")
+        names = ", ".join(sorted(task_entries())) or f"none is installed; {missing_note('orbit.tasks')}"
+        raise ConfigurationError(f"name a task: {names}")
     entry = task_entry(settings.task)
     name = settings.backend or default_backend()
     backend(name)  # an unknown name is worth knowing before the task is built

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         unsupported,
     )
     from orbit_core.interfaces.capture import CaptureFacet
+    from orbit_core.interfaces.contract import CONTRACT
     from orbit_core.interfaces.divergence import (
         MAX_DISTANCE,
         MAX_SPEED,
@@ -74,6 +75,7 @@ _MODULES = {
         "EXACT", "Capabilities", "Capability", "DriveIntegration", "Level", "Support", "approximate", "unsupported",
     ),
     "capture": ("CaptureFacet",),
+    "contract": ("CONTRACT",),
     "divergence": (
         "MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few", "matter_divergence_error",
     ),
@@ -99,7 +101,7 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BACKGROUND", "EXACT", "IMAGES", "MATTER", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation",
+    "BACKGROUND", "CONTRACT", "EXACT", "IMAGES", "MATTER", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation",
     "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel",
     "Capabilities", "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
     "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Matter",

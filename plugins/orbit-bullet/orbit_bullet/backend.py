@@ -25,6 +25,7 @@ class BulletBackend(Backend):
     """Bullet on the CPU, one process per core."""
 
     name: ClassVar[str] = "bullet"
+    contract: ClassVar[tuple[int, int]] = (1, 0)
     config_type: ClassVar[type] = BulletConfig
 
     def capabilities(self) -> Capabilities:

@@ -47,6 +47,7 @@ class OrbitMatter(MatterSolver):
     """Cloth and rope by small-step XPBD."""
 
     name = "orbit-matter"
+    contract = (1, 0)
     config_type = MatterConfig
 
     def capabilities(self) -> Capabilities:

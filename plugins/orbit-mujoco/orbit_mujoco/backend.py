@@ -21,6 +21,7 @@ class MujocoBackend(Backend):
     """MuJoCo on the CPU, one thread per core."""
 
     name: ClassVar[str] = "mujoco"
+    contract: ClassVar[tuple[int, int]] = (1, 0)
     config_type: ClassVar[type] = MujocoConfig
 
     def capabilities(self) -> Capabilities:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 class NewtonBackend(Backend):
     """One of Newton's solvers, on ``cpu`` or ``cuda``."""
 
+    contract: ClassVar[tuple[int, int]] = (1, 0)
     solver_capabilities: ClassVar[Capabilities]
     solver_gaps: ClassVar[tuple[Gap, ...]]
 

@@ -22,6 +22,7 @@ class SapienBackend(Backend):
     """PhysX 5 on the CPU."""
 
     name: ClassVar[str] = "sapien"
+    contract: ClassVar[tuple[int, int]] = (1, 0)
     config_type: ClassVar[type] = SapienConfig
 
     def capabilities(self) -> Capabilities:

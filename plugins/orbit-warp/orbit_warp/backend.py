@@ -23,6 +23,7 @@ class WarpBackend(Backend):
     """MuJoCo's dynamics in Warp kernels, on ``cpu`` or ``cuda``."""
 
     name: ClassVar[str] = "warp"
+    contract: ClassVar[tuple[int, int]] = (1, 0)
     config_type: ClassVar[type] = WarpConfig
 
     def capabilities(self) -> Capabilities:
