@@ -31,7 +31,7 @@ PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
 UNITS := --ignore tests/conformance/test_scenarios.py
 
 .PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
-	slow-list wheels check-wheels clean
+	slow-list wheels check-wheels release clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -133,14 +133,23 @@ $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
 	$(PIP) --no-deps crocoddyl libcrocoddyl
 	touch $(VENV)/.ready $@
 
+$(VENV)/.ready-release: $(VENV)/.builders
+	$(PIP) twine
+	touch $@
+
 # Wheels and source archives of every distribution, and a check that they install and run without this checkout.
-wheels: $(VENV)/.ready-dev
+wheels: $(VENV)/.ready-release
 	rm -rf dist && mkdir -p dist
 	for folder in $(OWN) $(PLUGINS:%=plugins/orbit-%); do \
 		(cd $$folder && $(abspath $(BIN))/hatchling build -d $(CURDIR)/dist >/dev/null) || exit 1; done
+	$(BIN)/twine check --strict dist/*
 
 check-wheels: wheels
 	PYTHON=$(PYTHON) sh tools/check_wheels.sh dist examples/orbit-torch
+
+# What a release would upload and tag, after checks of version, changes and archives; uploads nothing.
+release: wheels
+	$(BIN)/python tools/release.py check dist
 
 clean:
 	rm -rf $(VENV) out
