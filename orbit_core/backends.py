@@ -13,7 +13,7 @@ import os
 import platform
 import re
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import importlib_metadata
 
@@ -21,7 +21,7 @@ from orbit_core import __version__
 from orbit_core.configuration import configured
 from orbit_core.installing import install_extra, upgrade_command
 from orbit_core.interfaces.backend import Backend
-from orbit_core.interfaces.capabilities import Capability
+from orbit_core.interfaces.capabilities import IMAGES, MATTER, Capability
 from orbit_core.interfaces.contract import CONTRACT, contract_text
 from orbit_core.interfaces.errors import (
     BackendNotInstalledError,
@@ -32,9 +32,10 @@ from orbit_core.interfaces.errors import (
 )
 from orbit_core.interfaces.fields import settings_table
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
-from orbit_core.interfaces.requirements import IMAGES, MATTER, required_capabilities
 from orbit_core.registry import Registry, faults_named
-from orbit_core.scene import Scene
+
+if TYPE_CHECKING:
+    from orbit_core.scene import Scene
 
 _Plugin = TypeVar("_Plugin", Backend, MatterSolver)
 GROUP = "orbit.backends"
@@ -162,6 +163,9 @@ def choose_matter(backend: Backend, scene: Scene, name: str | None) -> MatterSol
         UnknownNameError: no installed solver has that name.
         UnsupportedCapabilityError: the solver that is named lacks what the scene needs; says what has it.
     """
+    # Scenes bring NumPy, which the names and declarations of plugins do without.
+    from orbit_core.interfaces.requirements import required_capabilities
+
     needs = {need: culprit for need, culprit in required_capabilities(scene).items() if need in MATTER}
     named = None if name is None or name == NATIVE else matter_solver(name)
     if not needs or name == NATIVE:
@@ -201,6 +205,8 @@ def check_scene(
     Raises:
         UnsupportedCapabilityError: names each capability, what needs it, why it is missing and what has it.
     """
+    from orbit_core.interfaces.requirements import required_capabilities
+
     needs = required_capabilities(scene)
     others = IMAGES if matter is None else (*IMAGES, *MATTER)
     physics = {need: culprit for need, culprit in needs.items() if need not in others}

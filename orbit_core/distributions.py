@@ -8,13 +8,12 @@ import re
 import site
 import sys
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import importlib_metadata
 
-from orbit_core.installing import InstalledDistribution, editable_folder, install_command, upgrade_command
+from orbit_core.installing import editable_folder, install_command, upgrade_command
 from orbit_core.interfaces.errors import ConfigurationError
 
 CORE = "orbit-core"
@@ -73,6 +72,14 @@ class _Requirement:
         return all(Version(bound) <= Version(version) for bound in re.findall(r"\d[\w.]*", self.specifier))
 
 
+@dataclass(frozen=True)
+class _Installed:
+    """Version of an installed distribution, and what it needs of ORBIT's."""
+
+    version: str
+    requirements: tuple[_Requirement, ...]
+
+
 def check_distribution(name: str) -> None:
     """Check the version ranges between an installed distribution, those of ORBIT that it needs, and the core.
 
@@ -80,13 +87,14 @@ def check_distribution(name: str) -> None:
         ConfigurationError: a distribution is missing, too old or too new for another; names both, and the command that
             brings versions that fit.
     """
-    distribution = _installed(name)
+    name = _normalized(name)
+    distribution, core = _installed(name), _installed(CORE)
     if distribution is None:  # run from a source tree
         return
-    for requirement in _requirements(_installed(CORE)):
-        if requirement.extra and requirement.name == _normalized(name):
+    for requirement in core.requirements if core else ():
+        if requirement.extra and requirement.name == name:
             _check(CORE, requirement, distribution)
-    _check_needs(_normalized(name))
+    _check_needs(name)
 
 
 def is_installed(name: str) -> bool:
@@ -106,8 +114,11 @@ def missing_note(group: str) -> str:
 @functools.cache
 def warn_of_copies(name: str) -> None:
     """Warn once if a distribution is installed in more than one place, or twice in one."""
+    distributions = list(importlib_metadata.distributions(name=name))
+    if len(distributions) < 2:
+        return
     copies: dict[tuple[Path, str], Path] = {}
-    for distribution in importlib_metadata.distributions(name=name):
+    for distribution in distributions:
         place = Path(str(distribution.locate_file(""))).resolve()
         copies.setdefault((editable_folder(distribution) or place, distribution.version), place)
     # A development install may leave metadata in its source folder too, which describes the same modules.
@@ -135,7 +146,7 @@ def warn_of_copies(name: str) -> None:
 def _check_needs(name: str) -> None:
     """Check what a distribution needs, and what that needs in turn."""
     distribution = _installed(name)
-    for requirement in _requirements(distribution):
+    for requirement in distribution.requirements if distribution else ():
         if requirement.extra:
             continue
         needed = _installed(requirement.name)
@@ -148,7 +159,7 @@ def _check_needs(name: str) -> None:
             )
 
 
-def _check(name: str, requirement: _Requirement, needed: InstalledDistribution) -> None:
+def _check(name: str, requirement: _Requirement, needed: _Installed) -> None:
     if requirement.accepts(needed.version):
         return
     # The one that is too old is replaced: pip then brings the versions that go with the other.
@@ -164,16 +175,17 @@ def _label(name: str) -> str:
     return f"{name} {distribution.version}" if distribution else name
 
 
-def _requirements(distribution: InstalledDistribution | None) -> Iterator[_Requirement]:
-    """Yield what a distribution needs of ORBIT's."""
-    for line in (distribution.requires if distribution else None) or ():
-        if match := _REQUIREMENT.match(line):
-            yield _Requirement(_normalized(match[1]), match[2].strip(), "extra" in (match[3] or ""))
-
-
 @functools.cache
-def _installed(name: str) -> InstalledDistribution | None:
-    return next(iter(importlib_metadata.distributions(name=name)), None)
+def _installed(name: str) -> _Installed | None:
+    """Read a distribution's metadata, once: parsing it takes a millisecond at each access."""
+    distribution = next(iter(importlib_metadata.distributions(name=name)), None) if name else None
+    if distribution is None:
+        return None
+    matches = filter(None, map(_REQUIREMENT.match, distribution.requires or ()))
+    requirements = (
+        _Requirement(_normalized(match[1]), match[2].strip(), "extra" in (match[3] or "")) for match in matches
+    )
+    return _Installed(distribution.version, tuple(requirements))
 
 
 def _normalized(name: str) -> str:

@@ -145,20 +145,20 @@ class Registry(Generic[Value]):
         self._installed = True
         warn_of_copies("orbit-core")
         for point in importlib_metadata.entry_points(group=self.group):
-            if point.dist:
-                warn_of_copies(point.dist.name)
+            origin = _origin(point)
+            if origin.distribution:
+                warn_of_copies(origin.distribution)
             if self._read_point is not None:
-                self._read(point)
+                self._read(point, origin)
             elif self._usable(point):
-                self._merge(_origin(point), {point.name: _loader(self.kind, point)})
+                self._merge(origin, {point.name: _loader(f"{self.kind} '{point.name}'", point, origin)})
 
-    def _read(self, point: EntryPoint) -> None:
+    def _read(self, point: EntryPoint, origin: _Origin) -> None:
         """Call an entry point that adds its values: all of them are added, or none."""
         assert self._read_point is not None
-        origin = _origin(point)
         self._adding = origin, {}
         try:
-            _check_versions(point)
+            check_distribution(origin.distribution)
             with faults_named(f"{origin.description} of group {self.group}", origin.distribution):
                 self._read_point(point.load())
         except ConfigurationError as error:
@@ -239,12 +239,6 @@ def first_line(documented: object) -> str:
     return (documented.__doc__ or "").strip().partition("\n")[0]
 
 
-def described(point: EntryPoint) -> str:
-    """Describe an entry point in words, with the distribution that it belongs to."""
-    distribution = f", of distribution {point.dist.name}" if point.dist else ""
-    return f"entry point '{point.name}' ({point.value}{distribution})"
-
-
 @contextmanager
 def faults_named(plugin: str, distribution: str = "") -> Iterator[None]:
     """Convert any exception of a plugin's own code, SystemExit included, into an error that names the plugin.
@@ -276,20 +270,17 @@ def _remedy(error: BaseException, distribution: str) -> str:
 
 
 def _origin(point: EntryPoint) -> _Origin:
-    return _Origin(described(point), point.dist.name if point.dist else "")
+    name = point.dist.name if point.dist else ""
+    distribution = f", of distribution {name}" if name else ""
+    return _Origin(f"entry point '{point.name}' ({point.value}{distribution})", name)
 
 
-def _check_versions(point: EntryPoint) -> None:
-    if point.dist:
-        check_distribution(point.dist.name)
-
-
-def _loader(kind: str, point: EntryPoint) -> Callable[[], Any]:
-    """Return a function that loads the object of an entry point."""
+def _loader(value: str, point: EntryPoint, origin: _Origin) -> Callable[[], Any]:
+    """Return a function that loads the object of an entry point, for a value described in words."""
 
     def load() -> Any:
-        _check_versions(point)
-        with faults_named(f"{kind} '{point.name}', {described(point)}", point.dist.name if point.dist else ""):
+        check_distribution(origin.distribution)
+        with faults_named(f"{value}, {origin.description}", origin.distribution):
             return point.load()
 
     return load

@@ -20,9 +20,8 @@ from orbit_core.cli.output import new_table, print_heading, print_line, print_ro
 from orbit_core.cli.parsing import parse_words
 from orbit_core.distributions import missing_note
 from orbit_core.envs.registry import task_entries
-from orbit_core.interfaces.capabilities import Capability
+from orbit_core.interfaces.capabilities import IMAGES, Capability
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.interfaces.requirements import IMAGES
 from orbit_core.objects import ObjectConfig, object_kinds
 from orbit_core.registry import Registry
 from orbit_core.robots import robot_info, robot_names

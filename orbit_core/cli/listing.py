@@ -25,17 +25,17 @@ class ListSettings:
     """Names of all tasks, robots, objects, sensors, backends, renderers, matter solvers, kept policies, learning
     libraries, action spaces or motion generators."""
 
-    kind: Annotated[Positional[str], arg(metavar="KIND")]
-    """What to list."""
+    kind: Annotated[Positional[str], arg(metavar="KIND")] = ""
+    """What to list; all kinds if left out."""
 
 
 def main(words: Sequence[str]) -> None:
     """Print the names of one kind."""
     kind = parse_words(ListSettings, words, "orbit list").kind
-    rows = lists().get(kind)()
+    rows = lists().get(kind)() if kind else [(name, "") for name in lists().names]
     width = max((len(name) for name, _ in rows), default=0)
     for name, description in rows:
-        print(f"{name:<{width}}  {description}")
+        print(f"{name:<{width}}  {description}".rstrip())
     if note := missing_note(f"orbit.{kind}"):
         print(f"note: {note}", file=sys.stderr)
 
@@ -94,7 +94,7 @@ def _renderers() -> list[tuple[str, str]]:
 
 def _matter() -> list[tuple[str, str]]:
     from orbit_core.backends import installable_matter, matter_names, matter_solver
-    from orbit_core.interfaces import MATTER
+    from orbit_core.interfaces.capabilities import MATTER
 
     rows: list[tuple[str, str]] = []
     for name in matter_names():

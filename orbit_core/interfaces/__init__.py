@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.built import Approximation, BuiltModel
     from orbit_core.interfaces.capabilities import (
         EXACT,
+        IMAGES,
+        MATTER,
         Capabilities,
         Capability,
         DriveIntegration,
@@ -64,7 +66,7 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.node import Node, Port
     from orbit_core.interfaces.rays import RayHits
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
-    from orbit_core.interfaces.requirements import IMAGES, MATTER, required_capabilities
+    from orbit_core.interfaces.requirements import required_capabilities
     from orbit_core.interfaces.sensor import Sensor
     from orbit_core.interfaces.world import World, WorldClock, WorldMasking, WorldRandom
 
@@ -72,7 +74,8 @@ _MODULES = {
     "backend": ("Backend",),
     "built": ("Approximation", "BuiltModel"),
     "capabilities": (
-        "EXACT", "Capabilities", "Capability", "DriveIntegration", "Level", "Support", "approximate", "unsupported",
+        "EXACT", "IMAGES", "MATTER", "Capabilities", "Capability", "DriveIntegration", "Level", "Support",
+        "approximate", "unsupported",
     ),
     "capture": ("CaptureFacet",),
     "contract": ("CONTRACT",),
@@ -94,7 +97,7 @@ _MODULES = {
     "node": ("Node", "Port"),
     "rays": ("RayHits",),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
-    "requirements": ("IMAGES", "MATTER", "required_capabilities"),
+    "requirements": ("required_capabilities",),
     "sensor": ("Sensor",),
     "world": ("World", "WorldClock", "WorldMasking", "WorldRandom"),
 }  # fmt: skip

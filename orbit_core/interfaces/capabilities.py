@@ -107,6 +107,16 @@ class Capability(Enum):
         return self.name.lower()
 
 
+IMAGES = (
+    Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION,
+    Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS, Capability.COLORS_PER_ENVIRONMENT,
+)  # fmt: skip
+"""Capabilities that a scene needs of its renderer; it needs all others of the engine."""
+
+MATTER = (Capability.CLOTH, Capability.ROPES, Capability.SOFT_BODIES, Capability.FLUIDS)
+"""Capabilities that a scene needs of its matter solver, or of the engine where none is chosen."""
+
+
 class DriveIntegration(Enum):
     """At which state of a physics step an engine takes the efforts of its own PD drives."""
 

@@ -165,7 +165,7 @@ class MatterSolver(ABC):
 
     @abstractmethod
     def capabilities(self) -> Capabilities:
-        """What of :data:`~orbit_core.interfaces.requirements.MATTER` it can do, with reasons."""
+        """What of :data:`~orbit_core.interfaces.capabilities.MATTER` it can do, with reasons."""
 
     def gaps(self) -> tuple[Gap, ...]:
         """Metrics of the conformance scenarios of matter that it is known to miss, on every engine."""

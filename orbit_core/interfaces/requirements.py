@@ -30,15 +30,6 @@ from orbit_core.scene import (
     SoftBody,
 )
 
-IMAGES = (
-    Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION,
-    Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS, Capability.COLORS_PER_ENVIRONMENT,
-)  # fmt: skip
-"""What scenes need of whatever draws them; all else they need of the engine."""
-
-MATTER = (Capability.CLOTH, Capability.ROPES, Capability.SOFT_BODIES, Capability.FLUIDS)
-"""What scenes need of the matter solver where one is chosen, and else of the engine."""
-
 _CHANNEL_NEEDS = {
     Channel.RGB: Capability.RGB,
     Channel.DEPTH: Capability.DEPTH,

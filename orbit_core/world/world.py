@@ -38,8 +38,8 @@ from orbit_core.interfaces import (
     SceneLayout,
     World,
 )
+from orbit_core.interfaces.capabilities import IMAGES
 from orbit_core.interfaces.fields import settings_table
-from orbit_core.interfaces.requirements import IMAGES
 from orbit_core.preparation.deformable_checks import check_attachments
 from orbit_core.preparation.scene_data import check_data
 from orbit_core.preparation.scenes import prepared

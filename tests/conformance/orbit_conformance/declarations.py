@@ -7,8 +7,8 @@ from orbit_conformance.scenario import Scenario
 from orbit_conformance.scenarios import SCENARIOS
 from orbit_conformance.verdict import lacking
 from orbit_core.interfaces import Backend, ConfigurationError, Gap, Level, UnknownNameError
+from orbit_core.interfaces.capabilities import MATTER
 from orbit_core.interfaces.matter import MatterSolver
-from orbit_core.interfaces.requirements import MATTER
 from orbit_core.robots import robot_info
 
 

@@ -12,8 +12,8 @@ import torch
 
 from orbit_core.backends import matter_solver
 from orbit_core.interfaces import Capability, World
+from orbit_core.interfaces.capabilities import MATTER
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
-from orbit_core.interfaces.requirements import MATTER
 from orbit_core.scene import Scene
 from orbit_core.world import simulate
 

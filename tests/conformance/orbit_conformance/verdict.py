@@ -9,8 +9,8 @@ from enum import Enum
 
 from orbit_conformance.scenario import Metric, Scenario, Trace, Trial
 from orbit_core.interfaces import Backend, ConfigurationError, Gap, SimulationError, UnsupportedCapabilityError
+from orbit_core.interfaces.capabilities import MATTER
 from orbit_core.interfaces.matter import MatterSolver
-from orbit_core.interfaces.requirements import MATTER
 
 
 class Status(Enum):
