@@ -120,9 +120,12 @@ $(VENV)/.builders: $(VENV)/bin/python
 	$(PIP) hatchling editables setuptools wheel
 	touch $@
 
+# What the demonstrations need and no more: OpenUSD and the suite's packages would take a third of the time.
+DEMO := assets learn motion policies viewer
+
 $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
-	sh tools/system_packages.sh graphics & $(PIP) -r checkout.txt --editable plugins/orbit-mjmodel \
-		--editable plugins/orbit-mujoco --editable ".[robots,usd,mjcf,viewer,video]" && wait $$!
+	sh tools/system_packages.sh graphics & $(PIP) --editable . $(DEMO:%=--editable packages/orbit-%) --editable ./orbit_tasks \
+		--editable plugins/orbit-mjmodel --editable plugins/orbit-mujoco --editable ".[robots,viewer,video]" && wait $$!
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+import shlex
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote, urlparse
@@ -27,12 +28,9 @@ class InstalledDistribution(Protocol):
 
 
 def install_command(distribution: str) -> str:
-    """Return the command that installs one of ORBIT's distributions.
-
-    Where ORBIT runs from a checkout, the command installs the checkout's own; it is run in its folder.
-    """
+    """Return the command that installs one of ORBIT's distributions, from an index or from the checkout in use."""
     folder = _checkout_folder(distribution)
-    return f"pip install {distribution}" if folder is None else f"pip install -r checkout.txt{_editable(folder)}"
+    return f"pip install {distribution}" if folder is None else _in_checkout(_editable(folder))
 
 
 def upgrade_command(distribution: str, specifier: str = "") -> str:
@@ -55,12 +53,11 @@ def upgrade_command(distribution: str, specifier: str = "") -> str:
 
 def install_extra(extra: str) -> str:
     """Return the command that installs an extra of orbit-core, from an index or from the checkout in use."""
-    root = checkout()
-    if root is None:
+    if checkout() is None:
         return f'pip install "orbit-core[{extra}]"'
     plugin = _checkout_folder(f"orbit-{extra}")
     own = "" if plugin is None else _editable(plugin)
-    return f'pip install -r checkout.txt{own} -e ".[{extra}]"'
+    return _in_checkout(f'{own} -e ".[{extra}]"')
 
 
 def editable_folder(distribution: InstalledDistribution) -> Path | None:
@@ -80,6 +77,13 @@ def checkout() -> Path | None:
     except importlib_metadata.PackageNotFoundError:
         return None
     return root if root is not None and (root / "checkout.txt").is_file() else None
+
+
+def _in_checkout(options: str) -> str:
+    """Return the command that installs a checkout with further options, from any folder."""
+    root = checkout()
+    change = "" if root is None or Path.cwd() == root else f"cd {shlex.quote(str(root))} && "
+    return f"{change}pip install -r checkout.txt{options}"
 
 
 def _editable(folder: Path) -> str:

@@ -328,3 +328,16 @@ def load(name):
         assert f"the distribution {owners[name]} is not installed: {install_command(owners[name])}" in error, name
     solver = errors_of(tmp_path, code, "orbit-matter")["orbit-matter"]
     assert f"it is not installed: {install_extra('matter')}" in solver
+
+
+def test_commands_of_a_checkout_work_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = tmp_path / "my checkout"
+    (root / "plugins/orbit-bullet").mkdir(parents=True)
+    (root / "plugins/orbit-bullet/pyproject.toml").write_text('dependencies = ["orbit-core~=0.1.0"]\n')
+    monkeypatch.setattr(installing, "checkout", lambda: root)
+    monkeypatch.chdir(root)
+    assert install_extra("bullet") == 'pip install -r checkout.txt -e plugins/orbit-bullet -e ".[bullet]"'
+    monkeypatch.chdir(tmp_path)
+    assert install_command("orbit-bullet") == f"cd '{root}' && pip install -r checkout.txt -e plugins/orbit-bullet"
+    monkeypatch.setattr(installing, "checkout", lambda: None)
+    assert install_extra("bullet") == 'pip install "orbit-core[bullet]"'

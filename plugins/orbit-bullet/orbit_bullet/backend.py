@@ -1,4 +1,4 @@
-"""What the plugin registers. Bullet is imported only when an engine or a renderer is made."""
+"""Backend that the plugin registers. Bullet is imported only when an engine or a renderer is made."""
 
 from __future__ import annotations
 

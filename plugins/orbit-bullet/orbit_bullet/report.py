@@ -1,4 +1,4 @@
-"""What of a scene Bullet does not take exactly, told before it is built."""
+"""Approximations in Bullet of a scene, reported before it is built."""
 
 from __future__ import annotations
 

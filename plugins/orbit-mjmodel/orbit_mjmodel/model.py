@@ -1,7 +1,7 @@
 """One environment's scene as a MuJoCo model: bodies, joints, drives, collision shapes and sensors.
 
 Every link is a body. A fixed base is a mocap body, so that each environment may place it; a free root has a free joint.
-Every movable joint has an actuator of its own number: ``force = ctrl - stiffness q - damping qd``, limited to the
+Every movable joint has an actuator with the same index: ``force = ctrl - stiffness q - damping qd``, limited to the
 effort limit, with ``ctrl = stiffness target + damping velocity target + effort``.
 """
 
@@ -183,7 +183,7 @@ class _Builder:
         self.spec.add_key(name="home")
 
     def set_options(self, solver: str, disabled: int) -> None:
-        """Tell MuJoCo how to step the model."""
+        """Set MuJoCo's options for stepping the model."""
         spec, config = self.spec, self.config
         spec.compiler.degree = False
         spec.compiler.fusestatic = False

@@ -43,7 +43,7 @@ class Collider:
 
 
 def rebounds_in_one_step(integrator: str, cone: str) -> bool:
-    """Return True if a reference of ``-(1 + e) v / dt`` gives the rebound, and friction may have one of its own."""
+    """Return True if a reference of ``-(1 + e) v / dt`` gives the rebound, and friction may have a separate one."""
     return integrator in _ONE_STEP and cone == "elliptic"
 
 

@@ -1,7 +1,7 @@
 """Bodies whose shapes differ between environments, which MuJoCo wants alike but for numbers.
 
 A body has a geom for each shape that any kind of environment has there, type by type. What one kind lacks of them is a
-grain in the midst of its first shape, where nothing comes, until whoever steps the model takes it out altogether.
+grain in the midst of its first shape, where nothing comes, until the engine that steps the model removes it.
 """
 
 # pyright: reportAttributeAccessIssue=false

@@ -62,7 +62,7 @@ class State:
 
     @property
     def bounded(self) -> bool:
-        """Whether every number is within the bounds of divergence; what is not a number is not."""
+        """Return True if every number is within the bounds of divergence; NaN is not."""
         limits = ((self._qpos, MAX_DISTANCE), (self._qvel, MAX_SPEED))
         return all(values.min(initial=0.0) >= -most and values.max(initial=0.0) <= most for values, most in limits)
 
@@ -109,7 +109,7 @@ class State:
         return self._tensors[3]
 
     def _claim(self, name: str) -> bool:
-        """Whether a tensor must be filled; it counts as filled from now on."""
+        """Return True if a tensor must be filled, and mark it as filled."""
         if name in self._current:
             return False
         self._current.add(name)

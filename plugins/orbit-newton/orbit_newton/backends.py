@@ -1,4 +1,4 @@
-"""What the plugin registers for Newton's solvers. Newton is imported only when an engine is made."""
+"""Backends that the plugin registers, one for each solver. Newton is imported only when an engine is made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How easily each body is moved where it hangs in its articulation: the inverse of its apparent inertia.
+"""Mobility of each body in its articulation: the inverse of its apparent inertia.
 
 A wrench ``w`` on a body at its centre of mass changes its velocity at the rate ``J H^-1 J^T w``, where J is its
 Jacobian and H the mass matrix of the articulation (Khatib, A Unified Approach for Motion and Force Control, 1987).

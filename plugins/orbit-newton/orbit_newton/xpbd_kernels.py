@@ -1,4 +1,4 @@
-"""What Newton's XPBD solver is given: targets of drives, and a surface of each contact's own."""
+"""Inputs of Newton's XPBD solver: drive targets, and the surface of each contact."""
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -39,7 +39,7 @@ def write_drives(
 ):
     """A drive that asks for more than its limit is replaced by the limit; friction acts as a damper with its force.
 
-    ``scales`` undo that every sweep applies the drive anew.
+    ``scales`` compensate for sweeps, each of which applies the drive again.
     """
     env, joint = wp.tid()
     dof = table.velocities[joint]

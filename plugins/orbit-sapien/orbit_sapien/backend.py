@@ -1,4 +1,4 @@
-"""What the plugin registers. SAPIEN is imported only when an engine or a renderer is made."""
+"""Backend that the plugin registers. SAPIEN is imported only when an engine or a renderer is made."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class SapienBackend(Backend):
 
 
 class _Tier(SapienBackend):
-    """One tier of the renderer under a name of its own, for worlds that any backend simulates."""
+    """One tier of the renderer under a separate name, for worlds that any backend simulates."""
 
     tier: ClassVar[str]
     config_type: ClassVar[type] = RasterConfig

@@ -1,4 +1,4 @@
-"""Pictures of a scene from poses alone, whatever engine they come from: rasterised, or by path tracing."""
+"""Pictures of a scene from poses only, of any engine: rasterised, or by path tracing."""
 
 # pyright: reportAttributeAccessIssue=false
 

@@ -24,8 +24,8 @@ _GAMMA = 2.2
 class Lights:
     """All lights of a scene.
 
-    Tier ``fast`` takes the scene's numbers as they are, for its shader works in the picture's. The others reckon in
-    linear light, where light adds up otherwise: theirs is such that what lies in no directional light, and what faces
+    Tier ``fast`` takes the scene's numbers as they are, for its shader works in the picture's. The others compute in
+    linear light, where light adds up otherwise: theirs is such that what is in no directional light, and what faces
     a single one, is as bright as with ``fast``.
     """
 

@@ -1,4 +1,4 @@
-"""Rays that pass through the shapes of some links, in some environments: MuJoCo-Warp's cast, told what to leave out."""
+"""Rays that pass through the shapes of some links, in some environments: MuJoCo-Warp's cast with links to ignore."""
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false

@@ -59,7 +59,7 @@ class RayCaster:
         return self._hits(buffers, max_distance, rows)
 
     def moving(self, links: range) -> bool:
-        """Whether there is anything but terrain, apart from some links."""
+        """True if there are shapes other than terrain, apart from some links."""
         return any(link != TERRAIN and link not in links for link in self._links[:-1])
 
     def _geoms_past(self, links: range) -> wp.array:
@@ -79,7 +79,7 @@ class RayCaster:
     def _hits(self, buffers: _Buffers, max_distance: float, rows: slice | Tensor) -> RayHits:
         distances, normals = buffers.distances[rows], buffers.normals[rows]
         missed = (distances < 0) | (distances > max_distance)
-        # The last entry of the table stands for nothing.
+        # The last entry of the table is for rays that meet nothing.
         links = self._link_of_geom[torch.where(missed, -1, buffers.geoms[rows].long())]
         return RayHits(torch.where(missed, torch.inf, distances), torch.where(missed[..., None], 0.0, normals), links)
 
