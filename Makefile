@@ -2,6 +2,7 @@
 # make view    the same, live in the browser
 # make test    style, types, all fast tests, a tenth of the slow ones, and the like of the conformance suite
 # make test-all  everything
+# make docs    the documentation site, strictly, into out/site; make docs-view serves it
 # Each sets up the environment in .venv first, as far as it needs it.
 
 PYTHON ?= python3
@@ -31,7 +32,7 @@ PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
 UNITS := --ignore tests/conformance/test_scenarios.py
 
 .PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
-	slow-list wheels check-wheels release clean
+	slow-list docs docs-view wheels check-wheels release clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -49,6 +50,7 @@ test-all: $(VENV)/.ready-dev lint types unit-all conformance-all example-all
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/ruff format --check $(CODE)
+	$(BIN)/python tools/docs_site.py check
 
 types: $(VENV)/.ready-dev
 	$(BIN)/basedpyright --threads
@@ -109,6 +111,14 @@ mutants: out/orbit-torch
 slow-list: $(VENV)/.ready-dev
 	$(BIN)/python -m tests.tiers refresh
 
+# The documentation site into out/site. A link, an anchor or a name that leads nowhere, or a page that loads something from
+# another host, fails the build.
+docs: $(VENV)/.ready-dev
+	$(BIN)/python tools/docs_site.py build
+
+docs-view: $(VENV)/.ready-dev
+	$(BIN)/python tools/docs_site.py serve
+
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
@@ -131,7 +141,7 @@ $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
 	sh tools/system_packages.sh graphics vulkan browser & $(PIP) -r checkout.txt \
 		$(PLUGINS:%=--editable plugins/orbit-%) \
-		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]" \
+		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),docs,dev]" \
 		&& wait $$!
 	$(PIP) --no-deps crocoddyl libcrocoddyl
 	touch $(VENV)/.ready $@

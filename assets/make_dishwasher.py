@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from orbit_assets.boards import box_between, solid_part
+from orbit_assets.objects import box_between, solid_part
 from orbit_assets.usd import write_usd
 from orbit_core.scene import Articulation, Capsule, Color, Frame, Joint, JointType, PhysicsMaterial, Pose, Shape
 from orbit_core.scene.pose import Vector3

@@ -17,8 +17,8 @@ import tyro
 
 from orbit_conformance.throughput import Throughput, measure_once
 from orbit_core.backends import default_backend, versions_of
-from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
+from orbit_core.cli.settings import check_output
 from orbit_core.files import written_whole
 
 

@@ -18,12 +18,11 @@ from typing import Any
 
 from orbit_core.envs import ObservationTerm, make
 from orbit_core.envs.actors import scripted_actor
-from orbit_core.manifest.manifest import Manifest
 from orbit_core.mdp.images import camera_color
 from orbit_core.rollout.stepping import StepObserver, roll_out
 from orbit_core.scene import Channel
-from orbit_data.recorder import DemonstrationRecorder
-from orbit_data.recording import RecordingFile, Shares
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.recording import DemonstrationRecorder, RecordingFile, Shares
 from orbit_tasks.lift import Lift
 from orbit_tasks.pixels import FRONT, HAND, ArmPixels
 

@@ -18,8 +18,8 @@ import tyro
 from rich.progress import Progress
 
 from orbit_core.backends import default_backend, versions_of
-from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
+from orbit_core.cli.settings import check_output
 from orbit_core.envs import Environment, make, task_entries
 from orbit_core.envs.actors import RandomActor
 from orbit_core.interfaces import OrbitError

@@ -28,8 +28,7 @@ from orbit_data.recording import RecordingFile
 from orbit_data.teleoperation.browser import Browser
 from orbit_data.teleoperation.device import Speeds
 from orbit_data.teleoperation.driver import Driver
-from orbit_data.teleoperation.session import Session
-from orbit_data.teleoperation.views import Views
+from orbit_data.teleoperation.session import Session, Views
 from orbit_viewer.viewer import Viewer
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")

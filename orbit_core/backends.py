@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import importlib_metadata
 
 from orbit_core import __version__
-from orbit_core.configuration import configured
+from orbit_core.configuration import configured, settings_table
 from orbit_core.installing import install_extra, upgrade_command
 from orbit_core.interfaces.backend import Backend
 from orbit_core.interfaces.capabilities import IMAGES, MATTER, Capability
@@ -30,7 +30,6 @@ from orbit_core.interfaces.errors import (
     UnknownNameError,
     UnsupportedCapabilityError,
 )
-from orbit_core.interfaces.fields import settings_table
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
 from orbit_core.registry import Registry, faults_named
 
@@ -42,8 +41,8 @@ GROUP = "orbit.backends"
 RENDERERS = "orbit.renderers"
 MATTER_SOLVERS = "orbit.matter"
 _MATTER_EXTRA = "matter"
+# Extras that bring a distribution of the same name which simulates nothing
 _NO_PLUGINS = frozenset({"conformance", "data", "tasks", "viewer"})
-"""Extras that bring a distribution of the same name which simulates nothing."""
 
 
 def backend_names() -> list[str]:

@@ -1,37 +1,44 @@
-"""Setting the fields of nested dataclasses by path: ``rewards.lift.weight = 30``.
+"""Dataclasses read from text, files and keywords, and checked against the annotations of their fields.
 
-One set of rules holds for the command line, TOML files and Python keywords. What a field takes is what its annotation
-says, read by msgspec; where that says nothing, the kind of its present value.
+:func:`configured` sets fields of nested dataclasses by path, ``rewards.lift.weight = 30``: the same rules hold for the
+command line, TOML files and Python keywords. :func:`from_plain` makes a dataclass of what a JSON file holds.
+:class:`TypeChecker` checks instances that a program made. What a field takes is what its annotation says; where that
+says nothing, the kind of its present value.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
 import math
+import numbers
 import sys
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+import numpy as np
 
-from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.interfaces.errors import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
 
 Config = TypeVar("Config")
+# Largest whole number: engines hold them in 32 bits
 _LARGEST = 2**31 - 1
-"""Largest whole number, for engines hold them in 32 bits."""
+# Bytes of a TOML file
 _LONGEST_FILE = 2**20
-"""Bytes of a TOML file."""
+# Levels of tables and lists within each other in a TOML file
 _DEEPEST = 32
-"""Levels of tables and lists within each other in a TOML file."""
+# Word that switches a field off in text, where the field may be None
 _OFF = "none"
-"""What switches a field off in text, where it may be None."""
+# Characters of a value that a message shows
+_SHOWN = 80
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,34 +49,54 @@ class Text:
 
 
 Presets = Mapping[str, Mapping[str, Callable[[], Any]]]
-"""Values that words stand for, by field and word."""
+"""Values that words are short for, by field and word."""
 
 
 def configured(
     config: Config, values: Mapping[str, Any], owner: str, kind: str = "field", presets: Presets | None = None
 ) -> Config:
-    """A copy of a dataclass with some of the fields in it, and in the dataclasses within it, set.
+    """Return a copy of a dataclass with some fields set, in it and in the dataclasses within it.
 
     Args:
         config: an instance; it stays as it is.
         values: by path, ``"rewards.lift.weight"``; a mapping sets fields below its path. Later ones win.
-        owner: what ``config`` is called in messages: "task Lift".
-        kind: what messages call a field: "setting".
+        owner: name of ``config`` in messages: "task Lift".
+        kind: name of a field in messages: "setting".
         presets: words that some fields of ``config`` itself take in the place of a value.
 
     Raises:
-        UnknownNameError: there is no such field; tells the nearest.
-        ConfigurationError: a value is not what its field takes; names the field by its path.
+        UnknownNameError: there is no such field; names the nearest.
+        ConfigurationError: a value is not of the kind that its field takes; names the field by its path.
     """
     paths = [(str(path).split("."), value) for path, value in values.items()]
     return _Owner(owner, kind, presets or {}).set(config, paths, "")
 
 
-def assignments(pairs: Iterable[str], owner: str, kind: str = "field") -> dict[str, Text]:
-    """``path=value`` of the command line, for :func:`configured`.
+def settings_table(values: Mapping[str, Any] | None, owner: str) -> dict[str, Any]:
+    """Return settings that a program gave, by field; none for None.
+
+    Args:
+        values: the settings.
+        owner: of the settings, for messages.
 
     Raises:
-        ConfigurationError: there is no ``=``.
+        ConfigurationError: they are no dictionary.
+    """
+    if values is not None and not isinstance(values, Mapping):
+        raise ConfigurationError(f"settings of {owner} are a dictionary by field, not a {type(values).__name__}")
+    return dict(values or {})
+
+
+def assignments(pairs: Iterable[str], owner: str, kind: str = "field") -> dict[str, Text]:
+    """Split ``path=value`` words of the command line for :func:`configured`.
+
+    Args:
+        pairs: the words.
+        owner: of the fields, for messages.
+        kind: name of a field in messages.
+
+    Raises:
+        ConfigurationError: a word has no ``=``.
     """
     values: dict[str, Text] = {}
     for pair in pairs:
@@ -80,12 +107,61 @@ def assignments(pairs: Iterable[str], owner: str, kind: str = "field") -> dict[s
     return values
 
 
+def from_plain(kind: type[Config], values: Any, where: str) -> Config:
+    """Return a dataclass from the plain data of a JSON object with the same fields; nothing is guessed.
+
+    Fields may be truth values, integers, finite floats, texts, other dataclasses, ``tuple[X, ...]``, ``dict[str, X]``
+    and ``X | None``.
+
+    Args:
+        kind: the dataclass.
+        values: content of a file.
+        where: name of the values in messages.
+
+    Raises:
+        UnknownNameError: there is no such field; names the nearest.
+        ConfigurationError: a field is missing or of another type, or the dataclass rejects a value.
+    """
+    if not isinstance(values, dict):
+        raise ConfigurationError(f"{where} is {_shown(values)}, not an object")
+    known = field_types(kind)
+    for name in values:
+        if name not in known:
+            raise UnknownNameError("field", str(name)[:_SHOWN], known, where)
+    for field in dataclasses.fields(typing.cast(Any, kind)):
+        needed = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if needed and field.name not in values:
+            raise ConfigurationError(f"{where} lacks {field.name}")
+    read = {name: _from_plain(value, known[name], f"{where}.{name}") for name, value in values.items()}
+    try:
+        return kind(**read)
+    except (ValueError, OrbitError) as error:
+        raise ConfigurationError(f"{where}: {error}") from None
+
+
+def _from_plain(value: Any, hint: Any, what: str) -> Any:
+    if value is None and _optional(hint):
+        return None
+    branch = _branches(hint)[0]
+    arguments = typing.get_args(branch)
+    if dataclasses.is_dataclass(branch):
+        return from_plain(typing.cast(type, branch), value, what)
+    if typing.get_origin(branch) is tuple and isinstance(value, list):
+        return tuple(_from_plain(part, arguments[0], f"{what}[{index}]") for index, part in enumerate(value))
+    if typing.get_origin(branch) is dict and isinstance(value, dict):
+        return {key: _from_plain(part, arguments[1], f"{what}.{str(key)[:_SHOWN]}") for key, part in value.items()}
+    read = _converted(value, [branch], what, strict=True)
+    if isinstance(read, float) and not math.isfinite(read):  # JSON has no word for infinity, but 1e999 is read as one
+        raise ConfigurationError(f"{what} is {read}: give a finite number")
+    return read
+
+
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """Read a TOML file.
 
     Args:
         path: of the file.
-        what: the file is, for messages: "configuration file".
+        what: name of the file in messages: "configuration file".
 
     Raises:
         ConfigurationError: it cannot be read, is no regular file, larger than 1 MiB, not TOML, or nests too deep.
@@ -123,7 +199,7 @@ def _depth(values: Any) -> int:
 
 
 def field_types(kind: type) -> dict[str, Any]:
-    """The annotations of a dataclass's fields that may be set, by name; Any where one cannot be resolved."""
+    """Return the annotations of a dataclass's fields that may be set, by name; Any where one cannot be resolved."""
     return {field.name: _annotation(kind, field.name) for field in dataclasses.fields(kind) if field.init}
 
 
@@ -142,14 +218,14 @@ _Paths = list[tuple[list[str], Any]]
 
 @dataclasses.dataclass(frozen=True)
 class _Owner:
-    """What is configured, and what its fields are called in messages."""
+    """Name of a configured object, and the name of its fields in messages."""
 
     name: str
     kind: str
     presets: Presets
 
     def set(self, config: Any, paths: _Paths, above: str) -> Any:
-        """All at once, so that what a dataclass demands of several fields together is asked of the last values."""
+        # All fields are replaced at once: a dataclass may demand something of several of them together.
         known, changes = field_types(type(config)), dict[str, Any]()
         for (name, *rest), value in paths:
             if name not in known:
@@ -178,7 +254,7 @@ class _Owner:
 
 
 def _read(value: Any, present: Any, hint: Any, words: Mapping[str, Callable[[], Any]], what: str) -> Any:
-    """A value as the field takes it."""
+    """Return a value as the field takes it, or raise an error that names the field."""
     chosen = value.text if isinstance(value, Text) else value
     if words and isinstance(chosen, str) and not _off(chosen, hint, present):
         if chosen not in words:
@@ -190,7 +266,7 @@ def _read(value: Any, present: Any, hint: Any, words: Mapping[str, Callable[[], 
     if (value is None and _optional(hint)) or hint is Any or any(_is_instance(value, branch) for branch in branches):
         return value
     if isinstance(value, str) and str not in branches and _off(value, hint, present):
-        return None  # a file has no other word for it
+        return None  # TOML has no null
     plain = [branch for branch in branches if _is_plain(branch)]
     if not plain:
         raise ConfigurationError(f"{what} is {value!r}, but must be {_words(branches, present)}")
@@ -203,7 +279,7 @@ def _from_text(text: str, hint: Any, present: Any, what: str) -> Any:
     branches = [type(present)] if hint is Any and present is not None else _branches(hint)
     plain = [branch for branch in branches if _is_plain(branch)]
     if not plain:
-        raise ConfigurationError(f"{what} cannot be set to {text!r}: {_told(branches, present)}")
+        raise ConfigurationError(f"{what} cannot be set to {text!r}: {_remedy(branches, present)}")
     lists = [branch for branch in plain if (typing.get_origin(branch) or branch) is tuple]
     if lists and (len(lists) == len(plain) or "," in text):
         parts = [part.strip() for part in text.strip().strip("[]()").split(",")]
@@ -221,11 +297,11 @@ def _converted(value: Any, plain: list[Any], what: str, strict: bool, shown: Any
         return msgspec.convert(value, wanted, strict=strict, dec_hook=lambda kind, text: kind(text))
     except msgspec.ValidationError:
         shown = value if shown is None else shown
-        raise ConfigurationError(f"{what} is {shown!r}, but must be {_words(plain, None)}") from None
+        raise ConfigurationError(f"{what} is {_shown(shown)}, but must be {_words(plain, None)}") from None
 
 
 def _checked(value: Any, what: str) -> Any:
-    """Refuse numbers that no engine can hold."""
+    """Reject numbers that no engine can hold."""
     for number in value if isinstance(value, tuple | list) else (value,):
         if isinstance(number, int) and abs(number) > _LARGEST:
             raise ConfigurationError(f"{what} is {number}: give at most {_LARGEST}")
@@ -235,23 +311,21 @@ def _checked(value: Any, what: str) -> Any:
 
 
 def _branches(hint: Any) -> list[Any]:
-    """The kinds that an annotation allows, None left out."""
-    if typing.get_origin(hint) is typing.Annotated:
-        return _branches(typing.get_args(hint)[0])
+    """Return the types that an annotation allows, None left out."""
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
         return [b for part in typing.get_args(hint) for b in _branches(part) if part is not types.NoneType]
     return [hint]
 
 
 def _is_plain(branch: Any) -> bool:
-    """Whether values of that kind can be typed."""
+    """Return True if values of that type can be typed on a command line."""
     if typing.get_origin(branch) is tuple:
         return all(part is Ellipsis or _is_plain(part) for part in typing.get_args(branch))
     return branch in (bool, int, float, str, Path) or (isinstance(branch, type) and issubclass(branch, Enum))
 
 
 def _is_instance(value: Any, branch: Any) -> bool:
-    """Whether a value is of a kind that cannot be typed, such as a dataclass or a mapping."""
+    """Return True if a value is of a type that cannot be typed, such as a dataclass or a mapping."""
     origin = typing.get_origin(branch) or branch
     return not _is_plain(branch) and isinstance(origin, type) and isinstance(value, origin)
 
@@ -261,21 +335,21 @@ def _optional(hint: Any) -> bool:
 
 
 def _off(text: str, hint: Any, present: Any) -> bool:
-    """Whether a text switches the field off."""
+    """Return True if a text switches the field off."""
     return text.strip().lower() == _OFF and (_optional(hint) or (hint is Any and not isinstance(present, str)))
 
 
-def _told(branches: list[Any], present: Any) -> str:
-    """What may be set of a field whose values cannot be typed."""
+def _remedy(branches: list[Any], present: Any) -> str:
+    """Return what may be set of a field whose values cannot be typed."""
     if dataclasses.is_dataclass(present):
         return f"set what it holds by its path ({', '.join(field_types(type(present)))})"
     if all(branch in (Any, types.NoneType) for branch in branches):
-        return "it is given in Python alone"
+        return "it is given in Python only"
     return f"it takes {_words(branches, present)}, which is no text"
 
 
 def _words(branches: list[Any], present: Any) -> str:
-    """How a message calls what a field takes."""
+    """Return the words of a message for what a field takes."""
     if branches == [Any]:
         return f"a {type(present).__name__}"
     return " or ".join(dict.fromkeys(_word(branch) for branch in branches))
@@ -296,3 +370,198 @@ def _word(branch: Any) -> str:
     if isinstance(branch, type) and issubclass(branch, Enum):
         return " or ".join(repr(member.value) for member in branch)
     return f"a {getattr(branch, '__name__', branch)}"
+
+
+Check = Callable[[Any, str], None]
+"""Checks a value; raises an error that names the place given."""
+Rules = Mapping[type, Check]
+"""Checks of dataclasses, by class, that follow those of their fields' types."""
+
+
+class TypeChecker:
+    """Checks dataclasses, and the dataclasses within them, against their annotations.
+
+    Args:
+        rules: further checks of some of them.
+    """
+
+    def __init__(self, rules: Rules | None = None) -> None:
+        self._rules = rules or {}
+        self._checks: dict[Any, Check] = {}
+        self._fields: dict[type, list[tuple[str, Check]]] = {}
+
+    def check(self, thing: object, where: str) -> None:
+        """Check all fields. NaN is no number, lists and arrays count as tuples, whole numbers as real ones.
+
+        Args:
+            thing: an instance of a dataclass.
+            where: its name, for the message.
+
+        Raises:
+            ArgumentError: names the field by its path from ``where``, its value and what it takes.
+        """
+        with contextlib.suppress(ArgumentError):
+            # Most instances are sound, and writing the paths of their fields takes longer than all checks.
+            self._dataclass(thing, "")
+            return
+        self._dataclass(thing, where)
+
+    def check_value(self, value: object, hint: Any, where: str) -> None:
+        """Check one value against a type, as :meth:`check` does with fields.
+
+        Args:
+            value: anything.
+            hint: the type, as ``typing.get_type_hints`` gives it.
+            where: the value's name, for the message.
+
+        Raises:
+            ArgumentError: as :meth:`check`.
+        """
+        self._of(hint)(value, where)
+
+    def _dataclass(self, thing: object, where: str) -> None:
+        kind = type(thing)
+        fields = self._fields.get(kind)
+        if fields is None:
+            fields = self._fields[kind] = [(name, self._of(hint)) for name, hint in field_types(kind).items()]
+        for name, check in fields:
+            check(getattr(thing, name), where and f"{where}.{name}")
+        rule = self._rules.get(kind)
+        if rule is not None:
+            rule(thing, where)
+
+    def _of(self, hint: Any) -> Check:
+        """Return the check of a type, made once."""
+        if hint not in self._checks:
+            self._checks[hint] = self._make(hint)
+        return self._checks[hint]
+
+    def _make(self, hint: Any) -> Check:
+        branches, optional = _branches(hint), _optional(hint)
+        if optional or len(branches) > 1:
+            return self._union(branches, optional)
+        origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+        if origin is tuple:
+            return self._tuple(arguments)
+        if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
+            return self._mapping(*arguments)
+        if origin is np.ndarray:
+            return _check_array
+        return self._plain(hint) if isinstance(hint, type) else _check_nothing
+
+    def _union(self, branches: Sequence[Any], optional: bool) -> Check:
+        kinds = tuple(branch for branch in branches if isinstance(branch, type) and dataclasses.is_dataclass(branch))
+        others = [self._of(each) for each in branches if each not in kinds]
+
+        def check(value: Any, where: str) -> None:
+            if value is None and optional:
+                return None
+            if isinstance(value, kinds):
+                self._dataclass(value, where)
+                return None
+            if not others:
+                raise wrong_value(where, value, " or ".join(kind.__name__ for kind in kinds))
+            refusals: list[ArgumentError] = []
+            for other in others:
+                try:
+                    return other(value, where)
+                except ArgumentError as refusal:
+                    refusals.append(refusal)
+            raise refusals[0]
+
+        return check
+
+    def _tuple(self, parts: Sequence[Any]) -> Check:
+        repeated = len(parts) == 2 and parts[1] is Ellipsis
+        checks = [self._of(part) for part in parts if part is not Ellipsis]
+
+        def check(value: Any, where: str) -> None:
+            if not isinstance(value, tuple | Sequence | np.ndarray) or isinstance(value, str | bytes):
+                raise wrong_value(where, value, "a tuple")
+            if not repeated and len(value) != len(checks):
+                raise wrong_value(where, value, f"{len(checks)} of them")
+            for index, part in enumerate(value):
+                checks[0 if repeated else index](part, where and f"{where}[{_key(part, index)}]")
+
+        return check
+
+    def _mapping(self, key_hint: Any, part_hint: Any) -> Check:
+        check_key, check_part = self._of(key_hint), self._of(part_hint)
+
+        def check(value: Any, where: str) -> None:
+            if not isinstance(value, Mapping):
+                raise wrong_value(where, value, "a dictionary")
+            for key, part in value.items():
+                check_key(key, f"a key of {where}")
+                check_part(part, f"{where}[{key!r}]")
+
+        return check
+
+    def _plain(self, hint: type) -> Check:
+        if hint is float:
+            return _check_number
+        if hint is int:
+            return _check_whole_number
+        if hint is bool:
+            return _check_truth
+        named = hint is str or issubclass(hint, Enum) or dataclasses.is_dataclass(hint)
+
+        def check(value: Any, where: str) -> None:
+            if named and not isinstance(value, hint):
+                raise wrong_value(where, value, f"a {hint.__name__}")
+            if not isinstance(value, type) and dataclasses.is_dataclass(value):
+                self._dataclass(value, where)
+
+        return check
+
+
+def _key(part: Any, index: int) -> str:
+    """Return the name of a part, which says more than its place, or its place where it has none."""
+    name = getattr(part, "name", "")
+    return repr(name) if isinstance(name, str) and name and dataclasses.is_dataclass(part) else str(index)
+
+
+def _check_nothing(value: Any, where: str) -> None:
+    """Accept any value: the type says nothing about values."""
+
+
+def _check_number(value: Any, where: str) -> None:
+    if type(value) is float and value == value:
+        return
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real) or math.isnan(value):
+        raise wrong_value(where, value, _word(float))
+
+
+def _check_whole_number(value: Any, where: str) -> None:
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
+        raise wrong_value(where, value, _word(int))
+
+
+def _check_truth(value: Any, where: str) -> None:
+    if not isinstance(value, bool | np.bool_):
+        raise wrong_value(where, value, _word(bool))
+
+
+def _check_array(value: Any, where: str) -> None:
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+        raise wrong_value(where, value, "an array of real numbers")
+    if np.isnan(value).any():
+        raise ArgumentError(f"{where} holds NaN: give numbers")
+
+
+def wrong_value(where: str, value: object, wanted: str) -> ArgumentError:
+    """Return the error of a value that a field does not take.
+
+    Args:
+        where: name of the field.
+        value: that it was given.
+        wanted: what it takes, in words.
+    """
+    shown = repr(value)
+    return ArgumentError(f"{where} is {shown if len(shown) < _SHOWN else type(value).__name__}: give {wanted}")
+
+
+def _shown(value: Any) -> str:
+    """Return as much of a value as a message should hold."""
+    text = repr(value)
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."

@@ -63,12 +63,12 @@ def read_bytes(path: Path | str, most: int = MAX_FILE) -> bytes:
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of the errors by which a system says that there is no room."""
 LOCK = ".lock"
+# Names of the folders that things are written in
 _PARTIAL = re.compile(r"\.orbit-[0-9a-f]{8}\.partial")
-"""Names of the folders that things are written in."""
+# Folder within such a folder that holds what is being replaced, where two names cannot be exchanged at once
 _REPLACED = "replaced"
-"""Folder within such a folder that holds what is being replaced, where two names cannot be exchanged at once."""
+# RENAME_EXCHANGE and AT_FDCWD of Linux's renameat2
 _EXCHANGE, _HERE = 2, -100
-"""RENAME_EXCHANGE and AT_FDCWD of Linux's renameat2."""
 
 
 class Replacement:

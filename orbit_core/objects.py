@@ -33,7 +33,7 @@ class ObjectConfig(ABC):
 
     @abstractmethod
     def build(self, name: str, pose: Pose | None = None) -> ObjectSpec:
-        """The object.
+        """Return the object.
 
         Args:
             name: of the object in its scene.
@@ -56,7 +56,7 @@ def object_kinds() -> ClassRegistry[ObjectConfig]:
 
 
 def object_config(name: str, /, **parameters: Any) -> ObjectConfig:
-    """The kind of that name with some of its parameters set, by path: ``object_config("box", mass=0.2)``.
+    """Return the kind of that name with some of its parameters set, by path: ``object_config("box", mass=0.2)``.
 
     Raises:
         UnknownNameError: there is no such kind or parameter; names the nearest.

@@ -10,8 +10,10 @@ import torch
 from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
-from orbit_assets.hockey import BLADE_HALF, DEPTH, WHITE, WIDTH, net, stick
-from orbit_assets.objects import BENCH_HEIGHT, box, cylinder, table
+from orbit_assets.objects import BENCH_HEIGHT, BLADE_HALF, box, cylinder, net, stick, table
+from orbit_assets.objects import HOCKEY_WHITE as WHITE
+from orbit_assets.objects import NET_DEPTH as DEPTH
+from orbit_assets.objects import NET_WIDTH as WIDTH
 from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException

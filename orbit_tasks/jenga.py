@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_assets.objects import WOOD, box
-from orbit_assets.towers import SIZE, cell_poses, tower
+from orbit_assets.objects import BLOCK_SIZE as SIZE
+from orbit_assets.objects import WOOD, box, cell_poses, tower
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_multiply, quat_rotate, quat_rotate_inverse
 from orbit_core.envs import EventTerm, ObservationTerm, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings

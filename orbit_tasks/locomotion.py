@@ -16,10 +16,10 @@ from orbit_core.actions.embodiment import leg_joints
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.pretrained import policy_path
 from orbit_core.robots import robot, robot_names
 from orbit_core.scene import RobotSpec
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_tasks.walking import COMMAND, JOINT_READINGS, LAST_ACTION, READINGS, carries_arm
 
 _PURSUIT_RATE = 1.0

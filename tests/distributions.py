@@ -33,12 +33,16 @@ DISTRIBUTIONS = (
     Distribution("orbit_core", "orbit_core"),
     Distribution("orbit_assets", "packages/orbit-assets/orbit_assets", _CORE),
     Distribution("orbit_motion", "packages/orbit-motion/orbit_motion", _CORE | {"orbit_assets"}, _VIEWER),
-    Distribution("orbit_learn", "packages/orbit-learn/orbit_learn", _CORE),
+    Distribution("orbit_learn", "packages/orbit-learn/orbit_learn", _CORE | {"orbit_data"}),
     Distribution("orbit_data", "packages/orbit-data/orbit_data", _CORE, _VIEWER),
     Distribution("orbit_viewer", "packages/orbit-viewer/orbit_viewer", _CORE),
     Distribution("orbit_policies", "packages/orbit-policies/orbit_policies"),
     Distribution("orbit_tasks", "orbit_tasks", _CORE | {"orbit_assets", "orbit_motion", "orbit_learn"}),
-    Distribution("orbit_conformance", "tests/conformance/orbit_conformance", _CORE | {"orbit_assets", "orbit_learn"}),
+    Distribution(
+        "orbit_conformance",
+        "tests/conformance/orbit_conformance",
+        _CORE | {"orbit_assets", "orbit_data", "orbit_learn"},
+    ),
 )
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from orbit_core.configuration import TypeChecker
 from orbit_core.interfaces import ArgumentError
-from orbit_core.interfaces.typed import Typed
 
 
 @dataclass
@@ -22,6 +22,6 @@ class Heights:
 
 @pytest.mark.parametrize("values", [np.ones(3, np.complex64), np.array(["a"]), np.ones(3, bool)])
 def test_an_array_of_a_scene_holds_real_numbers(values: npt.NDArray[Any]) -> None:
-    Typed().check(Heights(np.ones(3)), "field")
+    TypeChecker().check(Heights(np.ones(3)), "field")
     with pytest.raises(ArgumentError, match="an array of real numbers"):
-        Typed().check(Heights(values), "field")
+        TypeChecker().check(Heights(values), "field")

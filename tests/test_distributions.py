@@ -250,7 +250,7 @@ def test_two_of_one_name_say_how_to_pick_one(tmp_path: Path) -> None:
         orbit_decompositions="coacd = theirs:register",
     )
     code = """
-from orbit_core.actuators.factory import actuator_models
+from orbit_core.actuators.actuators import actuator_models
 from orbit_core.backends import backend
 from orbit_core.envs.registry import task_entry
 from orbit_core.objects import object_config
@@ -287,11 +287,10 @@ distributions.is_installed = lambda name: False
 
 from orbit_core.actions import motion_generators
 from orbit_core.actions.presets import _leading
-from orbit_core.actuators.factory import model_of
+from orbit_core.actuators.actuators import model_of
 from orbit_core.backends import matter_solver
 from orbit_core.cli import info, listing
-from orbit_core.cli.acting import check_actor
-from orbit_core.cli.making import make_environment
+from orbit_core.cli.making import check_actor, make_environment
 from orbit_core.cli.run import RunSettings
 from orbit_core.envs.registry import task_entry
 from orbit_core.objects import object_config

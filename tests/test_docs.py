@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import runpy
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+SITE = runpy.run_path(str(ROOT / "tools" / "docs_site.py"))
 GENERATOR = runpy.run_path(str(ROOT / "tools" / "readme_tables.py"))
 PAGES: list[Path] = GENERATOR["pages"]()
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -59,9 +65,68 @@ def test_links_resolve(page: Path) -> None:
         assert not anchor or anchor in anchors(path), f"{target}#{anchor}"
 
 
-def test_the_index_links_every_page() -> None:
-    linked = {target for target, _ in _LINK.findall((ROOT / "docs" / "index.md").read_text(encoding="utf-8"))}
-    assert {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"} <= linked
+def navigated(entry: object) -> Iterator[str]:
+    """Pages of an entry of the navigation."""
+    match entry:
+        case dict():
+            for content in entry.values():
+                yield from navigated(content)
+        case list():
+            for content in entry:
+                yield from navigated(content)
+        case _:
+            yield str(entry)
+
+
+def test_the_navigation_has_every_page() -> None:
+    nav = tomllib.loads((ROOT / "docs" / "zensical.toml").read_text(encoding="utf-8"))["project"]["nav"]
+    pages = {str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")}
+    assert {*navigated(nav)} - {"api"} == pages
+
+
+def test_the_sites_links_and_names_lead_somewhere(tmp_path: Path) -> None:
+    """As `make docs` finds them before it builds: links to sources become pages, full names links to the reference."""
+    stage = SITE["Stage"](tmp_path)
+    stage.write()
+    assert not stage.problems
+    assert "(api/orbit_core.envs.making.md#orbit_core.envs.making.make)" in (tmp_path / "tutorials.md").read_text()
+    assert (tmp_path / "source/examples/lift.py.md").exists()
+    assert (tmp_path / "api/orbit_core.world.world.md").exists()
+
+
+def test_a_name_that_does_not_exist_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "docs").mkdir()
+    text = (
+        "`orbit_core.envs.make`, `orbit_core.envs.nope`, [here](nowhere.md)\n\n```python\norbit_core.envs.nope\n```\n"
+    )
+    (tmp_path / "docs" / "page.md").write_text(text, encoding="utf-8")
+    monkeypatch.setitem(SITE["Stage"].write.__globals__, "ROOT", tmp_path)
+    monkeypatch.setitem(SITE["Stage"].write.__globals__, "DOCS", tmp_path / "docs")
+    stage = SITE["Stage"](tmp_path / "out")
+    stage.write()
+    assert stage.problems == [
+        "docs/page.md: link to nowhere.md leads nowhere",
+        "docs/page.md: there is no orbit_core.envs.nope",
+    ]
+
+
+def test_pages_that_load_from_another_host_are_found(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(
+        '<a href="https://a.example">text</a> <script src="https://b.example/c.js"></script>'
+    )
+    (tmp_path / "page.css").write_text("@import 'https://d.example'; p { background: url(e.png) }")
+    assert SITE["loaded_from_elsewhere"](tmp_path) == [
+        "page.css: @import 'https://d.example", 'page.html: <script src="https://b.example/c.js',
+    ]  # fmt: skip
+
+
+@pytest.mark.skipif(importlib.util.find_spec("zensical") is None, reason="the extra 'docs' is not installed")
+def test_the_site_builds_strictly() -> None:
+    done = subprocess.run(
+        [sys.executable, "tools/docs_site.py", "build"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (ROOT / "out" / "site" / "api" / "orbit_core.envs.environment.html").exists()
 
 
 @pytest.mark.parametrize("code", [pytest.param(code, id=name) for name, code in runnable_blocks()])

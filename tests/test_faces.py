@@ -7,8 +7,7 @@ import numpy.typing as npt
 import pytest
 import trimesh
 
-from orbit_core.plugin_kit.faces import convex_faces, fans, few_faces
-from orbit_core.plugin_kit.meshes import height_field_mesh
+from orbit_core.plugin_kit.meshes import convex_faces, fans, few_faces, height_field_mesh
 from orbit_core.scene import HeightField
 
 FloatArray = npt.NDArray[np.float64]

@@ -13,23 +13,23 @@ import torch
 from orbit_assets.mjcf import write_mjcf
 from orbit_assets.urdf import write_urdf
 from orbit_assets.usd import write_usd
+from orbit_conformance.recording import Recording
 from orbit_core.cli import main
 from orbit_core.cli.bench import Throughput, _plot
 from orbit_core.cli.output import write_json
 from orbit_core.files import append_line
 from orbit_core.interfaces import StorageError
-from orbit_core.rollout.recording import Recording
 from orbit_core.rollout.video import VideoFile
 from orbit_core.scene import Articulation, Link, Mesh, Pose, Shape
 from orbit_data.card import write_card
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import write_dataset
-from orbit_data.parts import PartFolder
+from orbit_data.recording import PartFolder
 from orbit_learn.actuators.networks import NetworkDescription, write_network
-from orbit_learn.checkpoint import write_checkpoint
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.policy import Policy
+from orbit_learn.training import write_checkpoint
 from tests.faults import no_file_beyond, small_disk
 
 CORNERS = np.random.default_rng(0).normal(size=(8, 3))

@@ -25,15 +25,12 @@ RANKS = {
     "files": 1.5,
     "distributions": 1.4,
     "registry": 1.5,
-    "tensor_file": 1.6,
-    "reading": 1.6,
     "plugin_kit": 1.5,
     "configuration": 1.5,
     "installing": 1.3,
     "moved": 1.6,
     "backends": 2,
     "objects": 2,
-    "pretrained": 2,
     "robots": 2,
     "dynamics": 2,
     "preparation": 2.5,
@@ -47,7 +44,6 @@ RANKS = {
     "envs": 5,
     "mdp": 5.5,
     "rollout": 5.5,
-    "manifest": 5.8,
     "cli": 9,
 }
 # Newton is also a person and a unit: only the module or the name in quotes is the engine.

@@ -6,20 +6,23 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_assets.compound_joints import BALL, compound
+from orbit_assets.joint_models import BALL, compound
 from orbit_conformance.bodies import pendulum, scene, slider
 from orbit_core import backends
 from orbit_core.interfaces import TERRAIN, ConfigurationError, ContactQuery, SceneLayout
-from orbit_core.plugin_kit.deformable_surface import DeformableSurface
-from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes
-from orbit_core.plugin_kit.massless import STAND_IN, stand_in_approximations, with_stand_in
-from orbit_core.plugin_kit.meshes import height_field_mesh
-from orbit_core.plugin_kit.mimics import on_leaders
-from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
+from orbit_core.plugin_kit.bodies import (
+    STAND_IN,
+    least_inertias,
+    on_leaders,
+    soft_springs,
+    stand_in_approximations,
+    with_stand_in,
+)
+from orbit_core.plugin_kit.engines import contact_signs, velocity_at
+from orbit_core.plugin_kit.meshes import AXIS_COLORS, height_field_mesh, marker_shapes
+from orbit_core.plugin_kit.rendering import DeformableSurface, HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.rotations import compose, multiply, rotate, rotate_inverse
 from orbit_core.plugin_kit.rows import block, host_rows, rows_of
-from orbit_core.plugin_kit.springs import least_inertias, soft_springs
-from orbit_core.plugin_kit.velocities import contact_signs, velocity_at
 from orbit_core.scene import (
     Articulation,
     CameraSpec,

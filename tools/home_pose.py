@@ -18,9 +18,8 @@ from torch import Tensor
 
 from orbit_core.actions.full_ik import FullIk, FullIkConfig
 from orbit_core.actions.workspace import fitted_workspace
-from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.kinematics import KinematicTree, joint_ancestry
 from orbit_core.dynamics.transforms import quat_from_euler, quat_multiply
-from orbit_core.dynamics.tree import joint_ancestry
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.interfaces.names import match_names
 from orbit_core.robots import robot

@@ -16,7 +16,7 @@ import torch
 from orbit_core.envs import make
 from orbit_core.scene import CameraSpec, Channel, Scene, look_at
 from orbit_tasks.lift import Lift
-from orbit_viewer.camera_pictures import picture_of
+from orbit_viewer.viewer import picture_of
 
 CAMERA = CameraSpec(
     name="camera",

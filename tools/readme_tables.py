@@ -2,13 +2,18 @@
 
     python tools/readme_tables.py          rewrite the README and the pages of docs/
 
-A part stands between ``<!-- capabilities -->``, ``<!-- declarations -->`` or ``<!-- file: PATH -->``, and
+A part starts with ``<!-- capabilities -->``, ``<!-- pages -->``, ``<!-- exact: BACKEND -->``,
+``<!-- settings: BACKEND -->``, ``<!-- declarations: BACKEND -->`` or ``<!-- file: PATH -->``, and ends with
 ``<!-- end -->``.
 """
 
 from __future__ import annotations
 
+import ast
+import dataclasses
+import inspect
 import re
+import textwrap
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -19,23 +24,34 @@ from orbit_core.interfaces import Capability, Level
 
 ROOT = Path(__file__).parents[1]
 _PART = re.compile(
-    r"(?P<start><!-- (?P<kind>capabilities|declarations|file: (?P<path>\S+)) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
+    r"(?P<start><!-- (?P<kind>capabilities|pages|exact|settings|declarations|file)(?:: (?P<of>\S+))? -->\n)"
+    r".*?(?P<end><!-- end -->)",
+    re.DOTALL,
 )
 
 
 def pages() -> list[Path]:
-    """The README files and all pages."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("plugins/*/README.md"))]
+    """Return the README files and all pages."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("plugins/*/README.md"))]
 
 
 def updated(text: str) -> str:
-    """A page with its generated parts as the code has them now."""
+    """Return a page with its generated parts as the code has them now."""
 
     def part(match: re.Match[str]) -> str:
-        if match["path"]:
-            content = quoted_file(match["path"])
-        else:
-            content = capability_table() if match["kind"] == "capabilities" else declarations()
+        match match["kind"]:
+            case "file":
+                content = quoted_file(match["of"])
+            case "exact":
+                content = exact_capabilities(match["of"])
+            case "settings":
+                content = settings(match["of"])
+            case "declarations":
+                content = declarations(match["of"])
+            case "pages":
+                content = page_table()
+            case _:
+                content = capability_table()
         return match["start"] + content + match["end"]
 
     return _PART.sub(part, text)
@@ -50,6 +66,30 @@ def offered_backends() -> list[str]:
     ]
     registered = {name: _project(ROOT / f"plugins/orbit-{name}")["entry-points"] for name in brought}
     return [name for name in brought if name in registered[name].get("orbit.backends", {})]
+
+
+def page_table() -> str:
+    """Return a table of all pages by section, as the site's navigation has them."""
+    nav = tomllib.loads((ROOT / "docs" / "zensical.toml").read_text(encoding="utf-8"))["project"]["nav"]
+    rows = ["| section | pages |", "|---|---|"]
+    for entry in nav:
+        for section, content in entry.items() if isinstance(entry, dict) else ():
+            if isinstance(content, list):
+                rows += [f"| {title} | {', '.join(links)} |" for title, links in _sections(section, content)]
+    return "\n".join(rows) + "\n"
+
+
+def _sections(title: str, entries: list[Any]) -> list[tuple[str, list[str]]]:
+    """Return the links of a section of the navigation, and after them those of the sections within it."""
+    own: list[str] = []
+    within: list[tuple[str, list[str]]] = []
+    for entry in entries:
+        for name, content in entry.items() if isinstance(entry, dict) else ((title, entry),):
+            if isinstance(content, list):
+                within += _sections(name, content)
+            else:
+                own.append(f"[{name}]({content})")
+    return [(title, own), *within] if own else within
 
 
 def _project(folder: Path) -> dict[str, Any]:
@@ -70,17 +110,56 @@ def capability_table() -> str:
     return "\n".join(rows) + "\n"
 
 
-def declarations() -> str:
-    """What each offered backend declares, with what the committed report measured.
+def declarations(name: str) -> str:
+    """Return what a backend declares, with what the committed report measured.
 
     Raises:
-        BackendNotInstalledError: one is not installed.
+        BackendNotInstalledError: it is not installed.
     """
-    return declarations_of(offered_backends(), ROOT / "docs" / "conformance")
+    return declarations_of([name], ROOT / "docs" / "conformance")
+
+
+def exact_capabilities(name: str) -> str:
+    """Return the capabilities that a backend declares exact, as one sentence."""
+    capabilities = backend(name).capabilities()
+    exact = [capability.value for capability in Capability if capabilities[capability].level is Level.EXACT]
+    return "; ".join(exact) + ".\n"
+
+
+def settings(name: str) -> str:
+    """Return a table of a backend's settings, with the docstrings of their fields."""
+    config = backend(name).config_type
+    documented: dict[str, str] = {}
+    for owner in reversed(config.__mro__):
+        if dataclasses.is_dataclass(owner):
+            documented |= field_docs(owner)
+    rows = ["| setting | default | meaning |", "|---|---|---|"]
+    for field in dataclasses.fields(config):
+        default = field.default if field.default is not dataclasses.MISSING else field.default_factory()  # pyright: ignore[reportCallIssue]
+        meaning = _ROLE.sub(r"`\1`", documented.get(field.name, "")).replace("``", "`").replace("|", "\\|")
+        rows.append(f"| `{field.name}` | `{default!r}` | {meaning} |")
+    return "\n".join(rows) + "\n"
+
+
+_ROLE = re.compile(r":\w+:`~?([^`]+)`")
+
+
+def field_docs(owner: type) -> dict[str, str]:
+    """Return the docstrings that follow the fields of a class, each as one line."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+    assert isinstance(tree, ast.ClassDef)
+    documented: dict[str, str] = {}
+    for statement, after in zip(tree.body, tree.body[1:], strict=False):
+        match statement, after:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                documented[name] = " ".join(text.split())
+            case _:
+                pass
+    return documented
 
 
 def quoted_file(path: str) -> str:
-    """A Python file of the repository as a block of code."""
+    """Return a Python file of the repository as a block of code."""
     return f"```python\n{(ROOT / path).read_text(encoding='utf-8')}```\n"
 
 

@@ -99,7 +99,7 @@ def version_faults(root: Path = ROOT) -> list[str]:
 
 
 def changes(version: str, root: Path = ROOT) -> tuple[str, str]:
-    """Return heading and text of the section of CHANGELOG.md for a version, or of the unreleased one; blanks if none."""
+    """Return heading and text of a version's section of CHANGELOG.md, or of the unreleased one; blanks if none."""
     sections = re.split(r"^## ", (root / "CHANGELOG.md").read_text(), flags=re.MULTILINE)[1:]
     texts = {heading.strip(): text.strip() for heading, _, text in (section.partition("\n") for section in sections)}
     for heading, text in texts.items():

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from orbit_core.cli.runner import RunResult, run
+from orbit_core.cli.run import RunResult, run
 from orbit_core.cli.settings import RunSettings
 from orbit_core.rollout.estimates import proportion
 

@@ -12,11 +12,11 @@ from typing import Any, ClassVar
 
 from orbit_core.actions.base import MotionGenerator
 from orbit_core.actions.embodiment import driven_joints, joint_commands
+from orbit_core.configuration import TypeChecker
 from orbit_core.interfaces import ConfigurationError, Robot, match_names
-from orbit_core.interfaces.typed import Typed
 from orbit_core.scene import RobotSpec
 
-_TYPED = Typed()
+_CHECKER = TypeChecker()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class ActionTerm(ABC):
     """Regular expressions over joint names (full match); None takes the generator's own choice."""
 
     def __post_init__(self) -> None:
-        _TYPED.check(self, type(self).__name__)
+        _CHECKER.check(self, type(self).__name__)
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             for number in value if isinstance(value, tuple) else (value,):

@@ -7,8 +7,6 @@ own through the entry-point group ``orbit.active``, named as the data's class, w
     GasSpring = "my_package.gas_spring:GasSpringLaw"
 """
 
-from orbit_core.active.factory import active_laws, create_law
-from orbit_core.active.law import ActiveLaw
-from orbit_core.active.magnetic_seal import MagneticSealLaw
+from orbit_core.active.laws import ActiveLaw, MagneticSealLaw, active_laws, create_law
 
 __all__ = ["ActiveLaw", "MagneticSealLaw", "active_laws", "create_law"]

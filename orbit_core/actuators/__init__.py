@@ -3,9 +3,7 @@
 Models of one's own: docs/actuators.md.
 """
 
-from orbit_core.actuators.actuators import Actuators, ActuatorState
-from orbit_core.actuators.factory import actuator_models
-from orbit_core.actuators.model import ActuatorContext, ActuatorModel
-from orbit_core.actuators.models import PdModel
+from orbit_core.actuators.actuators import Actuators, ActuatorState, actuator_models
+from orbit_core.actuators.models import ActuatorContext, ActuatorModel, PdModel
 
 __all__ = ["ActuatorContext", "ActuatorModel", "ActuatorState", "Actuators", "PdModel", "actuator_models"]

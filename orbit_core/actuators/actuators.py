@@ -1,24 +1,150 @@
-"""All actuators of a scene: targets in, what the engine applies out."""
+"""All actuators of a scene: targets in, efforts and drive targets of the engine out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from orbit_core.actuators.delay import CommandDelay, DelayState
-from orbit_core.actuators.factory import model_of
-from orbit_core.actuators.model import ActuatorContext, ActuatorModel
-from orbit_core.actuators.models import DcMotorModel, PdModel
-from orbit_core.actuators.motors import REFERENCE
-from orbit_core.dynamics.indexing import write_rows
+from orbit_core.actuators.models import REFERENCE, ActuatorContext, ActuatorModel, DcMotorModel, PdModel
+from orbit_core.distributions import missing_note
+from orbit_core.dynamics.indexing import write_block, write_rows
 from orbit_core.dynamics.random import RandomStreams
-from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout
+from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, UnknownNameError
 from orbit_core.interfaces.layout import actuator_of_joint
-from orbit_core.scene import ActuatorConfig, IdealPd
+from orbit_core.registry import Registry
+from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
+
+
+@dataclass(frozen=True)
+class DelayState:
+    """A snapshot of a delay line."""
+
+    history: Tensor
+    delays: Tensor
+    age: Tensor
+
+
+class CommandDelay:
+    """A delay line for targets (3, N, k).
+
+    Joints of one group (the same object) share a delay. The first command after a reset counts as held since ever.
+
+    Args:
+        groups: the actuator group of each joint (k,).
+        num_envs: N.
+        random: draws the delays.
+    """
+
+    def __init__(self, groups: Sequence[IdealPd], num_envs: int, random: RandomStreams) -> None:
+        for group in groups:
+            if not 0 <= group.min_delay <= group.max_delay:
+                raise ConfigurationError(
+                    f"the delay of actuators {group.joints} must satisfy 0 <= min_delay <= max_delay, not "
+                    f"{group.min_delay}, {group.max_delay}"
+                )
+        # By identity: two groups of equal numbers still draw separate delays.
+        self._groups = list({id(group): group for group in groups}.values())
+        members = [[j for j, other in enumerate(groups) if other is group] for group in self._groups]
+        self._random = random
+        device = random.device
+        # One slot more than the longest delay, for the command of this step.
+        self._length = max((group.max_delay for group in groups), default=0) + 1
+        self._history = torch.zeros(self._length, 3, num_envs, len(groups), device=device)
+        self._delays = torch.zeros(num_envs, len(groups), dtype=torch.int64, device=device)
+        self._age = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
+        self._columns = [torch.tensor(columns, device=device) for columns in members]
+        self.reset(None)
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Forget commands and draw new delays."""
+        write_rows(self._age, 0, env_ids)
+        for group, columns in zip(self._groups, self._columns, strict=True):
+            drawn = self._random.integers(group.min_delay, group.max_delay, env_ids)
+            write_block(self._delays, columns, drawn[:, None], env_ids)
+
+    def push(self, targets: Tensor) -> Tensor:
+        """Take the commands of this step (3, N, k) and return those in effect."""
+        newest = torch.remainder(self._age, self._length)  # each environment writes in turn, from its reset on
+        self._history.scatter_(0, newest.expand(1, *targets.shape), targets[None])
+        steps_back = torch.minimum(self._delays, self._age)
+        slots = torch.remainder(self._age - steps_back, self._length)
+        self._age += 1
+        return self._history.gather(0, slots.expand(1, 3, *slots.shape)).squeeze(0)
+
+    def save_state(self) -> DelayState:
+        """Return a detached copy."""
+        return DelayState(self._history.clone(), self._delays.clone(), self._age.clone())
+
+    def load_state(self, state: DelayState) -> None:
+        """Return to a saved state."""
+        self._history.copy_(state.history)
+        self._delays.copy_(state.delays)
+        self._age.copy_(state.age)
+
+
+GROUP = "orbit.actuators"
+
+
+@cache
+def actuator_models() -> Registry[type[ActuatorModel]]:
+    """Return the classes of actuator models, by the name of the class of the groups that they drive.
+
+    A program without a package adds its own: ``actuator_models().add("SpringMotor", SpringMotorModel)``.
+    """
+    registry = Registry[type[ActuatorModel]]("actuator", GROUP)
+    registry.add(IdealPd.__name__, PdModel)
+    registry.add(DcMotor.__name__, DcMotorModel)
+    return registry
+
+
+def model_of(group: ActuatorConfig, entity: str) -> type[ActuatorModel] | None:
+    """Return the model that drives a group; None for :class:`ImplicitPd`, which the engine drives.
+
+    A class derived from another has that one's model, unless it has its own, or fields that this one does not read.
+
+    Args:
+        group: of joints.
+        entity: name of the robot or object, for messages.
+
+    Raises:
+        UnknownNameError: nothing drives groups of that class.
+        ConfigurationError: a model of one's own for a class derived from ImplicitPd, or no model is registered.
+    """
+    registry, kind = actuator_models(), type(group)
+    names = registry.names
+    # A derived class with further fields needs its own model: the base's would ignore them in silence.
+    own = [c for c in kind.__mro__ if issubclass(c, ActuatorConfig) and (c is ImplicitPd or c.__name__ in names)]
+    found = next((c for c in own if len(fields(c)) == len(fields(kind))), None)
+    if found is None:
+        raise UnknownNameError(
+            "actuator",
+            kind.__name__,
+            [ImplicitPd.__name__, *names],
+            f"actuators of '{entity}'",
+            missing_note(GROUP)
+            or f"nothing computes the efforts of a {kind.__name__}: add its model, "
+            f'orbit_core.actuators.actuator_models().add("{kind.__name__}", ...), see docs/actuators.md',
+        )
+    if found is ImplicitPd:
+        return None
+    if issubclass(kind, ImplicitPd):
+        raise ConfigurationError(
+            f"actuator {kind.__name__} of '{entity}' has a model of its own, and derives from ImplicitPd, which the "
+            "engine drives: derive it from ActuatorConfig or IdealPd"
+        )
+    model = registry.get(found.__name__)
+    if not (isinstance(model, type) and issubclass(model, ActuatorModel)):
+        raise ConfigurationError(
+            f"{registry.origin(found.__name__)} of group {GROUP} names {model!r}, which is no subclass of "
+            "orbit_core.actuators.ActuatorModel: mend or uninstall it"
+        )
+    return model
+
 
 _ORDER = (PdModel, DcMotorModel)
 
@@ -54,6 +180,7 @@ class Actuators:
         self._implicit = {joint for joint, model in models.items() if model is None}
         shared_by: dict[Any, list[int]] = {}
         for joint, model in models.items():
+            # Joints that share a model are computed in one call, whichever robot they belong to.
             if model is not None:
                 group = groups[joint]
                 shared_by.setdefault((model, isinstance(group, IdealPd), model.shared_by(group)), []).append(joint)
@@ -75,6 +202,7 @@ class Actuators:
     def apply(self) -> None:
         """Compute the efforts of explicit groups from the present joint state and hand them to the engine."""
         engine = self._engine
+        # Joints without a model keep the effort that was commanded directly.
         engine.efforts.copy_(self.effort_targets)
         positions, velocities = engine.joint_positions, engine.joint_velocities
         for model, delay in zip(self._models, self._delays, strict=True):
@@ -95,12 +223,12 @@ class Actuators:
         return {f"{type(model).__name__} of joint '{joints[model.joints[0]].name}'": model for model in self._models}
 
     def memory(self) -> dict[str, Tensor]:
-        """Memory of the models between steps, by name."""
+        """Return memory of the models between steps, by name."""
         own = {f"{name}, {number}": model for number, (name, model) in enumerate(self.models.items())}
         return {f"{part} of {name}": value for name, model in own.items() for part, value in model.memory.items()}
 
     def temperatures(self) -> Tensor | None:
-        """(N, J) degrees Celsius of the motors' windings, 25 where none are described; None where there are none."""
+        """Return winding temperatures (N, J) in degrees Celsius, 25 for joints without; None if no joint has any."""
         warm = [(model.columns, model.temperatures) for model in self._models]
         if all(values is None for _, values in warm):
             return None
@@ -113,12 +241,15 @@ class Actuators:
     def set_gains(
         self, joints: Sequence[int], stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        """Stiffness and damping (n, k) of some joints of the scene, whoever computes their PD law. They outlast resets.
+        """Set stiffness and damping (n, k) of some joints, whether the core or the engine computes their PD law.
+
+        They outlast resets.
 
         Raises:
             ConfigurationError: a joint has no actuator.
             UnsupportedCapabilityError: the engine cannot change the gains of its drives.
         """
+        # A call may mix joints of the engine's drives with joints of explicit models.
         native = [column for column, joint in enumerate(joints) if joint in self._implicit]
         if native:
             indices = torch.tensor([joints[column] for column in native], device=self._engine.device)
@@ -158,7 +289,7 @@ class Actuators:
                 write_rows(own.temperatures, other.temperatures[source].clone(), rows)
 
     def save_state(self) -> ActuatorState:
-        """A detached copy."""
+        """Return a detached copy."""
         gains = tuple(tuple(part.clone() for part in model.gains or ()) for model in self._models)
         delays = tuple(None if delay is None else delay.save_state() for delay in self._delays)
         memory = tuple({name: value.clone() for name, value in model.memory.items()} for model in self._models)
@@ -168,6 +299,7 @@ class Actuators:
         """Return to a saved state."""
         self.effort_targets.copy_(state.effort_targets)
         for model, gains, memory in zip(self._models, state.gains, state.memory, strict=True):
+            # In place: a captured step refers to these tensors by their memory.
             for own, saved in zip(model.gains or (), gains, strict=True):
                 own.copy_(saved)
             for name, saved in memory.items():
@@ -184,7 +316,7 @@ def _place(shared: tuple[Any, list[int]]) -> int:
 
 
 def _group_of_joint(layout: SceneLayout) -> dict[int, ActuatorConfig]:
-    """Joint of the scene -> the group that drives it, in joint order."""
+    """Return joint of the scene -> the group that drives it, in joint order."""
     groups: dict[int, ActuatorConfig] = {}
     for entity in layout.entities:
         # Groups become objects of each robot's own, so that delays are drawn for each.

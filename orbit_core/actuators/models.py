@@ -1,20 +1,178 @@
-"""Actuator models that the core evaluates: efforts from targets and measured joint state, for many joints at once."""
+"""Actuator models: efforts from targets and measured joint state, for many joints of all environments at once.
+
+Packages add models of their own through the entry-point group ``orbit.actuators``; an entry point is named as the class
+of the groups that the model drives, and its value is the model's class::
+
+    [project.entry-points."orbit.actuators"]
+    SpringMotor = "my_package.spring_motor:SpringMotorModel"
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from orbit_core.actuators.model import ActuatorContext, ActuatorModel
-from orbit_core.actuators.motors import Ratios, WindingModel
-from orbit_core.interfaces import ConfigurationError
-from orbit_core.scene import DcMotor
+from orbit_core.dynamics.indexing import columns_of, write_rows
+from orbit_core.interfaces import ConfigurationError, SceneLayout
+from orbit_core.scene import DcMotor, Transmission, Windings
 
+_DIRECT = Transmission(ratios=(1.0,))
+_TINY = 1e-9
+REFERENCE = 25.0
+"""Degrees Celsius at which resistances are described, and of motors of which nothing is known."""
+
+
+class Ratios:
+    """Magnitudes of the ratios of k joints' transmissions; None has 1.
+
+    A table of straight lines is its first value and a ramp for each line, so that nothing is looked up.
+    """
+
+    def __init__(self, transmissions: Sequence[Transmission | None], device: torch.device) -> None:
+        tables = [transmission or _DIRECT for transmission in transmissions]
+        most = max(len(table.positions) for table in tables) - 1
+        starts, widths, slopes = (torch.zeros(len(tables), max(most, 1)) for _ in range(3))
+        for row, table in enumerate(tables):
+            positions, ratios = torch.tensor(table.positions), torch.tensor(table.ratios)
+            lines = len(positions) - 1
+            starts[row, :lines], widths[row, :lines] = positions[:-1], positions.diff()
+            slopes[row, :lines] = ratios.diff() / positions.diff()
+        self._starts, self._widths, self._slopes = (part.to(device) for part in (starts, widths, slopes))
+        self._zeros = torch.zeros_like(self._widths)
+        self._first = torch.tensor([table.ratios[0] for table in tables], device=device)
+
+    def at(self, position: Tensor) -> Tensor:
+        """Return (N, k) at positions (N, k) of the joints."""
+        along = torch.clamp(position[..., None] - self._starts, self._zeros, self._widths)
+        return (self._first + (self._slopes * along).sum(-1)).abs()
+
+
+class WindingModel:
+    """Temperatures of k motors in N environments; a motor without windings neither warms nor is limited."""
+
+    def __init__(
+        self, windings: Sequence[Windings | None], num_envs: int, physics_dt: float, device: torch.device
+    ) -> None:
+        # Numbers without effect for motors that do not warm up, so that all are computed alike.
+        cold = Windings(motor_constant=1.0, thermal_resistance=1.0, time_constant=1.0)
+        described = [motor or cold for motor in windings]
+
+        def row(values: Sequence[float]) -> Tensor:
+            return torch.tensor(values, dtype=torch.float32, device=device)
+
+        self._rise_per_effort = row(
+            [0.0 if w is None else w.thermal_resistance / w.motor_constant**2 for w in windings]
+        )  # K over the surroundings, at rest, of a squared effort
+        self._growth = row([w.resistance_rise for w in described])
+        self._share = row([-math.expm1(-physics_dt / w.time_constant) for w in described])
+        self.ambient = row([w.ambient for w in described])
+        """(k,) degrees Celsius of what surrounds the motors."""
+        self._highest = row([w.highest for w in described])
+        self._span = row([w.highest - w.derating_from for w in described])
+        self.temperatures = self.ambient.repeat(num_envs, 1)
+        """(N, k) degrees Celsius."""
+
+    def derating(self) -> Tensor:
+        """Return (N, k) part in [0, 1] of a motor's efforts that it may give."""
+        return ((self._highest - self.temperatures) / self._span).clamp(0.0, 1.0)
+
+    def warm(self, efforts: Tensor, ratios: Tensor | None) -> None:
+        """Pass one physics step in which motors exert ``efforts`` (N, k) at their joints, through ``ratios`` (N, k)."""
+        # The heat is that of the motor's own effort, on its side of the transmission.
+        own = efforts if ratios is None else efforts / ratios.clamp_min(_TINY)
+        resistance = 1.0 + self._growth * (self.temperatures - REFERENCE)
+        target = self.ambient + self._rise_per_effort * own.square() * resistance
+        self.temperatures += self._share * (target - self.temperatures)
+
+
+@dataclass(frozen=True)
+class ActuatorContext:
+    """Joints and settings that a model is built for."""
+
+    joints: tuple[int, ...]
+    """Indices (k,) of the model's joints in the scene."""
+    groups: tuple[Any, ...]
+    """The actuator group of each of them, an :class:`~orbit_core.scene.ActuatorConfig` of the model's class."""
+    layout: SceneLayout
+    """Of the scene: names, types and parameters of all joints."""
+    num_envs: int
+    """N."""
+    device: torch.device
+
+    @property
+    def physics_dt(self) -> float:
+        """Seconds between two evaluations."""
+        return self.layout.scene.physics_dt
+
+    @property
+    def effort_limits(self) -> Tensor:
+        """(k,) N m or N, as groups or the articulation say."""
+        limits = self.layout.joint_parameters.effort_limit[list(self.joints)]
+        return torch.as_tensor(limits, dtype=torch.float32, device=self.device)
+
+    def values(self, name: str) -> Tensor:
+        """Return a field of the groups as a tensor (N, k) that may be written per environment."""
+        numbers = [float(getattr(group, name)) for group in self.groups]
+        return torch.tensor(numbers, device=self.device).repeat(self.num_envs, 1)
+
+
+class ActuatorModel(ABC):
+    """Computes the efforts of k joints in N environments before each physics step.
+
+    A subclass overrides :meth:`efforts`. It keeps to what a captured step may do: tensor operations, no look at a
+    tensor's values, and what lasts from step to step in :attr:`memory`, written in place.
+
+    Args:
+        context: the joints, their groups, and the scene.
+    """
+
+    def __init__(self, context: ActuatorContext) -> None:
+        self.joints = list(context.joints)
+        # A slice where possible: reading it is a view and no copy.
+        self.columns = columns_of(self.joints, context.device)
+        self.memory: dict[str, Tensor] = {}
+        """(N, ...) tensors that the model remembers, by name: part of snapshots, set to :meth:`fresh` by resets."""
+        self.gains: tuple[Tensor, Tensor] | None = None
+        """(N, k) stiffness and damping, where the model has such gains: events scale them, and they outlast resets."""
+
+    @abstractmethod
+    def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
+        """Compute the efforts (N, k) of one physics step, N m or N.
+
+        Args:
+            position: (N, k) measured, rad or m.
+            velocity: (N, k) measured, rad/s or m/s.
+            targets: position, velocity and effort targets, (N, k) each.
+        """
+
+    @property
+    def temperatures(self) -> Tensor | None:
+        """(N, k) degrees Celsius of the motors; None where the model knows of none."""
+        return None
+
+    def fresh(self, name: str) -> Tensor | float:
+        """Return what a part of the memory holds when an episode begins."""
+        return 0.0
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Forget the past of some environments, by index or mask."""
+        for name, value in self.memory.items():
+            write_rows(value, self.fresh(name), env_ids)
+
+    @classmethod
+    def shared_by(cls, group: Any) -> Hashable:
+        """Return a key: groups that agree in it share one model. All groups of a class do unless this is overridden."""
+        return None
+
+
+# rad/s or m/s, below which power is not looked at
 _STANDSTILL = 1e-6
-"""rad/s or m/s, below which power is not looked at."""
 
 
 class PdModel(ActuatorModel):
@@ -27,11 +185,12 @@ class PdModel(ActuatorModel):
     def __init__(self, context: ActuatorContext) -> None:
         super().__init__(context)
         self._upper = context.effort_limits
+        # Made once, because the step is evaluated at the physics rate.
         self._lower = -self._upper
         self.stiffness, self.damping = self.gains = context.values("stiffness"), context.values("damping")
 
     def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
-        """(N, k) from measured state (N, k) and position, velocity and effort targets (N, k) each."""
+        """Return (N, k) from measured state (N, k) and position, velocity and effort targets (N, k) each."""
         position_target, velocity_target, effort_target = targets
         efforts = torch.addcmul(effort_target, self.stiffness, position_target - position)
         return self._limited(torch.addcmul(efforts, self.damping, velocity_target - velocity), velocity)

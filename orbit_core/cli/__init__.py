@@ -54,8 +54,8 @@ OTHERS = {
     "conformance": ("orbit-conformance", "Hold backends against known answers and whole tasks, and report"),
 }
 """Distributions of ORBIT that bring further commands, and what each does."""
+# Order in which ``orbit --help`` lists commands; those of other packages come last
 _ORDER = (*list(COMMANDS)[:3], *list(OTHERS)[:-1], "bench", "conformance")
-"""Order in which ``orbit --help`` lists commands; those of other packages come last."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _show_warning(message: Warning | str, *_: object) -> None:
-    """A warning is a sentence to the user; where in the code it arose is for ``--debug``."""
+    """Return a warning is a sentence to the user; where in the code it arose is for ``--debug``."""
     print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
@@ -112,6 +112,7 @@ def _dispatch(words: list[str]) -> int:
         print(__version__)
         return 0
     name, registry = words[0], commands()
+    # Known commands of distributions that are missing get an install command in place of "unknown command".
     if name in OTHERS and name not in registry.names:
         distribution = OTHERS[name][0]
         raise ConfigurationError(
@@ -123,7 +124,7 @@ def _dispatch(words: list[str]) -> int:
 
 @functools.cache
 def commands() -> Registry[Command]:
-    """All commands by name: this distribution's, and those of installed packages."""
+    """Return all commands by name: this distribution's, and those of installed packages."""
     registry = Registry[Command]("command", "orbit.commands")
     for name, (module, _) in COMMANDS.items():
         registry.add(name, functools.partial(_run_module, module))

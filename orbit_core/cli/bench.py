@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import BenchSettings
+from orbit_core.cli.settings import BenchSettings, check_output, check_positive, parse_settings
 from orbit_core.envs.actors import scripted_actor
 from orbit_core.files import written_whole
 from orbit_core.installing import install_extra
@@ -63,7 +61,7 @@ def main(words: Sequence[str]) -> None:
 def bench(
     settings: BenchSettings, progress: Callable[[int], None] = lambda steps: None
 ) -> tuple[str, list[Throughput]]:
-    """The backend's name, and the throughput at each number of environments, ascending.
+    """Return the backend's name, and the throughput at each number of environments, ascending.
 
     Args:
         settings: what to measure.
@@ -79,6 +77,7 @@ def bench(
         raise ConfigurationError("num_envs must name at least one number of environments")
     figures: list[Throughput] = []
     backend = ""
+    # Ascending, because peak memory of the process never falls.
     for num_envs in sorted(set(settings.num_envs)):
         environment = make_environment(settings, num_envs)
         try:
@@ -91,9 +90,12 @@ def bench(
 
 def _measure(environment: Environment, settings: BenchSettings, progress: Callable[[int], None]) -> Throughput:
     agent = scripted_actor("random", environment, settings.seed)
+    # Warm-up: first steps compile kernels and record graphs.
     for _ in range(max(1, settings.steps // 10)):
         environment.step(agent.act())
+    # Drawn before the clock starts, so that only steps are timed.
     actions = [agent.act() for _ in range(16)]
+    # In blocks, so that a progress bar can advance; waiting for the device between them costs little.
     seconds, block = 0.0, max(1, settings.steps // 20)
     for first in range(0, settings.steps, block):
         numbers = range(first, min(first + block, settings.steps))
@@ -109,7 +111,7 @@ def _measure(environment: Environment, settings: BenchSettings, progress: Callab
 
 
 def _wait(environment: Environment) -> None:
-    """Wait until a GPU has done what it was told to, which a step does not."""
+    """Wait until a GPU has finished its work, which a step does not do."""
     if environment.device.type != "cpu":
         import torch
 
@@ -117,7 +119,7 @@ def _wait(environment: Environment) -> None:
 
 
 def _peak_memory() -> float | None:
-    """MiB; None where the platform does not tell."""
+    """Return the peak memory in MiB; None where the platform does not report it."""
     import sys
 
     try:
@@ -125,6 +127,7 @@ def _peak_memory() -> float | None:
     except ImportError:
         return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS reports bytes, Linux kibibytes.
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 

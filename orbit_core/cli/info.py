@@ -1,10 +1,10 @@
-"""``orbit info``: everything about one task, robot, object, sensor, backend or renderer."""
+"""``orbit info``: describe one task, robot, object, sensor, backend or renderer."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,23 +14,70 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from orbit_core.backends import backend, backend_names, installable_backends, renderer, renderer_names
-from orbit_core.cli.info_scene import show_object, show_sensor
 from orbit_core.cli.output import console as make_console
 from orbit_core.cli.output import new_table, print_heading, print_line, print_rows
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import parse_words
 from orbit_core.distributions import missing_note
 from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces.capabilities import IMAGES, Capability
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.objects import ObjectConfig, object_kinds
-from orbit_core.registry import Registry
+from orbit_core.objects import ObjectConfig, object_config, object_kinds
+from orbit_core.registry import Registry, first_line
 from orbit_core.robots import robot_info, robot_names
-from orbit_core.sensors import sensor_types
+from orbit_core.scene import SensorSpec
+from orbit_core.sensors import TimedSensor, sensor_types
 
 if TYPE_CHECKING:
     from orbit_core.envs.task import Task
     from orbit_core.interfaces.backend import Backend
     from orbit_core.scene import RobotSpec, Scene
+
+
+def show_object(console: Console, name: str) -> None:
+    """Return the parameters of a kind of object, and what it is made of as they are by default."""
+    config = object_config(name)
+    print_heading(console, f"Object {name}", first_line(type(config)))
+    print_line(console, "brought by", object_kinds().origin(name))
+    parameters = ((field.name, getattr(config, field.name)) for field in dataclasses.fields(config))
+    print_rows(console, "parameter", "default", parameters)
+    try:
+        body = config.build(name).articulation
+    except AssetError as error:
+        print_line(console, "by default", str(error))
+        return
+    print_line(console, "mass", f"{body.mass:.4g} kg")
+    print_line(console, "links", ", ".join(body.link_names))
+    if body.joint_names:
+        print_line(console, "joints", ", ".join(body.joint_names))
+
+
+def show_sensor(console: Console, name: str) -> None:
+    """Return the fields of a sensor's specification, and the values that the sensor holds."""
+    sensor = sensor_types().get(name)
+    spec = next((kind for kind in _derived(SensorSpec) if kind.__name__ == name), None)
+    print_heading(console, f"Sensor {name}", first_line(spec or sensor))
+    print_line(console, "brought by", sensor_types().origin(name))
+    if spec is not None:
+        print_rows(console, "field", "default", ((field.name, _default(field)) for field in dataclasses.fields(spec)))
+    print_line(console, "reading", sensor.__name__)
+    console.print(Text(inspect.getdoc(sensor) or ""))
+    values = inspect.getmembers(sensor, lambda member: isinstance(member, property))
+    # Properties of the base class are the same for all sensors.
+    own = [(value, first_line(read)) for value, read in values if value[0] != "_" and not hasattr(TimedSensor, value)]
+    print_rows(console, "value", "is", own)
+
+
+def _derived(kind: type) -> Iterator[type]:
+    # Specifications are not registered themselves: only loaded classes can be described.
+    for below in kind.__subclasses__():
+        yield below
+        yield from _derived(below)
+
+
+def _default(field: dataclasses.Field[object]) -> object:
+    if field.default is not dataclasses.MISSING:
+        return field.default
+    return "needed" if field.default_factory is dataclasses.MISSING else field.default_factory()
 
 
 @dataclass(frozen=True)
@@ -43,6 +90,7 @@ class InfoSettings:
 
 def main(words: Sequence[str]) -> None:
     """Print what is known of a name."""
+    # Names of different kinds do not clash in practice; the order decides where they do.
     name = parse_words(InfoSettings, words, "orbit info").name
     console = make_console()
     if name in task_entries():
@@ -116,8 +164,9 @@ def _terms(task: Task, part: str) -> str:
 
 
 def _robots_like(name: str) -> str:
-    """The default robot of a task, then those of its kind: arms, arms with grippers, legged robots."""
+    """Return the default robot of a task, then those of its kind: arms, arms with grippers, legged robots."""
     kind = _kind(name)
+    # Robots of the same kind are the ones that a task is likely to run with.
     others = [other for other in robot_names() if other != name and _kind(other) == kind]
     return ", ".join([f"{name} (default)", *others])
 
@@ -166,7 +215,7 @@ def _joint_table(robot: RobotSpec) -> Table:
 
 
 def _show_actuators(console: Console, robot: RobotSpec) -> None:
-    from orbit_core.dynamics.drive_design import drive_responses
+    from orbit_core.dynamics.workspace import drive_responses
     from orbit_core.interfaces.layout import actuator_of_joint
 
     groups = actuator_of_joint(robot)
@@ -174,6 +223,7 @@ def _show_actuators(console: Console, robot: RobotSpec) -> None:
     responses = drive_responses(robot)
     for group in robot.actuators:
         values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group)}
+        # Tables and nested settings of a group do not fit on the line.
         described = [f"{key} {value:g}" for key, value in values.items() if isinstance(value, float)]
         own = [response for response in responses if groups[names.index(response.joint)] is group]
         if own:
@@ -184,7 +234,7 @@ def _show_actuators(console: Console, robot: RobotSpec) -> None:
 
 
 def _span(least: float, most: float) -> str:
-    """A range over the workspace, one number where it is none."""
+    """Return a range over the workspace, one number where it is none."""
     low, high = f"{least:.2g}", f"{most:.2g}"
     return low if low == high else f"{low} to {high}"
 
@@ -207,6 +257,7 @@ def _show_gaps(console: Console, plugin: Backend) -> None:
     if not plugin.gaps():
         return
     units: dict[tuple[str, str], str] = {}
+    # Units belong to the scenarios, which another distribution defines.
     for source in Registry[Callable[[], dict[tuple[str, str], str]]]("units", "orbit.units").values.values():
         units |= source()
     table = new_table("scenario or check", "metric", "error up to", "why", title="Declared gaps")

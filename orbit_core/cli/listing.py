@@ -11,7 +11,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import parse_words
 from orbit_core.distributions import missing_note
 from orbit_core.interfaces.errors import OrbitError
 from orbit_core.registry import Registry
@@ -33,6 +33,7 @@ def main(words: Sequence[str]) -> None:
     """Print the names of one kind."""
     kind = parse_words(ListSettings, words, "orbit list").kind
     rows = lists().get(kind)() if kind else [(name, "") for name in lists().names]
+    # Plain print and not a table: the output is meant for grep and cut.
     width = max((len(name) for name, _ in rows), default=0)
     for name, description in rows:
         print(f"{name:<{width}}  {description}".rstrip())
@@ -72,6 +73,7 @@ def _sensors() -> list[tuple[str, str]]:
     from orbit_core.sensors import sensor_types
 
     rows = []
+    # One by one, so that a broken package shows as a line and hides no others.
     for name in sensor_types().names:
         try:
             rows.append((name, first_line(sensor_types().get(name))))
@@ -103,12 +105,6 @@ def _matter() -> list[tuple[str, str]]:
     return rows + _missing(installable_matter())
 
 
-def _policies() -> Rows:
-    from orbit_core.pretrained import pretrained_policies
-
-    return [(policy.name, policy.description) for policy in pretrained_policies().values()]
-
-
 def _actions() -> list[tuple[str, str]]:
     from orbit_core.actions import action_words
 
@@ -135,6 +131,7 @@ def _state(name: str) -> str:
     return "installed: " + ", ".join(f"{package} {version}" for package, version in versions.items())
 
 
+# Functions import what they list, because each kind loads other modules.
 _LISTS = {
     "tasks": _tasks,
     "robots": _robots,
@@ -143,7 +140,6 @@ _LISTS = {
     "backends": _backends,
     "renderers": _renderers,
     "matter": _matter,
-    "policies": _policies,
     "actions": _actions,
     "motion": _motion,
 }

@@ -1,22 +1,88 @@
-"""An environment is made from a command's settings."""
+"""Environments and actors from a command's settings."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import functools
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Protocol
 
 from orbit_core.backends import backend, default_backend, renderer
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.configuration import assignments
 from orbit_core.distributions import missing_note
+from orbit_core.envs.actors import ACTORS, scripted_actor
 from orbit_core.envs.registry import task_entries, task_entry
-from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.registry import Registry
 
 if TYPE_CHECKING:
+    from orbit_core.envs.actors import Actor
     from orbit_core.envs.environment import Environment
 
 
+class ActorSource(Protocol):
+    """A package's actors; the entry-point group ``orbit.actors`` names modules or objects with these functions."""
+
+    def names(self) -> Iterable[str]:
+        """Return the names of all actors that are listed."""
+        ...
+
+    def has(self, name: str) -> bool:
+        """Return whether a name, or the path of a file or folder, is one of these actors."""
+        ...
+
+    def make(self, name: str, environment: Environment, seed: int) -> Actor:
+        """Return the actor of that name or path.
+
+        Raises:
+            ConfigurationError: it acts in another environment.
+        """
+        ...
+
+
+def check_actor(name: str) -> None:
+    """Reject a name that no actor has.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    if name not in ACTORS:
+        _source(name)
+
+
+def make_actor(name: str, environment: Environment, seed: int) -> Actor:
+    """Return the actor of that name, the policy in that file or folder, or the kept policy of that name.
+
+    Raises:
+        UnknownNameError: there is none.
+        ConfigurationError: the policy was learned for another environment.
+    """
+    return scripted_actor(name, environment, seed) if name in ACTORS else _source(name).make(name, environment, seed)
+
+
+@functools.cache
+def _sources() -> Registry[ActorSource]:
+    return Registry[ActorSource]("source of actors", "orbit.actors")
+
+
+def _source(name: str) -> ActorSource:
+    """Return the package's source that has an actor of that name."""
+    registry = _sources()
+    sources = registry.values.values()
+    for source in sources:
+        if source.has(name):
+            return source
+    names = {*ACTORS, *(other for source in sources for other in source.names())}
+    raise UnknownNameError("actor or policy", name, names, note=registry.note)
+
+
 def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverged: bool = False) -> Environment:
-    """The environment that the settings ask for; of ``reset_diverged`` tells Environment.
+    """Make the environment that the settings describe.
+
+    Args:
+        settings: of a command.
+        num_envs: environments that are stepped together.
+        reset_diverged: as of :class:`~orbit_core.envs.environment.Environment`.
 
     Raises:
         OrbitError: of many kinds; each names the setting.

@@ -1,4 +1,4 @@
-"""How commands show and store what they found."""
+"""Output of the commands: consoles, tables, progress bars and JSON files."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from rich.text import Text
 
 from orbit_core.files import written_whole
 
+# Characters of a line where the output is no terminal, so that pipes and files get whole names
 _WIDTH = 140
-"""Characters of a line where the output is no terminal, so that pipes and files get whole names."""
 
 
 def console() -> Console:
     """Return the console that results are printed on."""
     plain = _PlainConsole()
+    # A narrow default width would cut names in pipes and files.
     return plain if plain.is_terminal else _PlainConsole(width=_WIDTH)
 
 
@@ -41,7 +42,7 @@ def printable(text: str) -> str:
 
 
 def new_table(*headings: str, title: str | None = None) -> Table:
-    """A table with a rule under its headings; the first column, which holds names, is never cut."""
+    """Return a table with a rule under its headings; the first column, which holds names, is never cut."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     for index, heading in enumerate(headings):
         table.add_column(heading, no_wrap=index == 0, overflow="fold")
@@ -49,7 +50,8 @@ def new_table(*headings: str, title: str | None = None) -> Table:
 
 
 def progress_bar() -> Progress:
-    """A progress bar on stderr, gone when it is done; it shows nothing where stderr is no terminal."""
+    """Return a progress bar on stderr, gone when it is done; it shows nothing where stderr is no terminal."""
+    # On stderr, so that results on stdout can be piped.
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
@@ -64,17 +66,17 @@ def write_json(path: Path | None, values: Any) -> None:
 
 
 def print_heading(console: Console, title: str, text: str) -> None:
-    """A title in bold, and a text after it."""
+    """Print a title in bold, and a text after it."""
     console.print(Text.assemble((title, "bold"), f": {text}"))
 
 
 def print_line(console: Console, label: str, value: str) -> None:
-    """A label in bold, and a value after it."""
+    """Print a label in bold, and a value after it."""
     console.print(Text.assemble((label, "bold"), f": {value}"))
 
 
 def print_rows(console: Console, left: str, right: str, rows: Iterable[tuple[str, Any]]) -> None:
-    """A table of two columns."""
+    """Print a table of two columns."""
     table = new_table(left, right)
     for key, value in rows:
         table.add_row(key, Text(str(value)))

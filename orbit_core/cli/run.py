@@ -1,19 +1,158 @@
-"""``orbit run``: a task's episodes, and how they went."""
+"""``orbit run``: run the episodes of a task and report success, metrics, return and speed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
+from orbit_core.backends import versions_of
+from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.runner import RunResult, run
-from orbit_core.cli.settings import RunSettings
-from orbit_core.rollout.estimates import Statistic
+from orbit_core.cli.settings import RunSettings, check_output, check_positive, check_size, parse_settings
+from orbit_core.rollout.estimates import Estimate, Statistic, statistic
+from orbit_core.rollout.stepping import EpisodeCounter, Episodes, Pace, ReachWatch, StepObserver, roll_out
 
-_TOLD_SHARE = 0.01
-"""Of looks at what hands are asked for, how many must find it out of reach for the table to tell."""
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from orbit_core.envs.environment import Environment, EpisodeEnd
+    from orbit_core.envs.premises import PremiseCheck
+    from orbit_core.rollout.video import VideoRecorder
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """Result of a run."""
+
+    task: str
+    backend: str
+    robot: str
+    action: str
+    agent: str
+    seed: int
+    num_envs: int
+    versions: dict[str, str]
+    """Versions of ORBIT, of what the backend depends on, of torch and of Python."""
+    episodes: int
+    success_rate: Estimate
+    """Success rate in [0, 1], with its 95 % interval."""
+    metrics: dict[str, Statistic]
+    """Means and deviations of the task's metrics by name; the first leads."""
+    episode_return: Statistic
+    episode_steps: Statistic
+    premises: tuple[PremiseCheck, ...]
+    """Premises of the task about an episode's start, and the number of sampled starts in which each failed."""
+    out_of_reach: float
+    """In [0, 1]: of looks at what hands were asked for, those that found it out of reach."""
+    farthest_out_of_reach: float
+    """m by which the nearest pose missed it, at most."""
+    env_steps_per_second: float
+    """Steps of single environments over the time spent acting and stepping; building and filming left out."""
+    wall_seconds: float
+    """Seconds from the settings to the result, building and filming included."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all fields for a file, the rate's interval apart, and ``metric``, the leading one with its name."""
+        # Tasks state their leading metric first.
+        name, leading = next(iter(self.metrics.items()))
+        rate = self.success_rate
+        success = {"success_rate": rate.value, "success_interval": [rate.low, rate.high]}
+        return {**asdict(self), **success, "metric": {"name": name, **asdict(leading)}}
+
+
+Progress = Callable[[int, float], None]
+"""Takes the number of episodes counted so far and, in [0, 1], how much of the video is filmed."""
+
+
+def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: None) -> RunResult:
+    """Build the environment, run the episodes and sum them up.
+
+    Args:
+        settings: what to run.
+        progress: called after each step.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    # All settings are checked before the environment is built, which may take minutes.
+    check_actor(settings.agent)
+    check_positive("episodes", settings.episodes)
+    check_output(settings.json, ".json", settings.overwrite)
+    check_output(settings.video, ".mp4", settings.overwrite)
+    check_size("video_size", settings.video_size)
+    start = time.perf_counter()
+    environment = make_environment(settings, settings.num_envs)
+    try:
+        episodes, pace, reach = _episodes(environment, settings, progress)
+    finally:
+        environment.close()
+    return RunResult(
+        task=settings.task or "",
+        backend=environment.world.backend,
+        robot=environment.task.robot,
+        action=environment.task.action,
+        agent=settings.agent,
+        seed=settings.seed,
+        num_envs=settings.num_envs,
+        versions=versions_of(environment.world.backend, settings.renderer),
+        episodes=len(episodes.env_ids),
+        success_rate=episodes.success_rate,
+        metrics={name: statistic(values.tolist()) for name, values in episodes.metrics.items()},
+        episode_return=statistic(episodes.returns.tolist()),
+        episode_steps=statistic(episodes.steps.tolist()),
+        premises=environment.premises.checks,
+        out_of_reach=reach.share,
+        farthest_out_of_reach=reach.farthest,
+        env_steps_per_second=pace.env_steps_per_second,
+        wall_seconds=time.perf_counter() - start,
+    )
+
+
+class _ProgressReporter(StepObserver):
+    """Reports the progress of a run."""
+
+    def __init__(self, counter: EpisodeCounter, recorder: VideoRecorder | None, progress: Progress) -> None:
+        self._counter = counter
+        self._recorder = recorder
+        self._progress = progress
+
+    def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
+        self._progress(self._counter.counted, 0.0 if self._recorder is None else self._recorder.filmed)
+
+
+def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Episodes, Pace, ReachWatch]:
+    """Step until every environment's share of the episodes is in."""
+    counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device)
+    actor = make_actor(settings.agent, environment, settings.seed)
+    reach = ReachWatch(environment)
+    # Seeded last, so that draws made while building do not change the episodes.
+    environment.reset(settings.seed)
+    with _video(environment, settings) as recorder:
+        # The recorder is the first observer: it films the state before the step.
+        filming = () if recorder is None else (recorder,)
+        observers = (*filming, counter, reach, _ProgressReporter(counter, recorder, progress))
+        pace = roll_out(environment, actor, observers, lambda: counter.complete)
+    return counter.episodes(), pace, reach
+
+
+def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:
+    """Return the recorder of the video that the settings ask for, or None."""
+    # The encoder is optional, and imported only for a video.
+    if settings.video is None:
+        return nullcontext()
+    from orbit_core.rollout.video import VideoRecorder
+
+    width, height = settings.video_size
+    return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
+
+
+# Share of looks at hands' targets that must find one out of reach for the table to report it
+_REPORTED_SHARE = 0.01
 
 
 def main(words: Sequence[str]) -> None:
@@ -45,11 +184,11 @@ def _table(result: RunResult) -> Table:
         table.add_row(name, _words(metric))
     for check in result.premises:
         if check.failed:
-            told = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"
-            table.add_row(f"premise '{check.name}'", told)
-    if result.out_of_reach >= _TOLD_SHARE:
-        told = f"in {100.0 * result.out_of_reach:.0f} % of looks, by up to {result.farthest_out_of_reach:.2f} m"
-        table.add_row("poses asked for out of reach", told)
+            failures = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"
+            table.add_row(f"premise '{check.name}'", failures)
+    if result.out_of_reach >= _REPORTED_SHARE:
+        looks = f"in {100.0 * result.out_of_reach:.0f} % of looks, by up to {result.farthest_out_of_reach:.2f} m"
+        table.add_row("poses asked for out of reach", looks)
     table.add_row("return", _words(result.episode_return))
     table.add_row("episode steps", _words(result.episode_steps))
     table.add_row("environment steps per second", f"{result.env_steps_per_second:,.0f}")

@@ -1,13 +1,26 @@
-"""What the commands take, as dataclasses: from them come the command line's options and a TOML file's keys."""
+"""Settings of the commands: dataclasses, from which the options and the keys of TOML files come, and their checks.
+
+The command line wins over a TOML file, and a TOML file over defaults.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import dataclasses
+import io
+import os
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar, get_type_hints
 
+import tyro
 from tyro.conf import Positional, Suppress, UseAppendAction, arg
+
+from orbit_core.configuration import configured, field_types, read_toml
+from orbit_core.files import storage_faults, sweep
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 
 Name = Annotated[str | None, arg(metavar="NAME")]
 File = Annotated[Path | None, arg(metavar="FILE")]
@@ -16,8 +29,9 @@ KeyValues = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentSettings:
-    """Which task, and how it is simulated."""
+    """Settings of an environment: task, robot, backend and the like."""
 
+    # None and not required: a TOML file may name the task.
     task: Annotated[Positional[str | None], arg(metavar="TASK")] = None
     """Name of a task ('orbit list tasks'); may stand in the file instead."""
     backend: Name = None
@@ -77,55 +91,13 @@ class RunSettings(EnvironmentSettings):
     """Write the result here."""
     video: File = None
     """Write an mp4 of the first episode of up to four environments here."""
+    # Multiples of 16, an encoder's macroblock.
     video_size: tuple[int, int] = (400, 304)
     """Width and height of an environment's picture in the video, multiples of 16."""
     frames: bool = False
     """Draw axes in the video at the robot's base, end effectors, finger tips, feet and wheels."""
     overwrite: bool = False
     """Replace files of those names that are there already."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlaySettings(RunSettings):
-    """Run a learned policy's task with it, on any backend, and report success, metrics, return and speed."""
-
-    policy: Annotated[Positional[Path], arg(metavar="POLICY")]
-    """File policy_<iteration>.safetensors or .onnx, the folder of a training, which stands for its last, or a kept
-    policy's name ('orbit list policies')."""
-    task: Name = None
-    """Another task than the one it was learned for."""
-    agent: Suppress[str] = ""
-    """The policy."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewSettings(EnvironmentSettings):
-    """Watch a task live in the browser."""
-
-    num_envs: int = 1
-    """Environments stepped together."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
-    """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
-    host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines watch."""
-    port: int = 8080
-    """Port to listen on."""
-    frames: bool = False
-    """Draw axes at the robot's base, end effectors, finger tips, feet and wheels; the panel has a switch for it."""
-    max_steps: Annotated[int | None, arg(metavar="INT")] = None
-    """Stop after that many steps; run until interrupted if left out."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraspSettings(EnvironmentSettings):
-    """Have an arm grasp what you choose, in the browser."""
-
-    host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines take part."""
-    port: int = 8080
-    """Port to listen on."""
-    max_steps: Annotated[int | None, arg(metavar="INT")] = None
-    """Stop after that many steps; run until interrupted if left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,3 +114,136 @@ class BenchSettings(EnvironmentSettings):
     """Draw the figures here, as PNG."""
     overwrite: bool = False
     """Replace files of those names that are there already."""
+
+
+def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
+    """Refuse a file that could not be written, or is there already, before the work whose result it is to hold.
+
+    What a program that was killed has left in its folder is deleted.
+    """
+    if path is None:
+        return
+    if path.suffix != suffix:
+        raise ConfigurationError(f"the name of output file {path} must end in {suffix}")
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"cannot write {path}: there is no folder {path.parent}")
+    # Tested now: a command should not fail after an hour of work.
+    if not os.access(path.parent, os.W_OK):
+        raise ConfigurationError(f"cannot write {path}: folder {path.parent} is read-only for this user")
+    if path.is_dir():
+        raise ConfigurationError(f"cannot write {path}: it is a folder")
+    if path.exists() and not path.is_file():
+        raise ConfigurationError(f"cannot write {path}: it is no regular file")
+    if path.exists() and not overwrite:
+        raise ConfigurationError(f"{path} is there already: give another name, or --overwrite")
+    sweep(path.parent)
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder that an output file is to lie in.
+
+    Raises:
+        StorageError: it cannot be made.
+    """
+    with storage_faults(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+
+def check_port(name: str, port: int) -> None:
+    """Refuse what is no port."""
+    if not 0 <= port <= 65535:
+        raise ConfigurationError(f"{name} must be from 0 to 65535, not {port}")
+
+
+def check_positive(name: str, value: int) -> None:
+    """Refuse a number below one."""
+    if value < 1:
+        raise ConfigurationError(f"{name} must be at least 1, not {value}")
+
+
+def check_steps(max_steps: int | None) -> None:
+    """Refuse a limit of steps below one."""
+    if max_steps is not None:
+        check_positive("max_steps", max_steps)
+
+
+def check_size(name: str, size: tuple[int, ...]) -> None:
+    """Refuse what is no width and height; a file's list may have any length."""
+    if len(size) != 2:
+        raise ConfigurationError(f"{name} must be a width and a height, not {list(size)}")
+
+
+_Settings = TypeVar("_Settings", bound=EnvironmentSettings)
+_Parsed = TypeVar("_Parsed")
+
+# A file has tables ([fields], [settings] ...) in place of these, and names no other file.
+_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
+
+
+def parse_settings(settings_type: type[_Settings], words: Sequence[str], program: str) -> _Settings:
+    """Return settings from the words of the command line, and from the file that they name.
+
+    Raises:
+        ConfigurationError: the file is not readable or not TOML, or a value is not of its key's type.
+        UnknownNameError: an option or a key of the file is unknown; names the nearest.
+    """
+    settings = parse_words(settings_type, words, program)
+    # Parsed twice: the first time finds the file, whose values are the defaults of the second.
+    if settings.config is None:
+        return settings
+    return parse_words(settings_type, words, program, read_file(settings_type, settings.config))
+
+
+def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default: Any = None) -> _Parsed:
+    """Return a dataclass from the words of the command line alone."""
+    _check_options(kind, words, program)
+    complaint = io.StringIO()
+    try:
+        # tyro offers no other way to its messages than a box on stderr and an exit.
+        with contextlib.redirect_stderr(complaint):
+            parsed, unknown = tyro.cli(kind, args=words, prog=program, default=default, return_unknown_args=True)
+    except SystemExit as stop:
+        if not stop.code:  # the help was printed
+            raise
+        raise ConfigurationError(f"{_one_line(complaint.getvalue())} ({program} --help)") from None
+    if unknown:
+        raise ConfigurationError(f"unexpected argument '{unknown[0]}' ({program} --help)")
+    return parsed
+
+
+def read_file(settings_type: type[_Settings], path: Path) -> _Settings:
+    """Return the settings of a TOML file over the defaults of ``settings_type``."""
+    values = read_toml(path, "configuration file")
+    known = field_types(settings_type).keys() - {*_COMMAND_LINE_ONLY}
+    for key in values.keys() - known:
+        raise UnknownNameError("key", key, known, f"configuration file {path}")
+    return configured(settings_type(), values, f"configuration file {path}", "key")
+
+
+def _check_options(kind: type, words: Sequence[str], program: str) -> None:
+    """Refuse an option that the dataclass does not have, with the nearest that it has."""
+    known = {f"--{name.replace('_', '-')}" for name, hint in _hints(kind).items() if _is_option(hint)}
+    known.add("--help")
+    for word in words:
+        # tyro takes underscores and dashes alike.
+        option = word.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in known:
+            raise UnknownNameError("option", option, known, program)
+
+
+def _one_line(complaint: str) -> str:
+    """Return the sentence inside the box that tyro draws around its complaint, without title and hint."""
+    text = [line for line in complaint.splitlines() if not line.startswith(("╭", "╰"))]
+    sentence = " ".join(re.split(r"─{3,}", "\n".join(text))[0].replace("│", " ").split())
+    return sentence.rstrip(".") or "malformed command line"
+
+
+def _hints(kind: type) -> dict[str, Any]:
+    """Return the types of a dataclass's fields, with the parser's marks."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+def _is_option(hint: Any) -> bool:
+    marks = getattr(hint, "__metadata__", ())
+    return tyro.conf.Positional not in marks and tyro.conf.Suppress not in marks

@@ -11,14 +11,14 @@ from types import FrameType
 from typing import Any
 
 _NUMBERS = (signal.SIGTERM, signal.SIGINT)
+# s from one raise of the exception to the next, where something has swallowed it
 _PATIENCE = 1.0
-"""s from one raise of the exception to the next, where something has swallowed it."""
+# What ``signal.signal`` takes and returns
 _Handler = Any
-"""What ``signal.signal`` takes and returns."""
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM came. It passes wherever an interrupt passes."""
+    """SIGTERM came. It is raised as an interrupt is."""
 
 
 class EndRequest:
@@ -26,7 +26,7 @@ class EndRequest:
 
     SIGTERM raises :class:`Terminated` and the interrupt key KeyboardInterrupt. Libraries swallow exceptions, be it by
     an ``except`` for all kinds or in a finalizer: where that happens, the exception is raised again a second later.
-    From the first request on the system handles both signals, so that a second one ends the process whatever it does.
+    From the first request on the system handles both signals, so that a second one ends the process in any case.
     """
 
     exit_code: int | None = None
@@ -98,5 +98,5 @@ def _native() -> Any:
     return call
 
 
+# Installs a handler of a signal for one call; the GNU C library has it
 _sysv_signal = _native()
-"""Installs a handler of a signal for one call; the GNU C library has it."""

@@ -1,7 +1,7 @@
-"""What callers hand to a world: looked at once, here, before any engine sees it.
+"""Checks of the arguments that callers give to a world, made once, before any engine sees them.
 
-Types, shapes, dtypes and devices are always checked, for Python knows them. Numbers are looked at where that is free:
-on a CPU, outside of a traced step. On a GPU to look would be to wait for the device.
+Types, shapes, dtypes and devices are always checked: Python knows them. Values are checked where that is free, on a CPU
+outside of a traced step. On a GPU a check of values would wait for the device.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ MOST_ENVIRONMENTS = 2**31 - 1  # engines count in 32 bits
 MOST_STEPS = 1_000_000
 """Physics steps in one call, which nothing interrupts before its end."""
 _LARGEST_SEED = 2**63 - 1  # seeds are hashed as signed 64-bit integers
+# Largest difference of a quaternion's length from 1: engines take care of what is rounded
 _UNIT = 1e-3
-"""Largest difference of a quaternion's length from 1: engines take care of what is rounded."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Numbers that are let in: from ``least`` to ``most``."""
+    """Range of accepted numbers, from ``least`` to ``most``."""
 
     least: float
     most: float
@@ -34,10 +34,11 @@ class Bounds:
 
     @staticmethod
     def either_way(most: float, unit: str = "") -> Bounds:
-        """Bounds from -``most`` to ``most``."""
+        """Return bounds from -``most`` to ``most``."""
         return Bounds(-most, most, unit)
 
 
+# Bounds are far beyond any robot: they catch mistakes of units and NaN, not unusual tasks.
 FINITE = Bounds.either_way(torch.finfo(torch.float32).max)
 POSITIONS = Bounds.either_way(MAX_DISTANCE, "m or rad")
 VELOCITIES = Bounds.either_way(MAX_SPEED, "m/s or rad/s")
@@ -52,11 +53,12 @@ COLORS = Bounds(0.0, 1.0)
 
 
 def whole_number(value: object, what: str, least: int, most: int) -> int:
-    """``value``, where it is a whole number from ``least`` to ``most``; NumPy's count, true and false do not.
+    """Return ``value`` if it is a whole number from ``least`` to ``most``; NumPy's count, true and false do not.
 
     Raises:
         ArgumentError: it is not.
     """
+    # The common case first: this runs at every call.
     if type(value) is int and least <= value <= most:
         return value
     if isinstance(value, bool) or not isinstance(value, numbers.Integral):
@@ -70,7 +72,7 @@ def whole_number(value: object, what: str, least: int, most: int) -> int:
 
 
 def seed_number(seed: object) -> int:
-    """A seed of random streams: 0 to 2^63 - 1.
+    """Return a seed of random streams: 0 to 2^63 - 1.
 
     Raises:
         ArgumentError: it is none.
@@ -79,7 +81,7 @@ def seed_number(seed: object) -> int:
 
 
 def usable_device(device: object) -> torch.device:
-    """A device of torch's that is there, with its index.
+    """Return a device of torch's that is there, with its index.
 
     Raises:
         ConfigurationError: it is none, or not there.
@@ -92,7 +94,7 @@ def usable_device(device: object) -> torch.device:
 
 
 def columns_chosen(chosen: Iterable[int], count: int, what: str) -> tuple[int, ...]:
-    """Indices of joints or links of an entity that has ``count`` of them.
+    """Return indices of joints or links of an entity that has ``count`` of them.
 
     Raises:
         ArgumentError: one is no index, out of range or there twice.
@@ -159,7 +161,7 @@ def check_indices(env_ids: Tensor, num_envs: int) -> None:
 
 
 def as_floats(value: object, device: torch.device, what: str) -> Tensor:
-    """Numbers as float32 that carry no gradient; float64 and integers are converted.
+    """Return numbers as float32 that carry no gradient; float64 and integers are converted.
 
     Raises:
         ArgumentError: it is no dense tensor of real numbers on ``device``; says what to do.
@@ -188,7 +190,7 @@ def check_shape(value: Tensor, expected: tuple[int, ...], what: str) -> None:
 
 
 def check_numbers(value: Tensor, bounds: Bounds, what: str, env_ids: Tensor | None = None) -> None:
-    """Refuse NaN and what lies outside of the bounds; on a GPU nothing is looked at.
+    """Reject NaN and numbers out of bounds; on a GPU no value is checked.
 
     Args:
         value: (n, ...) numbers of n environments.
@@ -202,15 +204,16 @@ def check_numbers(value: Tensor, bounds: Bounds, what: str, env_ids: Tensor | No
     """
     if value.device.type != "cpu" or not value.numel():
         return
+    # One reduction for both bounds and NaN, instead of one each.
     least, most = torch.aminmax(value)  # both are NaN where anything is
     if not (bounds.least <= float(least) and float(most) <= bounds.most):
         _refuse_number(value, bounds, what, env_ids)
 
 
 def check_quaternions(poses: Tensor, what: str, env_ids: Tensor | None = None) -> None:
-    """Refuse poses (n, 7) whose quaternions are not of length 1; on a GPU nothing is looked at.
+    """Reject poses (n, 7) whose quaternions are not of length 1; on a GPU no value is checked.
 
-    They are not scaled here, for a wrong length tells of a mistake: angles in their place, or an average.
+    They are not scaled here: a wrong length is a sign of a mistake, such as angles in their place, or an average.
 
     Raises:
         ArgumentError: a quaternion of another length; names the environment.
@@ -229,7 +232,7 @@ def check_quaternions(poses: Tensor, what: str, env_ids: Tensor | None = None) -
 
 def _refuse_number(value: Tensor, bounds: Bounds, what: str, env_ids: Tensor | None) -> None:
     wrong = (~((value >= bounds.least) & (value <= bounds.most))).nonzero()
-    if not len(wrong):  # a bound itself, which in single precision lies beside that in double
+    if not len(wrong):  # a bound itself, which is rounded in single precision
         return
     row, *rest = (int(index) for index in wrong[0])
     number = float(value[(row, *rest)])

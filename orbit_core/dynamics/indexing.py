@@ -32,7 +32,7 @@ Columns = slice | Tensor
 
 
 def columns_of(indices: Sequence[int], device: torch.device) -> Columns:
-    """Indices as a slice where they stand in a row, since a view costs less than a gather; else a tensor (k,)."""
+    """Return indices as a slice if they are consecutive, since a view costs less than a gather; else a tensor (k,)."""
     first = indices[0] if indices else 0
     if list(indices) == list(range(first, first + len(indices))):
         return slice(first, first + len(indices))
@@ -40,18 +40,19 @@ def columns_of(indices: Sequence[int], device: torch.device) -> Columns:
 
 
 def write_block(target: Tensor, columns: Columns, values: Tensor, env_ids: Tensor | None) -> None:
-    """As :func:`write_rows`, to some columns alone."""
+    """Write rows as :func:`write_rows` does, in some columns only."""
     if is_mask(env_ids):
         values, env_ids = torch.where(env_ids[:, None], values, target[:, columns]), None
     if env_ids is None:
         target[:, columns] = values
     else:
+        # Indices of rows and of columns broadcast against each other only with one more dimension.
         target[env_ids if isinstance(columns, slice) else env_ids[:, None], columns] = values
 
 
 @dataclass(slots=True)
 class Choice:
-    """The environments that a call is for, and what values for them must be."""
+    """Environments that a call is for, and checks of the values that come with it."""
 
     rows: Tensor | None
     """Indices (n,), a mask (N,) bool within a traced step, None for all: what an engine is given."""
@@ -59,12 +60,12 @@ class Choice:
     """Rows that are given of each value."""
     device: torch.device
     taken: bool = False
-    """Whether values are given for all environments, and those of ``rows`` are to be taken."""
+    """True if values have N rows and must be indexed by ``rows``."""
     seen: bool = True
-    """Whether numbers may be looked at."""
+    """True if values of tensors may be checked."""
 
     def values(self, value: Tensor, shape: tuple[int, ...], what: str, bounds: Bounds) -> Tensor:
-        """Numbers (n, *shape) as an engine takes them: float32, on the device, without gradient.
+        """Return numbers (n, *shape) as an engine takes them: float32, on the device, without gradient.
 
         Raises:
             ArgumentError: another type, dtype or device, or out of bounds.
@@ -80,7 +81,7 @@ class Choice:
         return value
 
     def indices(self, value: Tensor, shape: tuple[int, ...], what: str, least: int, most: int) -> Tensor:
-        """Indices (n, *shape) int64 from ``least`` to ``most``, on the device.
+        """Return indices (n, *shape) int64 from ``least`` to ``most``, on the device.
 
         Raises:
             ArgumentError: another type or device, or out of bounds.
@@ -95,7 +96,7 @@ class Choice:
         return value
 
     def poses(self, pose: Tensor, what: str) -> Tensor:
-        """Poses (n, 7); errors as of :meth:`values`, and for quaternions that are not of length 1."""
+        """Return poses (n, 7); errors as of :meth:`values`, and for quaternions that are not of length 1."""
         pose = self.values(pose, (7,), what, POSITIONS)
         if self.seen:
             check_quaternions(pose, what, self.rows)
@@ -103,7 +104,7 @@ class Choice:
 
 
 class Masking:
-    """Which environments a call is for, checked; and while a mask is set, those of the mask alone.
+    """Checked selection of the environments that a call is for; while a mask is set, only those of the mask.
 
     Under a mask, what is written or drawn for all environments counts for those of the mask: code which takes indices
     runs without knowing how many there are, for it is given all of them.
@@ -113,15 +114,16 @@ class Masking:
         self.mask: Tensor | None = None
         """(N,) bool"""
         self.traced = False
-        """Whether a step is being traced: nothing may look at what tensors hold."""
+        """True while a step is traced: no code may read the values of tensors then."""
         self._num_envs = num_envs
         self._device = device
+        # Indices that were found good, and their version, for one choice goes through many calls
         self._known: tuple[Tensor, int] | None = None
-        """Indices that were found good, and their version, for one choice goes through many calls."""
 
     @contextmanager
     def only(self, mask: Tensor | None) -> Iterator[None]:
         """Set a mask, in the place of one that is set; None lifts it."""
+        # Masks nest: an event under a mask may reset a part of its environments.
         before, self.mask = self.mask, mask
         try:
             yield
@@ -129,15 +131,15 @@ class Masking:
             self.mask = before
 
     def choose(self, env_ids: Tensor | None) -> Choice:
-        """What a call for ``env_ids`` is meant for: they themselves, or the mask that is set.
+        """Return the selection for ``env_ids``, or for the mask that is set.
 
-        A mask that a caller gives comes with values of all environments; outside of a traced step it stands for
-        its environments' indices.
+        A mask that a caller gives comes with values of all environments; outside of a traced step it is converted to
+        indices.
 
         Raises:
             ArgumentError: no environments: of another type, dtype or device, out of range, or one twice.
             ShapeError: no vector, or a mask of another length.
-            ConfigurationError: the call is for a choice of its own, under a mask.
+            ConfigurationError: the call selects other environments while a mask is set.
         """
         mask = self.mask
         if mask is None:
@@ -151,7 +153,7 @@ class Masking:
         return Choice(mask, self._num_envs, self._device, seen=False)
 
     def rows(self, env_ids: Tensor | None) -> Tensor | None:
-        """As :meth:`choose`, where no values come with the call."""
+        """Return the rows of :meth:`choose`, for calls without values."""
         if env_ids is None:
             return self.mask
         return self.choose(env_ids).rows

@@ -8,20 +8,53 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_multiply, quat_from_matrix, quat_rotate, quat_to_matrix
-from orbit_core.dynamics.tree import FloatArray, child_links, joint_ancestry, parent_links
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.scene import Articulation, Joint, JointType
+
+BoolArray = npt.NDArray[np.bool_]
+FloatArray = npt.NDArray[np.float64]
+
+
+def parent_links(articulation: Articulation) -> list[int]:
+    """Return the parent's index of each link (L,); the root's is -1."""
+    index = {name: i for i, name in enumerate(articulation.link_names)}
+    parents = [-1] * len(index)
+    for joint in articulation.joints:
+        parents[index[joint.child]] = index[joint.parent]
+    return parents
+
+
+def child_links(articulation: Articulation) -> list[int]:
+    """Return the link that each movable joint (J,) moves."""
+    index = {name: i for i, name in enumerate(articulation.link_names)}
+    return [index[joint.child] for joint in articulation.movable_joints]
+
+
+def link_ancestry(articulation: Articulation) -> BoolArray:
+    """Return a mask (L, L): True where the column's link is on the path from the root to the row's, ends included."""
+    parents = parent_links(articulation)
+    ancestry = np.eye(len(parents), dtype=bool)
+    for link, parent in enumerate(parents):
+        if parent >= 0:  # links stand in topological order, so the parent's row is complete
+            ancestry[link] |= ancestry[parent]
+    return ancestry
+
+
+def joint_ancestry(articulation: Articulation) -> BoolArray:
+    """Return a mask (L, J): True where the column's movable joint moves the row's link."""
+    return link_ancestry(articulation)[:, child_links(articulation)]
 
 
 class PointJacobian:
     """The geometric Jacobian of a point on one link, from link poses that are already known.
 
     A rotated vector is linear in the products of the quaternion's components, so one matrix product takes the poses
-    of the joints' child links to all axes and origins at once: few kernel launches, whatever the number of joints.
+    of the joints' child links to all axes and origins at once: few kernel launches for any number of joints.
     Columns of joints that do not move the link are zero. A mimic joint has its own column, as if it were free; see
     :func:`mimic_matrix`.
 
@@ -45,9 +78,11 @@ class PointJacobian:
         moves = joint_ancestry(articulation)[link]
         movable = articulation.movable_joints
         self._links = torch.tensor([children[j] for j in joints], dtype=torch.int64, device=device)
+        # Arms without prismatic joints save a third of the product.
         self._prismatic = any(moves[j] and movable[j].type is JointType.PRISMATIC for j in joints)
         constants = np.zeros((len(joints), 16, 9 if self._prismatic else 6))
         for column, index in enumerate(joints):
+            # A column of zeros for a joint beyond the link, so that the Jacobian keeps the shape that was asked for.
             if not moves[index]:
                 continue
             axis, origin = _axis_in_child(movable[index]), np.asarray(movable[index].child_pose.position)
@@ -84,6 +119,7 @@ class FixedFrame:
         right = [[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]]
         self._position = torch.as_tensor(_rotated(position), dtype=torch.float32, device=device)
         self._rotation = torch.tensor(right, dtype=torch.float32, device=device)
+        # copysign needs a tensor; a constant is made once and not at each call.
         self._one = torch.ones(1, device=device)
 
     def __call__(self, link_pose: Tensor) -> Tensor:
@@ -129,7 +165,7 @@ class KinematicTree:
         self._jacobians: dict[str, PointJacobian] = {}
 
     def forward(self, root_pose: Tensor, joint_positions: Tensor) -> Tensor:
-        """Link poses (N, L, 7), w >= 0, from the root link's pose (N, 7) and joint positions (N, J).
+        """Return link poses (N, L, 7), w >= 0, from the root link's pose (N, 7) and joint positions (N, J).
 
         Each joint's transform is ``C0 + sin(q) C1 + (1 - cos(q)) C2 + q C3`` with constant matrices (Rodrigues'
         formula), so that all of them are made at once and only the products down the tree are a loop.
@@ -140,13 +176,14 @@ class KinematicTree:
         moved = torch.einsum("njt,jtab->njab", terms, self._varying)
         local = self._constant + torch.einsum("jl,njab->nlab", self._places, moved)
         transforms = [torch.cat((upper, self._last_row.expand(root_pose.shape[0], 1, 4)), 1)]
+        # The only loop: a parent's transform must be known before its children's.
         for link in range(1, len(self._parents)):
             transforms.append(transforms[self._parents[link]] @ local[:, link])
         stacked = torch.stack(transforms, 1)
         return torch.cat((stacked[..., :3, 3], quat_from_matrix(stacked[..., :3, :3])), -1)
 
     def motion_subspaces(self, link_poses: Tensor, origin: Tensor) -> Tensor:
-        """(N, J, 6) twist that unit velocity of each joint gives the body point that is now at ``origin`` (N, 3).
+        """Return the twists (N, J, 6) that unit joint velocities give the body point now at ``origin`` (N, 3).
 
         Twists about one common point may be added.
         """
@@ -158,7 +195,7 @@ class KinematicTree:
         return torch.cat((linear, angular), -1)
 
     def link_velocities(self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
-        """(N, L, 6) of the link frames' origins, from poses (N, L, 7), the root's velocity (N, 6) and (N, J)."""
+        """Return (N, L, 6) of the link frames' origins, from poses (N, L, 7), the root's velocity (N, 6) and (N, J)."""
         origin = link_poses[:, 0, :3]
         joint_twists = self.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
         twists = root_velocity[:, None] + self._moves @ joint_twists
@@ -166,7 +203,7 @@ class KinematicTree:
         return torch.cat((linear + torch.linalg.cross(angular, link_poses[..., :3] - origin[:, None]), angular), -1)
 
     def frame_pose(self, link_poses: Tensor, frame: str) -> Tensor:
-        """(N, 7) of a link or named frame.
+        """Return (N, 7) of a link or named frame.
 
         Raises:
             UnknownNameError: no link or frame has that name.
@@ -175,14 +212,15 @@ class KinematicTree:
         return pose_multiply(link_poses[:, link], offset)
 
     def jacobian(self, link_poses: Tensor, frame: str, floating_base: bool = False) -> Tensor:
-        """(N, 6, J) of a link or named frame; (N, 6, 6 + J) with the floating base's columns first.
+        """Return (N, 6, J) of a link or named frame; (N, 6, 6 + J) with the floating base's columns first.
 
-        The base's columns stand for the linear velocity of the root frame's origin, then its angular velocity, both in
+        The base's columns are for the linear velocity of the root frame's origin, then its angular velocity, both in
         world axes.
 
         Raises:
             UnknownNameError: no link or frame has that name.
         """
+        # Made on first use: most of the frames of a robot are never asked for a Jacobian.
         if frame not in self._jacobians:
             columns = range(len(self.articulation.movable_joints))
             self._jacobians[frame] = PointJacobian(
@@ -193,7 +231,7 @@ class KinematicTree:
         return torch.cat((_base_columns(point - link_poses[:, 0, :3]), joints), -1) if floating_base else joints
 
     def frame_drift(self, link_poses: Tensor, joint_velocities: Tensor, frame: str) -> Tensor:
-        """(N, 6) :meth:`point_drifts` of the origin of a link or named frame.
+        """Return (N, 6) :meth:`point_drifts` of the origin of a link or named frame.
 
         Raises:
             UnknownNameError: no link or frame has that name.
@@ -203,10 +241,10 @@ class KinematicTree:
         return self.point_drifts(link_poses, joint_velocities, link, points).squeeze(1)
 
     def point_drifts(self, link_poses: Tensor, joint_velocities: Tensor, links: Tensor, points: Tensor) -> Tensor:
-        """(N, S, 6) acceleration of points of links while no joint accelerates, ``dJ/dt v``; the root is at rest.
+        """Return accelerations (N, S, 6) of links' points while no joint accelerates, ``dJ/dt v``; the root is at rest.
 
         Linear of the point, then angular of its link, world axes. Featherstone, Rigid Body Dynamics Algorithms, 2008,
-        section 2.10: velocity products, and what a moving point has besides its body's spatial acceleration.
+        section 2.10: velocity products, and the part of a moving point beyond its body's spatial acceleration.
 
         Args:
             link_poses: (N, L, 7).
@@ -219,7 +257,7 @@ class KinematicTree:
         return drift_at(twists[:, links], drifts[:, links], arms)
 
     def link_drifts(self, link_poses: Tensor, joint_velocities: Tensor) -> tuple[Tensor, Tensor]:
-        """Twist (N, L, 6) and, while no joint accelerates, spatial acceleration (N, L, 6) of all links.
+        """Return twist (N, L, 6) and, while no joint accelerates, spatial acceleration (N, L, 6) of all links.
 
         Both about the root's origin, of which :func:`drift_at` makes the acceleration of a point; the root is at rest.
         """
@@ -243,7 +281,7 @@ class KinematicTree:
 
 
 def drift_at(twist: Tensor, spatial: Tensor, arm: Tensor) -> Tensor:
-    """(..., 6) acceleration of a point at ``arm`` (..., 3) from the root's origin, then of its body's turning.
+    """Return (..., 6) acceleration of a point at ``arm`` (..., 3) from the root's origin, then of its body's turning.
 
     Of its body's twist and spatial acceleration (..., 6) about the root's origin.
     """
@@ -254,14 +292,14 @@ def drift_at(twist: Tensor, spatial: Tensor, arm: Tensor) -> Tensor:
 
 
 def cross_motion(twist: Tensor, motion: Tensor) -> Tensor:
-    """Rate of change (..., 6) of ``motion`` as it is carried along by ``twist``."""
+    """Return rate of change (..., 6) of ``motion`` as it is carried along by ``twist``."""
     linear, angular = twist[..., :3], twist[..., 3:]
     along = torch.linalg.cross(angular, motion[..., :3]) + torch.linalg.cross(linear, motion[..., 3:])
     return torch.cat((along, torch.linalg.cross(angular, motion[..., 3:])), -1)
 
 
 def mimic_matrix(articulation: Articulation) -> FloatArray:
-    """(J, J): joint velocities when only leaders are free, from all velocities; a follower's column is zero.
+    """Return (J, J): joint velocities when only leaders are free, from all velocities; a follower's column is zero.
 
     A law with higher powers counts by its slope where the leader is at zero.
     ``jacobian @ mimic_matrix`` folds the followers' columns into their leaders'.
@@ -271,6 +309,7 @@ def mimic_matrix(articulation: Articulation) -> FloatArray:
     for index, joint in enumerate(articulation.movable_joints):
         if joint.mimic is not None:
             matrix[index, index] = 0.0
+            # A follower moves with its leader, and has no velocity of its own.
             matrix[index, names.index(joint.mimic.joint)] = joint.mimic.slope(0.0)
     return matrix
 
@@ -281,10 +320,11 @@ def _axis_in_child(joint: Joint) -> FloatArray:
 
 
 def _rotated(vector: FloatArray) -> FloatArray:
-    """(16, 3): what the 16 products of a unit quaternion's components are multiplied with to rotate ``vector``.
+    """Return (16, 3): what the 16 products of a unit quaternion's components are multiplied with to rotate ``vector``.
 
     From ``R(w, u) = (w^2 - u.u) I + 2 u u^T + 2 w [u]``, [u] the matrix of the cross product.
     """
+    # Rows and columns are the quaternion's components, w first.
     result = np.zeros((4, 4, 3))
     result[0, 0] = vector
     for i, unit in enumerate(np.eye(3), start=1):
@@ -295,7 +335,7 @@ def _rotated(vector: FloatArray) -> FloatArray:
 
 
 def _base_columns(arm: Tensor) -> Tensor:
-    """(N, 6, 6): twist of the point at ``arm`` (N, 3) from the base's origin, per unit of the base's twist."""
+    """Return (N, 6, 6): twist of the point at ``arm`` (N, 3) from the base's origin, per unit of the base's twist."""
     columns = torch.eye(6, dtype=arm.dtype, device=arm.device).repeat(arm.shape[0], 1, 1)
     x, y, z = arm.unbind(-1)
     columns[:, 0, 4], columns[:, 0, 5] = z, -y
@@ -305,7 +345,7 @@ def _base_columns(arm: Tensor) -> Tensor:
 
 
 def _local_transforms(articulation: Articulation) -> tuple[FloatArray, FloatArray]:
-    """Each link's transform in its parent: the constant part (L, 4, 4), and of each movable joint (J, 3, 4, 4)."""
+    """Return the transform of each link in its parent: a constant (L, 4, 4), and the joints' factors (J, 3, 4, 4)."""
     index = {name: i for i, name in enumerate(articulation.link_names)}
     constant = np.tile(np.eye(4), (len(index), 1, 1))
     varying = np.zeros((len(articulation.movable_joints), 3, 4, 4))

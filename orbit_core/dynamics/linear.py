@@ -9,9 +9,9 @@ from torch import Tensor
 
 
 def solve_spd(matrix: Tensor, right: Tensor) -> Tensor:
-    """``matrix^-1 right`` (N, n, m) for symmetric positive definite matrices (N, n, n), by Cholesky's factors.
+    """Return ``matrix^-1 right`` (N, n, m) for symmetric positive definite matrices (N, n, n), by Cholesky's factors.
 
-    Where a matrix is not positive definite the result is not finite; nothing waits for the device to tell.
+    Where a matrix is not positive definite the result is not finite; no check waits for the device.
     """
     factors, _ = torch.linalg.cholesky_ex(matrix)
     # Two triangular solves, for a CUDA graph cannot record torch.cholesky_solve.

@@ -1,4 +1,4 @@
-"""One random stream per environment: environment i draws the same numbers whatever the number of environments."""
+"""One random stream per environment: environment i draws the same numbers for any number of environments."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _MIX_1 = -4658895280553007687  # 0xBF58476D1CE4E5B9
 _MIX_2 = -7723592293110705685  # 0x94D049BB133111EB
 
 Bound = float | tuple[float, ...] | Tensor
+# int64: NumPy's on the CPU, where an operation on few numbers costs a third of torch's; torch's elsewhere
 _Array = Any
-"""int64: NumPy's on the CPU, where an operation on few numbers costs a third of torch's; torch's elsewhere."""
 
 
 class RandomStreams:
@@ -34,12 +34,12 @@ class RandomStreams:
         self._envs: _Array = _array(torch.arange(num_envs, dtype=torch.int64, device=device))
         self._key: _Array = self._envs * 0
         self._episode: _Array = self._envs * 0
+        # What the last draw hashed: it starts at a hash of key and episode, and grows by the increment
         self._counter: _Array = self._envs * 0
-        """What the last draw hashed: it starts at a hash of key and episode, and grows by the increment."""
         self.seed(seed)
 
     def seed(self, seed: int, env_ids: Tensor | None = None) -> None:
-        """Start the streams of some environments anew from a seed, before their first episode.
+        """Restart the streams of some environments from a seed, before their first episode.
 
         Raises:
             ArgumentError: the seed is not 0 to 2^63 - 1, or ``env_ids`` are no environments.
@@ -76,7 +76,14 @@ class RandomStreams:
     def uniform(
         self, shape: tuple[int, ...], low: Bound = 0.0, high: Bound = 1.0, env_ids: Tensor | None = None
     ) -> Tensor:
-        """(n, *shape) float32 in [low, high); bounds are numbers, or tuples or tensors that broadcast to ``shape``."""
+        """Draw numbers (n, *shape), float32 in [low, high).
+
+        Args:
+            shape: of one environment's draw.
+            low: number, or tuple or tensor that broadcasts to ``shape``.
+            high: the same.
+            env_ids: environments that draw; all if None.
+        """
         # The top 24 bits fill a float32's mantissa exactly.
         bits = (self._bits(math.prod(shape), env_ids) >> 40) & 0xFFFFFF
         steps = torch.as_tensor(bits).to(torch.float32).view(-1, *shape)
@@ -84,17 +91,17 @@ class RandomStreams:
         return low + ((high - low) * 2.0**-24) * steps
 
     def normal(self, shape: tuple[int, ...], std: float | Tensor = 1.0, env_ids: Tensor | None = None) -> Tensor:
-        """(n, *shape) float32 of mean zero (Box and Muller, 1958)."""
+        """Return (n, *shape) float32 of mean zero (Box and Muller, 1958)."""
         u = self.uniform((2, *shape), env_ids=env_ids)
         radius = torch.sqrt(-2.0 * torch.log1p(-u[:, 0]))
         return std * radius * torch.cos(2.0 * math.pi * u[:, 1])
 
     def integers(self, low: int, high: int, env_ids: Tensor | None = None) -> Tensor:
-        """(n,) int64 in [low, high]."""
+        """Return (n,) int64 in [low, high]."""
         return low + (self.uniform((), env_ids=env_ids) * (high - low + 1)).to(torch.int64)
 
     def save_state(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Detached copy of all streams."""
+        """Return detached copy of all streams."""
         key, episode, counter = (own.clone() for own in self._tensors)
         return key, episode, counter
 
@@ -133,13 +140,13 @@ class RandomStreams:
 
 
 def _array(tensor: Tensor) -> _Array:
-    """The tensor's own memory."""
+    """Return the tensor's own memory."""
     return tensor.numpy() if tensor.device.type == "cpu" else tensor
 
 
 @functools.lru_cache(maxsize=64)
 def _increments(draws: int, device: torch.device) -> _Array:
-    """(draws + 1,) of the counter: zero first."""
+    """Return (draws + 1,) of the counter: zero first."""
     return _array(torch.arange(draws + 1, device=device) * _INCREMENT)
 
 

@@ -18,9 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.kinematics import KinematicTree, cross_motion
+from orbit_core.dynamics.kinematics import KinematicTree, child_links, cross_motion, joint_ancestry, link_ancestry
 from orbit_core.dynamics.transforms import quat_to_matrix
-from orbit_core.dynamics.tree import child_links, joint_ancestry, link_ancestry
 from orbit_core.scene import Articulation
 
 
@@ -55,6 +54,7 @@ class RigidBodyModel:
         ancestry = link_ancestry(articulation)
         children = [0] * base + child_links(articulation)
         moves = np.concatenate((np.ones((len(ancestry), base), dtype=bool), joint_ancestry(articulation)), axis=1)
+        # Actuator groups may override a joint's armature, hence the argument.
         own = [joint.armature for joint in joints] if armature is None else list(armature)
         self._children = torch.tensor(children, dtype=torch.int64, device=self.device)
         self._moves = self._tensor(moves[:, base:])
@@ -74,22 +74,22 @@ class RigidBodyModel:
     def equation_of_motion(
         self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """:meth:`mass_matrix` and :meth:`bias_forces`, with what they share computed once."""
+        """Return :meth:`mass_matrix` and :meth:`bias_forces`, with what they share computed once."""
         subspaces, inertias = self._subspaces(link_poses), self._spatial_inertias(link_poses)
         return self._mass_of(subspaces, inertias), self._bias_of(subspaces, inertias, root_velocity, joint_velocities)
 
     def mass_matrix(self, link_poses: Tensor) -> Tensor:
-        """(N, D, D), armature included, for link poses (N, L, 7)."""
+        """Return (N, D, D), armature included, for link poses (N, L, 7)."""
         return self._mass_of(self._subspaces(link_poses), self._spatial_inertias(link_poses))
 
     def gravity_forces(self, link_poses: Tensor) -> Tensor:
-        """(N, D) efforts that hold the articulation against gravity at rest."""
+        """Return (N, D) efforts that hold the articulation against gravity at rest."""
         weights = (-self._gravity * self._mass).expand(link_poses.shape[0], -1, 3)
         moments = torch.linalg.cross(self._centers(link_poses), weights)
         return self._project(self._subspaces(link_poses), torch.cat((weights, moments), -1))
 
     def bias_forces(self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
-        """(N, D) efforts at zero acceleration: Coriolis and centrifugal forces plus :meth:`gravity_forces`.
+        """Return (N, D) efforts at zero acceleration: Coriolis and centrifugal forces plus :meth:`gravity_forces`.
 
         Args:
             link_poses: (N, L, 7).
@@ -100,7 +100,7 @@ class RigidBodyModel:
         return self._bias_of(subspaces, inertias, root_velocity, joint_velocities)
 
     def _mass_of(self, subspaces: Tensor, inertias: Tensor) -> Tensor:
-        """(N, D, D) of subspaces (N, D, 6) and inertias (N, L, 12)."""
+        """Return (N, D, D) of subspaces (N, D, 6) and inertias (N, L, 12)."""
         composite = (self._subtree @ inertias)[:, self._children]
         forces = _momenta(self._composite_mass[self._children], composite, subspaces)
         products = subspaces @ forces.transpose(1, 2)
@@ -110,7 +110,7 @@ class RigidBodyModel:
         return upper + upper.transpose(1, 2) + torch.diag_embed(diagonal)
 
     def _bias_of(self, subspaces: Tensor, inertias: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
-        """(N, D)"""
+        """Return (N, D)"""
         root = torch.zeros_like(root_velocity) if self.fixed_base else root_velocity
         base = 0 if self.fixed_base else 6
         joint_twists = subspaces[:, base:] * joint_velocities[..., None]
@@ -123,24 +123,24 @@ class RigidBodyModel:
         return self._project(subspaces, inertial + _cross_force(twists, momenta))
 
     def _subspaces(self, link_poses: Tensor) -> Tensor:
-        """(N, D, 6) twist about the root's origin per unit of each generalized velocity."""
+        """Return (N, D, 6) twist about the root's origin per unit of each generalized velocity."""
         joints = self.kinematics.motion_subspaces(link_poses, link_poses[:, 0, :3])
         if self.fixed_base:
             return joints
         return torch.cat((torch.eye(6, dtype=self.dtype, device=self.device).expand(joints.shape[0], 6, 6), joints), 1)
 
     def _project(self, subspaces: Tensor, forces: Tensor) -> Tensor:
-        """(N, D) efforts that balance spatial forces (N, L, 6) on the links."""
+        """Return (N, D) efforts that balance spatial forces (N, L, 6) on the links."""
         carried = (self._subtree @ forces)[:, self._children]
         return (subspaces * carried).sum(-1)
 
     def _centers(self, link_poses: Tensor) -> Tensor:
-        """(N, L, 3) centres of mass from the root's origin, world axes."""
+        """Return (N, L, 3) centres of mass from the root's origin, world axes."""
         rotations = quat_to_matrix(link_poses[..., 3:])
         return link_poses[..., :3] - link_poses[:, :1, :3] + (rotations @ self._center.unsqueeze(-1)).squeeze(-1)
 
     def _spatial_inertias(self, link_poses: Tensor) -> Tensor:
-        """(N, L, 12) first moments of mass, then matrices of inertia, about the root's origin, world axes."""
+        """Return (N, L, 12) first moments of mass, then matrices of inertia, about the root's origin, world axes."""
         centers = self._centers(link_poses)
         spread = quat_to_matrix(link_poses[..., 3:]) @ self._spread
         heavy = self._root_mass * centers
@@ -154,7 +154,7 @@ class RigidBodyModel:
 
 
 def _momenta(mass: Tensor, inertias: Tensor, twists: Tensor) -> Tensor:
-    """(N, B, 6) of bodies with masses (B, 1) and inertias (N, B, 12), at twists (N, B, 6)."""
+    """Return (N, B, 6) of bodies with masses (B, 1) and inertias (N, B, 12), at twists (N, B, 6)."""
     first, second = inertias[..., :3], inertias[..., 3:].unflatten(-1, (3, 3))
     linear, angular = twists[..., :3], twists[..., 3:]
     moment = torch.linalg.cross(first, linear) + (second * angular.unsqueeze(-2)).sum(-1)
@@ -162,7 +162,7 @@ def _momenta(mass: Tensor, inertias: Tensor, twists: Tensor) -> Tensor:
 
 
 def _cross_force(twist: Tensor, force: Tensor) -> Tensor:
-    """Rate of change (..., 6) of a spatial force or momentum as it is carried along by ``twist``."""
+    """Return rate of change (..., 6) of a spatial force or momentum as it is carried along by ``twist``."""
     linear, angular = twist[..., :3], twist[..., 3:]
     moment = torch.linalg.cross(angular, force[..., 3:]) + torch.linalg.cross(linear, force[..., :3])
     return torch.cat((torch.linalg.cross(angular, force[..., :3]), moment), -1)

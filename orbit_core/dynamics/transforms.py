@@ -13,9 +13,10 @@ from torch import Tensor
 
 
 def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
-    """The rotation ``b`` followed by ``a``: (..., 4)."""
+    """Return the rotation ``b`` followed by ``a``: (..., 4)."""
     aw, av = a[..., :1], a[..., 1:]
     bw, bv = b[..., :1], b[..., 1:]
+    # torch.linalg.cross does not broadcast its arguments.
     av, bv = torch.broadcast_tensors(av, bv)
     w = aw * bw - (av * bv).sum(-1, keepdim=True)
     v = aw * bv + bw * av + torch.linalg.cross(av, bv)
@@ -23,12 +24,12 @@ def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
 
 
 def quat_conjugate(q: Tensor) -> Tensor:
-    """The inverse rotation of unit quaternions (..., 4)."""
+    """Return the inverse rotation of unit quaternions (..., 4)."""
     return torch.cat((q[..., :1], -q[..., 1:]), -1)
 
 
 def quat_rotate(q: Tensor, v: Tensor) -> Tensor:
-    """Vectors (..., 3) rotated by quaternions (..., 4)."""
+    """Return vectors (..., 3) rotated by quaternions (..., 4)."""
     w, u = q[..., :1], q[..., 1:]
     u, v = torch.broadcast_tensors(u, v)
     t = 2.0 * torch.linalg.cross(u, v)
@@ -36,7 +37,7 @@ def quat_rotate(q: Tensor, v: Tensor) -> Tensor:
 
 
 def quat_rotate_inverse(q: Tensor, v: Tensor) -> Tensor:
-    """Vectors (..., 3) rotated by the inverse of quaternions (..., 4): world axes to the frame's own."""
+    """Return vectors (..., 3) rotated by the inverse of quaternions (..., 4): world axes to the frame's own."""
     w, u = q[..., :1], q[..., 1:]
     u, v = torch.broadcast_tensors(u, v)
     t = 2.0 * torch.linalg.cross(u, v)
@@ -44,13 +45,13 @@ def quat_rotate_inverse(q: Tensor, v: Tensor) -> Tensor:
 
 
 def quat_canonical(q: Tensor) -> Tensor:
-    """The same rotations with w >= 0 and unit length."""
+    """Return the same rotations with w >= 0 and unit length."""
     q = q / q.norm(dim=-1, keepdim=True)
     return torch.where(q[..., :1] < 0, -q, q)
 
 
 def quat_to_matrix(q: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3)."""
+    """Return rotation matrices (..., 3, 3)."""
     w, x, y, z = q.unbind(-1)
     rows = (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -61,7 +62,7 @@ def quat_to_matrix(q: Tensor) -> Tensor:
 
 
 def quat_from_matrix(m: Tensor) -> Tensor:
-    """Quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3), by Shepperd's method: no small divisor."""
+    """Return quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3), by Shepperd's method: no small divisor."""
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     squares = torch.stack((1 + m00 + m11 + m22, 1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22), -1)
     wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
@@ -81,27 +82,28 @@ def quat_from_matrix(m: Tensor) -> Tensor:
 
 
 def quat_from_rotation_vector(v: Tensor) -> Tensor:
-    """Quaternions (..., 4) of rotation vectors (..., 3): axis times angle."""
+    """Return quaternions (..., 4) of rotation vectors (..., 3): axis times angle."""
     angle = v.norm(dim=-1, keepdim=True)
     # sinc keeps the limit at zero: sin(a/2)/a = sinc(a/2pi)/2.
     return torch.cat(((0.5 * angle).cos(), 0.5 * torch.sinc(angle / (2 * math.pi)) * v), -1)
 
 
 def quat_to_rotation_vector(q: Tensor) -> Tensor:
-    """Rotation vectors (..., 3), of length at most pi, of unit quaternions (..., 4)."""
+    """Return rotation vectors (..., 3), of length at most pi, of unit quaternions (..., 4)."""
     q = torch.where(q[..., :1] < 0, -q, q)
     sine = q[..., 1:].norm(dim=-1, keepdim=True)
     angle = 2.0 * torch.atan2(sine, q[..., :1])
+    # Near zero the quotient of angle and sine tends to 2; where evaluates both branches, so that both must be finite.
     return torch.where(sine > 1e-7, angle / sine.clamp_min(1e-12), torch.full_like(sine, 2.0)) * q[..., 1:]
 
 
 def rotation_angle(q: Tensor) -> Tensor:
-    """(...) rad in [0, pi] by which unit quaternions (..., 4) turn."""
+    """Return (...) rad in [0, pi] by which unit quaternions (..., 4) turn."""
     return quat_to_rotation_vector(q).norm(dim=-1)
 
 
 def quat_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
-    """Quaternions (..., 4) of ``Rz(yaw) Ry(pitch) Rx(roll)``."""
+    """Return quaternions (..., 4) of ``Rz(yaw) Ry(pitch) Rx(roll)``."""
     cr, sr, cp, sp = (0.5 * roll).cos(), (0.5 * roll).sin(), (0.5 * pitch).cos(), (0.5 * pitch).sin()
     cy, sy = (0.5 * yaw).cos(), (0.5 * yaw).sin()
     return torch.stack(
@@ -116,48 +118,48 @@ def quat_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
 
 
 def yaw_angle(q: Tensor) -> Tensor:
-    """Angles (...) in rad about z at which the x axes of rotations (..., 4) lie, seen from above."""
+    """Return angles (...) in rad about z at which the x axes of rotations (..., 4) lie, seen from above."""
     w, x, y, z = q.unbind(-1)
     return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def quat_yaw(q: Tensor) -> Tensor:
-    """The heading alone: rotations (..., 4) about z with the same yaw."""
+    """Return the heading alone: rotations (..., 4) about z with the same yaw."""
     yaw = yaw_angle(q)
     zero = torch.zeros_like(yaw)
     return torch.stack(((0.5 * yaw).cos(), zero, zero, (0.5 * yaw).sin()), -1)
 
 
 def quat_distance(a: Tensor, b: Tensor) -> Tensor:
-    """The angle (...) in radians between rotations."""
+    """Return the angle (...) in radians between rotations."""
     # The chord between the unit quaternions, and not the cosine of their angle, which is blind near zero in float32.
     chord = torch.minimum((a - b).norm(dim=-1), (a + b).norm(dim=-1))
     return 4.0 * torch.asin(0.5 * chord)
 
 
 def rotation_error(current: Tensor, target: Tensor) -> Tensor:
-    """The rotation vector (..., 3) in world axes that takes orientation ``current`` to ``target``."""
+    """Return the rotation vector (..., 3) in world axes that takes orientation ``current`` to ``target``."""
     return quat_to_rotation_vector(quat_multiply(target, quat_conjugate(current)))
 
 
 def pose_multiply(a: Tensor, b: Tensor) -> Tensor:
-    """Pose ``b``, given in frame ``a``, in the parent of ``a``: (..., 7), quaternion canonical."""
+    """Return pose ``b``, given in frame ``a``, in the parent of ``a``: (..., 7), quaternion canonical."""
     position = a[..., :3] + quat_rotate(a[..., 3:], b[..., :3])
     rotation = quat_multiply(a[..., 3:], b[..., 3:])
     return torch.cat((position, torch.where(rotation[..., :1] < 0, -rotation, rotation)), -1)
 
 
 def pose_inverse(a: Tensor) -> Tensor:
-    """The parent's pose (..., 7) in frame ``a``."""
+    """Return the parent's pose (..., 7) in frame ``a``."""
     inverse = quat_conjugate(a[..., 3:])
     return torch.cat((-quat_rotate(inverse, a[..., :3]), inverse), -1)
 
 
 def pose_error(current: Tensor, target: Tensor) -> Tensor:
-    """Position error, then rotation vector, (..., 6) in world axes, that take ``current`` to ``target``."""
+    """Return position error, then rotation vector, (..., 6) in world axes, that take ``current`` to ``target``."""
     return torch.cat((target[..., :3] - current[..., :3], rotation_error(current[..., 3:], target[..., 3:])), -1)
 
 
 def transform_points(pose: Tensor, points: Tensor) -> Tensor:
-    """Points (..., 3) of the frame ``pose`` in its parent."""
+    """Return points (..., 3) of the frame ``pose`` in its parent."""
     return pose[..., :3] + quat_rotate(pose[..., 3:], points)

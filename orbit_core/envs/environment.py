@@ -13,6 +13,7 @@ from torch import Tensor
 
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.backends import default_backend
+from orbit_core.configuration import settings_table
 from orbit_core.dynamics.arguments import (
     FINITE,
     MOST_ENVIRONMENTS,
@@ -43,7 +44,6 @@ from orbit_core.envs.task import Task
 from orbit_core.envs.term_values import per_environment
 from orbit_core.envs.terms import TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
-from orbit_core.interfaces.fields import settings_table
 from orbit_core.world import WorldFactory, simulate
 from orbit_core.world.closing import close_for_good
 from orbit_core.world.threads import SingleThreaded

@@ -8,9 +8,9 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+# Type checkers see every name; at run time a name's module is imported when the name is used.
 if TYPE_CHECKING:
     from orbit_core.interfaces.backend import Backend
-    from orbit_core.interfaces.built import Approximation, BuiltModel
     from orbit_core.interfaces.capabilities import (
         EXACT,
         IMAGES,
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         Capabilities,
         Capability,
         DriveIntegration,
+        Gap,
         Level,
         Support,
         approximate,
@@ -25,17 +26,11 @@ if TYPE_CHECKING:
     )
     from orbit_core.interfaces.capture import CaptureFacet
     from orbit_core.interfaces.contract import CONTRACT
-    from orbit_core.interfaces.divergence import (
-        MAX_DISTANCE,
-        MAX_SPEED,
-        diverged,
-        divergence_error,
-        first_few,
-        matter_divergence_error,
-    )
-    from orbit_core.interfaces.engine import Engine
+    from orbit_core.interfaces.engine import Engine, RayHits
     from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
+        MAX_DISTANCE,
+        MAX_SPEED,
         ArgumentError,
         AssetError,
         BackendNotInstalledError,
@@ -51,11 +46,16 @@ if TYPE_CHECKING:
         StorageError,
         UnknownNameError,
         UnsupportedCapabilityError,
+        diverged,
+        divergence_error,
+        first_few,
+        matter_divergence_error,
     )
-    from orbit_core.interfaces.gaps import Gap
     from orbit_core.interfaces.layout import (
         BACKGROUND,
         TERRAIN,
+        Approximation,
+        BuiltModel,
         ContactQuery,
         EntityLayout,
         JointParameters,
@@ -64,42 +64,36 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.matter import Matter, MatterSolver
     from orbit_core.interfaces.names import NamedThings, find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
-    from orbit_core.interfaces.rays import RayHits
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
     from orbit_core.interfaces.requirements import required_capabilities
-    from orbit_core.interfaces.sensor import Sensor
-    from orbit_core.interfaces.world import World, WorldClock, WorldMasking, WorldRandom
+    from orbit_core.interfaces.world import Sensor, World, WorldClock, WorldMasking, WorldRandom
 
 _MODULES = {
     "backend": ("Backend",),
-    "built": ("Approximation", "BuiltModel"),
     "capabilities": (
-        "EXACT", "IMAGES", "MATTER", "Capabilities", "Capability", "DriveIntegration", "Level", "Support",
+        "EXACT", "IMAGES", "MATTER", "Capabilities", "Capability", "DriveIntegration", "Gap", "Level", "Support",
         "approximate", "unsupported",
     ),
     "capture": ("CaptureFacet",),
     "contract": ("CONTRACT",),
-    "divergence": (
-        "MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few", "matter_divergence_error",
-    ),
-    "engine": ("Engine",),
+    "engine": ("Engine", "RayHits"),
     "entities": ("Deformable", "Marker", "Object", "Robot"),
     "errors": (
-        "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",
-        "NonFiniteError", "OrbitError", "PlanningError", "PremiseError", "ShapeError",
-        "SimulationError", "StorageError",
-        "UnknownNameError", "UnsupportedCapabilityError",
+        "MAX_DISTANCE", "MAX_SPEED", "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError",
+        "ClosedError", "ConfigurationError", "NonFiniteError", "OrbitError", "PlanningError", "PremiseError",
+        "ShapeError", "SimulationError", "StorageError", "UnknownNameError", "UnsupportedCapabilityError", "diverged",
+        "divergence_error", "first_few", "matter_divergence_error",
     ),
-    "gaps": ("Gap",),
-    "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
+    "layout": (
+        "BACKGROUND", "TERRAIN", "Approximation", "BuiltModel", "ContactQuery", "EntityLayout", "JointParameters",
+        "SceneLayout",
+    ),
     "matter": ("Matter", "MatterSolver"),
     "names": ("NamedThings", "find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
-    "rays": ("RayHits",),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
     "requirements": ("required_capabilities",),
-    "sensor": ("Sensor",),
-    "world": ("World", "WorldClock", "WorldMasking", "WorldRandom"),
+    "world": ("Sensor", "World", "WorldClock", "WorldMasking", "WorldRandom"),
 }  # fmt: skip
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

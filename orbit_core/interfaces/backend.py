@@ -1,4 +1,4 @@
-"""What a plugin registers under the entry-point group ``orbit.backends``."""
+"""Interface of a backend plugin, which registers under the entry-point group ``orbit.backends``."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from orbit_core.interfaces.capabilities import Capabilities, DriveIntegration
+from orbit_core.interfaces.capabilities import Capabilities, DriveIntegration, Gap
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
-from orbit_core.interfaces.gaps import Gap
 
 if TYPE_CHECKING:
     import torch
@@ -28,30 +27,44 @@ class Backend(ABC):
     its own: ``contract = (1, 0)``. Checked when the plugin is loaded."""
     config_type: ClassVar[type]
     """The dataclass of the engine's own settings; every field has a default."""
+    # Declared by the class, so that the core can refuse unstable gains before it builds anything.
     drive_integration: ClassVar[DriveIntegration] = DriveIntegration.IMPLICIT
     """How the engine integrates its own drives (:class:`~orbit_core.scene.ImplicitPd`), which the contract asks to be
     stable at any gain. The core refuses unstable gains of an engine that declares otherwise."""
 
     @abstractmethod
     def capabilities(self) -> Capabilities:
-        """What the engine can do, with reasons."""
+        """Return the capabilities of the engine, with reasons for what is missing or approximate."""
 
     def gaps(self) -> tuple[Gap, ...]:
-        """Metrics of the conformance scenarios that the engine is known to miss."""
+        """Return metrics of the conformance scenarios that the engine is known to miss."""
         return ()
 
     def versions(self) -> dict[str, str]:
-        """Installed distributions that results depend on, with their versions."""
+        """Return installed distributions that results depend on, with their versions."""
         return {}
 
     @abstractmethod
     def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: Any) -> Engine:
-        """Build ``num_envs`` copies of the scene. ``config`` is of ``config_type``."""
+        """Build an engine.
+
+        Args:
+            layout: of the scene.
+            num_envs: copies of the scene to build.
+            device: where state tensors live.
+            config: settings, an instance of ``config_type``.
+        """
 
     def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: Any) -> Renderer:
-        """Build a renderer for the scene's looks.
+        """Build a renderer of the scene.
+
+        Args:
+            layout: of the scene.
+            cameras: that pictures will be rendered for.
+            config: settings, an instance of ``config_type``.
 
         Raises:
             UnsupportedCapabilityError: the backend draws nothing.
         """
+        # Not abstract: an engine without a renderer is complete, and its scenes are drawn by another plugin.
         raise UnsupportedCapabilityError(f"backend '{self.name}' has no renderer: choose another with renderer=...")

@@ -1,4 +1,4 @@
-"""What an engine can do, at which level and why not more."""
+"""Capabilities of engines: their levels, and declared gaps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import Enum
 
 
 class Level(Enum):
-    """How well an engine does one thing."""
+    """Levels of support for a capability."""
 
     EXACT = "exact"
     APPROXIMATE = "approximate"
@@ -23,6 +23,7 @@ class Support:
     reason: str = ""
 
     def __post_init__(self) -> None:
+        # Reports and refusals show the reason; without it a user could not choose another engine.
         if self.level is not Level.EXACT and not self.reason:
             raise ValueError(f"a capability declared {self.level.value} needs a reason")
 
@@ -31,18 +32,19 @@ EXACT = Support(Level.EXACT)
 
 
 def approximate(reason: str) -> Support:
-    """The engine does it, but not as the contract says; ``reason`` says how it differs."""
+    """Return support that differs from the contract; ``reason`` says how."""
     return Support(Level.APPROXIMATE, reason)
 
 
 def unsupported(reason: str) -> Support:
-    """The engine does not do it."""
+    """Return lack of support; ``reason`` says why."""
     return Support(Level.UNSUPPORTED, reason)
 
 
 class Capability(Enum):
-    """One thing that an engine may do. Each value is the words that people read."""
+    """One thing that an engine may do. The value is the text that people read."""
 
+    # The order is that of reports: joints, contact, measurements, randomisation, reproducibility, images, matter.
     ARTICULATIONS = "articulated robots and objects"
     FLOATING_BASE = "articulations with a free root"
     IMPLICIT_DRIVES = "native PD drives"
@@ -118,7 +120,7 @@ MATTER = (Capability.CLOTH, Capability.ROPES, Capability.SOFT_BODIES, Capability
 
 
 class DriveIntegration(Enum):
-    """At which state of a physics step an engine takes the efforts of its own PD drives."""
+    """State within a physics step at which an engine evaluates its native PD drives."""
 
     IMPLICIT = "implicit"
     """At the end of the step, or with as much damping added as keeps it stable: no gain makes it diverge."""
@@ -128,13 +130,36 @@ class DriveIntegration(Enum):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """A backend's declaration. What is not declared is unsupported."""
+    """Declared capabilities of a backend. Everything else is unsupported."""
 
     declared: Mapping[Capability, Support]
 
     def __getitem__(self, capability: Capability) -> Support:
+        # Undeclared means unsupported, so that a new capability never becomes a false promise of an old plugin.
         return self.declared.get(capability, unsupported("not declared by the backend"))
 
     def has(self, capability: Capability) -> bool:
-        """Whether the engine does it at all, exactly or not."""
+        """Return True if the engine supports it, exactly or approximately."""
         return self[capability].level is not Level.UNSUPPORTED
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A declared miss of one metric of one conformance scenario, or of one check of robots.
+
+    The conformance suite fails when the miss grows beyond ``limit``, and also when it is gone: a declaration is held to
+    be true both ways.
+    """
+
+    scenario: str
+    metric: str
+    limit: float
+    """The largest error that the backend admits to, in the metric's unit: what was measured, with a margin.
+
+    ``math.inf`` where the engine diverges and raises :class:`SimulationError`, or refuses the scene at its time step by
+    a :class:`ConfigurationError`.
+    """
+    reason: str
+    """Why the engine cannot do better."""
+    robots: tuple[str, ...] = ()
+    """Names of the robots that miss it, where ``scenario`` is a check of robots."""

@@ -28,7 +28,7 @@ class CaptureFacet:
     count for nothing. An engine whose :meth:`record` records needs them for what happens within a recording."""
 
     def record(self, operations: Callable[[], None]) -> Callable[[], None]:
-        """A function that does what ``operations`` do: where the engine can, recorded once and then replayed.
+        """Return a function that does what ``operations`` do: where the engine can, recorded once and then replayed.
 
         ``operations`` steps the engine and works on tensors of its device, and no step of it waits for the device.
         What it remembers it writes in place. Its calls on the host happen when it is recorded, and when it is replayed
@@ -39,7 +39,7 @@ class CaptureFacet:
         return operations
 
     def expression(self, name: str) -> Tensor | None:
-        """A state tensor, by name, as operations of torch on memory of the engine's that always stays at its place.
+        """Return a state tensor, by name, as operations of torch on memory of the engine's that never moves.
 
         A trace of a step takes these operations in, and computes what it needs of the tensor and no more. None where
         there is nothing to gain. What they compute is current after :meth:`settle`.
@@ -77,7 +77,7 @@ class Watcher(Protocol):
     """Is told of reads and calls, and makes them."""
 
     def read(self, owner: Watched, name: str, function: Callable[[], Tensor]) -> Tensor:
-        """The value of a property that reads the state."""
+        """Return the value of a property that reads the state."""
         ...
 
     def call(self, use: Use) -> Any:
@@ -146,7 +146,7 @@ def _marking(kind: Call) -> Callable[[_Function], _Function]:
 
 
 def _mark_of(member: object) -> tuple[Call | None] | None:
-    """The mark in a tuple, for that of a read is None."""
+    """Return the mark in a tuple, for that of a read is None."""
     function = member.fget if isinstance(member, property) else member
     return (getattr(function, _MARK),) if hasattr(function, _MARK) else None
 

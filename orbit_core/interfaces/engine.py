@@ -1,18 +1,78 @@
-"""The narrow waist between core and plugin: what one physics engine must do for N copies of a scene."""
+"""The narrow waist between core and plugin: a physics engine for N copies of a scene."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces.built import Approximation, BuiltModel
 from orbit_core.interfaces.capture import Watched, changes, measures, reads_state
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
-from orbit_core.interfaces.layout import SceneLayout
-from orbit_core.interfaces.rays import RayHits, cast_past
+from orbit_core.interfaces.layout import BACKGROUND, Approximation, BuiltModel, SceneLayout
+
+_MOST_SURFACES = 16  # a ray may cross that many surfaces to be passed before it counts as a miss
+_PAST_SURFACE = 2e-5  # metres: a surface nearer than this behind one that is passed is passed too
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """The points at which rays met the scene."""
+
+    distances: Tensor
+    """(n, R) metres; infinite for a miss."""
+    normals: Tensor
+    """(n, R, 3) unit normals in world axes; zero for a miss."""
+    links: Tensor
+    """(n, R) int64 link index, TERRAIN or BACKGROUND."""
+
+
+def cast_past(
+    cast: Callable[[Tensor, Tensor, float, Tensor | None], RayHits],
+    origins: Tensor,
+    directions: Tensor,
+    max_distance: float,
+    links: range,
+    env_ids: Tensor | None,
+) -> RayHits:
+    """Cast rays that pass through the shapes of some links: a ray that met one is cast again from behind it.
+
+    Args:
+        cast: casts rays as :meth:`Engine.cast_rays` does.
+        origins: (n, R, 3) m.
+        directions: (n, R, 3) unit vectors.
+        max_distance: m.
+        links: range of the layout's links that rays pass through.
+        env_ids: (n,) environments; all if None.
+    """
+    hits = cast(origins, directions, max_distance, env_ids)
+    distances, normals, met = hits.distances.clone(), hits.normals.clone(), hits.links.clone()
+    own = _among(met, links)
+    for _ in range(_MOST_SURFACES):
+        if not own.any():
+            break
+        rays = own.any(0).nonzero().squeeze(-1)
+        within = own[:, rays]  # of the same ray, another environment's may be through already
+        start = torch.where(within, distances[:, rays] + _PAST_SURFACE, 0.0)
+        moved = origins[:, rays] + start[..., None] * directions[:, rays]
+        hits = cast(moved, directions[:, rays].contiguous(), max_distance, env_ids)
+        distances[:, rays] = torch.where(within, start + hits.distances, distances[:, rays])
+        normals[:, rays] = torch.where(within[..., None], hits.normals, normals[:, rays])
+        met[:, rays] = torch.where(within, hits.links, met[:, rays])
+        own = _among(met, links)
+    missed = own | (distances > max_distance)
+    distances[missed] = torch.inf
+    normals[missed] = 0.0
+    met[missed] = BACKGROUND
+    return RayHits(distances, normals, met)
+
+
+def _among(met: Tensor, links: range) -> Tensor:
+    return (met >= links.start) & (met < links.stop)
+
 
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
@@ -32,6 +92,7 @@ class Engine(Watched, ABC):
     What it does for steps that are captured is its :attr:`capture`.
     """
 
+    # Switched off where environments are reset one by one, so that one that diverges does not stop the others.
     raises_divergence: bool = True
     """Whether :meth:`step` raises where environments diverged. Where not, its caller looks for them after each step,
     and resets them before the next; other faults raise as ever."""
@@ -41,6 +102,7 @@ class Engine(Watched, ABC):
         self.num_envs = num_envs
         self.device = device
         joints = len(layout.joints)
+        # Targets at home keep a robot without commands where a reset puts it.
         home = torch.as_tensor(layout.joint_parameters.home, dtype=torch.float32, device=device)
         self.position_targets = home.repeat(num_envs, 1)
         """(N, J) drive targets; the core writes them in place and the engine reads them at each step."""
@@ -57,7 +119,7 @@ class Engine(Watched, ABC):
         """Advance by ``steps`` physics steps of ``scene.physics_dt`` with commands held.
 
         Raises:
-            SimulationError: the engine diverged (:mod:`orbit_core.interfaces.divergence`); names the environments.
+            SimulationError: the engine diverged (:mod:`orbit_core.interfaces.errors`); names the environments.
                 Not where :attr:`raises_divergence` is off.
         """
 
@@ -114,7 +176,7 @@ class Engine(Watched, ABC):
     @abstractmethod
     @changes()
     def reset(self, env_ids: Tensor | None = None) -> None:
-        """Put environments into the scene's initial state, with every memory of the past cleared.
+        """Put environments into the scene's initial state and clear all memory of the past.
 
         Root poses, home positions, zero velocities, default targets, no efforts, no wrenches, no warm start.
         Randomised parameters stay.
@@ -145,14 +207,21 @@ class Engine(Watched, ABC):
     def cast_rays(
         self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
     ) -> RayHits:
-        """Meet rays (n, R, 3), unit directions in world axes, with collision shapes."""
+        """Cast rays against collision shapes.
+
+        Args:
+            origins: (n, R, 3) m, in the environment's world frame.
+            directions: (n, R, 3) unit vectors in world axes.
+            max_distance: m beyond which a surface counts as missed.
+            env_ids: (n,) environments; all if None.
+        """
         raise self._unsupported("ray casts")
 
     @measures("origins", "directions")
     def cast_rays_past(
         self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None = None
     ) -> RayHits:
-        """As :meth:`cast_rays`, where rays pass through the shapes of some links, a range of the layout's.
+        """Cast rays as :meth:`cast_rays` does, through the shapes of some links, a range of the layout's.
 
         A miss, or a hit beyond ``max_distance``, is BACKGROUND. This one casts again past each surface of those links,
         as often as any ray needs it, and so waits for the device.
@@ -168,24 +237,24 @@ class Engine(Watched, ABC):
 
     @changes("masses")
     def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
-        """Masses (n, k) in kg of links (k,); inertias scale with them."""
+        """Set masses (n, k) in kg of links (k,); inertias scale with them."""
         raise self._unsupported("mass per environment")
 
     @changes("centers")
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
-        """Centres of mass (n, k, 3) in the link frame of links (k,)."""
+        """Set centres of mass (n, k, 3) in the link frame of links (k,)."""
         raise self._unsupported("centre of mass per environment")
 
     @changes("coefficients")
     def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        """Static and dynamic friction (n, k) of all shapes of links (k,); index TERRAIN sets the terrain's."""
+        """Set static and dynamic friction (n, k) of all shapes of links (k,); index TERRAIN sets the terrain's."""
         raise self._unsupported("friction per environment")
 
     @changes("stiffness", "damping")
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        """Gains (n, k) of the native drives of joints (k,)."""
+        """Set gains (n, k) of the native drives of joints (k,)."""
         raise self._unsupported("drive gains per environment")
 
     @changes("damping", "friction", "armature", "stiffness")
@@ -198,32 +267,32 @@ class Engine(Watched, ABC):
         stiffness: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Damping, Coulomb friction, armature and springs' stiffness (n, k) of the mechanism of joints (k,).
+        """Set damping, Coulomb friction, armature and springs' stiffness (n, k) of the mechanism of joints (k,).
 
-        None leaves one as it is. What a drive has of its own is no part of it.
+        None leaves one as it is. Parameters of drives are no part of it.
         """
         raise self._unsupported("joint damping, friction, armature and springs per environment")
 
     @changes("lower", "upper")
     def set_joint_limits(self, joints: Tensor, lower: Tensor, upper: Tensor, env_ids: Tensor | None = None) -> None:
-        """Lower and upper limits (n, k), rad or m, of joints (k,) that are limited on both sides in the scene."""
+        """Set lower and upper limits (n, k), rad or m, of joints (k,) that are limited on both sides in the scene."""
         raise self._unsupported("joint limits per environment")
 
     @changes("gravity")
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        """Gravity (n, 3) in m/s^2."""
+        """Set gravity (n, 3) in m/s^2."""
         raise self._unsupported("gravity per environment")
 
     # Deformables -----------------------------------------------------------------------------------------------------
 
     @measures()
     def particle_positions(self, deformable: int) -> Tensor:
-        """(N, P, 3) of the scene's deformable of that index."""
+        """Return (N, P, 3) of the scene's deformable of that index."""
         raise self._unsupported("deformables")
 
     @measures()
     def particle_velocities(self, deformable: int) -> Tensor:
-        """(N, P, 3)"""
+        """Return (N, P, 3) m/s."""
         raise self._unsupported("deformables")
 
     @changes("positions", "velocities")
@@ -242,7 +311,7 @@ class Engine(Watched, ABC):
 
     @changes()
     def release_particles(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
-        """Let particles (k,) go, of which some may not be anchored."""
+        """Release particles (k,), some of which may not be anchored."""
         raise self._unsupported("anchors of particles")
 
     @changes("values")
@@ -252,14 +321,14 @@ class Engine(Watched, ABC):
 
     @measures()
     def particle_forces(self, deformable: int) -> Tensor:
-        """(N, L, 3) newtons, world axes, that a deformable exerts on each link, at the last physics step."""
+        """Return (N, L, 3) newtons, world axes, that a deformable exerts on each link, at the last physics step."""
         raise self._unsupported("contact forces of deformables")
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
     @abstractmethod
     def save_state(self) -> Any:
-        """Everything that the continuation depends on, commands and randomised parameters with it, detached."""
+        """Return a detached copy of all that the continuation depends on, with commands and parameters."""
 
     @abstractmethod
     def load_state(self, state: Any) -> None:
@@ -268,8 +337,8 @@ class Engine(Watched, ABC):
     def copy_state(self, origin: Engine, source: int, env_ids: Tensor | None = None) -> None:
         """Put one environment's state into some of this engine's, by index.
 
-        Poses, velocities, joint states and commands are copied, as this does for every engine. What else the
-        continuation depends on (contacts that a solver starts from) is begun anew, unless an engine copies it too.
+        Poses, velocities, joint states and commands are copied, as this does for every engine. Other state
+        that the continuation depends on (contacts that a solver starts from) is reset, unless an engine copies it.
 
         Args:
             origin: the engine that ``source`` is of, of the same scene; it may be this one.
@@ -281,6 +350,7 @@ class Engine(Watched, ABC):
         def repeated(whole: Tensor) -> Tensor:
             return whole[source].clone().to(self.device).expand(count, *whole.shape[1:])
 
+        # All reads come before the first write: source and target may be the same engine.
         poses, velocities = repeated(origin.link_poses), repeated(origin.link_velocities)
         positions, rates = repeated(origin.joint_positions), repeated(origin.joint_velocities)
         commands = {name: repeated(getattr(origin, name)) for name in _COMMANDS}
@@ -295,7 +365,7 @@ class Engine(Watched, ABC):
             getattr(self, name)[slice(None) if env_ids is None else env_ids] = values
 
     def saved_commands(self) -> dict[str, Tensor]:
-        """A copy of the commands, for :meth:`save_state`."""
+        """Return a copy of the commands, for :meth:`save_state`."""
         return {name: getattr(self, name).clone() for name in _COMMANDS}
 
     def load_commands(self, saved: dict[str, Tensor]) -> None:
@@ -306,11 +376,11 @@ class Engine(Watched, ABC):
     @property
     @abstractmethod
     def build_report(self) -> tuple[Approximation, ...]:
-        """What the engine could not take exactly as the scene asked."""
+        """Parts of the scene that the engine approximates."""
 
     @abstractmethod
     def built_model(self) -> tuple[BuiltModel, ...]:
-        """What each kind of environment came to, from the engine's own objects, in the order of ``layout.variants``.
+        """Return the model that the engine built for each kind of environment, in the order of ``layout.variants``.
 
         Called once, before the first step; the core compares it with the description.
         """
@@ -321,7 +391,7 @@ class Engine(Watched, ABC):
         """The engine's own objects, for users who know why."""
 
     def close(self) -> None:
-        """Free what the engine holds; idempotent."""
+        """Free the engine's resources; idempotent."""
 
     def _unsupported(self, what: str) -> UnsupportedCapabilityError:
         return UnsupportedCapabilityError(f"{type(self).__name__} does not provide {what}")

@@ -1,4 +1,4 @@
-"""What a world holds: robots, objects, deformables and markers, simulated, recorded or real."""
+"""Entities of a world: robots, objects, deformables and markers, simulated, recorded or real."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from orbit_core.interfaces.names import match_names
 from orbit_core.scene import DeformableSpec, Entity, Joint, MarkerSpec, Region, RobotSpec, Texture
 
 
+# A protocol, because the classes that compute these laws are above the contract.
 class ActivePart(Protocol):
-    """One of an object's active models (:mod:`orbit_core.active`), which adds forces of its own at each step."""
+    """One of an object's active models (:mod:`orbit_core.active`), which adds forces at each step."""
 
     @property
     def parameters(self) -> Mapping[str, Tensor]:
@@ -88,29 +89,38 @@ class Object(ABC):
 
     @abstractmethod
     def frame_pose(self, name: str) -> Tensor:
-        """(N, 7) of a link or named frame."""
+        """Return (N, 7) of a link or named frame."""
 
     @abstractmethod
     def frame_velocity(self, name: str) -> Tensor:
-        """(N, 6) of a link or named frame."""
+        """Return (N, 6) of a link or named frame."""
 
     @abstractmethod
     def jacobian(self, frame: str, joints: Sequence[int] | None = None) -> Tensor:
-        """(N, 6, k) geometric Jacobian of a link or named frame: linear, angular; world axes; columns are joints."""
+        """Return the geometric Jacobian of a link or named frame.
+
+        Args:
+            frame: name of the link or frame.
+            joints: that give the columns; all movable joints if None.
+
+        Returns:
+            (N, 6, k) linear, then angular, in world axes.
+        """
 
     # Looking up
 
     def find_joints(self, *patterns: str) -> list[int]:
-        """Indices of the joints whose names a regular expression matches in full, in joint order."""
+        """Return indices of the joints whose names a regular expression matches in full, in joint order."""
         return match_names(patterns, self.joint_names, "joint", f"'{self.name}'")
 
     def find_links(self, *patterns: str) -> list[int]:
-        """Indices of the links whose names a regular expression matches in full, in link order."""
+        """Return indices of the links whose names a regular expression matches in full, in link order."""
         return match_names(patterns, self.link_names, "link", f"'{self.name}'")
 
     @property
     def joints(self) -> tuple[Joint, ...]:
         """The movable joints' descriptions."""
+        # Fixed joints have no position and no column in any tensor.
         return self.spec.articulation.movable_joints
 
     @property
@@ -127,11 +137,11 @@ class Object(ABC):
 
     @abstractmethod
     def set_root_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        """(n, 7)"""
+        """Set the root link's pose (n, 7)."""
 
     @abstractmethod
     def set_root_velocity(self, velocity: Tensor, env_ids: Tensor | None = None) -> None:
-        """(n, 6)"""
+        """Set the root link's velocity (n, 6)."""
 
     @abstractmethod
     def set_joint_state(
@@ -141,10 +151,11 @@ class Object(ABC):
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """(n, k) each; position targets follow the positions."""
+        """Set positions and velocities (n, k) of some joints; position targets follow the positions."""
 
-    # Parameters per environment; they outlast resets. Only what is simulated has them.
+    # Parameters per environment; they outlast resets. Only simulated entities have them.
 
+    # Immutable, since it is shared by all instances without active models.
     active: Mapping[str, ActivePart] = MappingProxyType({})
     """The object's active models, by name."""
 
@@ -155,6 +166,7 @@ class Object(ABC):
         Raises:
             UnsupportedCapabilityError: as all parameters do where there are none to set.
         """
+        # Recorded and real worlds have no masses to change, hence an error in place of an abstract method.
         raise self._unsupported("nominal masses")
 
     @cached_property
@@ -163,19 +175,19 @@ class Object(ABC):
         raise self._unsupported("nominal gains")
 
     def set_masses(self, masses: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
-        """Masses (n, k) in kg of some links; inertias scale with them."""
+        """Set masses (n, k) in kg of some links; inertias scale with them."""
         raise self._unsupported("masses to set")
 
     def set_centers_of_mass(
         self, centers: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
     ) -> None:
-        """Centres of mass (n, k, 3) of some links, in their own frames."""
+        """Set centres of mass (n, k, 3) of some links, in their own frames."""
         raise self._unsupported("centres of mass to set")
 
     def set_friction(
         self, coefficients: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
     ) -> None:
-        """Friction (n, k), static and dynamic alike, of all shapes of some links."""
+        """Set friction (n, k), static and dynamic alike, of all shapes of some links."""
         raise self._unsupported("friction to set")
 
     def set_joint_parameters(
@@ -187,17 +199,17 @@ class Object(ABC):
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Damping, Coulomb friction, armature and springs' stiffness (n, k) of some joints; None leaves it as it is."""
+        """Set damping, Coulomb friction, armature and spring stiffness (n, k) of some joints; None changes nothing."""
         raise self._unsupported("joint parameters to set")
 
     def set_joint_limits(
         self, lower: Tensor, upper: Tensor, joints: Sequence[int] | None = None, env_ids: Tensor | None = None
     ) -> None:
-        """Limits (n, k) in rad or m that some joints stop at; :attr:`position_limits` stay the scene's."""
+        """Set limits (n, k) in rad or m that some joints stop at; :attr:`position_limits` stay the scene's."""
         raise self._unsupported("joint limits to set")
 
     def set_colors(self, colors: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
-        """Red, green and blue (n, k, 3) in [0, 1] of all shapes of some links, in pictures."""
+        """Set red, green and blue (n, k, 3) in [0, 1] of all shapes of some links, in pictures."""
         raise self._unsupported("colours to set")
 
     def set_textures(
@@ -211,15 +223,16 @@ class Object(ABC):
         raise self._unsupported("textures to set")
 
     def set_wrenches(self, wrenches: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
-        """Force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset."""
+        """Set force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset."""
         raise self._unsupported("wrenches to set")
 
     def set_gains(
         self, stiffness: Tensor, damping: Tensor, joints: Sequence[int] | None = None, env_ids: Tensor | None = None
     ) -> None:
-        """Stiffness and damping (n, k) of the actuators of some joints, implicit and explicit alike."""
+        """Set stiffness and damping (n, k) of the actuators of some joints, implicit and explicit alike."""
         raise self._unsupported("gains to set")
 
+    # One sentence for all: the user has to choose another kind of world, whichever call failed.
     def _unsupported(self, what: str) -> UnsupportedCapabilityError:
         return UnsupportedCapabilityError(f"'{self.name}' has no {what}: {type(self).__name__} provides none")
 
@@ -243,15 +256,15 @@ class Robot(Object):
 
     @abstractmethod
     def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        """(N, k) rad or m."""
+        """Set position targets (N, k), rad or m."""
 
     @abstractmethod
     def set_velocity_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        """(N, k) rad/s or m/s."""
+        """Set velocity targets (N, k), rad/s or m/s."""
 
     @abstractmethod
     def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
-        """(N, k) N m or N, added to the actuators' PD law."""
+        """Set effort targets (N, k), N m or N, which are added to the actuators' PD law."""
 
 
 class Deformable(ABC):
@@ -275,7 +288,7 @@ class Deformable(ABC):
 
     @abstractmethod
     def set_state(self, positions: Tensor, velocities: Tensor | None = None, env_ids: Tensor | None = None) -> None:
-        """Put the particles (n, P, 3) somewhere, at rest if no velocities (n, P, 3) are given.
+        """Set positions (n, P, 3) and velocities (n, P, 3) of the particles; at rest if no velocities are given.
 
         Raises:
             UnsupportedCapabilityError: the engine cannot set velocities of particles, or particles at all.
@@ -297,7 +310,7 @@ class Deformable(ABC):
 
     @abstractmethod
     def release(self, points: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
-        """Let particles go that :meth:`anchor` holds, all of them if ``points`` is None; others are left alone.
+        """Release particles that :meth:`anchor` holds, all of them if ``points`` is None; others are left as they are.
 
         Raises:
             UnsupportedCapabilityError: the engine holds no particles.
@@ -308,10 +321,11 @@ class Deformable(ABC):
     @property
     def key_points(self) -> Tensor:
         """(N, K, 3) of the spec's key points, in its order."""
+        # Derived quantities have no default: a solver may compute them more cheaply than from positions.
         raise self._unsupported("key points")
 
     def key_point(self, name: str) -> Tensor:
-        """(N, 3) of one of them.
+        """Return the position (N, 3) of a key point.
 
         Raises:
             UnknownNameError: there is none of that name.
@@ -324,26 +338,26 @@ class Deformable(ABC):
         raise self._unsupported("covered area")
 
     def share_inside(self, region: Region) -> Tensor:
-        """(N,) in [0, 1]: the part of the particles that is in a box.
+        """Return the share (N,) of the particles that is in a box, in [0, 1].
 
         Raises:
             UnknownNameError: there is no such entity, link or frame.
         """
         raise self._unsupported("share inside a region")
 
-    # Forces and parameters. Only what a matter solver simulates has them.
+    # Forces and parameters. Only deformables of a matter solver have them.
 
     def contact_force(self, entity: str, link: str) -> Tensor:
-        """(N, 3) newtons, world axes, that it exerts on a link, mean of the last physics step.
+        """Return the force (N, 3) that it exerts on a link: newtons, world axes, mean of the last physics step.
 
         Raises:
             UnknownNameError: no such robot, object or link.
-            UnsupportedCapabilityError: the engine does not tell.
+            UnsupportedCapabilityError: the engine does not report it.
         """
         raise self._unsupported("contact forces")
 
     def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
-        """One of ``"density"``, ``"stiffness"``, ``"bending"`` (scales of the spec's) and ``"friction"``, (n,).
+        """Set one of ``"density"``, ``"stiffness"``, ``"bending"`` (scales of the spec's) and ``"friction"``, (n,).
 
         It outlasts resets.
 
@@ -369,4 +383,4 @@ class Marker(ABC):
 
     @abstractmethod
     def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        """(n, 7)"""
+        """Set (n, 7)"""

@@ -1,7 +1,7 @@
-"""The place of every link and joint of a scene in the flat tensors that core and engine share.
+"""Layout of a scene in the flat tensors that core and engine share, and the model that an engine built of it.
 
 All links of a scene are numbered through, and so are all movable joints: entity by entity in the scene's order, within
-an entity in the articulation's order. An engine then moves one tensor per kind of state, whatever the scene holds.
+an entity in the articulation's order. An engine then moves one tensor per kind of state for any scene.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from orbit_core.scene import (
 from orbit_core.scene.articulation import Link
 
 TERRAIN = -2
-"""Stands for the terrain where a link index is expected."""
+"""Index of the terrain where a link index is expected."""
 BACKGROUND = -1
-"""Stands for nothing at all where a link index is expected."""
+"""Index of the background where a link index is expected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class EntityLayout:
 
     @property
     def name(self) -> str:
-        """The entity's, in the scene."""
+        """Name of the entity in the scene."""
         return self.spec.name
 
 
@@ -65,6 +65,7 @@ class ContactQuery:
     """
 
     link: int
+    # A frozen set makes equal queries equal, so that sensors share them.
     others: frozenset[int] | None = None
 
 
@@ -92,7 +93,7 @@ class JointParameters:
 
 @dataclass(frozen=True, eq=False)
 class SceneLayout:
-    """The numbering of one scene, and what the engine must measure in it."""
+    """Numbering of one scene, and the measurements that the engine must take in it."""
 
     scene: Scene
     entities: tuple[EntityLayout, ...]
@@ -120,6 +121,7 @@ class SceneLayout:
     @cached_property
     def variants(self) -> tuple[SceneLayout, ...]:
         """The layout of each kind of environment, no choice left: environment i is of kind i modulo their number."""
+        # With 2 and 3 alternatives there are 6 kinds of environments, each of which an engine builds once.
         count = math.lcm(*(len(entity.spec.alternatives) for entity in self.entities))
         return (self,) if count == 1 else tuple(self._variant(kind) for kind in range(count))
 
@@ -154,6 +156,7 @@ class SceneLayout:
     def entity_of_link(self) -> npt.NDArray[np.int64]:
         """Entity index of each link (L,)."""
         sizes = [entity.links.stop - entity.links.start for entity in self.entities]
+        # Images hold link indices; this table turns them into instances.
         return np.repeat(np.arange(len(self.entities)), sizes)
 
     @cached_property
@@ -181,7 +184,7 @@ class SceneLayout:
         ]
 
     def entity(self, name: str) -> EntityLayout:
-        """The entity of that name.
+        """Return the entity of that name.
 
         Raises:
             UnknownNameError: there is none.
@@ -190,9 +193,10 @@ class SceneLayout:
 
 
 def contact_queries_of(sensor: ContactSensorSpec, entities: dict[str, EntityLayout]) -> tuple[ContactQuery, ...]:
-    """What a contact sensor asks of the engine: for each link the total, then one query per filter."""
+    """Return the queries of a contact sensor: for each link the total, then one query per filter."""
     entity = _named(entities, sensor.entity, sensor.name)
     names = entity.spec.articulation.link_names
+    # The sensor finds its columns by this order: the total of a link, then its filters.
     queries: list[ContactQuery] = []
     for index in match_names(sensor.links, names, "link", f"sensor '{sensor.name}'"):
         link = entity.links.start + index
@@ -216,6 +220,7 @@ def _named(entities: dict[str, EntityLayout], name: str, sensor: str) -> EntityL
 
 def _contact_queries(scene: Scene, entities: dict[str, EntityLayout]) -> tuple[ContactQuery, ...]:
     sensors = [sensor for sensor in scene.sensors if isinstance(sensor, ContactSensorSpec)]
+    # Engines measure a query once, however many sensors ask for it; dictionaries keep the order.
     return tuple(dict.fromkeys(query for sensor in sensors for query in contact_queries_of(sensor, entities)))
 
 
@@ -261,6 +266,7 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
     values["spring_rest"] = np.array([joint.rest_position for joint in joints], dtype=np.float64)
     for name in ("drive_stiffness", "drive_damping"):
         values[name] = np.zeros(len(joints))
+    # Two groups on one joint would add their efforts, which no robot means.
     driven: set[int] = set()
     for group in entity.actuators:
         indices = match_names(group.joints, names, "joint", f"an actuator group of '{entity.name}'")
@@ -270,6 +276,7 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
         for name in ("effort_limit", "velocity_limit", "armature", "friction"):
             if (override := getattr(group, name)) is not None:
                 values[name][indices] = override
+        # Only implicit drives are the engine's; the core computes all others and leaves the engine's gains at zero.
         if isinstance(group, ImplicitPd):
             values["drive_stiffness"][indices] = group.stiffness
             values["drive_damping"][indices] = group.damping
@@ -277,12 +284,13 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
     for index, group in actuator_of_joint(entity).items():
         if isinstance(group, DcMotor) and group.transmission is not None:
             ratio = group.transmission.ratio(values["home"][index])
+            # Engines take one armature per joint: the rotor's, reflected by the ratio at home.
             values["armature"][index] += group.transmission.rotor_inertia * ratio**2
     return values
 
 
 def actuator_of_joint(entity: Entity) -> dict[int, ActuatorConfig]:
-    """The actuator group of each movable joint that has one, by the joint's index.
+    """Return the actuator group of each movable joint that has one, by the joint's index.
 
     Raises:
         UnknownNameError: a group names no joint of the entity.
@@ -292,21 +300,23 @@ def actuator_of_joint(entity: Entity) -> dict[int, ActuatorConfig]:
 
 
 def gripper_positions(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> Mapping[int, float]:
-    """Positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
+    """Return positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
     values = value if isinstance(value, tuple) else (value,) * len(gripper.joints)
     names = spec.articulation.joint_names
     return match_values(dict(zip(gripper.joints, values, strict=True)), names, "joint", f"the gripper of '{spec.name}'")
 
 
 def home_positions(entity: Entity) -> npt.NDArray[np.float64]:
-    """Positions (J,) of the movable joints at reset."""
+    """Return positions (J,) of the movable joints at reset."""
     return _entity_parameters(entity)["home"]
 
 
 def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    # Zero where it is allowed, else the nearest limit: a start outside of the limits would be pushed back by force.
     home = np.clip(np.zeros_like(lower), lower, upper)
     names = entity.articulation.joint_names
     for index, position in match_values(entity.home, names, "joint", f"the home pose of '{entity.name}'").items():
+        # Files round both limits and home positions.
         if not lower[index] - 1e-6 <= position <= upper[index] + 1e-6:
             raise ConfigurationError(
                 f"home position {position} of joint '{names[index]}' of '{entity.name}' lies outside its limits "
@@ -315,16 +325,52 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
             )
         home[index] = position
     for index, joint in enumerate(entity.articulation.movable_joints):
+        # A home position of a follower would contradict its leader's.
         if joint.mimic:
             home[index] = joint.mimic.position(home[names.index(joint.mimic.joint)])
     return home
 
 
 def joint_constants(entity: Entity, name: Literal["armature", "damping", "friction"]) -> npt.NDArray[np.float64]:
-    """Reflected inertias, damping or dry friction (J,) of the movable joints: an actuator's where it names one."""
+    """Return reflected inertias, damping or dry friction (J,) of the movable joints, with overrides of actuators."""
     return _entity_parameters(entity)[name]
 
 
 def joint_limits(entity: Entity, name: Literal["effort_limit", "velocity_limit"]) -> npt.NDArray[np.float64]:
-    """Limits (J,) of the movable joints: an actuator's where it names one, else the joint's own."""
+    """Return limits (J,) of the movable joints, with overrides of actuators."""
     return _entity_parameters(entity)[name]
+
+
+@dataclass(frozen=True)
+class Approximation:
+    """A line of the build report: what the scene asked for, what the engine got, and why they differ."""
+
+    subject: str
+    asked: str
+    got: str
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BuiltModel:
+    """One kind of environment, for L links and J movable joints in the layout's order.
+
+    An engine fills it from the objects that it simulates, never from the description. A field is None where the engine
+    keeps no such number, as where the core or the plugin applies a limit itself at each step.
+    """
+
+    masses: npt.NDArray[np.float64]
+    """(L,) kg. The number of a fixed root, which no motion depends on, is not compared."""
+    centers_of_mass: npt.NDArray[np.float64]
+    """(L, 3) metres, in the link frame."""
+    inertias: npt.NDArray[np.float64] | None
+    """(L, 3, 3) kg m^2, about the centre of mass, in the link's axes."""
+    lower_limits: npt.NDArray[np.float64] | None = None
+    """(J,) rad or m; minus infinity, or less than -1e8, where there is none."""
+    upper_limits: npt.NDArray[np.float64] | None = None
+    """(J,) rad or m; infinity, or more than 1e8, where there is none."""
+    # None skips the comparison where an engine has no such number.
+    armatures: npt.NDArray[np.float64] | None = None
+    """(J,) kg or kg m^2 of reflected motor inertia."""
+    effort_limits: npt.NDArray[np.float64] | None = None
+    """(J,) N or N m; infinity, or more than 1e8, where there is none."""

@@ -1,4 +1,4 @@
-"""What a matter solver registers under the entry-point group ``orbit.matter``: cloth, rope and the like for any engine.
+"""Interface of a matter solver, which registers under ``orbit.matter``: cloth, rope and the like for any engine.
 
 The core couples one with a physics engine at every physics step: poses of links go in, wrenches on links come out
 (:mod:`orbit_core.world.coupling`).
@@ -10,21 +10,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from orbit_core.interfaces.capabilities import Capabilities
+from orbit_core.interfaces.capabilities import Capabilities, Gap
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
-from orbit_core.interfaces.gaps import Gap
 
 if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-    from orbit_core.interfaces.built import Approximation
-    from orbit_core.interfaces.layout import SceneLayout
+    from orbit_core.interfaces.layout import Approximation, SceneLayout
     from orbit_core.interfaces.renderer import Image
     from orbit_core.scene import CameraSpec
 
+# A plugin that registers under this name can never be chosen.
 NATIVE = "native"
-"""Stands for the physics engine's own matter where the name of a solver is expected."""
+"""Name of the physics engine's own deformables where the name of a solver is expected."""
 
 
 class Matter(ABC):
@@ -37,11 +36,11 @@ class Matter(ABC):
 
     @abstractmethod
     def positions(self, deformable: int) -> Tensor:
-        """(N, P, 3) m of the scene's deformable of that index."""
+        """Return (N, P, 3) m of the scene's deformable of that index."""
 
     @abstractmethod
     def velocities(self, deformable: int) -> Tensor:
-        """(N, P, 3) m/s."""
+        """Return (N, P, 3) m/s."""
 
     @abstractmethod
     def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None) -> None:
@@ -55,7 +54,7 @@ class Matter(ABC):
 
     @abstractmethod
     def release(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
-        """Let particles (k,) go, of which some may not be held."""
+        """Release particles (k,), some of which may not be held."""
 
     @abstractmethod
     def set_parameter(self, deformable: int, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
@@ -63,25 +62,27 @@ class Matter(ABC):
 
     @abstractmethod
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        """Gravity (n, 3) in m/s^2."""
+        """Set gravity (n, 3) in m/s^2."""
 
     @abstractmethod
     def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        """Friction (n, k) of all shapes of links (k,); index TERRAIN sets the terrain's."""
+        """Set friction (n, k) of all shapes of links (k,); index TERRAIN sets the terrain's."""
 
     @abstractmethod
     def reset(self, link_poses: Tensor, env_ids: Tensor | None = None) -> None:
         """Put environments, with links at ``link_poses`` (N, L, 7), into the initial state; what is held stays held."""
 
+    # Not abstract: solvers without free bodies need neither masses nor centres of mass.
     def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
-        """Masses (n, k) in kg of links (k,), with which inertias scale; for who reckons with those of free bodies."""
+        """Set masses (n, k) in kg of links (k,); inertias scale with them. Solvers that move free bodies need them."""
 
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
-        """Centres of mass (n, k, 3) in the link frames of links (k,); the same."""
+        """Set centres of mass (n, k, 3) in the link frames of links (k,). Solvers that move free bodies need them."""
 
     @abstractmethod
     def step(
         self,
+        # Both ends of the step, so that a solver with smaller steps can interpolate the links' motion.
         before: Tensor,
         after: Tensor,
         velocities: tuple[Tensor, Tensor] | None = None,
@@ -113,11 +114,11 @@ class Matter(ABC):
 
     @abstractmethod
     def diverged(self) -> Tensor:
-        """(N, D) bool: which deformables are beyond the bounds of :mod:`orbit_core.interfaces.divergence`."""
+        """Return (N, D) bool: which deformables are beyond the bounds of :mod:`orbit_core.interfaces.errors`."""
 
     @abstractmethod
     def save_state(self) -> Any:
-        """Everything that the continuation depends on, detached."""
+        """Return a detached copy of all that the continuation depends on."""
 
     @abstractmethod
     def load_state(self, state: Any) -> None:
@@ -125,37 +126,39 @@ class Matter(ABC):
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        """What the solver could not take exactly as the scene asked."""
+        """Parts of the scene that the solver approximates."""
+        # Empty by default: a report lists differences only.
         return ()
 
     def close(self) -> None:
-        """Free what it holds; idempotent."""
+        """Free its resources; idempotent."""
 
 
+# Separate from the solver: renderers of other plugins know rigid shapes only.
 class MatterPainter(ABC):
     """Paints deformables into the pictures of any renderer."""
 
     @abstractmethod
     def paint(self, camera: CameraSpec, camera_poses: Tensor, vertices: Sequence[Tensor], image: Image) -> Image:
-        """The image with deformables over what lies behind them.
+        """Return the image with deformables drawn over what is behind them.
 
         Args:
             camera: that took it.
             camera_poses: (n, 7) in each environment's frame, -z forward, y up.
             vertices: (n, V, 3) of each deformable's surface
-                (:class:`orbit_core.plugin_kit.deformable_surface.DeformableSurface`), in the environment's frame.
+                (:class:`orbit_core.plugin_kit.rendering.DeformableSurface`), in the environment's frame.
             image: with depth; its other fields may be None, and stay so. In ``links`` a deformable has the number of
                 links plus its own index.
         """
 
 
 PARAMETERS = ("density", "stiffness", "bending", "friction")
-"""Of a deformable in one environment: scales of mass, of membrane or axial stiffness and of bending stiffness, whose
-nominal value is 1, and the coefficient of friction itself."""
+"""Parameters of a deformable in one environment: scales of mass, of membrane or axial stiffness and of bending
+stiffness, whose nominal value is 1, and the coefficient of friction."""
 
 
 class MatterSolver(ABC):
-    """A plugin that makes :class:`Matter`. Importing and making one must not import what it computes with."""
+    """A plugin that makes :class:`Matter`. Importing and making one must not import the solver's libraries."""
 
     name: ClassVar[str]
     contract: ClassVar[tuple[int, int]]
@@ -165,29 +168,30 @@ class MatterSolver(ABC):
 
     @abstractmethod
     def capabilities(self) -> Capabilities:
-        """What of :data:`~orbit_core.interfaces.capabilities.MATTER` it can do, with reasons."""
+        """Return its capabilities among :data:`~orbit_core.interfaces.capabilities.MATTER`, with reasons."""
 
     def gaps(self) -> tuple[Gap, ...]:
-        """Metrics of the conformance scenarios of matter that it is known to miss, on every engine."""
+        """Return metrics of the conformance scenarios of matter that it is known to miss, on every engine."""
         return ()
 
     def settings_at(self, substep: float) -> Mapping[str, Any]:
-        """Its settings that make it compute in steps of at most ``substep`` seconds; empty where it has no such steps.
+        """Return settings with which it computes in steps of at most ``substep`` seconds; empty if it has no steps.
 
         The conformance suite shows by them what accuracy costs.
         """
         return {}
 
     def versions(self) -> dict[str, str]:
-        """Installed distributions that results depend on, with their versions."""
+        """Return installed distributions that results depend on, with their versions."""
         return {}
 
     def create_painter(self, layout: SceneLayout, device: torch.device) -> MatterPainter:
-        """What paints deformables into other renderers' pictures.
+        """Return a painter of deformables for the pictures of other renderers.
 
         Raises:
             UnsupportedCapabilityError: the solver draws nothing.
         """
+        # The engine's own renderer may draw them, so that a solver without a painter is still of use.
         raise UnsupportedCapabilityError(f"matter solver '{self.name}' draws no deformables")
 
     @abstractmethod

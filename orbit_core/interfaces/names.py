@@ -1,4 +1,4 @@
-"""Looking things up by name and by regular expression, the same way everywhere."""
+"""Look-up of things by name and by regular expression."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ _Thing = TypeVar("_Thing")
 
 
 class NamedThings(dict[str, _Thing]):
-    """Things by name, read only; a name that none bears raises an UnknownNameError with the nearest.
+    """Read-only dictionary of things by name; an unknown name raises an UnknownNameError with the nearest.
 
-    It is a dictionary, for tasks look their robots up several times a step, and nothing is faster.
+    It is a dictionary because tasks look up their robots several times a step.
 
     Args:
         things: by name.
         kind: of thing, in the singular.
         where: the attribute that holds them.
-        beside: collections of the same owner, which know each other: a name is looked for among all of them.
+        siblings: collections of the same owner; a name that one lacks is looked up in the others for the message.
     """
 
-    def __init__(self, things: Mapping[str, _Thing], kind: str, where: str, beside: list[NamedThings]) -> None:
+    def __init__(self, things: Mapping[str, _Thing], kind: str, where: str, siblings: list[NamedThings]) -> None:
         super().__init__(things)
         self.kind = kind
         self.where = where
-        self._beside = beside
-        beside.append(self)
+        self._siblings = siblings
+        siblings.append(self)
 
     def __missing__(self, name: str) -> NoReturn:
-        for other in self._beside:
+        # The commonest mistake is an object looked up among robots, or the other way round.
+        for other in self._siblings:
             if isinstance(name, str) and name in other:
                 article = "an" if other.kind[0] in "aeiou" else "a"
                 note = f"'{name}' is {article} {other.kind}: {other.where}['{name}']"
@@ -46,7 +47,7 @@ class NamedThings(dict[str, _Thing]):
 
 
 def find_name(name: str, names: Sequence[str], kind: str, where: str = "") -> int:
-    """The index of ``name`` in ``names``.
+    """Return the index of ``name`` in ``names``.
 
     Raises:
         UnknownNameError: it is not there.
@@ -58,12 +59,13 @@ def find_name(name: str, names: Sequence[str], kind: str, where: str = "") -> in
 
 
 def match_names(patterns: Sequence[str], names: Sequence[str], kind: str, where: str = "") -> list[int]:
-    """Indices, ascending, of all names that one of the regular expressions matches in full.
+    """Return indices, ascending, of all names that one of the regular expressions matches in full.
 
     Raises:
         UnknownNameError: a pattern matches no name.
         ConfigurationError: a pattern is not a regular expression.
     """
+    # A set, since several patterns may match the same name; the order is that of the names.
     found: set[int] = set()
     for pattern in patterns:
         matches = _full_matches(pattern, names, kind)
@@ -74,7 +76,7 @@ def match_names(patterns: Sequence[str], names: Sequence[str], kind: str, where:
 
 
 def match_values(values: Mapping[str, float], names: Sequence[str], kind: str, where: str = "") -> dict[int, float]:
-    """Index -> value for every name that a key matches in full; a later key overrides an earlier one.
+    """Return index -> value for every name that a key matches in full; a later key overrides an earlier one.
 
     Raises:
         UnknownNameError: a key matches no name.
@@ -89,6 +91,7 @@ def _full_matches(pattern: str, names: Sequence[str], kind: str) -> list[int]:
     if not isinstance(pattern, str):
         raise ConfigurationError(f"a {kind} pattern must be a string, not {pattern!r}: give several one by one")
     try:
+        # Compiled here for its error: fullmatch would report it without the pattern.
         expression = re.compile(pattern)
     except re.error as error:
         raise ConfigurationError(f"{kind} pattern '{pattern}' is not a regular expression: {error}") from None

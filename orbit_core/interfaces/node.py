@@ -27,17 +27,18 @@ class Node(ABC):
     name: str
     inputs: tuple[Port, ...] = ()
     outputs: tuple[Port, ...] = ()
+    # None and not a number, because a node does not know the rate of its agent.
     rate: float | None = None
 
     @abstractmethod
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        """One turn."""
+        """Compute the outputs of one turn from its inputs."""
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Forget the past of some environments."""
 
     def memory(self) -> Mapping[str, Tensor]:
-        """What the next turn depends on besides the inputs: the node's own tensors (num_envs, ...), by name.
+        """Return the node's own tensors (num_envs, ...) that the next turn depends on, by name.
 
         The agent writes into them to restore a snapshot, and to undo a turn for environments that it was not for.
         """

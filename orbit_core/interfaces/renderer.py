@@ -17,7 +17,7 @@ from orbit_core.scene import CameraSpec, Channel, Shape
 
 @dataclass(frozen=True)
 class Image:
-    """What one camera saw in n environments; a channel not asked for is None."""
+    """Pictures of one camera in n environments; a channel that was not requested is None."""
 
     rgb: Tensor | None = None
     """(n, H, W, 3) uint8"""
@@ -31,15 +31,15 @@ class Image:
     """(n, H, W, 3) uint8: the shapes' own colours, unlit; black beyond everything."""
 
     def only(self, channels: Sequence[Channel]) -> Image:
-        """What serves these channels, and nothing else."""
+        """Return a copy that holds only the fields which serve these channels."""
         return Image(**{name: getattr(self, name) for name in {_FIELDS[channel] for channel in channels}})
 
 
+# Of an image, by the channel that it serves
 _FIELDS = {
     Channel.RGB: "rgb", Channel.DEPTH: "depth", Channel.NORMALS: "normals", Channel.ALBEDO: "albedo",
     Channel.INSTANCE: "links", Channel.SEMANTIC: "links",
 }  # fmt: skip
-"""Of an image, by the channel that it serves."""
 
 
 class Renderer(Watched, ABC):
@@ -64,7 +64,7 @@ class Renderer(Watched, ABC):
         marker_poses: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> Image:
-        """One picture per environment.
+        """Render one picture per environment.
 
         Args:
             camera: one of the cameras that the renderer was made with.
@@ -73,21 +73,21 @@ class Renderer(Watched, ABC):
             channels: what to draw. POSITION is not among them: the camera sensor has it from depth.
             marker_poses: (n, M, 7) of the scene's markers; None draws none.
             env_ids: (n,) which environments these are, for objects differ between them where the scene has variants;
-                None stands for the first n. A renderer whose ``capture`` takes masks for this method also takes one
+                None means the first n. A renderer whose ``capture`` takes masks for this method also takes one
                 (N,) bool, with poses of all environments; pictures outside of the mask may hold anything.
         """
 
     def close(self) -> None:
-        """Free what the renderer holds; idempotent."""
+        """Free the renderer's resources; idempotent."""
 
 
 def drawn_shapes(layout: SceneLayout) -> list[tuple[Shape, int]]:
-    """What a picture of the scene shows, markers aside: each shape with its link's index, or TERRAIN."""
+    """Return all shapes that a picture shows, markers excepted, each with its link's index or TERRAIN."""
     terrain = [(shape, TERRAIN) for shape in layout.scene.terrain]
     return terrain + [(shape, n) for n, link in enumerate(layout.links) for shape in link.visuals or link.collisions]
 
 
 def albedo_table(layout: SceneLayout) -> npt.NDArray[np.uint8]:
-    """(1 + shapes, 3): black, for nothing, and the colour of each of :func:`drawn_shapes`."""
+    """Return the colours (1 + shapes, 3) of nothing, which is black, and of each of :func:`drawn_shapes`."""
     colors = np.array([(0.0, 0.0, 0.0), *(shape.color[:3] for shape, _ in drawn_shapes(layout))])
     return (255.0 * np.clip(colors, 0.0, 1.0) + 0.5).astype(np.uint8)

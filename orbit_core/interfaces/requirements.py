@@ -1,4 +1,7 @@
-"""Which capabilities a scene needs, so that a backend that lacks one refuses it before anything is built."""
+"""Capabilities that a scene needs, so that a backend without one refuses it before anything is built.
+
+Apart from the capabilities, so that a plugin's declaration is read without scenes, which load NumPy.
+"""
 
 from __future__ import annotations
 
@@ -48,17 +51,20 @@ _CONTACT = {
 
 
 def required_capabilities(scene: Scene) -> dict[Capability, str]:
-    """Each capability that the scene needs, with the first thing in it that needs it."""
+    """Return each capability that the scene needs, with the first thing in it that needs it."""
     needs: dict[Capability, str] = {}
     for capability, culprit in _needs(scene):
+        # A pendulum alone needs no friction, though its shapes have a material.
         if capability not in _CONTACT or _may_touch(scene):
+            # Only the first culprit is named, to keep the message short.
             needs.setdefault(capability, culprit)
     return needs
 
 
 def _may_touch(scene: Scene) -> bool:
-    """Whether there are two things that could meet."""
+    """Return True if the scene has two things that could touch."""
     articulations = [entity.alternatives for entity in scene.entities]
+    # Entities with shapes; the terrain counts as one more for each of its shapes.
     solid = sum(any(link.collisions for each in kinds for link in each.links) for kinds in articulations)
     alone = any(each.self_collisions for kinds in articulations for each in kinds)
     return alone or bool(scene.deformables) or solid + len(scene.terrain) > 1
@@ -67,6 +73,7 @@ def _may_touch(scene: Scene) -> bool:
 def _needs(scene: Scene) -> Iterator[tuple[Capability, str]]:
     for entity in scene.entities:
         for articulation in entity.alternatives:
+            # Variants may need more than the entity's own articulation does.
             yield from _entity_needs(replace(entity, articulation=articulation))
         if len(entity.alternatives) > 1:
             yield Capability.SHAPES_PER_ENVIRONMENT, f"'{entity.name}'"
@@ -128,6 +135,7 @@ def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
         if link.mass == 0 and link is not articulation.root:
             yield Capability.MASSLESS_LINKS, f"link '{link.name}' of {culprit}"
         for shape in link.collisions:
+            # Static triangle meshes are common; moving ones only a few engines have.
             moving = not (entity.fixed_base and link is articulation.root)
             yield from _shape_needs(shape, f"link '{link.name}' of {culprit}", moving)
 
@@ -148,6 +156,7 @@ def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Cap
         yield Capability.RESTITUTION, culprit
     if material.static_friction != material.dynamic_friction:
         yield Capability.STATIC_FRICTION, culprit
+    # Defaults are so small that engines without these coefficients leave them out.
     if material.torsional_friction > PhysicsMaterial.torsional_friction:
         yield Capability.TORSIONAL_FRICTION, culprit
     if material.rolling_friction > PhysicsMaterial.rolling_friction:
@@ -157,7 +166,7 @@ def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Cap
 
 
 def _sensor_needs(sensor: SensorSpec, looped: AbstractSet[str]) -> Iterator[tuple[Capability, str]]:
-    """Yield what a sensor needs; ``looped`` names the entities with closed loops."""
+    """Yield the needs of a sensor; ``looped`` names the entities with closed loops."""
     culprit = f"sensor '{sensor.name}'"
     match sensor:
         case CameraSpec(channels=channels):

@@ -1,4 +1,4 @@
-"""What tasks, nodes, viewers and learning code see of a world: simulated, recorded or real."""
+"""Worlds and their sensors, as tasks, nodes, viewers and learning code see them: simulated, recorded or real."""
 
 from __future__ import annotations
 
@@ -10,14 +10,30 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces.built import Approximation
 from orbit_core.interfaces.engine import Engine
 from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
-from orbit_core.interfaces.layout import SceneLayout
+from orbit_core.interfaces.layout import Approximation, SceneLayout
 from orbit_core.interfaces.renderer import Renderer
-from orbit_core.interfaces.sensor import Sensor
-from orbit_core.scene import CameraSpec, Scene
+from orbit_core.scene import CameraSpec, Scene, SensorSpec
+
+
+class Sensor(ABC):
+    """One sensor of all environments. A subclass adds typed properties for its values."""
+
+    spec: SensorSpec
+
+    def begin_step(self) -> None:
+        """Start a control step: averages over it begin here."""
+
+    @abstractmethod
+    def advance(self, steps: int) -> None:
+        """Advance the sensor's clock by ``steps`` physics steps; it measures when its period is over."""
+
+    @abstractmethod
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        """Forget the past of some environments; their next reading is fresh."""
+
 
 Bound = float | tuple[float, ...] | Tensor
 
@@ -31,44 +47,45 @@ class WorldClock(Protocol):
     """Physics steps made."""
 
     def touch(self) -> None:
-        """The state was written."""
+        """Count a write of the state."""
         ...
 
 
 class WorldMasking(Protocol):
-    """Which environments a call is for; while a mask is set, those of the mask alone."""
+    """Selection of the environments that a call is for; while a mask is set, only those of the mask."""
 
     traced: bool
-    """Whether a step is being traced: nothing may look at what tensors hold."""
+    """True while a step is traced: no code may read the values of tensors then."""
 
+    # A context, so that the mask is lifted even where the code within raises.
     def only(self, mask: Tensor) -> AbstractContextManager[None]:
         """Set a mask (N,) bool for a while."""
         ...
 
     def rows(self, env_ids: Tensor | None) -> Tensor | None:
-        """The environments that ``env_ids`` means: checked indices (n,), a mask (N,) bool, or None for all."""
+        """Return the environments that ``env_ids`` means: checked indices (n,), a mask (N,) bool, or None for all."""
         ...
 
 
 class WorldRandom(Protocol):
-    """One random stream per environment: each draws the same numbers whatever the number of environments."""
+    """Random streams, one per environment: each draws the same numbers for any number of environments."""
 
     def seed(self, seed: int, env_ids: Tensor | None = None) -> None:
-        """Start the streams of some environments anew."""
+        """Restart the streams of some environments from a seed."""
         ...
 
     def uniform(
         self, shape: tuple[int, ...], low: Bound = 0.0, high: Bound = 1.0, env_ids: Tensor | None = None
     ) -> Tensor:
-        """(n, *shape) float32 in [low, high); bounds are numbers, or tuples or tensors that broadcast to ``shape``."""
+        """Return (n, *shape) float32 in [low, high); bounds broadcast to ``shape``."""
         ...
 
     def normal(self, shape: tuple[int, ...], std: float | Tensor = 1.0, env_ids: Tensor | None = None) -> Tensor:
-        """(n, *shape) float32 of mean zero."""
+        """Return (n, *shape) float32 of mean zero."""
         ...
 
     def integers(self, low: int, high: int, env_ids: Tensor | None = None) -> Tensor:
-        """(n,) int64 in [low, high]."""
+        """Return (n,) int64 in [low, high]."""
         ...
 
     @property
@@ -81,7 +98,7 @@ class WorldRandom(Protocol):
         ...
 
     def save_state(self) -> Any:
-        """Detached copy of all streams."""
+        """Return detached copy of all streams."""
         ...
 
     def load_state(self, state: Any) -> None:
@@ -100,11 +117,12 @@ class World(ABC):
     """
 
     scene: Scene
-    """What the world is of, as it was built."""
+    """Scene of the world, as it was built."""
     layout: SceneLayout
     """Numbers of the scene's links and joints."""
     backend: str
     """Name of the backend, or what else the world comes from."""
+    # Typed by the plugin, which the core does not know.
     settings: Any = None
     """The backend's settings, a dataclass; None where nothing is simulated."""
     matter: str = ""
@@ -133,10 +151,10 @@ class World(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Free what the world holds; idempotent."""
+        """Free the world's resources; idempotent."""
 
     def add_servo(self, servo: Callable[[], None]) -> None:
-        """Have ``servo`` set targets of joints anew before every physics step, as a motor controller does.
+        """Have ``servo`` set targets of joints before every physics step, as a motor controller does.
 
         It reads the present state, is called in the order of adding, and keeps to what a captured step may do.
         """
@@ -145,9 +163,9 @@ class World(ABC):
     def settle(self, steps: int, env_ids: Tensor | None = None) -> None:
         """Simulate some environments for physics steps that count nowhere: no sensor measures, and others stand still.
 
-        What moves in them has come to another place then; robots are held by their commands. All environments are
-        stepped for it and those that are not meant put back, which takes as long as a step of all. Where
-        ``Capability.SNAPSHOTS`` is approximate, these go on a little otherwise, as it says.
+        Free objects move meanwhile; robots are held by their commands. All environments are stepped, and those that are
+        not meant are restored, which takes as long as a step of all. Where ``Capability.SNAPSHOTS`` is approximate,
+        these continue with the difference that it declares.
 
         Args:
             steps: of physics.
@@ -160,7 +178,7 @@ class World(ABC):
         raise self._unsupported("time of its own to let pass")
 
     def save_state(self) -> Any:
-        """Everything that the continuation depends on."""
+        """Return everything that the continuation depends on."""
         raise self._unsupported("snapshots")
 
     def load_state(self, state: Any) -> None:
@@ -168,11 +186,11 @@ class World(ABC):
         raise self._unsupported("snapshots")
 
     def copy_state(self, source: int, targets: Tensor | None = None, origin: World | None = None) -> None:
-        """Put the state of one environment into others: what a model predicts begins there.
+        """Copy the state of one environment into others, as predictions of a model start from it.
 
-        Poses, velocities, joint states and commands are copied on every engine. What a solver starts from besides is
-        copied where ``Capability.COPIED_STATES`` is exact, and the continuation then repeats; elsewhere it begins anew,
-        and differs a little where things touch. Sensors and delayed commands of the targets begin anew.
+        Poses, velocities, joint states and commands are copied on every engine. A solver's warm start
+        is copied where ``Capability.COPIED_STATES`` is exact, and the continuation then repeats; elsewhere it is reset,
+        and the continuation differs a little where things touch. Sensors and delayed commands of the targets are reset.
         Parameters (masses, gains, friction) stay the targets' own.
 
         Args:
@@ -186,11 +204,12 @@ class World(ABC):
         """
         raise self._unsupported("states to copy")
 
-    # The whole scene at a glance, for who draws it
+    # Poses of the whole scene, for renderers and viewers
 
     @property
     def link_poses(self) -> Tensor:
         """(N, L, 7) of every link of the scene, in the layout's order."""
+        # Robots come first, as in the layout, whose link indices these rows match.
         entities = (*self.robots.values(), *self.objects.values())
         poses = [entity.link_poses for entity in entities]
         return torch.cat(poses, 1) if poses else torch.zeros(self.num_envs, 0, 7, device=self.device)
@@ -207,7 +226,7 @@ class World(ABC):
         raise self._unsupported("renderer")
 
     def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
-        """Another renderer of this scene, for cameras that are no sensors. The caller closes it.
+        """Return another renderer of this scene, for cameras that are no sensors. The caller closes it.
 
         ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels.
         """
@@ -216,18 +235,18 @@ class World(ABC):
     # Physics of environments
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        """Gravity (n, 3) in m/s^2 of some environments, for good."""
+        """Set gravity (n, 3) in m/s^2 of some environments; it outlasts resets."""
         raise self._unsupported("gravity to set")
 
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        """Friction (n,), static and dynamic alike, of all terrain shapes."""
+        """Set friction (n,), static and dynamic alike, of all terrain shapes."""
         raise self._unsupported("friction to set")
 
-    # What lies below
+    # Lower layers
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        """What differs from the scene as asked."""
+        """Parts of the scene that the engine and the matter solver approximate."""
         return ()
 
     @property
@@ -247,29 +266,31 @@ class World(ABC):
 
     @property
     def needs_python(self) -> str:
-        """Why a step of this world cannot be captured (:mod:`orbit_core.capture`); empty if it can."""
+        """Reason why a step of this world cannot be captured (:mod:`orbit_core.capture`); empty if it can."""
+        # A recorded or real world steps in Python, which no graph can repeat.
         return f"{type(self).__name__} has no engine"
 
     @property
     def schedule_period(self) -> int:
         """Physics steps after which the same sensors are due again."""
+        # Without a schedule of its own every step is alike.
         return 1
 
     @property
     def phase(self) -> Hashable:
-        """What Python decides by, in the next step, which sensors are due and how far the engine runs at a time."""
+        """Schedule key of the next step: which sensors are due and how many physics steps run at once."""
         raise self._unsupported("captured steps")
 
     def enter(self, phase: Any, steps: int) -> None:
-        """``steps`` physics steps were repeated without Python, which left the world in that phase."""
+        """Continue after ``steps`` physics steps that were replayed without Python and ended in ``phase``."""
         raise self._unsupported("captured steps")
 
     def touch(self) -> None:
-        """What was derived from the present state must be derived anew."""
+        """Invalidate all quantities that were derived from the present state."""
         raise self._unsupported("captured steps")
 
     def memory(self) -> dict[str, Tensor]:
-        """The tensors that a captured step writes in place besides the engine's, by name."""
+        """Return the tensors that a captured step writes in place, without the engine's, by name."""
         raise self._unsupported("captured steps")
 
     def _unsupported(self, what: str) -> UnsupportedCapabilityError:

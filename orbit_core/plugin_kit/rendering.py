@@ -1,4 +1,4 @@
-"""The scaffold of a renderer: one call as one request, what a channel needs of an image, and the end of its life.
+"""Scaffold of a renderer: one call as one request, the fields of an image that channels need, surfaces of deformables.
 
 A renderer that draws on the device of the poses derives from :class:`KitRenderer`, one that draws with NumPy on the
 host from :class:`HostRenderer`.
@@ -6,6 +6,7 @@ host from :class:`HostRenderer`.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,58 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Image, Renderer
-from orbit_core.scene import CameraSpec, Channel
+from orbit_core.scene import CameraSpec, Channel, DeformableSpec, Fluid, Rope
+
+# Sides of the prism that shows a piece of rope
+_SIDES = 8
+
+
+class DeformableSurface:
+    """Cloth and soft bodies are their meshes; a rope is a prism for each piece, a fluid an octahedron a particle."""
+
+    def __init__(self, spec: DeformableSpec) -> None:
+        self._spec = spec
+        self.faces = _faces(spec)
+        """(F, 3) of indices into the vertices; seen from both sides."""
+
+    def vertices(self, positions: Tensor) -> Tensor:
+        """Return (n, V, 3) of particles (n, P, 3)."""
+        if isinstance(self._spec, Rope):
+            return _prisms(positions, self._spec.radius)
+        if isinstance(self._spec, Fluid):
+            corners = torch.eye(3, device=positions.device) * (0.5 * self._spec.spacing)
+            return (positions[:, :, None] + torch.cat((corners, -corners))).flatten(1, 2)
+        return positions
+
+
+def _faces(spec: DeformableSpec) -> npt.NDArray[np.int64]:
+    if isinstance(spec, Rope):
+        start = 2 * _SIDES * np.arange(len(spec.rest_positions) - 1)[:, None, None]
+        side = np.arange(_SIDES)
+        following = (side + 1) % _SIDES
+        lower = np.stack((side, following, following + _SIDES), axis=-1)
+        upper = np.stack((side, following + _SIDES, side + _SIDES), axis=-1)
+        return (start + np.concatenate((lower, upper))).reshape(-1, 3)
+    if isinstance(spec, Fluid):
+        start = 6 * np.arange(len(spec.rest_positions))[:, None, None]
+        eight = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
+        return (start + np.array(eight)).reshape(-1, 3)
+    return np.asarray(spec.mesh.faces, dtype=np.int64)
+
+
+def _prisms(points: Tensor, radius: float) -> Tensor:
+    """Return (n, (P - 1) 2 sides, 3): two rings around each piece, across it."""
+    along = points[:, 1:] - points[:, :-1]
+    along = along / along.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    # Any direction that is not along: the axis that is least so.
+    other = torch.nn.functional.one_hot(along.abs().argmin(-1), 3).to(along.dtype)
+    first = torch.linalg.cross(along, other)
+    first = first / first.norm(dim=-1, keepdim=True)
+    second = torch.linalg.cross(along, first)
+    angles = torch.arange(_SIDES, device=points.device) * (2.0 * math.pi / _SIDES)
+    ring = radius * (first[:, :, None] * angles.cos()[:, None] + second[:, :, None] * angles.sin()[:, None])
+    return torch.cat((points[:, :-1, None] + ring, points[:, 1:, None] + ring), dim=2).flatten(1, 2)
+
 
 Kind = Literal["rgb", "depth", "normals", "links", "albedo"]
 """A field of :class:`Image`."""
@@ -41,16 +93,17 @@ PIXELS: Mapping[Kind, tuple[int, torch.dtype]] = {
 
 @dataclass(frozen=True)
 class Wanted:
-    """Which fields of an image serve the channels of a call."""
+    """Fields of an image that serve the channels of a call."""
 
     channels: frozenset[Channel]
 
     def __contains__(self, kind: Kind) -> bool:
+        # Instance and semantic images are made of the same field.
         return not self.channels.isdisjoint(_CHANNELS[kind])
 
     @property
     def measured(self) -> bool:
-        """Whether anything but colour is asked for, on which markers and lights do not show."""
+        """True if any channel but colour is requested; markers and lights do not show in those."""
         return bool(self.channels - _CHANNELS["rgb"])
 
 
@@ -90,12 +143,13 @@ class KitRenderer(Renderer):
 
     def close(self) -> None:
         if not self._closed:
+            # Set first, so that free is not called again where it raises.
             self._closed = True
             self.free()
 
     @abstractmethod
     def draw(self, request: Request) -> Image:
-        """The pictures that are wanted; a field that is not wanted is None."""
+        """Return the pictures that are wanted; a field that is not wanted is None."""
 
     @abstractmethod
     def free(self) -> None:
@@ -120,15 +174,16 @@ class HostRequest:
     """(n, L, 4) of links, as :attr:`Renderer.link_colors` has them; None: all have their own."""
 
     def canvas(self, kind: Kind) -> npt.NDArray[Any]:
-        """Pictures (n, H, W, numbers in a pixel) to be filled."""
+        """Return pictures (n, H, W, numbers in a pixel) to be filled."""
         count, dtype = PIXELS[kind]
+        # Through torch, whose types the contract states; NumPy shares the memory.
         shape = (len(self.cameras), self.camera.height, self.camera.width, count)
         return torch.empty(shape, dtype=dtype).numpy()
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """As :class:`Image`, on the host; what was drawn and is not wanted may stay in it."""
+    """Fields of an :class:`Image` on the host; fields that are not wanted may be set too."""
 
     rgb: npt.NDArray[np.uint8] | None = None
     depth: npt.NDArray[np.float32] | None = None
@@ -138,11 +193,11 @@ class Pictures:
 
 
 class HostRenderer(KitRenderer):
-    """Draws with NumPy on the host, whatever device the poses are on; waits for it."""
+    """Draws with NumPy on the host; waits for the device of the poses."""
 
     @abstractmethod
     def draw_pictures(self, request: HostRequest) -> Pictures:
-        """All pictures that are wanted."""
+        """Return all pictures that are wanted."""
 
     def draw(self, request: Request) -> Image:
         count, ids = len(request.link_poses), request.env_ids
@@ -157,6 +212,7 @@ class HostRenderer(KitRenderer):
                 self._colors_of(count, ids),
             )
         )
+        # Pictures return to the device that the poses came from.
         device = request.link_poses.device
         return Image(**{kind: _tensor(getattr(pictures, kind), device) for kind in _CHANNELS if kind in request.wanted})
 
@@ -167,10 +223,14 @@ class HostRenderer(KitRenderer):
 
 
 def painted(own: npt.NDArray[Any], links: npt.NDArray[Any], colors: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
-    """Colours (S, >= 3) of shapes, those of links (S,) that have one of their own in ``colors`` (L, 4) in their place.
+    """Return colours of shapes, replaced by those of their links where these have one.
 
-    Red, green and blue are in [0, 1]; links below zero are none.
+    Args:
+        own: (S, >= 3) colours of the shapes in [0, 1].
+        links: (S,) link of each shape; none if negative.
+        colors: (L, 4) colours of links; a link without one has zero in the fourth place.
     """
+    # Negative indices would wrap around to the last link.
     chosen = colors[np.maximum(links, 0)]
     holds = (links >= 0) & (chosen[:, 3] > 0.0)
     result = own.copy()
@@ -181,7 +241,13 @@ def painted(own: npt.NDArray[Any], links: npt.NDArray[Any], colors: npt.NDArray[
 def repainted(
     albedo: npt.NDArray[np.uint8], links: npt.NDArray[np.int32], colors: npt.NDArray[np.float32] | None
 ) -> npt.NDArray[np.uint8]:
-    """Albedo (n, H, W, 3) of what is seen, and of links (n, H, W) with a colour in ``colors`` (n, L, 4) that one."""
+    """Return albedo with the colours of links where these have one.
+
+    Args:
+        albedo: (n, H, W, 3) of the shapes.
+        links: (n, H, W) link that each pixel shows.
+        colors: (n, L, 4) colours of links, as of :func:`painted`; None leaves the albedo as it is.
+    """
     if colors is None:
         return albedo
     rows = np.arange(len(links))[:, None, None]
@@ -196,4 +262,5 @@ def _on_host(poses: Tensor) -> npt.NDArray[np.float64]:
 
 
 def _tensor(pictures: npt.NDArray[Any], device: torch.device) -> Tensor:
+    # Renderers often hand out flipped views, which torch does not take.
     return torch.from_numpy(np.ascontiguousarray(pictures)).to(device)

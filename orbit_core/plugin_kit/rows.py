@@ -1,4 +1,4 @@
-"""How environments are picked out of arrays and tensors that have a row for each."""
+"""Row selection for per-environment arrays and tensors."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ HostRows = npt.NDArray[np.int64] | slice
 
 
 def rows_of(env_ids: Tensor | None) -> Rows:
-    """The rows of these environments; all without any."""
+    """Return the rows of these environments; all without any."""
     return slice(None) if env_ids is None else env_ids
 
 
 def host_rows(env_ids: Tensor | None) -> HostRows:
-    """As :func:`rows_of`, for arrays on the host; the environments are named there too."""
+    """Return the rows of these environments for arrays on the host, where ``env_ids`` must be too."""
     return slice(None) if env_ids is None else env_ids.numpy()
 
 
 def block(rows: _Index | slice, columns: _Index) -> tuple[_Index | slice, _Index]:
-    """The index of ``columns`` (k,) in each of ``rows``."""
+    """Return the index of ``columns`` (k,) in each of ``rows``."""
+    # Two index arrays broadcast against each other, which needs one more dimension on the rows.
     return (rows, columns) if isinstance(rows, slice) else (rows[:, None], columns)
 
 
 def is_mask(env_ids: Tensor | None) -> TypeGuard[Tensor]:
-    """Whether environments are given as (N,) bool, and not as int64 indices (n,)."""
+    """Return True if environments are given as a mask (N,) bool, and not as indices (n,)."""
     return env_ids is not None and env_ids.dtype == torch.bool
 
 
 def take_rows(values: Tensor, env_ids: Tensor | None) -> Tensor:
-    """The rows of environments that are given by index; all of them where they are given by mask, or not at all."""
+    """Return the rows of environments that are given by index; all rows for a mask or None."""
     return values if env_ids is None or is_mask(env_ids) else values[env_ids]
 
 
@@ -49,6 +50,7 @@ def write_rows(target: Tensor, values: Tensor | float, env_ids: Tensor | None) -
     """
     if env_ids is None:
         target[:] = values
+    # Indexing by a mask would wait for the device to count its rows; where does not.
     elif env_ids.dtype != torch.bool:
         target[env_ids] = values
     else:

@@ -1,20 +1,62 @@
-"""Fixed joints removed: every link that cannot move against its parent becomes part of it, exactly."""
+"""Merging of links that cannot move against each other: masses and inertias add up exactly."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
-from orbit_core.preparation.inertia import MassProperties, combine
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Frame, Joint, Link, LoopJoint, Pose, Shape
+from orbit_core.scene.pose import Vector3
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """Mass in kg, centre of mass in a frame, and inertia (3, 3) in kg m^2 about it in the frame's axes."""
+
+    mass: float
+    center_of_mass: Vector3
+    inertia: FloatArray
+
+    def placed(self, pose: Pose) -> MassProperties:
+        """Return the same body seen from the frame in which its own frame has ``pose``."""
+        rotation = pose.rotation_matrix()
+        return MassProperties(
+            self.mass, _vector(pose.transform(self.center_of_mass)), rotation @ self.inertia @ rotation.T
+        )
+
+    def about(self, point: npt.ArrayLike) -> FloatArray:
+        """Return the inertia (3, 3) about another point of the same frame, by the parallel-axis theorem."""
+        return self.inertia + _point_mass_inertia(self.mass, np.asarray(point) - np.asarray(self.center_of_mass))
+
+
+def combine(bodies: Iterable[MassProperties]) -> MassProperties:
+    """Return the mass properties of several bodies, given in one frame, that move as one.
+
+    Raises:
+        AssetError: the bodies have no mass.
+    """
+    parts = tuple(bodies)
+    total = sum(part.mass for part in parts)
+    if total <= 0:
+        raise AssetError("a body without mass has no centre of mass: give at least one of its parts a mass")
+    center = sum((part.mass * np.asarray(part.center_of_mass) for part in parts), np.zeros(3)) / total
+    return MassProperties(total, _vector(center), sum((part.about(center) for part in parts), np.zeros((3, 3))))
 
 
 def merge_fixed_links(articulation: Articulation) -> Articulation:
-    """The same mechanism without fixed joints.
+    """Return the same mechanism without fixed joints.
 
     Masses, centres of mass and inertias add up exactly (parallel-axis theorem). Each merged link leaves a
     :class:`Frame` of its name; shapes, frames, joints and collision exclusions move to the link that took it in, which
     keeps its own semantic label. Links must be in topological order.
     """
+    # Most articulations were merged by their reader; they are returned unchanged.
     if all(joint.movable for joint in articulation.joints):
         return articulation
     hosts = link_hosts(articulation)
@@ -34,7 +76,7 @@ def merge_fixed_links(articulation: Articulation) -> Articulation:
 
 
 def link_hosts(articulation: Articulation) -> dict[str, tuple[str, Pose]]:
-    """For each link the link that it ends up in when fixed joints are taken out, and its pose there."""
+    """Return for each link the link that it is merged into, and its pose there."""
     hosts: dict[str, tuple[str, Pose]] = {}
     joint_of = {joint.child: joint for joint in articulation.joints}
     for link in articulation.links:
@@ -42,6 +84,7 @@ def link_hosts(articulation: Articulation) -> dict[str, tuple[str, Pose]]:
         if joint is None or joint.movable:
             hosts[link.name] = (link.name, Pose())
         else:
+            # Parents come first in topological order, so that their host is known.
             host, pose = hosts[joint.parent]
             hosts[link.name] = (host, pose @ joint.parent_pose @ joint.child_pose.inverse())
     return hosts
@@ -52,6 +95,7 @@ def _combine(members: list[tuple[Link, Pose]]) -> Link:
     if len(members) == 1:
         return host
     bodies = [MassProperties(link.mass, link.center_of_mass, link.inertia).placed(pose) for link, pose in members]
+    # A chain of fixed frames without mass stays without mass.
     body = combine(bodies) if any(part.mass for part in bodies) else bodies[0]
     return replace(
         host,
@@ -88,4 +132,14 @@ def _rename_pairs(
     pairs: tuple[tuple[str, str], ...], hosts: dict[str, tuple[str, Pose]]
 ) -> tuple[tuple[str, str], ...]:
     renamed = ((hosts[first][0], hosts[second][0]) for first, second in pairs)
+    # Exclusions within one merged link have no meaning any more.
     return tuple(dict.fromkeys(pair for pair in renamed if pair[0] != pair[1]))
+
+
+def _point_mass_inertia(mass: float, offset: FloatArray) -> FloatArray:
+    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+
+
+def _vector(values: npt.ArrayLike) -> Vector3:
+    x, y, z = (float(value) for value in np.asarray(values))
+    return (x, y, z)

@@ -41,6 +41,7 @@ def decomposed_shapes(shapes: tuple[Shape, ...], where: str) -> tuple[Shape, ...
     Raises:
         AssetError: a mesh cannot be split, or no installed package splits meshes.
     """
+    # Splitting is slow and its library optional: neither is touched without need.
     if not any(_asks(shape) for shape in shapes):
         return shapes
     return tuple(piece for shape in shapes for piece in _pieces_of(shape, where))
@@ -65,6 +66,7 @@ def decompositions() -> Registry[Decomposition]:
 
 
 def _prepared_entity(entity: _EntityType) -> _EntityType:
+    # Validated before links are merged, so that messages name the links of the file.
     validate_entity(entity)
     return decomposed_entity(replace(entity, articulation=merge_fixed_links(entity.articulation)))
 
@@ -94,5 +96,6 @@ def _pieces_of(shape: Shape, where: str) -> Iterator[Shape]:
             f"{named} asks for convex pieces, which the distribution orbit-assets makes: "
             f"{install_command('orbit-assets')}, or have the mesh collide as its hull"
         )
+    # Numbered names, since the names of shapes in a link must differ.
     for number, piece in enumerate(decompositions().get(names[0])(shape.geometry, where=named)):
         yield replace(shape, geometry=piece, name=f"{shape.name}_{number}" if shape.name else "")

@@ -1,19 +1,18 @@
-"""What makes an articulation one that can be simulated: one tree, in order, of bodies that could exist."""
+"""Validation of articulations and entities: one tree, in order, of bodies that could exist."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from orbit_core.interfaces.errors import ArgumentError, AssetError
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.interfaces.names import find_name, match_names
-from orbit_core.preparation.massless import check_massless
 from orbit_core.preparation.merge import link_hosts, merge_fixed_links
-from orbit_core.preparation.posture import link_poses
 from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import (
     Articulation,
@@ -29,32 +28,133 @@ from orbit_core.scene import (
     RobotSpec,
 )
 
+
+def link_poses(articulation: Articulation, positions: Mapping[str, float]) -> dict[str, Pose]:
+    """Return the pose of each link by name, in the root link's frame.
+
+    ``positions`` are rad or m by joint, zero where not named; followers stand where it puts them, not where their
+    leaders would. Links must be in topological order.
+    """
+    poses = {articulation.root.name: Pose()}
+    for joint in articulation.joints:
+        moved = _motion(joint, positions.get(joint.name, 0.0))
+        poses[joint.child] = poses[joint.parent] @ joint.parent_pose @ moved @ joint.child_pose.inverse()
+    return poses
+
+
+def _motion(joint: Joint, position: float) -> Pose:
+    if joint.type is JointType.PRISMATIC:
+        x, y, z = joint.axis
+        return Pose((position * x, position * y, position * z))
+    return Pose.from_axis_angle(joint.axis, position) if joint.movable else Pose()
+
+
+# Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there
+_ELSEWHERE = (0.3, -0.5, 0.7, 0.4, -0.6, 0.2)
+# Share of the largest singular value of the joints' unit motions below which they are dependent
+_DEPENDENT = 1e-6
+
+
+def check_massless(articulation: Articulation) -> None:
+    """Check that the moving links without mass can be simulated. There must be no fixed joints.
+
+    Such a link has no inertia and collides with nothing, it carries links with mass, and the joints on the way to the
+    next of these, those with armature left out, move it in independent ways: otherwise some effort would meet no
+    inertia at all.
+
+    Raises:
+        AssetError: names the link or the joints.
+    """
+    joint_of = {joint.child: joint for joint in articulation.joints}
+    carried = {joint.parent for joint in articulation.joints}
+    massless = {link.name for link in articulation.links[1:] if link.mass == 0}
+    for link in articulation.links[1:]:
+        if link.name in massless:
+            if link.name not in carried:
+                raise _link_error(
+                    articulation, link.name, "moves but has no mass: give it mass and inertia, or fix its joint"
+                )
+            if np.any(link.inertia):
+                raise _link_error(articulation, link.name, "has an inertia but no mass: give it mass")
+            if link.collisions:
+                raise _link_error(articulation, link.name, "collides but has no mass: give it mass and inertia")
+        elif link.name in joint_of and joint_of[link.name].parent in massless:
+            _check_independent(articulation, _chain(link.name, joint_of, massless))
+
+
+def _chain(link: str, joint_of: dict[str, Joint], massless: set[str]) -> list[Joint]:
+    """Return the joints from the last link with mass, or the root, to ``link``, the outermost first."""
+    joints = [joint_of[link]]
+    while joints[-1].parent in massless:
+        joints.append(joint_of[joints[-1].parent])
+    return joints[::-1]
+
+
+def _check_independent(articulation: Articulation, joints: list[Joint]) -> None:
+    free = [joint.armature == 0 for joint in joints]
+    if not any(free):
+        return
+    # Armature gives a joint inertia of its own, so that it may depend on others.
+    motions = _unit_motions(joints)[:, free]
+    values = np.linalg.svd(motions, compute_uv=False)
+    if motions.shape[1] > 6 or values[-1] < _DEPENDENT * values[0]:
+        names = ", ".join(f"'{joint.name}'" for joint, each in zip(joints, free, strict=True) if each)
+        raise AssetError(
+            f"'{articulation.name}': joints {names} move link '{joints[-1].child}' in the same way, with no mass "
+            "between them: give the links between them mass, or one of the joints armature"
+        )
+
+
+def _unit_motions(joints: list[Joint]) -> npt.NDArray[np.float64]:
+    """Return (6, k) velocity and angular velocity that each joint gives the last link, each column of length one."""
+    pose = Pose()
+    columns: list[npt.NDArray[np.float64]] = []
+    for number, joint in enumerate(joints):
+        pose = pose @ joint.parent_pose
+        axis = pose.rotation_matrix() @ np.asarray(joint.axis)
+        position = _ELSEWHERE[number % len(_ELSEWHERE)]
+        if joint.type is JointType.PRISMATIC:
+            column = np.concatenate((axis, np.zeros(3)))
+            moved = Pose((position * joint.axis[0], position * joint.axis[1], position * joint.axis[2]))
+        else:
+            column = np.concatenate((np.cross(pose.position, axis), axis))
+            moved = Pose.from_axis_angle(joint.axis, position)
+        columns.append(column / np.linalg.norm(column))
+        pose = pose @ moved @ joint.child_pose.inverse()
+    return np.stack(columns, axis=1)
+
+
+def _link_error(articulation: Articulation, link: str, fault: str) -> AssetError:
+    return AssetError(f"'{articulation.name}': link '{link}' {fault}")
+
+
+# Tolerance as a share of the largest principal moment: published models round their inertias to three digits
 _TRIANGLE_TOLERANCE = 1e-3
-"""Tolerance as a share of the largest principal moment: published models round their inertias to three digits."""
+# Metres by which a loop may be open at home, and radians by which a weld may be turned
 _CLOSED = 1e-3
-"""Metres by which a loop may be open at home, and radians by which a weld may be turned."""
+# rad or m: files round home positions, and those that were recorded in a simulation press on soft limits
 _HOME_TOLERANCE = 1e-3
-"""rad or m: files round home positions, and those that were recorded in a simulation press on soft limits."""
 _MEND = "compute its inertia from its shape, or have it mended by ReadOptions(repair=Repair.BALANCE)"
+# Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes
 _POWERS = 3
-"""Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes."""
+# Largest difference of a quaternion's length from 1; written ones have few digits
 _UNIT = 1e-3
-"""Largest difference of a quaternion's length from 1; written ones have few digits."""
 
 
 def validate(articulation: Articulation) -> Articulation:
-    """The articulation with joint axes of unit length, checked.
+    """Return the articulation with joint axes of unit length, checked.
 
     Inertias are checked per rigid body, links joined by fixed joints taken together: a sensor's own entry may be
     rounded beyond physics while the body that carries it is sound. The root may have no mass, as that of a fixed base,
-    and so may links between joints (:func:`orbit_core.preparation.massless.check_massless`).
+    and so may links between joints (:func:`orbit_core.preparation.validation.check_massless`).
 
     Raises:
-        AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` mends
-            that), a number of a shape, joint or link is impossible (:func:`.scene_data.check_data`),
+        AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` sorts
+            them), a number of a shape, joint or link is impossible (:func:`.scene_data.check_data`),
             a mimic is, a drive or home position is of no movable joint, or a body's mass or inertia is impossible.
     """
     try:
+        # An articulation comes from a file more often than from a caller, hence the other class of error.
         check_data(articulation, f"'{articulation.name}'")
     except ArgumentError as error:
         raise AssetError(str(error)) from None
@@ -72,6 +172,7 @@ def validate(articulation: Articulation) -> Articulation:
     by_name = {joint.name: joint for joint in joints}
     for joint in joints:
         _check_mimic(articulation, joint, by_name)
+    # Loops are checked between rigid bodies, not between the links of the file.
     hosts = link_hosts(articulation) if articulation.loops else {}
     for loop in articulation.loops:
         _check_loop(articulation, loop, hosts)
@@ -79,6 +180,7 @@ def validate(articulation: Articulation) -> Articulation:
     articulation = _checked_home(articulation)
     if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
         articulation = replace(articulation, joints=joints)
+    # A single entry may be rounded beyond physics while the rigid body that carries it is sound.
     merged = merge_fixed_links(articulation)
     check_massless(merged)
     for link in merged.links:
@@ -94,7 +196,7 @@ def validate_entity(entity: Entity) -> None:
         AssetError: as :func:`validate`, the root of a free base has no mass, a loop is open at the home positions, or a
             variant is no single link like the entity's own.
         UnknownNameError: an end effector, a finger tip, a foot or a wheel of a robot names no link or frame, or an end
-            effector's arm or gripper or a planar base no joint; tells the nearest.
+            effector's arm or gripper or a planar base no joint; names the nearest.
     """
     validate(entity.articulation)
     if isinstance(entity, RobotSpec):
@@ -137,7 +239,7 @@ def _check_robot(robot: RobotSpec) -> None:
 
 
 def _check_variant(entity: Entity, variant: Articulation) -> None:
-    """Refuse what cannot stand in for the entity's own articulation."""
+    """Reject a variant that cannot replace the entity's own articulation."""
     own = entity.articulation
     if len(own.links) > 1 or len(variant.links) > 1:
         raise _error(variant, f"'{entity.name}' has variants, which are for single links: join its links")
@@ -149,7 +251,7 @@ def _check_variant(entity: Entity, variant: Articulation) -> None:
 
 
 def sort_links(articulation: Articulation) -> Articulation:
-    """The same tree with links depth first, children in their given order, and joints in the order of their links.
+    """Return the same tree with links in depth-first order and joints in the order of their child links.
 
     Raises:
         AssetError: the links form no single tree.
@@ -160,6 +262,7 @@ def sort_links(articulation: Articulation) -> Articulation:
     for link in articulation.links:
         if link.name in joint_of:
             children.setdefault(joint_of[link.name].parent, []).append(link.name)
+    # check_structure has made sure that there is exactly one.
     (root,) = (link.name for link in articulation.links if link.name not in joint_of)
     order: list[str] = []
     stack = [root]
@@ -173,7 +276,7 @@ def sort_links(articulation: Articulation) -> Articulation:
 
 
 def check_structure(articulation: Articulation) -> None:
-    """Check that names are unique and that the joints make one tree of all links, in whatever order.
+    """Check that names are unique and that the joints make one tree of all links, in any order.
 
     Raises:
         AssetError: they do not.
@@ -210,6 +313,7 @@ def _check_tree(articulation: Articulation, parent_of: dict[str, Joint]) -> None
                 raise _error(articulation, f"links form a cycle, {cycle}: remove one of its joints")
             path.append(name)
             name = parent_of[name].parent
+        # Links whose way to the root is known are not followed again: linear time for long chains.
         rooted.update(path)
     roots = [name for name in articulation.link_names if name not in parent_of]
     if len(roots) > 1:
@@ -296,7 +400,7 @@ def _check_loop(articulation: Articulation, loop: LoopJoint, hosts: dict[str, tu
 
 
 def _check_closed(entity: Entity) -> None:
-    """Every loop, at the home positions."""
+    """Check that every loop is closed at the home positions."""
     articulation = entity.articulation
     positions = dict(zip(articulation.joint_names, home_positions(entity).tolist(), strict=True))
     poses = link_poses(articulation, positions)
@@ -337,7 +441,7 @@ def _check_drives(articulation: Articulation) -> None:
 
 
 def _checked_home(articulation: Articulation) -> Articulation:
-    """The articulation with home positions that a file rounds to just beyond their limits at the limits."""
+    """Return the articulation with home positions that a file rounds to just beyond their limits at the limits."""
     names = articulation.joint_names
     limits = {joint.name: (joint.lower_limit, joint.upper_limit) for joint in articulation.joints}
     home: list[tuple[str, float]] = []
@@ -346,6 +450,7 @@ def _checked_home(articulation: Articulation) -> Articulation:
             raise _error(articulation, f"a home position is of '{joint}', which is no movable joint: name one")
         if not math.isfinite(position):
             raise _error(articulation, f"joint '{joint}' has home position {position}: give a finite number")
+        # Clipped only where rounding explains it; a position further out is an error of the file.
         within = min(max(position, limits[joint][0]), limits[joint][1])
         home.append((joint, within if abs(within - position) <= _HOME_TOLERANCE else position))
     _check_unique(articulation, "home positions", (joint for joint, _ in articulation.home))
@@ -361,6 +466,7 @@ def _checked_home(articulation: Articulation) -> Articulation:
 
 
 def _check_inertia(articulation: Articulation, link: Link) -> None:
+    # eigvalsh reads one triangle only, and would not notice the other.
     if not np.allclose(link.inertia, link.inertia.T, rtol=1e-6, atol=1e-12):
         raise _error(articulation, f"link '{link.name}' has an inertia that is not symmetric: make it so")
     small, middle, large = np.linalg.eigvalsh(link.inertia)

@@ -1,4 +1,4 @@
-"""What a sample says of the truth behind it: values with confidence intervals."""
+"""Estimates from samples: values with confidence intervals."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ class Estimate:
     high: float
 
     def percent(self) -> str:
-        """The value and its interval in percent, for people."""
+        """Return the value and its interval in percent, for people."""
         return f"{100.0 * self.value:.1f} % [{100.0 * self.low:.1f}, {100.0 * self.high:.1f}]"
 
 
 def proportion(successes: int, trials: int) -> Estimate:
-    """Share of successes among independent trials, with Wilson's score interval.
+    """Return share of successes among independent trials, with Wilson's score interval.
 
     E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927), 209-212.
     """
+    # Wilson's interval stays within [0, 1] and holds for few trials, unlike the normal approximation.
     z = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE)
     rate, z2 = successes / trials, z * z / trials
     center = (rate + 0.5 * z2) / (1.0 + z2)
@@ -44,6 +45,7 @@ def mean(values: Sequence[float]) -> Estimate:
     Efron and Tibshirani, An Introduction to the Bootstrap (1993), section 13.3.
     """
     sample = np.asarray(values, np.float64)
+    # A fixed seed: equal samples give equal intervals.
     rows = np.random.default_rng(0).integers(len(sample), size=(_RESAMPLES, len(sample)))
     tail = 0.5 * (1.0 - CONFIDENCE)
     low, high = np.quantile(sample[rows].mean(axis=1), (tail, 1.0 - tail))
@@ -52,7 +54,7 @@ def mean(values: Sequence[float]) -> Estimate:
 
 @dataclass(frozen=True)
 class Statistic:
-    """Mean and standard deviation of a sample (of its own values, not of a population behind it)."""
+    """Mean and standard deviation of a sample (population formula, not Bessel-corrected)."""
 
     mean: float
     deviation: float

@@ -1,4 +1,4 @@
-"""The loop of a rollout: an actor acts, the environment steps, observers look on."""
+"""Rollouts: an actor acts, the environment steps, observers count episodes and watch."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import torch
 from torch import Tensor
+
+from orbit_core.actions.reach import PoseFollower
+from orbit_core.rollout.estimates import Estimate, proportion
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
@@ -21,10 +25,10 @@ class StepObserver:
     """Looks on while an environment is stepped. Override what is of interest."""
 
     def before_step(self) -> None:
-        """Called before the actor acts."""
+        """Observe the environment before the actor acts."""
 
     def stepped(self, action: Tensor, result: StepResult) -> None:
-        """Called after each step; hands on to :meth:`after_step`, which most observers can do with.
+        """Observe a step with all that it returned; most observers only need :meth:`after_step`.
 
         Args:
             action: (N, A) that was taken.
@@ -32,8 +36,9 @@ class StepObserver:
         """
         self.after_step(action, result[4])
 
+    # Two levels of detail, since most observers need the ends of episodes only.
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
-        """Called after each step.
+        """Observe a step.
 
         Args:
             action: (N, A) that was taken.
@@ -43,7 +48,7 @@ class StepObserver:
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast an environment was stepped."""
+    """Stepping rate of an environment."""
 
     env_steps: int
     """Steps of single environments."""
@@ -76,6 +81,7 @@ def roll_out(
     while steps < max_steps and not complete():
         for observer in observers:
             observer.before_step()
+        # Only acting and stepping are timed: filming and counting are not part of the pace.
         begin = time.perf_counter()
         action = actor.act()
         result = environment.step(action)
@@ -84,3 +90,124 @@ def roll_out(
         for observer in observers:
             observer.stepped(action, result)
     return Pace(steps * environment.num_envs, seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """Results of n episodes, ordered by environment, then by the time at which they ended."""
+
+    env_ids: Tensor
+    """(n,) int64"""
+    success: Tensor
+    """(n,) bool"""
+    steps: Tensor
+    """(n,) int64, of the environment."""
+    returns: Tensor
+    """(n,) sums of the rewards."""
+    metrics: dict[str, Tensor]
+    """(n,) each, by name; the first leads."""
+
+    @property
+    def success_rate(self) -> Estimate:
+        """Success rate in [0, 1], with its 95 % interval."""
+        return proportion(int(self.success.sum()), len(self.success))
+
+
+class EpisodeCounter(StepObserver):
+    """Counts the first episodes of each environment.
+
+    Environment i counts its first ``episodes // num_envs`` episodes, and one more if i < ``episodes % num_envs``. A
+    race for the first ``episodes`` to end would prefer short episodes to long ones, and so failures to successes or
+    the reverse.
+
+    Args:
+        episodes: to count.
+        num_envs: of the environment.
+        device: of the environment.
+    """
+
+    def __init__(self, episodes: int, num_envs: int, device: torch.device | str = "cpu") -> None:
+        ids = torch.arange(num_envs, device=device)
+        # Environments with a lower index take the remainder.
+        self._left = episodes // num_envs + (ids < episodes % num_envs).long()
+        self._counted: list[Episodes] = []
+        self.wanted = episodes
+        """Episodes to count."""
+        self.counted = 0
+        """Episodes that have been counted."""
+
+    @property
+    def complete(self) -> bool:
+        """True if every requested episode has finished."""
+        return self.counted == self.wanted
+
+    @property
+    def running(self) -> Tensor:
+        """(N,) bool: environments in which episodes are still to be counted."""
+        return self._left > 0
+
+    def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
+        """Count the episodes that ended in a step."""
+        if "final" in info:
+            self.add(info["final"])
+
+    def add(self, end: EpisodeEnd) -> None:
+        """Count those of the episodes that are within their environment's share."""
+        # Later episodes of an environment that has its share are dropped.
+        rows = self.running[end.env_ids].nonzero().squeeze(-1)
+        if not len(rows):
+            return
+        end = end.only(rows)
+        self._left[end.env_ids] -= 1
+        returns = sum(end.rewards.values(), torch.zeros_like(end.steps, dtype=torch.float32))
+        self._counted.append(Episodes(end.env_ids, end.success, end.steps, returns, end.metrics))
+        self.counted += len(rows)
+
+    def episodes(self) -> Episodes:
+        """Return the results of the counted episodes, of which there must be at least one."""
+        parts = self._counted
+        env_ids = torch.cat([part.env_ids for part in parts])
+        order = env_ids.argsort(stable=True)
+        return Episodes(
+            env_ids=env_ids[order],
+            success=torch.cat([part.success for part in parts])[order],
+            steps=torch.cat([part.steps for part in parts])[order],
+            returns=torch.cat([part.returns for part in parts])[order],
+            metrics={name: torch.cat([part.metrics[name] for part in parts])[order] for name in parts[0].metrics},
+        )
+
+
+# Steps from one look to the next: searching for a pose takes as long as several steps
+_EVERY = 50
+
+
+class ReachWatch(StepObserver):
+    """Looks now and then whether a hand rests away from what is asked of it, for it is out of reach.
+
+    Args:
+        environment: that is stepped; what it moves by poses is watched.
+    """
+
+    def __init__(self, environment: Environment) -> None:
+        self._followers = [item for item in environment.actions.generators if isinstance(item, PoseFollower)]
+        self._steps, self._looks, self._found = 0, 0, 0
+        self.farthest = 0.0
+        """m by which the nearest pose misses, at most."""
+
+    @property
+    def share(self) -> float:
+        """Share of the looks at hands that found the target out of reach, in [0, 1]."""
+        return self._found / max(self._looks, 1)
+
+    def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
+        self._steps += 1
+        if self._steps % _EVERY:
+            return
+        for follower in self._followers:
+            self._looks += follower.num_envs
+            # A hand that still moves towards its target is not out of reach.
+            resting = follower.resting_off()
+            if bool(resting.any()):
+                missing = follower.out_of_reach()[resting]
+                self._found += int(missing.any(1).sum())
+                self.farthest = max(self.farthest, float(missing[:, 0].max()))

@@ -1,4 +1,4 @@
-"""Videos of an environment: frames to mp4, and a recorder of the first episode of a few environments."""
+"""Pictures of a world from a spectator's camera, and videos of an environment's first episode."""
 
 from __future__ import annotations
 
@@ -12,20 +12,51 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from orbit_core.files import Replacement, as_path, storage_faults
 from orbit_core.installing import install_extra
-from orbit_core.interfaces import ConfigurationError, StorageError
-from orbit_core.rollout.pictures import OverviewCamera
+from orbit_core.interfaces import ConfigurationError, StorageError, World
 from orbit_core.rollout.stepping import StepObserver
+from orbit_core.scene import CameraSpec, Channel, Pose
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
+
+class OverviewCamera:
+    """A spectator's camera in every environment; markers are drawn, and the robots' frames where asked."""
+
+    def __init__(self, world: World, width: int, height: int, view: Pose, frames: bool = False) -> None:
+        self._world = world
+        self._spec = CameraSpec(name="overview", width=width, height=height, vertical_fov=0.8, pose=view)
+        self._renderer = world.create_renderer((self._spec,), frames)
+        self._pose = torch.tensor((*view.position, *view.orientation), device=world.device)
+
+    def pictures(self, env_ids: Tensor | None = None) -> Tensor:
+        """Return (n, height, width, 3) uint8 on the CPU."""
+        rows = slice(None) if env_ids is None else env_ids
+        links = self._world.link_poses[rows]
+        image = self._renderer.render(
+            self._spec,
+            self._pose.expand(links.shape[0], 7),
+            links,
+            (Channel.RGB,),
+            self._world.marker_poses[rows] if self._world.markers else None,
+            env_ids,
+        )
+        assert image.rgb is not None  # it was asked for
+        return image.rgb.cpu()
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
+
+
+# Pixels; an encoder's macroblock. Other sizes would be rescaled.
 _MULTIPLE = 16
-"""Pixels; an encoder's macroblock. Other sizes would be rescaled."""
+# About the most frames in a second of a video; steps in between are not drawn
 _FRAMES_PER_SECOND = 25.0
-"""About the most frames in a second of a video; steps in between are not drawn."""
 
 
 class VideoFile:
@@ -46,8 +77,10 @@ class VideoFile:
             raise ConfigurationError(f"videos need an encoder: {install_extra('video')}") from error
         self._path = path = as_path(path)
         self._count = imageio_ffmpeg.count_frames_and_secs
+        # Written next to the target and renamed at the end, so that there is never half a video.
         self._replacement = Replacement(path)
         self._size = (height, width, 3)
+        # The file must not be left open where the camera cannot be made.
         with contextlib.ExitStack() as stack:
             stack.callback(self._replacement.discard)
             stream: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
@@ -57,6 +90,7 @@ class VideoFile:
                 macro_block_size=_MULTIPLE,
                 quality=7,
             )
+            # A generator: the first send starts the encoder.
             stream.send(None)
             stack.pop_all()
         self._stream: Generator[None, Any, None] | None = stream
@@ -141,6 +175,7 @@ class VideoRecorder(StepObserver):
         self._columns = math.ceil(math.sqrt(count))
         lines = math.ceil(count / self._columns)
         self._length = self._left = environment.max_episode_steps
+        # Fast control rates would make videos of hundreds of frames a second.
         self._stride = max(1, round(1.0 / (environment.step_dt * _FRAMES_PER_SECOND)))
         rate = 1.0 / (environment.step_dt * self._stride)
         self._file = VideoFile(path, self._columns * width, lines * height, rate)
@@ -156,7 +191,7 @@ class VideoRecorder(StepObserver):
 
     @property
     def full(self) -> bool:
-        """Whether the video has its length; more frames are ignored."""
+        """True if the video has its full length; more frames are ignored."""
         return self._left == 0
 
     def before_step(self) -> None:
@@ -188,7 +223,7 @@ class VideoRecorder(StepObserver):
 
 
 def tile(pictures: npt.NDArray[np.uint8], columns: int) -> npt.NDArray[np.uint8]:
-    """Pictures (n, height, width, 3) in rows of ``columns``, the last row filled up with black."""
+    """Return pictures (n, height, width, 3) in rows of ``columns``, the last row filled up with black."""
     count, height, width, channels = pictures.shape
     lines = math.ceil(count / columns)
     grid = np.zeros((lines * columns, height, width, channels), np.uint8)

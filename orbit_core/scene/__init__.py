@@ -1,11 +1,33 @@
-"""What to simulate, as plain typed data: no engine, no tensor library, no file format.
+"""Descriptions of scenes as plain typed data: no engine, no tensor library, no file format.
 
 Units are SI, angles radians, z is up, quaternions are ``(w, x, y, z)``.
 """
 
-from orbit_core.scene.active import ActiveModel, MagneticSeal
-from orbit_core.scene.actuators import ActuatorConfig, ActuatorNetwork, DcMotor, IdealPd, ImplicitPd
-from orbit_core.scene.articulation import Articulation, Frame, Link, single_link
+# Modules below import one way: poses and shapes first, then articulations and actuators, entities, the scene last.
+# None of them imports torch, so that listing robots and tasks stays fast.
+from orbit_core.scene.actuators import (
+    ActuatorConfig,
+    ActuatorNetwork,
+    DcMotor,
+    IdealPd,
+    ImplicitPd,
+    Transmission,
+    Windings,
+    four_bar,
+    linear_drive,
+)
+from orbit_core.scene.articulation import (
+    Articulation,
+    DriveGains,
+    Frame,
+    Joint,
+    JointType,
+    Link,
+    LoopJoint,
+    LoopType,
+    Mimic,
+    single_link,
+)
 from orbit_core.scene.deformables import (
     Attachment,
     Cloth,
@@ -18,24 +40,21 @@ from orbit_core.scene.deformables import (
 )
 from orbit_core.scene.entities import (
     END_EFFECTOR,
+    ActiveModel,
     DifferentialBase,
     EndEffector,
     Entity,
     Gripper,
     JointCommands,
+    MagneticSeal,
     ObjectSpec,
     PlanarBase,
     RobotCategory,
     RobotSpec,
     Workspace,
 )
-from orbit_core.scene.joints import DriveGains, Joint, JointType, LoopJoint, LoopType, Mimic
-from orbit_core.scene.lights import AmbientLight, DirectionalLight, Light, Rgb, Sky
-from orbit_core.scene.markers import MarkerShape, MarkerSpec
-from orbit_core.scene.materials import Color, Compliance, PhysicsMaterial
-from orbit_core.scene.motors import Transmission, Windings, four_bar, linear_drive
 from orbit_core.scene.pose import Pose, look_at
-from orbit_core.scene.scene import Scene
+from orbit_core.scene.scene import AmbientLight, DirectionalLight, Light, MarkerShape, MarkerSpec, Rgb, Scene, Sky
 from orbit_core.scene.sensors import (
     CameraSpec,
     Channel,
@@ -51,16 +70,19 @@ from orbit_core.scene.sensors import (
 from orbit_core.scene.shapes import (
     Box,
     Capsule,
+    Color,
+    Compliance,
     Cylinder,
     Geometry,
     HeightField,
     Mesh,
     MeshCollision,
+    PhysicsMaterial,
     Plane,
     Shape,
     Sphere,
+    Texture,
 )
-from orbit_core.scene.textures import Texture
 
 __all__ = [
     "END_EFFECTOR", "ActiveModel", "ActuatorConfig", "ActuatorNetwork", "AmbientLight", "Articulation",

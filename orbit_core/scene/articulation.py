@@ -1,16 +1,154 @@
-"""The one articulation description that every reader produces and every engine builds from."""
+"""The one articulation description that every reader produces and every engine builds from: links, joints, loops."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.scene.joints import DriveGains, Joint, LoopJoint
-from orbit_core.scene.pose import Pose, Vector3
+from orbit_core.scene.pose import Pose, Quaternion, Vector3
 from orbit_core.scene.shapes import Shape
+
+
+class JointType(Enum):
+    """Kinds of joints, by the motion of the child link."""
+
+    FIXED = "fixed"
+    REVOLUTE = "revolute"
+    """Rotation about the axis within limits, in radians."""
+    CONTINUOUS = "continuous"
+    """Rotation about the axis without limits; the position counts whole turns."""
+    PRISMATIC = "prismatic"
+    """Translation along the axis within limits, in metres."""
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """The joint follows another: ``position = offset + multiplier * x + higher_powers[0] * x^2 + ...``.
+
+    ``x`` is the position of ``joint``, the leader. ``higher_powers`` are the coefficients of its square, its cube and
+    its fourth power, three at most; without them the law is linear.
+    """
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+    higher_powers: tuple[float, ...] = ()
+
+    @property
+    def linear(self) -> bool:
+        """True if the follower moves in proportion to its leader."""
+        return not any(self.higher_powers)
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """Coefficients of the leader's powers, from the zeroth on."""
+        return (self.offset, self.multiplier, *self.higher_powers)
+
+    def position(self, leader: Any) -> Any:
+        """Return the follower's position where the leader is at ``leader``: a number, an array or a tensor."""
+        return _polynomial(self.coefficients, leader)
+
+    def slope(self, leader: Any) -> Any:
+        """Return velocity of the follower per unit of the leader's, where the leader is at ``leader``."""
+        return _polynomial([power * factor for power, factor in enumerate(self.coefficients)][1:], leader)
+
+
+def _polynomial(coefficients: Sequence[float], x: Any) -> Any:
+    """Evaluate a polynomial by Horner's scheme; the result has the shape of ``x``."""
+    # Multiplying by x keeps its type, shape and device, whether it is a number, an array or a tensor.
+    value = x * 0.0 + coefficients[-1]
+    for coefficient in reversed(coefficients[:-1]):
+        value = value * x + coefficient
+    return value
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Connects ``child`` to ``parent``.
+
+    The joint frame is fixed at ``parent_pose`` in the parent link and at ``child_pose`` in the child link; the two
+    coincide at position zero, and the joint moves the second along or about ``axis`` (unit vector in the joint frame).
+    Efforts are N or N m, velocities m/s or rad/s, after the joint's type.
+
+    ``damping`` (N s/m or N m s/rad), ``friction`` (N or N m, Coulomb) and the spring are the mechanism's own, not a
+    drive's. The spring's effort is ``-stiffness * (position - rest_position)``, ``stiffness`` in N/m or N m/rad,
+    ``rest_position`` in m or rad; effort limits do not bound it. ``armature`` is the reflected inertia of the motor
+    (kg or kg m^2).
+    """
+
+    name: str
+    type: JointType
+    parent: str
+    child: str
+    # Two poses, as in USD, so that neither link frame has to be at the joint.
+    parent_pose: Pose = field(default_factory=Pose)
+    child_pose: Pose = field(default_factory=Pose)
+    axis: Vector3 = (0.0, 0.0, 1.0)
+    # Infinite means unlimited; readers never invent a limit that the file does not state.
+    lower_limit: float = -np.inf
+    upper_limit: float = np.inf
+    effort_limit: float = np.inf
+    velocity_limit: float = np.inf
+    damping: float = 0.0
+    friction: float = 0.0
+    armature: float = 0.0
+    # Fields that not every file format has come last, with the value that has no effect.
+    mimic: Mimic | None = None
+    stiffness: float = 0.0
+    rest_position: float = 0.0
+
+    @property
+    def movable(self) -> bool:
+        """True if the joint has a position."""
+        return self.type is not JointType.FIXED
+
+
+class LoopType(Enum):
+    """Kinds of joints that close a loop, by what they constrain."""
+
+    BALL = "ball"
+    """A point of one link at a point of the other."""
+    WELD = "weld"
+    """The point, and the second link's orientation in the first."""
+
+
+@dataclass(frozen=True)
+class LoopJoint:
+    """Closes a kinematic loop: holds a point of one link at a point of another, and a weld their orientation too.
+
+    Each point is in its link's frame; ``orientation`` (w, x, y, z) is the second link's in the first and counts for a
+    weld alone. The joint has no position: the positions of the tree's joints must satisfy it, at home and whenever
+    they are written.
+    """
+
+    name: str
+    first: str
+    second: str
+    first_point: Vector3 = (0.0, 0.0, 0.0)
+    second_point: Vector3 = (0.0, 0.0, 0.0)
+    type: LoopType = LoopType.BALL
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class DriveGains:
+    """Gains of the drive on ``joint`` as a file states them; no actuator uses them until a program makes one of them.
+
+    The effort is ``stiffness * (target - position) + damping * (target velocity - velocity)``, at most
+    ``effort_limit`` (N or N m); stiffness is N/m or N m/rad, damping N s/m or N m s/rad. With both zero the drive is a
+    plain motor.
+    """
+
+    joint: str
+    stiffness: float = 0.0
+    damping: float = 0.0
+    effort_limit: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,12 +158,13 @@ class Link:
     ``inertia`` (3, 3) in kg m^2 is about the centre of mass, in the link's axes; ``center_of_mass`` is in the link
     frame. ``semantic_label`` names the kind of thing in segmentation images; empty takes the entity's. A link without
     mass and inertia may be the root of a fixed base, or stand between two joints of a tree, as those of a compound
-    joint do (:mod:`orbit_assets.compound_joints`).
+    joint do (:mod:`orbit_assets.joint_models`).
     """
 
     name: str
     mass: float = 0.0
     center_of_mass: Vector3 = (0.0, 0.0, 0.0)
+    # An array as default would be shared between instances, which a factory avoids.
     inertia: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
     collisions: tuple[Shape, ...] = ()
     visuals: tuple[Shape, ...] = ()
@@ -61,7 +200,7 @@ class Articulation:
     """What a reader or the catalogue changed against the source, for the build report."""
     loops: tuple[LoopJoint, ...] = ()
     drives: tuple[DriveGains, ...] = ()
-    """What the file says of the motors; :mod:`orbit_assets.drives` makes actuators of it when asked."""
+    """What the file says of the motors; :mod:`orbit_assets.scene_files` makes actuators of it when asked."""
     home: tuple[tuple[str, float], ...] = ()
     """A joint's name and its position (rad or m) in the pose that the file names as home, for those that it names."""
 
@@ -90,8 +229,9 @@ class Articulation:
         """Pairs of links that a joint connects, compound joints and loops included: they never collide.
 
         The simple joints of a compound one connect its ends through links without mass and shapes
-        (:mod:`orbit_assets.compound_joints`).
+        (:mod:`orbit_assets.joint_models`).
         """
+        # A compound joint is a chain of simple ones: its ends touch each other although no single joint connects them.
         above = {joint.child: joint.parent for joint in self.joints}
         between = {link.name for link in self.links if link.mass == 0 and not link.collisions}
         pairs = [(joint.parent, joint.child) for joint in self.joints]
@@ -107,17 +247,19 @@ class Articulation:
         return sum(link.mass for link in self.links)
 
     def frame(self, name: str) -> Frame:
-        """The frame of that name; a link's own name gives the link's frame.
+        """Return the frame of that name; a link's own name gives the link's frame.
 
         Raises:
             KeyError: no link or frame has that name, or it is no text.
         """
+        # A pattern or a tuple would raise a TypeError where it cannot be hashed; all wrong names raise the same error.
         if not isinstance(name, str):
             raise KeyError(name)
         return self._frame_of[name]
 
     @cached_property
     def _frame_of(self) -> dict[str, Frame]:
+        # Named frames win over links, and the first of two frames of one name over the second.
         links = {link.name: Frame(link.name, link.name) for link in self.links}
         return links | {frame.name: frame for frame in reversed(self.frames)}
 
@@ -125,6 +267,6 @@ class Articulation:
 def single_link(
     name: str, shape: Shape, mass: float, inertia: npt.ArrayLike, center_of_mass: Vector3 = (0.0, 0.0, 0.0)
 ) -> Articulation:
-    """A rigid body with one shape, for collision and drawing alike."""
+    """Return a rigid body with one shape, for collision and drawing alike."""
     link = Link(name, mass, center_of_mass, np.asarray(inertia, dtype=float), (shape,), (shape,))
     return Articulation(name, (link,))

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.scene.materials import Color
 from orbit_core.scene.pose import Pose, Vector3
-from orbit_core.scene.shapes import Mesh
+from orbit_core.scene.shapes import Color, Mesh
 
 
 @dataclass(frozen=True)
@@ -29,6 +28,7 @@ class KeyPoint:
     """Barycentric, whose sum is 1; equal ones if empty."""
 
     def __post_init__(self) -> None:
+        # Empty weights mean the plain mean; a wrong number of them would otherwise fail far from here, in torch.
         if not self.particles or (self.weights and len(self.weights) != len(self.particles)):
             raise ValueError(
                 f"key point '{self.name}' has {len(self.weights)} weights of {len(self.particles)} particles"
@@ -62,6 +62,7 @@ class Cloth:
 
     name: str
     mesh: Mesh
+    # Densities are per area, per length and per volume, so that a finer mesh has the same mass.
     area_density: float
     """kg/m^2; cotton has 0.1 to 0.3."""
     pose: Pose = field(default_factory=Pose)
@@ -79,6 +80,7 @@ class Cloth:
     color: Color = (0.8, 0.3, 0.3, 1.0)
     semantic_label: str = "cloth"
     attachments: tuple[Attachment, ...] = ()
+    # Tasks refer to particles by key point, because indices change with the resolution of the mesh.
     key_points: tuple[KeyPoint, ...] = ()
 
     @property
@@ -89,6 +91,7 @@ class Cloth:
     @property
     def mass(self) -> float:
         """Kilograms."""
+        # Half the cross product of two edges is the area of a triangle.
         a, b, c = (self.rest_positions[np.asarray(self.mesh.faces)[:, k]] for k in range(3))
         return float(self.area_density * 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
@@ -98,6 +101,7 @@ class Rope:
     """A thin elastic rod, straight at rest, that does not resist twist; ``points`` (P, 3) are its particles."""
 
     name: str
+    # An array, because ropes have hundreds of particles; equality by identity (eq=False) follows from it.
     points: npt.NDArray[np.floating]
     """In metres and the frame of ``pose``: where a reset puts it. Their distances are its lengths at rest."""
     linear_density: float
@@ -173,10 +177,12 @@ class Fluid:
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:
         """(P, 3) m, in the frame of ``pose``: the middles of cubes of ``spacing`` that fill the box."""
+        # At least one layer, so that a thin film is not lost; the grid is centred in the box.
         counts = [max(1, round(2.0 * half / self.spacing)) for half in self.half_extents]
         axes = [(np.arange(count) - 0.5 * (count - 1)) * self.spacing for count in counts]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         return np.asarray(grid.reshape(-1, 3), dtype=np.float64)
 
 
+# A union and no base class: solvers match on the kind, and type checkers see a missing case.
 DeformableSpec = Cloth | Rope | SoftBody | Fluid

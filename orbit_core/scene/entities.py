@@ -1,4 +1,4 @@
-"""Robots and objects: an articulation, where it stands, and what the core needs to drive and name it."""
+"""Robots and objects: an articulation, its pose, and what the core needs to drive and name it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,40 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from orbit_core.scene.active import ActiveModel
 from orbit_core.scene.actuators import ActuatorConfig
 from orbit_core.scene.articulation import Articulation
 from orbit_core.scene.pose import Pose, Vector3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActiveModel:
+    """A force law of an object. Derive a frozen dataclass for a law of your own (:mod:`orbit_core.active`)."""
+
+    name: str
+    """Name of the law in its object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MagneticSeal(ActiveModel):
+    """A magnet that holds a door or a drawer shut, with a force that falls with the gap.
+
+    ``F(g) = force / (1 + g / decay)^2`` pulls a joint towards where it is shut, g being the gap at the seal: the pull
+    between poles whose circuit's reluctance is that of the iron and of the gap in series (Fitzgerald, Kingsley and
+    Umans, Electric Machinery, 6th ed., sections 1.1 and 3.5). To pull it off takes the work ``force * decay``.
+    """
+
+    joint: str
+    force: float
+    """Newtons at the seal where there is no gap."""
+    decay: float = 0.004
+    """Metres of gap at which the force has fallen to a quarter."""
+    # With the arm a seal on a hinge has the same force law as one on a slide.
+    arm: float = 1.0
+    """Metres from a turning joint's axis to the seal; 1 for one that slides."""
+    closed: float | None = None
+    """Position in rad or m at which it is shut; None takes the joint's lower limit."""
+    opens_up: bool = True
+    """Whether the joint's position grows as it opens."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +57,7 @@ class Gripper:
     open_position: float | tuple[float, ...]
     closed_position: float | tuple[float, ...]
 
+    # A missing position would shift those of all later joints.
     def __post_init__(self) -> None:
         for name, value in (("open_position", self.open_position), ("closed_position", self.closed_position)):
             if isinstance(value, tuple) and len(value) != len(self.joints):
@@ -56,7 +87,8 @@ class Workspace:
     """rad"""
 
     def placed(self, pose: Pose) -> Workspace:
-        """The box in the frame in which ``pose`` is that of the root; turns are of 90 degrees, as boxes allow."""
+        """Return the box in the frame in which the root has ``pose``; rotations are multiples of 90 degrees."""
+        # Corners may swap under a rotation, so that each axis is sorted again.
         first, second = (pose @ Pose(self.low)).position, (pose @ Pose(self.high)).position
         x, y, z = (sorted(pair) for pair in zip(first, second, strict=True))
         return Workspace((x[0], y[0], z[0]), (x[1], y[1], z[1]), self.tilt, self.yaw)
@@ -75,13 +107,14 @@ class EndEffector:
     gripper: Gripper | None = None
     finger_tips: tuple[str, ...] = ()
     """Links or frames at the ends of a hand's fingers."""
+    # Optional, because it depends on the whole robot: the same arm reaches elsewhere on another base.
     workspace: Workspace | None = None
     """None: a task computes it (:func:`orbit_core.actions.workspace.with_workspace`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointCommands:
-    """Which of a robot's joints an action moves, and how far, where a task does not say it."""
+    """Joints of a robot that an action moves, and their range, where a task does not state them."""
 
     joints: tuple[str, ...]
     """Regular expressions over joint names (full match)."""
@@ -144,6 +177,7 @@ class Entity:
     articulation: Articulation
     pose: Pose = field(default_factory=Pose)
     fixed_base: bool = False
+    # By pattern and not by index: articulations are edited and merged after an entity is described.
     home: Mapping[str, float] = field(default_factory=dict)
     actuators: tuple[ActuatorConfig, ...] = ()
     semantic_label: str = ""
@@ -152,12 +186,12 @@ class Entity:
 
     @property
     def alternatives(self) -> tuple[Articulation, ...]:
-        """What the entity may be: environment i has the one of index i modulo their number."""
+        """Articulations that the entity may have: environment i has the one of index i modulo their number."""
         return (self.articulation,)
 
     @property
     def is_free_body(self) -> bool:
-        """Whether it is one rigid body that nothing holds: neither fixed nor with joints."""
+        """True if it is one rigid body that is neither fixed nor has joints."""
         return not (self.fixed_base or self.articulation.joints)
 
 
@@ -185,6 +219,7 @@ class RobotSpec(Entity):
     end_effectors: tuple[EndEffector, ...] = ()
     feet: tuple[str, ...] = ()
     """Frames of a legged robot where it is meant to touch the ground."""
+    # Policies that walk need softer drives than those that hold a pose.
     walking_drives: tuple[ActuatorConfig, ...] = ()
     """What drives a robot that learns to walk, over ``actuators`` where both name a joint; none where those do."""
     joint_commands: JointCommands | None = None
@@ -199,7 +234,7 @@ class RobotSpec(Entity):
 
     @property
     def has_arm(self) -> bool:
-        """Whether joints move the first end effector; a hand by itself has none that do."""
+        """True if joints move the first end effector; a hand on its own has no such joints."""
         return bool(self.end_effectors and self.end_effectors[0].arm_joints)
 
     @property
@@ -217,12 +252,13 @@ class RobotSpec(Entity):
     def base_link(self) -> str:
         """The link that carries the rest of the robot: what a planar base moves, else the root."""
         if self.planar_base is not None:
+            # The yaw joint is the last of the three, so that its child carries the rest.
             return next(joint.child for joint in self.articulation.joints if joint.name == self.planar_base.yaw)
         return self.articulation.root.name
 
     @property
     def categories(self) -> tuple[RobotCategory, ...]:
-        """What the robot is, by what it has: end effectors, feet, wheels, a planar base."""
+        """Categories of the robot, derived from its end effectors, feet, wheels and planar base."""
         effectors = self.end_effectors
         holds = {
             RobotCategory.ARM: any(effector.arm_joints for effector in effectors),

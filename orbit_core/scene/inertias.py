@@ -22,8 +22,9 @@ SINGLE = 1e-6
 
 
 def principal_axes(inertia: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Principal moments (3,), ascending, and the rotation (3, 3) whose columns are the principal axes."""
+    """Return principal moments (3,), ascending, and the rotation (3, 3) whose columns are the principal axes."""
     moments, axes = np.linalg.eigh(np.asarray(inertia, dtype=float))
+    # eigh may return a reflection; flipping one axis makes it a rotation.
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]
     return moments, axes
@@ -60,6 +61,7 @@ def solid_moments(inertia: npt.ArrayLike, margin: float = DOUBLE) -> tuple[Float
     """
     moments, axes = principal_axes(inertia)
     near = np.abs(axes)
+    # eigh sorts by size; this order keeps the axes of a tensor that is diagonal already.
     order = max(permutations(range(3)), key=lambda columns: near[(0, 1, 2), columns].sum())
     axes = axes[:, order]
     axes = axes * np.where(np.diag(axes) < 0.0, -1.0, 1.0)

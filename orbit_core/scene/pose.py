@@ -30,14 +30,14 @@ class Pose:
         return Pose(_placed(self, other.position), _multiply(self.orientation, other.orientation))
 
     def inverse(self) -> Pose:
-        """The parent's pose in this frame."""
+        """Return the parent's pose in this frame."""
         w, x, y, z = self.orientation
         x0, y0, z0 = self.position
         back = Pose(orientation=(w, -x, -y, -z))
         return Pose(_placed(back, (-x0, -y0, -z0)), back.orientation)
 
     def rotation_matrix(self) -> FloatArray:
-        """The rotation (3, 3) that takes vectors of this frame into the parent's axes."""
+        """Return the rotation (3, 3) that takes vectors of this frame into the parent's axes."""
         w, x, y, z = self.orientation
         return np.array(
             [
@@ -48,11 +48,11 @@ class Pose:
         )
 
     def transform(self, points: npt.ArrayLike) -> FloatArray:
-        """Points (..., 3) of this frame in the parent's."""
+        """Return points (..., 3) of this frame in the parent's."""
         return np.asarray(points, dtype=float) @ self.rotation_matrix().T + np.asarray(self.position)
 
     def matrix(self) -> FloatArray:
-        """The homogeneous transform (4, 4)."""
+        """Return the homogeneous transform (4, 4)."""
         result = np.eye(4)
         result[:3, :3] = self.rotation_matrix()
         result[:3, 3] = self.position
@@ -60,14 +60,14 @@ class Pose:
 
     @staticmethod
     def from_matrix(matrix: npt.ArrayLike) -> Pose:
-        """The pose of a rotation (3, 3) or a homogeneous transform (4, 4); the rotation must be proper."""
+        """Return the pose of a rotation (3, 3) or a homogeneous transform (4, 4); the rotation must be proper."""
         values = np.asarray(matrix, dtype=float)
         position = _vector(values[:3, 3]) if values.shape == (4, 4) else (0.0, 0.0, 0.0)
         return Pose(position, _quaternion_of_matrix(values[:3, :3]))
 
     @staticmethod
     def from_euler(roll: float, pitch: float, yaw: float, position: Vector3 = (0.0, 0.0, 0.0)) -> Pose:
-        """The pose of fixed-axis roll, pitch, yaw in radians: ``Rz(yaw) Ry(pitch) Rx(roll)``, as URDF's ``rpy``."""
+        """Return the pose of fixed-axis roll, pitch and yaw (rad): ``Rz(yaw) Ry(pitch) Rx(roll)``, as in URDF."""
         cr, sr = math.cos(roll / 2), math.sin(roll / 2)
         cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
         cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
@@ -81,14 +81,23 @@ class Pose:
 
     @staticmethod
     def from_axis_angle(axis: Vector3, angle: float, position: Vector3 = (0.0, 0.0, 0.0)) -> Pose:
-        """Rotation by ``angle`` radians about ``axis``, which need not have unit length."""
+        """Return the rotation by ``angle`` radians about ``axis``, which need not have unit length."""
         length = math.sqrt(sum(component * component for component in axis))
+        # Dividing by the length here normalises the axis.
         s = math.sin(angle / 2) / length
         return Pose(position, canonical((math.cos(angle / 2), axis[0] * s, axis[1] * s, axis[2] * s)))
 
 
 def look_at(eye: Vector3, target: Vector3, up: Vector3 = (0.0, 0.0, 1.0)) -> Pose:
-    """The pose of a camera at ``eye`` that looks at ``target``: -z forward, y up (the convention of USD and OpenGL)."""
+    """Return the pose of a camera at ``eye`` that looks at ``target``.
+
+    The camera looks along -z and y is up, the convention of USD and OpenGL.
+
+    Args:
+        eye: position of the camera.
+        target: point in the middle of the picture.
+        up: direction that appears upright in the picture.
+    """
     backward = np.asarray(eye, dtype=float) - np.asarray(target, dtype=float)
     backward /= np.linalg.norm(backward)
     right = np.cross(np.asarray(up, dtype=float), backward)
@@ -100,7 +109,7 @@ def look_at(eye: Vector3, target: Vector3, up: Vector3 = (0.0, 0.0, 1.0)) -> Pos
 
 
 def canonical(quaternion: Quaternion) -> Quaternion:
-    """The unit quaternion of the same rotation with w >= 0."""
+    """Return the unit quaternion of the same rotation with w >= 0."""
     norm = math.sqrt(sum(component * component for component in quaternion))
     sign = -1.0 if quaternion[0] < 0 else 1.0
     w, x, y, z = (sign * component / norm for component in quaternion)

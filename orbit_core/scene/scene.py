@@ -1,16 +1,102 @@
-"""One environment's content; a world holds many copies of it."""
+"""The content of one environment, its lights and its markers; a world holds many copies of it.
+
+Every renderer shades alike. The colour of a pixel, each of red, green and blue by itself, is
+
+    clip(albedo * (ambient + sum over k of reached_k * intensity_k * color_k * max(0, n . (-direction_k))), 0, 1)
+
+with the shape's own colour ``albedo``, the sum ``ambient`` of all ambient lights, the surface's unit normal ``n`` and
+``reached_k``, 0 where the directional light k casts shadows and something opaque is between it and the surface, or
+else 1. It is Lambert's law, computed in the numbers of the picture (sRGB, as they are stored) with no conversion to
+linear light: half the light is half the number.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from enum import Enum
 
 from orbit_core.scene.deformables import DeformableSpec
 from orbit_core.scene.entities import Entity, ObjectSpec, RobotSpec
-from orbit_core.scene.lights import AmbientLight, DirectionalLight, Light, Rgb, Sky
-from orbit_core.scene.markers import MarkerSpec
 from orbit_core.scene.pose import Vector3
 from orbit_core.scene.sensors import SensorSpec
-from orbit_core.scene.shapes import Plane, Shape
+from orbit_core.scene.shapes import Color, Plane, Shape
+
+Rgb = tuple[float, float, float]
+"""Red, green and blue."""
+
+MAX_DIRECTIONAL_LIGHTS = 3
+"""Most directional lights of one scene, which every renderer can draw."""
+
+
+@dataclass(frozen=True)
+class AmbientLight:
+    """Light that reaches every surface alike, from all around."""
+
+    color: Rgb = (0.42, 0.42, 0.45)
+
+
+@dataclass(frozen=True)
+class DirectionalLight:
+    """Parallel light, as the sun's.
+
+    ``direction`` is where the light travels to, in the environment's frame and of any length but zero. A surface that
+    faces the light gains ``intensity * color``.
+    """
+
+    direction: Vector3 = (-0.35, 0.45, -1.0)
+    color: Rgb = (1.0, 0.97, 0.92)
+    intensity: float = 0.58
+    shadows: bool = True
+
+    @property
+    def unit_direction(self) -> Vector3:
+        """The direction, of length 1."""
+        # Normalised here and not at construction, so that files keep the numbers that a user wrote.
+        length = math.hypot(*self.direction)
+        x, y, z = self.direction
+        return (x / length, y / length, z / length)
+
+    @property
+    def radiance(self) -> Rgb:
+        """Intensity times colour."""
+        red, green, blue = self.color
+        return (self.intensity * red, self.intensity * green, self.intensity * blue)
+
+
+Light = AmbientLight | DirectionalLight
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Background of pictures; lights do not affect it.
+
+    Colours straight above and straight below; between them the part of ``above`` is ``(1 + z) / 2``, where ``z`` is the
+    height of the unit vector along the pixel's ray.
+    """
+
+    above: Rgb = (0.55, 0.68, 0.82)
+    below: Rgb = (0.88, 0.91, 0.94)
+
+
+class MarkerShape(Enum):
+    """Appearance of a marker."""
+
+    FRAME = "frame"
+    SPHERE = "sphere"
+    BOX = "box"
+    ARROW = "arrow"
+    """Along the marker's x axis."""
+
+
+@dataclass(frozen=True)
+class MarkerSpec:
+    """A marker in each environment; its pose is set at run time. ``size`` is its length in metres."""
+
+    name: str
+    shape: MarkerShape = MarkerShape.FRAME
+    size: float = 0.1
+    color: Color = (0.1, 0.8, 0.1, 0.6)
 
 
 @dataclass(frozen=True)
@@ -18,7 +104,7 @@ class Scene:
     """Robots, objects, terrain, sensors and light of one environment.
 
     ``physics_dt`` is the engine's time step in seconds. ``terrain`` are static shapes in the environment's frame.
-    ``lights`` and ``sky`` are what colour images are shaded with (:mod:`orbit_core.scene.lights`). With
+    ``lights`` and ``sky`` are what colour images are shaded with (:mod:`orbit_core.scene.scene`). With
     ``firm_friction`` friction shall hold what stands still for long, such as a robot on its feet: an engine whose own
     is soft makes it firmer, at a cost of speed, unless its settings say how firm; others have nothing to do.
     """
@@ -26,9 +112,11 @@ class Scene:
     robots: tuple[RobotSpec, ...] = ()
     objects: tuple[ObjectSpec, ...] = ()
     deformables: tuple[DeformableSpec, ...] = ()
+    # Ground by default: a scene without any lets everything fall forever, which is seldom meant.
     terrain: tuple[Shape, ...] = (Shape(Plane(), color=(0.35, 0.38, 0.42, 1.0), name="ground"),)
     sensors: tuple[SensorSpec, ...] = ()
     markers: tuple[MarkerSpec, ...] = ()
+    # One shadow-casting light by default: renderers must not invent lights, or pictures would differ.
     lights: tuple[Light, ...] = (AmbientLight(), DirectionalLight())
     sky: Sky = field(default_factory=Sky)
     gravity: Vector3 = (0.0, 0.0, -9.81)
@@ -43,6 +131,7 @@ class Scene:
     @property
     def ambient(self) -> Rgb:
         """The sum of all ambient lights."""
+        # Ambient lights add up; renderers take one sum.
         colors = [light.color for light in self.lights if isinstance(light, AmbientLight)]
         return (sum(c[0] for c in colors), sum(c[1] for c in colors), sum(c[2] for c in colors))
 

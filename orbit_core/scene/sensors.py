@@ -1,4 +1,4 @@
-"""What is measured, how often, how late and how noisily."""
+"""Specifications of sensors: quantity, rate, delay and noise."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class SensorSpec:
     """
 
     name: str
+    # None is lazy: the sensor measures at the first read after a step, and costs nothing unread.
     rate: float | None = None
     delay: float = 0.0
     noise: Noise = field(default_factory=Noise)
@@ -34,6 +35,7 @@ class JointSensorSpec(SensorSpec):
     """Joint positions and velocities of an entity."""
 
     entity: str
+    # All joints by default, as encoders usually cover a whole robot.
     joints: tuple[str, ...] = (".*",)
 
 
@@ -56,6 +58,7 @@ class ContactSensorSpec(SensorSpec):
 
     entity: str
     links: tuple[str, ...] = (".*",)
+    # Without filters an engine measures net forces only, which all of them have at no cost per pair.
     filters: tuple[str, ...] = ()
 
 
@@ -132,5 +135,6 @@ class CameraSpec(SensorSpec):
     pose: Pose = field(default_factory=Pose)
     entity: str | None = None
     frame: str | None = None
+    # The near plane sets the depth resolution of rasterisers: with 24 bits, 1 cm resolves 6 micrometres at 1 m.
     near: float = 0.01
     far: float = 100.0

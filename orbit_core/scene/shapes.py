@@ -1,4 +1,7 @@
-"""Geometry of collision and visual shapes. Sizes are half sizes; round shapes have their axis along z."""
+"""Geometry of collision and visual shapes, with their surfaces: contact, colour and texture.
+
+Sizes are half sizes; round shapes have their axis along z.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,36 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.scene.materials import Color, PhysicsMaterial
 from orbit_core.scene.pose import Pose, Vector3
+
+Color = tuple[float, float, float, float]
+"""Red, green, blue and opacity, each in [0, 1]."""
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """A contact that gives way: a spring (N/m) and damper (N s/m) along the contact normal."""
+
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class PhysicsMaterial:
+    """Contact properties of a shape.
+
+    Where two shapes meet, the pair takes the larger of the two values of each coefficient (the contract's one combine
+    rule). Torsional and rolling friction are lengths in metres; the other coefficients have no unit. Where an engine
+    lacks them, a scene that asks for more than these defaults is refused; the defaults are left out there.
+    """
+
+    static_friction: float = 1.0
+    dynamic_friction: float = 1.0
+    torsional_friction: float = 0.005
+    rolling_friction: float = 0.0001
+    restitution: float = 0.0
+    # None is as stiff as the engine allows, which differs between engines.
+    compliance: Compliance | None = None
 
 
 @dataclass(frozen=True)
@@ -49,7 +80,7 @@ class Plane:
 
 
 class MeshCollision(Enum):
-    """How a mesh collides; a visual mesh ignores it."""
+    """Collision geometry that is made of a mesh; a visual mesh ignores it."""
 
     CONVEX_HULL = "convex_hull"
     CONVEX_DECOMPOSITION = "convex_decomposition"
@@ -70,6 +101,7 @@ class Mesh:
 
     def __eq__(self, other: object) -> bool:
         return (
+            # Comparing arrays with == gives an array, which a generated __eq__ cannot use.
             isinstance(other, Mesh)
             and self.collision == other.collision
             and np.array_equal(self.vertices, other.vertices)
@@ -77,6 +109,7 @@ class Mesh:
         )
 
     def __hash__(self) -> int:
+        # Hashing all vertices would be slow; equal meshes have equal shapes, which is all that a hash needs.
         return hash((self.vertices.shape, self.faces.shape, self.collision))
 
 
@@ -91,6 +124,7 @@ class HeightField:
     size: tuple[float, float]
 
 
+# A closed union: engines match on it, and a type checker finds a geometry that one of them forgets.
 Geometry = Box | Sphere | Capsule | Cylinder | Plane | Mesh | HeightField
 
 
@@ -111,7 +145,41 @@ class Shape:
     contact_distance: float | None = None
 
     def __post_init__(self) -> None:
+        # Zero would make engines detect contacts only after penetration.
         if self.contact_distance is not None and not 0.0 < self.contact_distance < math.inf:
             raise ValueError(
                 f"shape '{self.name}': contact_distance must be metres above zero, not {self.contact_distance}"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """A picture that is repeated over the surfaces of a link, in the link's frame, as if each side were a wall.
+
+    A point takes the colour that the picture has there when it is laid on the two axes of the frame that the surface
+    faces least, its middle at the origin; on upright sides its rows run downwards. Colours multiply the surface's own:
+    what is white shows the picture as it is.
+    """
+
+    pixels: npt.NDArray[np.uint8]
+    """(H, W, 3) red, green and blue, the uppermost row first."""
+    width: float = 0.2
+    """Metres that its width spans; its height follows from the shape of ``pixels``."""
+
+    def __post_init__(self) -> None:
+        """Look at the numbers.
+
+        Raises:
+            ValueError: pixels of another shape or type, or none; a width that is not above zero.
+        """
+        # Renderers take the bytes as they are: other types would be read as noise.
+        pixels = self.pixels
+        if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8 or pixels.size == 0:
+            raise ValueError(f"a texture's pixels are (H, W, 3) of uint8, not {pixels.shape} of {pixels.dtype}")
+        if not 0.0 < self.width < np.inf:
+            raise ValueError(f"a texture's width must be above zero metres, not {self.width:g}")
+
+    @property
+    def height(self) -> float:
+        """Metres that its height spans."""
+        return self.width * self.pixels.shape[0] / self.pixels.shape[1]

@@ -1,23 +1,54 @@
-"""Cameras: colour, depth, positions, normals and segmentation."""
+"""Cameras: colour, depth, positions, normals, segmentation, and points from depth."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+import math
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import take_rows
-from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
+from orbit_core.dynamics.transforms import transform_points
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, SceneLayout
 from orbit_core.scene import CameraSpec, Channel
-from orbit_core.sensors.boxes import BoundingBoxes2d, BoundingBoxes3d
-from orbit_core.sensors.context import SensorContext
-from orbit_core.sensors.entity_boxes import EntityBoxes
-from orbit_core.sensors.mount import Mount, pose_tensor
-from orbit_core.sensors.points import intrinsic_matrix, point_cloud
-from orbit_core.sensors.timed import TimedSensor, Values
+from orbit_core.sensors.proprioception import Mount, pose_tensor
+from orbit_core.sensors.timed import SensorContext, TimedSensor, Values
+
+
+def intrinsic_matrix(camera: CameraSpec) -> Tensor:
+    """Return (3, 3) pinhole matrix in pixels: u to the right and v down from the image's top left corner.
+
+    Pixel (row, column) has its centre at ``(u, v) = (column + 0.5, row + 0.5)``; pixels are square.
+    """
+    # Square pixels: one focal length, set by the vertical field of view.
+    focal = 0.5 * camera.height / math.tan(0.5 * camera.vertical_fov)
+    return torch.tensor([[focal, 0.0, camera.width / 2], [0.0, focal, camera.height / 2], [0.0, 0.0, 1.0]])
+
+
+def point_cloud(depth: Tensor, intrinsics: Tensor, pose: Tensor | None = None) -> Tensor:
+    """Return points (n, H, W, 3) of depth images (n, H, W, 1), infinite where nothing was seen.
+
+    In the camera's frame (-z forward, y up), or in the environment's where the camera's ``pose`` (n, 7) is given.
+    """
+    height, width = depth.shape[1:3]
+    column = torch.arange(width, device=depth.device) + 0.5
+    row = torch.arange(height, device=depth.device) + 0.5
+    x = ((column - intrinsics[0, 2]) / intrinsics[0, 0]).expand(height, width)
+    y = ((row - intrinsics[1, 2]) / intrinsics[1, 1])[:, None].expand(height, width)
+    seen = depth.isfinite()
+    points = torch.stack((x, -y, -torch.ones_like(x)), -1) * torch.where(seen, depth, 0.0)
+    if pose is not None:
+        points = transform_points(pose[:, None, None], points)
+    return torch.where(seen, points, torch.inf)
+
+
+def project(points: Tensor, intrinsics: Tensor) -> Tensor:
+    """Return pixel coordinates (..., 2), u then v, of points (..., 3) in the camera's frame (-z forward, y up)."""
+    depth = -points[..., 2]
+    u = intrinsics[0, 0] * points[..., 0] / depth + intrinsics[0, 2]
+    v = -intrinsics[1, 1] * points[..., 1] / depth + intrinsics[1, 2]
+    return torch.stack((u, v), -1)
 
 
 class CameraSensor(TimedSensor):
@@ -36,6 +67,7 @@ class CameraSensor(TimedSensor):
             ConfigurationError: an entity without a frame or a frame without an entity, or noise without depth.
         """
         super().__init__(spec, context)
+        # No renderer draws positions: they follow from depth, noise included.
         sources = (Channel.DEPTH if channel is Channel.POSITION else channel for channel in spec.channels)
         self._drawn = tuple(dict.fromkeys(sources))
         if (spec.entity is None) != (spec.frame is None):
@@ -43,7 +75,8 @@ class CameraSensor(TimedSensor):
         if (spec.noise.std or spec.noise.bias_std) and Channel.DEPTH not in self._drawn:
             raise ConfigurationError(f"camera '{spec.name}' has noise, which is that of depth, but no depth channel")
         self._camera = spec
-        self._layout = context.layout
+        self.layout = context.layout
+        """Layout of the scene that the camera sees."""
         self._renderer = context.renderer
         self._mount: Mount | None = None
         if spec.entity is not None and spec.frame is not None:
@@ -65,7 +98,7 @@ class CameraSensor(TimedSensor):
         return {channel: self.image(channel) for channel in self._camera.channels}
 
     def image(self, channel: Channel) -> Tensor:
-        """(N, H, W, channels)
+        """Return (N, H, W, channels)
 
         Raises:
             ConfigurationError: the camera was specified without that channel.
@@ -79,8 +112,13 @@ class CameraSensor(TimedSensor):
         """(N, 7) in the environment's frame, when the pictures were taken."""
         return self._read("pose")
 
+    @property
+    def link_poses(self) -> Tensor:
+        """(N, L, 7) of every link of the scene in the environment's frame, when the pictures were taken."""
+        return self._read("link_poses")
+
     def point_cloud(self) -> Tensor:
-        """(N, H, W, 3) where each pixel's surface is, in the environment's frame; infinite where nothing is.
+        """Return (N, H, W, 3) where each pixel's surface is, in the environment's frame; infinite where nothing is.
 
         Raises:
             ConfigurationError: the camera has neither a depth nor a position channel.
@@ -88,43 +126,6 @@ class CameraSensor(TimedSensor):
         if Channel.DEPTH not in self._drawn:
             raise self._lacks(Channel.POSITION)
         return point_cloud(self._read(Channel.DEPTH.value), self.intrinsics, self.pose)
-
-    def bounding_boxes_2d(self, entities: Sequence[str] = (".*",)) -> BoundingBoxes2d:
-        """Boxes around entities in the pictures: tight around the pixels that show them, and loose around all of them.
-
-        Args:
-            entities: regular expressions over the names of entities (full match).
-
-        Raises:
-            ConfigurationError: the camera has no instance channel.
-            UnknownNameError: one of ``entities`` matches no entity that has a shape.
-        """
-        if Channel.INSTANCE not in self._drawn:
-            raise self._lacks(Channel.INSTANCE)
-        instances, link_poses = self._read(Channel.INSTANCE.value), self._read("link_poses")
-        return self._boxes.in_pictures(tuple(entities), self._camera, self.intrinsics, self.pose, link_poses, instances)
-
-    def bounding_boxes_3d(
-        self, entities: Sequence[str] = (".*",), *, of_links: bool = False, in_camera_frame: bool = False
-    ) -> BoundingBoxes3d:
-        """Oriented boxes around entities as they stood when the pictures were taken, seen or not.
-
-        Args:
-            entities: regular expressions over the names of entities (full match).
-            of_links: a box for each link that has a shape, instead of one for each entity.
-            in_camera_frame: in the camera's frame (-z forward, y up), instead of the environment's.
-
-        Raises:
-            UnknownNameError: one of ``entities`` matches no entity that has a shape.
-        """
-        link_poses = self._read("link_poses")
-        if in_camera_frame:
-            link_poses = pose_multiply(pose_inverse(self.pose)[:, None], link_poses)
-        return self._boxes.in_space(tuple(entities), link_poses, of_links)
-
-    @cached_property
-    def _boxes(self) -> EntityBoxes:
-        return EntityBoxes(self._layout, self.num_envs, self.device)
 
     def _lacks(self, channel: Channel) -> ConfigurationError:
         name = getattr(channel, "value", channel)
@@ -134,6 +135,7 @@ class CameraSensor(TimedSensor):
 
     def _measure(self, env_ids: Tensor | None) -> Values:
         pose = take_rows(self._fixed_pose, env_ids) if self._mount is None else self._mount.pose(env_ids)
+        # A copy: the engine's buffer changes with the next step, and the picture does not.
         link_poses = take_rows(self.engine.link_poses, env_ids).clone()
         image = self._renderer().render(self._camera, pose, link_poses, self._drawn, env_ids=env_ids)
         held = {"pose": pose, "link_poses": link_poses}

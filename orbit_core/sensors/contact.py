@@ -10,9 +10,7 @@ from torch import Tensor
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.interfaces.layout import contact_queries_of
 from orbit_core.scene import ContactSensorSpec
-from orbit_core.sensors.averaging import AveragingSensor
-from orbit_core.sensors.context import SensorContext
-from orbit_core.sensors.timed import Values
+from orbit_core.sensors.timed import AveragingSensor, SensorContext, Values
 
 
 class ContactSensor(AveragingSensor):
@@ -26,6 +24,7 @@ class ContactSensor(AveragingSensor):
     def __init__(self, spec: ContactSensorSpec, context: SensorContext) -> None:
         layout = context.layout
         queries = contact_queries_of(spec, {entity.name: entity for entity in layout.entities})
+        # Columns of a link: its net force, then the force of each filter.
         per_link = 1 + len(spec.filters)
         count = len(queries) // per_link
         super().__init__(spec, context, (count, per_link, 3))
@@ -48,11 +47,12 @@ class ContactSensor(AveragingSensor):
         return self._read("filtered")
 
     def in_contact(self, threshold: float = 1.0) -> Tensor:
-        """(N, links) whether the net force exceeds ``threshold`` newtons."""
+        """Return (N, links) whether the net force exceeds ``threshold`` newtons."""
         return self.forces.norm(dim=-1) > threshold
 
     def timer(self, threshold: float = 1.0) -> ContactTimer:
-        """A stopwatch per link, that runs from its first asking; the same threshold gives the same one."""
+        """Return a stopwatch per link, that runs from its first asking; the same threshold gives the same one."""
+        # Made on request; they advance whenever the engine steps, also between measurements.
         if threshold not in self._timers:
             self._timers[threshold] = ContactTimer(self.num_envs, len(self.link_names), threshold, self.device)
         return self._timers[threshold]
@@ -113,11 +113,13 @@ class ContactTimer:
         return self.times[3]
 
     def touched_down(self, within: float) -> Tensor:
-        """(N, links) whether the link touched down during the last ``within`` seconds."""
+        """Return (N, links) whether the link touched down during the last ``within`` seconds."""
+        # The margin absorbs rounding of sums of time steps.
         return (self.contact_time > 0.0) & (self.contact_time <= within + 1e-6)
 
     def advance(self, forces: Tensor, duration: float) -> None:
         """Account for ``duration`` seconds of forces (N, links, 3)."""
+        # One rule for touch and flight, so that each link is always in exactly one of the two.
         contact = forces.norm(dim=-1) > self.threshold
         touching, flying, last_touch, last_flight = self.times
         times = (

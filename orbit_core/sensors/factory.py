@@ -24,15 +24,12 @@ from orbit_core.scene import (
 )
 from orbit_core.sensors.camera import CameraSensor
 from orbit_core.sensors.contact import ContactSensor
-from orbit_core.sensors.context import SensorContext
-from orbit_core.sensors.force_torque import ForceTorqueSensor
-from orbit_core.sensors.frame import FrameSensor
-from orbit_core.sensors.imu import ImuSensor
-from orbit_core.sensors.joint import JointSensor
+from orbit_core.sensors.proprioception import ForceTorqueSensor, FrameSensor, ImuSensor, JointSensor
 from orbit_core.sensors.rays import RayCaster
-from orbit_core.sensors.timed import TimedSensor
+from orbit_core.sensors.timed import SensorContext, TimedSensor
 
 GROUP = "orbit.sensors"
+# Types and not names, so that a renamed class cannot be forgotten here.
 _OWN: dict[type[SensorSpec], type[TimedSensor]] = {
     JointSensorSpec: JointSensor,
     FrameSensorSpec: FrameSensor,
@@ -46,7 +43,7 @@ _OWN: dict[type[SensorSpec], type[TimedSensor]] = {
 
 @cache
 def sensor_types() -> Registry[type[TimedSensor]]:
-    """The classes of sensors, by the name of the class that specifies them.
+    """Return the classes of sensors, by the name of the class that specifies them.
 
     A program without a package adds its own: ``sensor_types().add("RadarSpec", RadarSensor)``.
     """
@@ -57,12 +54,15 @@ def sensor_types() -> Registry[type[TimedSensor]]:
 
 
 def create_sensor(spec: SensorSpec, context: SensorContext) -> TimedSensor:
-    """The sensor that ``spec`` describes. A specification derived from another has that one's, unless it has its own.
+    """Create the sensor that ``spec`` describes.
+
+    A specification that derives from another has the sensor of that one, unless it has its own.
 
     Raises:
         ConfigurationError: its rate, delay or pattern cannot be, or the package that brings the sensor is broken.
         UnknownNameError: nothing measures a specification of that type, or it names what the scene lacks.
     """
+    # The nearest base that has a sensor wins, as method resolution does.
     kinds = [kind.__name__ for kind in type(spec).__mro__ if issubclass(kind, SensorSpec)]
     registry = sensor_types()
     known = registry.names

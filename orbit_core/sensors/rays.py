@@ -1,16 +1,79 @@
-"""LiDARs and height scans."""
+"""LiDARs and height scans: ray casters, and patterns of rays for them."""
 
 from __future__ import annotations
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_multiply, quat_rotate, quat_yaw, transform_points
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import RayCasterSpec
-from orbit_core.sensors.context import SensorContext
-from orbit_core.sensors.mount import Mount, pose_tensor
-from orbit_core.sensors.timed import TimedSensor, Values
+from orbit_core.scene.pose import Vector3
+from orbit_core.sensors.proprioception import Mount, pose_tensor
+from orbit_core.sensors.timed import SensorContext, TimedSensor, Values
+
+
+def lidar_pattern(
+    channels: int,
+    vertical_fov: tuple[float, float],
+    horizontal_fov: tuple[float, float] = (-np.pi, np.pi),
+    horizontal_resolution: float = np.pi / 180,
+) -> tuple[Vector3, ...]:
+    """Return unit directions (channels x columns) of a scanning LiDAR that spins about z, x forward.
+
+    Args:
+        channels: how many rays stand above each other.
+        vertical_fov: lowest and highest elevation in radians; both ends get a ray.
+        horizontal_fov: first and last azimuth in radians. A full turn does not repeat its first column.
+        horizontal_resolution: greatest angle between columns, in radians.
+
+    Returns:
+        Channel after channel from the lowest, each in order of azimuth.
+    """
+    if channels < 1 or horizontal_resolution <= 0.0:
+        raise ConfigurationError("a LiDAR pattern needs at least one channel and a positive horizontal resolution")
+    elevations = np.linspace(*vertical_fov, channels) if channels > 1 else np.array([sum(vertical_fov) / 2])
+    span = horizontal_fov[1] - horizontal_fov[0]
+    # The first and the last column of a full turn would be the same ray.
+    full_turn = span >= 2 * np.pi - 1e-9
+    intervals = max(int(np.ceil(span / horizontal_resolution - 1e-9)), 1)
+    columns = intervals if full_turn else intervals + 1
+    azimuths = np.linspace(*horizontal_fov, columns, endpoint=not full_turn)
+    elevation, azimuth = (grid.ravel() for grid in np.meshgrid(elevations, azimuths, indexing="ij"))
+    level = np.cos(elevation)
+    return _vectors(np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), -1))
+
+
+def grid_pattern(
+    size: tuple[float, float], resolution: float, direction: Vector3 = (0.0, 0.0, -1.0)
+) -> tuple[tuple[Vector3, ...], tuple[Vector3, ...]]:
+    """Return origins and directions of parallel rays from a centred grid in the sensor's xy plane, as height scans use.
+
+    Args:
+        size: full extent (x, y) in metres; both ends get a ray, where the resolution divides it.
+        resolution: distance between neighbouring rays in metres.
+        direction: of all rays, in the sensor frame.
+
+    Returns:
+        Row after row along x, from the lowest y.
+    """
+    if resolution <= 0.0:
+        raise ConfigurationError(f"the resolution of a grid pattern must be positive, not {resolution:g}")
+    x, y = (_centred(extent, resolution) for extent in size)
+    grid_y, grid_x = (grid.ravel() for grid in np.meshgrid(y, x, indexing="ij"))
+    origins = _vectors(np.stack((grid_x, grid_y, np.zeros_like(grid_x)), -1))
+    return origins, (direction,) * len(origins)
+
+
+def _centred(extent: float, resolution: float) -> npt.NDArray[np.floating]:
+    intervals = int(np.floor(extent / resolution + 1e-9))
+    return (np.arange(intervals + 1) - intervals / 2) * resolution
+
+
+def _vectors(rows: npt.NDArray[np.floating]) -> tuple[Vector3, ...]:
+    return tuple((float(x), float(y), float(z)) for x, y, z in rows)
 
 
 class RayCaster(TimedSensor):
@@ -76,6 +139,7 @@ class RayCaster(TimedSensor):
         origins = transform_points(pose[:, None], self._origins).expand(-1, rays, -1)
         directions = quat_rotate(pose[:, None, 3:], self._directions)
         reach = self._ray_spec.max_distance
+        # A sensor inside of a robot's shell would otherwise see nothing but the shell.
         own = self._mount.entity.links
         parts = origins.contiguous(), directions.contiguous(), reach, range(own.start, own.stop), env_ids
         hits = self.engine.cast_rays_past(*parts)
@@ -93,6 +157,7 @@ class RayCaster(TimedSensor):
 
 def _unit_directions(spec: RayCasterSpec) -> Tensor:
     directions = torch.tensor(spec.directions, dtype=torch.float32).view(-1, 3)
+    # Engines divide by the length of a direction.
     lengths = directions.norm(dim=-1, keepdim=True)
     if not len(directions) or bool((lengths < 1e-9).any()):
         raise ConfigurationError(f"sensor '{spec.name}' needs at least one ray direction, each of non-zero length")

@@ -1,20 +1,91 @@
-"""The timer, delay, noise and held value that all sensors share."""
+"""Base of all sensors: timer, delay, noise, held value, and averages over a period."""
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping, MutableMapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import is_mask, take_rows, write_rows
-from orbit_core.interfaces import ConfigurationError, Sensor
+from orbit_core.dynamics.indexing import Masking, is_mask, take_rows, write_rows
+from orbit_core.dynamics.random import RandomStreams
+from orbit_core.interfaces import ConfigurationError, Engine, Renderer, SceneLayout, Sensor
 from orbit_core.scene import SensorSpec
-from orbit_core.sensors.context import SensorContext
-from orbit_core.sensors.memory import Memory, with_rows
+
+
+@dataclass
+class SensorContext:
+    """``renderer`` is called on first use only, so that a scene whose cameras nobody reads makes none."""
+
+    engine: Engine
+    layout: SceneLayout
+    physics_dt: float
+    random: RandomStreams
+    renderer: Callable[[], Renderer]
+    gravity: Tensor = field(init=False)
+    """(N, 3) m/s^2; whoever changes the engine's gravity writes it here too, for IMUs."""
+
+    def __post_init__(self) -> None:
+        gravity = torch.tensor(self.layout.scene.gravity, dtype=torch.float32, device=self.engine.device)
+        self.gravity = gravity.repeat(self.engine.num_envs, 1)
+
+
+class Memory(MutableMapping[str, Tensor]):
+    """Tensors by name. A tensor that was handed out stays as it was: another is put in its place.
+
+    From the first step on that is traced they are written in place instead, for a trace repeats what it did to the very
+    same memory: clone then what you keep.
+    """
+
+    def __init__(self, masking: Masking) -> None:
+        self._masking = masking
+        self._tensors: dict[str, Tensor] = {}
+        self._pinned = False
+
+    def __getitem__(self, name: str) -> Tensor:
+        return self._tensors[name]
+
+    def __setitem__(self, name: str, value: Tensor) -> None:
+        self._pinned |= self._masking.traced
+        own = self._tensors.get(name)
+        if own is not None and self._pinned:
+            own.copy_(value)
+        else:  # what is expanded has several elements at one place, and cannot be written
+            self._tensors[name] = value.clone() if 0 in value.stride() else value
+
+    def __delitem__(self, name: str) -> None:
+        del self._tensors[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._tensors)
+
+    def __len__(self) -> int:
+        return len(self._tensors)
+
+    def saved(self) -> dict[str, Tensor]:
+        """Return a detached copy."""
+        return {name: tensor.clone() for name, tensor in self._tensors.items()}
+
+    def load(self, saved: dict[str, Tensor]) -> None:
+        """Return to a copy."""
+        for name in self._tensors.keys() - saved.keys():
+            del self._tensors[name]
+        for name, tensor in saved.items():
+            self[name] = tensor.clone()
+
+
+def with_rows(old: Tensor, values: Tensor, env_ids: Tensor | None, dim: int = 0) -> Tensor:
+    """Return ``old`` with the values of some environments, which dimension ``dim`` counts, by index or by mask (N,)."""
+    if env_ids is None:
+        return values
+    if is_mask(env_ids):
+        return torch.where(env_ids.view(-1, *(1 for _ in old.shape[dim + 1 :])), values, old)
+    return old.index_copy(dim, env_ids, values.expand(*old.shape[:dim], *values.shape[dim:]).contiguous())
+
 
 Values = dict[str, Tensor]
 """One measurement of some environments: each tensor (n, ...)."""
@@ -28,7 +99,7 @@ class TimedSensor(Sensor):
     A sensor without a rate measures at the first read after the world has stepped, and costs nothing unread. A sensor
     with a rate measures when it is due, read or not, for the state will be gone later. Its due times are multiples of
     its period on the world's clock, which a reset leaves running. A reset environment's next reading is fresh (that of
-    the first read, or of the next step's start), and stands for all of its delayed past. Writing state without a step
+    the first read, or of the next step's start), and fills all of its delayed past. Writing state without a step
     or reset leaves the held value.
 
     A subclass implements :meth:`_measure` and names in ``noisy`` the values that noise is added to.
@@ -55,19 +126,19 @@ class TimedSensor(Sensor):
         self._masking = context.random.masking
         self._delay = _delay_in_periods(spec)
         self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
+        # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt
         self._fleeting = self._lazy and not self._noisy and not self.costly
-        """Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt."""
         self._elapsed = 0
         self._outdated = True
+        # Whether nothing was measured yet, or since all environments were reset
         self._empty = True
-        """Whether nothing was measured yet, or since all environments were reset."""
         self._some_wait = False
+        # (N,) environments that were reset and not measured since
         self._waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        """(N,) environments that were reset and not measured since."""
+        # Values of a fleeting sensor at the present state
         self._present: Values = {}
-        """Values of a fleeting sensor at the present state."""
+        # Last measurements (1 + delay, N, ...) of all other sensors, the newest first
         self._held = Memory(self._masking)
-        """Last measurements (1 + delay, N, ...) of all other sensors, the newest first."""
         self._bias = Memory(self._masking)
 
     # The world's side ------------------------------------------------------------------------------------------------
@@ -104,7 +175,7 @@ class TimedSensor(Sensor):
             self._bias[name] = with_rows(bias, self._draw_bias(bias.shape[1:], env_ids), env_ids)
 
     def save_state(self) -> dict[str, Any]:
-        """Everything that later readings depend on besides the engine's state."""
+        """Return all that later readings depend on, without the engine's state."""
         return {
             "phase": self.phase,
             "waiting": self._waiting.clone(),
@@ -123,19 +194,19 @@ class TimedSensor(Sensor):
 
     @property
     def phase(self) -> tuple[Hashable, ...]:
-        """What Python decides the sensor's next step by, besides what tensors hold."""
+        """Schedule key of the sensor's next step: the state that is not in tensors."""
         return self._elapsed, self._outdated or self._fleeting, self._empty, self._some_wait
 
     def enter(self, phase: tuple[Any, ...]) -> None:
-        """A step was repeated without Python, which left the sensor in that phase."""
+        """Return a step was repeated without Python, which left the sensor in that phase."""
         self._elapsed, self._outdated, self._empty, self._some_wait = phase[:4]
 
     def touch(self) -> None:
-        """What was computed from the present state alone does not hold."""
+        """Invalidate values that depend on the present state only."""
         self._outdated |= self._fleeting
 
     def memory(self) -> Mapping[str, Tensor]:
-        """The tensors that later readings depend on, by name."""
+        """Return the tensors that later readings depend on, by name."""
         return {**{f"held {n}": t for n, t in self._held.items()}, **{f"bias {n}": t for n, t in self._bias.items()}}
 
     # The subclass's side ---------------------------------------------------------------------------------------------
@@ -148,12 +219,12 @@ class TimedSensor(Sensor):
         """
 
     def _read(self, name: str) -> Tensor:
-        """The held value (N, ...) of that name."""
+        """Return the held value (N, ...) of that name."""
         self._settle()
         return self._present[name] if self._fleeting else self._held[name][-1]
 
     def _noise(self, name: str, shape: tuple[int, ...], env_ids: Tensor | None) -> Tensor:
-        """A draw (n, *shape) of white noise plus the value's bias."""
+        """Return a draw (n, *shape) of white noise plus the value's bias."""
         if name not in self._bias:
             self._bias[name] = self._draw_bias(shape, None)
         rows = None if is_mask(env_ids) else env_ids  # a mask is set, and means itself
@@ -220,7 +291,7 @@ class TimedSensor(Sensor):
 
 
 def period_in_steps(spec: SensorSpec, physics_dt: float) -> int | None:
-    """Physics steps between two measurements; None without a rate.
+    """Return physics steps between two measurements; None without a rate.
 
     Raises:
         ConfigurationError: the rate does not divide the physics rate.
@@ -241,8 +312,8 @@ def period_in_steps(spec: SensorSpec, physics_dt: float) -> int | None:
     return steps
 
 
+# Longest delay in periods of a sensor, for each of which a value is kept
 _MOST_PERIODS = 10_000
-"""Longest delay in periods of a sensor, for each of which a value is kept."""
 
 
 def _delay_in_periods(spec: SensorSpec) -> int:
@@ -262,3 +333,66 @@ def _delay_in_periods(spec: SensorSpec) -> int:
             f"of {1.0 / spec.rate:g} s"
         )
     return periods
+
+
+class AveragingSensor(TimedSensor):
+    """Sums a quantity while the world steps; the window is the sensor's period, without a rate the world's step.
+
+    A reset empties an environment's window, whose mean is then zero. A world that announces its steps with
+    :meth:`begin_step` gets averages over them; otherwise each :meth:`advance` is its own window.
+    """
+
+    def __init__(self, spec: SensorSpec, context: SensorContext, shape: tuple[int, ...]) -> None:
+        super().__init__(spec, context)
+        self._sum = torch.zeros(self.num_envs, *shape, device=self.device)
+        self._count = torch.zeros(self.num_envs, *(1 for _ in shape), device=self.device)
+        self._window_over = False
+        self._announced = False
+
+    def begin_step(self) -> None:
+        super().begin_step()
+        self._announced = True
+        if self.period is None:
+            self._window_over = True
+
+    def advance(self, steps: int) -> None:
+        total = self._integrate(steps)
+        if self._window_over:
+            self._sum.copy_(total)
+            self._count.fill_(steps)
+        else:
+            self._sum += total
+            self._count += steps
+        self._window_over = not self._announced if self.period is None else self._elapsed + steps >= self.period
+        super().advance(steps)
+
+    def _forget(self, env_ids: Tensor | None) -> None:
+        super()._forget(env_ids)
+        # Zero sums make the next chunk's replacement and its addition the same.
+        write_rows(self._sum, 0.0, env_ids)
+        write_rows(self._count, 0.0, env_ids)
+
+    @property
+    def phase(self) -> tuple[Hashable, ...]:
+        return *super().phase, self._window_over, self._announced
+
+    def enter(self, phase: tuple[Any, ...]) -> None:
+        super().enter(phase)
+        self._window_over, self._announced = phase[4:6]
+
+    def save_state(self) -> dict[str, Any]:
+        return super().save_state() | {"window": (self._sum.clone(), self._count.clone())}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        super().load_state(state)
+        self._window_over, self._announced = state["phase"][4:6]
+        for own, saved in zip((self._sum, self._count), state["window"], strict=True):
+            own.copy_(saved)
+
+    @abstractmethod
+    def _integrate(self, steps: int) -> Tensor:
+        """Return (N, *shape) the quantity's mean over the last ``steps`` steps, times ``steps``."""
+
+    def _mean(self, env_ids: Tensor | None) -> Tensor:
+        """Return (n, *shape) over the window so far; zero in one that is empty."""
+        return take_rows(self._sum / self._count.clamp_min(1.0), env_ids)

@@ -14,9 +14,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.kinematics import KinematicTree, link_ancestry
 from orbit_core.dynamics.transforms import quat_distance
-from orbit_core.dynamics.tree import link_ancestry
 from orbit_core.interfaces import BuildError, BuiltModel, Engine, EntityLayout, SceneLayout
 
 FloatArray = npt.NDArray[np.float64]

@@ -31,7 +31,7 @@ from orbit_core.interfaces import (
     SimulationError,
     UnsupportedCapabilityError,
 )
-from orbit_core.interfaces.divergence import matter_divergence_error
+from orbit_core.interfaces.errors import matter_divergence_error
 from orbit_core.interfaces.matter import Matter, MatterSolver
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from orbit_core.interfaces import SceneLayout
-from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_core.scene import Articulation, Link, MarkerShape, MarkerSpec, RobotSpec, Shape
 
 _OPAQUE = (0.0, 0.0, 0.0, 1.0)

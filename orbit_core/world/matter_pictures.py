@@ -11,7 +11,7 @@ from orbit_core.dynamics.indexing import take_rows
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import Engine, Image, Renderer, SceneLayout, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import MatterPainter, MatterSolver
-from orbit_core.plugin_kit.deformable_surface import DeformableSurface
+from orbit_core.plugin_kit.rendering import DeformableSurface
 from orbit_core.scene import CameraSpec, Channel
 from orbit_core.world.outer_renderer import OuterRenderer
 

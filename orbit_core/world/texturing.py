@@ -2,7 +2,7 @@
 
 A picture's depth says where the surface in each pixel is, and its normals which way it faces; with the link's pose that
 is a place in the texture. What a renderer shades is in proportion to the surface's own colour
-(:mod:`orbit_core.scene.lights`), so that the texture multiplies what was drawn: alike on every engine, with its lights
+(:mod:`orbit_core.scene.scene`), so that the texture multiplies what was drawn: alike on every engine, with its lights
 and shadows. It does not show in reflections; where light is so strong that a picture is white, it is too dark.
 """
 
@@ -18,7 +18,7 @@ from orbit_core.dynamics.indexing import take_rows
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import Image, Renderer
 from orbit_core.scene import CameraSpec, Channel, Texture
-from orbit_core.sensors.points import intrinsic_matrix, point_cloud
+from orbit_core.sensors.camera import intrinsic_matrix, point_cloud
 from orbit_core.world.outer_renderer import OuterRenderer
 
 RESOLUTION = 256

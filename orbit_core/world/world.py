@@ -14,6 +14,7 @@ from orbit_core.actuators.stability import check_drives
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_capability, check_scene, choose_matter
 from orbit_core.backends import renderer as find_renderer
+from orbit_core.configuration import settings_table
 from orbit_core.dynamics.arguments import (
     ACCELERATIONS,
     FRICTIONS,
@@ -39,9 +40,7 @@ from orbit_core.interfaces import (
     World,
 )
 from orbit_core.interfaces.capabilities import IMAGES
-from orbit_core.interfaces.fields import settings_table
-from orbit_core.preparation.deformable_checks import check_attachments
-from orbit_core.preparation.scene_data import check_data
+from orbit_core.preparation.scene_data import check_attachments, check_data
 from orbit_core.preparation.scenes import prepared
 from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor

@@ -23,9 +23,9 @@ from orbit_core.dynamics.random import RandomStreams
 from orbit_core.envs import Environment
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
-from orbit_core.reading.budget import ReadBudget
 from orbit_core.scene import ActuatorNetwork, DcMotor, IdealPd, Scene, Transmission, Windings
-from orbit_core.tensor_file import write_tensors
+from orbit_data.reading.budget import ReadBudget
+from orbit_data.tensor_file import write_tensors
 from orbit_learn.actuators.fitting import FitSettings, fit
 from orbit_learn.actuators.networks import NetworkDescription, read_network, write_network
 from orbit_learn.actuators.recordings import QUANTITIES, read_recording

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_assets.compound_joints import BALL, FLOATING, PLANAR, Freedom, chain, compound
+from orbit_assets.joint_models import BALL, FLOATING, PLANAR, Freedom, chain, compound
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_distance
 from orbit_core.interfaces.errors import AssetError

@@ -12,9 +12,9 @@ import trimesh
 
 from orbit_assets.cache import cache_folder
 from orbit_assets.decomposition import ConvexDecomposition, convex_pieces
+from orbit_assets.mass_properties import mass_properties
 from orbit_assets.usd import read_usd, write_usd
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import mass_properties
 from orbit_core.preparation.scenes import decomposed_entity
 from orbit_core.scene import Articulation, Link, Mesh, MeshCollision, ObjectSpec, Pose, Scene, Shape, Sphere
 from orbit_core.world import simulate

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbit_assets.drives import drives_from_model, home_from_model
+from orbit_assets.scene_files import drives_from_model, home_from_model
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.layout import SceneLayout
 from orbit_core.preparation.validation import validate

@@ -10,8 +10,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from orbit_assets.mass_properties import mass_properties, shapes_mass_properties
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import MassProperties, combine, mass_properties, shapes_mass_properties
+from orbit_core.preparation.merge import MassProperties, combine
 from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, Plane, Pose, Shape, Sphere
 from orbit_core.scene.inertias import principal_axes
 

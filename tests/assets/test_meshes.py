@@ -12,9 +12,8 @@ import trimesh
 from PIL import Image
 from trimesh.exchange.dae import export_collada
 
-from orbit_assets.meshes import MeshFiles, load_mesh, load_parts
+from orbit_assets.meshes import MeshFiles, load_mesh, load_parts, merge_vertices
 from orbit_assets.options import ReadOptions
-from orbit_assets.vertices import merge_vertices
 from orbit_core.interfaces.errors import AssetError
 
 

@@ -124,7 +124,7 @@ def test_a_callers_wrong_argument_is_not_blamed_on_the_file(
     path.write_text(URDF.format("mesh.obj"))
     with pytest.raises(ArgumentError, match=message) as caught:
         call(path)
-    assert "mend the file" not in str(caught.value)
+    assert "correct the file" not in str(caught.value)
 
 
 def test_an_unknown_argument_is_pythons_own_error(model: Path) -> None:

@@ -13,11 +13,10 @@ import torch
 
 from orbit_assets import sources
 from orbit_assets.cache import cached_articulation
-from orbit_assets.parts import compose
+from orbit_assets.robot_parts import compose
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
-from orbit_core.preparation.posture import link_poses
-from orbit_core.preparation.validation import validate_entity
+from orbit_core.preparation.validation import link_poses, validate_entity
 from orbit_core.robots import robot, robot_info, robots
 from orbit_core.scene import EndEffector, PlanarBase, Pose, RobotCategory, Scene, Sphere, Workspace
 from orbit_core.world import simulate

@@ -54,7 +54,7 @@ BAD = [
     (scene(gravity=(0.0, 0.0, -1e30)), r"scene\.gravity is -1e\+30: give -10000 to 10000 m/s\^2"),
     (scene(physics_dt=-0.1), r"scene\.physics_dt is -0\.1: give 1e-07 to 1 s"),
     (scene(physics_dt=INF), r"scene\.physics_dt is inf"),
-    (lit(DirectionalLight((0.0, 0.0, 0.0))), r"scene\.lights\[0\]\.direction is .*: give where the light travels to"),
+    (lit(DirectionalLight((0.0, 0.0, 0.0))), r"scene\.lights\[0\]\.direction is .*: give the direction of travel"),
     (lit(DirectionalLight((0.0, 0.0, NAN))), r"scene\.lights\[0\]\.direction\[2\] is nan: give a number"),
     (lit(DirectionalLight(color=(1.0, -0.1, 0.0))), r"scene\.lights\[0\]\.color is -0\.1: give 0 to 1000"),
     (lit(DirectionalLight(intensity=-1.0)), r"scene\.lights\[0\]\.intensity is -1\.0: give 0 to 1000"),

@@ -9,7 +9,7 @@ import pytest
 
 from orbit_assets import load_articulation
 from orbit_assets.options import ReadLimits, ReadOptions
-from orbit_assets.xacro import expansion, expressions, markup, values
+from orbit_assets.xacro import expansion, expressions, process, values
 from orbit_core.interfaces.errors import AssetError
 from tests.fuzz.mutations import MUTATIONS
 from tests.fuzz.run import MEMORY, SECONDS
@@ -29,7 +29,7 @@ STATED = (
     f"pixels of a picture ({LIMITS.pixels // MEBI} Mi)",
     f"integer has at most {values._BITS:,} bits, a value at most {values.LARGEST:,} characters and items",
     f"an expression {expressions._LONGEST:,} characters",
-    f"at most {values.LARGEST:,} values, its aliases written out, nested at most {markup._DEEPEST} deep",
+    f"at most {values.LARGEST:,} values, its aliases written out, nested at most {process._DEEPEST} deep",
     f"for {expansion._SECONDS} s at most, with {expansion._MEMORY // 2**30} GiB of memory",
     f"at most {expansion._CHARACTERS // MEBI} Mi characters of URDF",
     f"in {len(set(MUTATIONS))} ways",

@@ -11,7 +11,7 @@ import trimesh
 
 from orbit_assets.files import asset_file, load_articulation
 from orbit_assets.urdf import read_urdf, write_urdf
-from orbit_assets.urdf.text import roll_pitch_yaw
+from orbit_assets.urdf.writer import roll_pitch_yaw
 from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate

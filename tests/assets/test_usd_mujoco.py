@@ -15,7 +15,7 @@ import pytest
 from orbit_assets import load_articulation
 from orbit_assets.options import ReadOptions, Unsupported
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Articulation, DriveGains, Mimic
 from tests.assets.usd_files import body, joint, stage
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from orbit_assets import load_articulation
+from orbit_assets.files import check_written
 from orbit_assets.mjcf import write_mjcf
 from orbit_assets.options import ReadOptions
 from orbit_assets.urdf import write_urdf
 from orbit_assets.usd import write_usd
-from orbit_assets.written import check_written
 from orbit_core.cli import main
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Box, Joint, JointType, Link, Pose, Shape
@@ -132,7 +132,7 @@ def test_without_the_parser_of_mjcf_a_conversion_says_that_it_is_not_checked(
 ) -> None:
     path = tmp_path / "plates.xml"
     write_mjcf(plates(), path)
-    monkeypatch.setattr("orbit_assets.written.find_spec", lambda _: None)
+    monkeypatch.setattr("orbit_assets.files.find_spec", lambda _: None)
     (line,) = check_written(plates(), path, OPTIONS)
     assert '[mjcf]"' in line
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from orbit_assets.audit.audit import AssetReport, audit_file
-from orbit_assets.audit.findings import Severity
+from orbit_assets.audit.checks import Severity
 from orbit_core.cli import main
 
 SOUND = """<robot name="arm">

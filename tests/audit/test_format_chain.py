@@ -15,10 +15,9 @@ import pytest
 import trimesh.creation
 
 from orbit_assets import load_articulation
-from orbit_assets.audit.geometry import shape_points
-from orbit_assets.audit.mechanics import FloatArray, Posture, mass_matrix, posture
+from orbit_assets.audit.geometry import FloatArray, Posture, mass_matrix, posture, shape_points
 from orbit_assets.mjcf import write_mjcf
-from orbit_assets.mjcf.bodies_writer import renamed_world
+from orbit_assets.mjcf.writer import renamed_world
 from orbit_assets.urdf import write_urdf
 from orbit_assets.usd import write_usd
 from orbit_core.objects import object_config, object_kinds

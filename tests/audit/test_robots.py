@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from orbit_assets.audit.findings import Severity
+from orbit_assets.audit.checks import Severity
 from orbit_assets.audit.robots.report import RobotReport, audit_robot, audit_spec
 from orbit_core.cli import main
 from orbit_core.robots import RobotEntry, robot, robot_info

@@ -15,9 +15,9 @@ from torch import Tensor
 from orbit_core.capture.kernels import fusing
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error, quat_from_matrix, quat_to_matrix
-from orbit_motion.fusion import Fused, kernel
+from orbit_motion.fusion import Fused
 from orbit_motion.fusion import fused as fused_module
-from orbit_motion.fusion.source import Program
+from orbit_motion.fusion.fused import Program
 
 Given = Callable[..., tuple[Tensor, ...]]
 
@@ -76,12 +76,13 @@ extern "C" void fused({pointers}float* out, int count) {{
 def sources(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What a GPU is given is what runs, on the host; and what was given."""
     given: list[str] = []
+    launch = fused_module.launcher
 
     def launcher(source: str, inputs: int, device: torch.device) -> Any:
         given.append(source)
         names = [f"in_{number}, " for number in range(inputs)]
         pointers = "".join(f"const float* {name}" for name in names)
-        return kernel.launcher(_ON_HOST.format(source=source, names="".join(names), pointers=pointers), inputs, device)
+        return launch(_ON_HOST.format(source=source, names="".join(names), pointers=pointers), inputs, device)
 
     monkeypatch.setattr(Program, "on_cpu", False)
     monkeypatch.setattr(fused_module, "launcher", launcher)
@@ -103,7 +104,7 @@ def test_nvidias_compiler_takes_it(sources: list[str]) -> None:
     test_elementwise_and_reductions()
     program, options = (
         ctypes.c_void_p(),
-        (ctypes.c_char_p * 3)(b"--gpu-architecture=sm_90", *map(str.encode, kernel.GPU_FLAGS)),
+        (ctypes.c_char_p * 3)(b"--gpu-architecture=sm_90", *map(str.encode, fused_module.GPU_FLAGS)),
     )
     nvrtc.nvrtcCreateProgram(ctypes.byref(program), sources[0].encode(), b"fused.cu", 0, None, None)
     result, size = nvrtc.nvrtcCompileProgram(program, len(options), options), ctypes.c_size_t()

@@ -11,7 +11,7 @@ import torch
 
 from orbit_core.backends import default_backend
 from orbit_core.cli.bench import bench
-from orbit_core.cli.runner import run
+from orbit_core.cli.run import run
 from orbit_core.cli.settings import BenchSettings, RunSettings
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 
@@ -83,7 +83,7 @@ def test_a_file_that_is_there_is_kept_unless_it_may_be_replaced(
     def build(*arguments: object) -> None:
         raise RuntimeError("it builds")
 
-    monkeypatch.setattr("orbit_core.cli.runner.make_environment", build)
+    monkeypatch.setattr("orbit_core.cli.run.make_environment", build)
     settings = dataclasses.replace(lift(1, 1), **{option: path})
     with pytest.raises(ConfigurationError, match=rf"{name} is there already: give another name, or --overwrite"):
         run(settings)

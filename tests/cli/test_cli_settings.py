@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import BenchSettings, RunSettings
+from orbit_core.cli.settings import BenchSettings, RunSettings, parse_settings
 from orbit_core.interfaces import ConfigurationError, OrbitError
 
 FILE = """

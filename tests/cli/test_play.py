@@ -12,10 +12,10 @@ import torch
 
 from orbit_core.backends import default_backend
 from orbit_core.cli.making import make_environment
-from orbit_core.cli.settings import PlaySettings
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.cli.play import main, restored_settings
 from orbit_learn.cli.train import TrainSettings, _table, for_training
+from orbit_learn.cli.trained import PlaySettings
 from orbit_learn.description import PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.policy import Policy

@@ -9,12 +9,12 @@ import numpy as np
 
 from orbit_conformance.courses import course_of
 from orbit_conformance.hardware import Hardware
+from orbit_conformance.recording import Recording
 from orbit_conformance.report.courses import courses
 from orbit_conformance.results import Header, Result
 from orbit_conformance.settings import Part, Settings
 from orbit_conformance.tasks import run_task
 from orbit_core.backends import default_backend
-from orbit_core.rollout.recording import Recording
 
 
 def test_key_points_and_the_metric_of_a_task_with_a_rope_are_recorded(tmp_path: Path) -> None:

@@ -22,11 +22,11 @@ from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset
 from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.manifest.manifest import Manifest
 
 STEPS = 6
 

@@ -19,11 +19,10 @@ from orbit_core.backends import default_backend
 from orbit_core.envs import Environment, make
 from orbit_core.envs.actors import Actor, scripted_actor
 from orbit_core.interfaces import ConfigurationError, StorageError
-from orbit_core.manifest.manifest import Manifest
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_data.parts import PartFolder
-from orbit_data.recording import RecordingFile, record
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.recording import PartFolder, RecordingFile, record
 from tests.faults import KILLS, kills
 
 BACKEND = default_backend()

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbit_core.dynamics.drive_design import (
+from orbit_assets.drive_design import (
     MOTOR_TIME,
     DriveDesign,
     designed_drives,
-    drive_responses,
-    reflected_inertia,
     with_armature,
 )
+from orbit_core.dynamics.workspace import drive_responses, reflected_inertia
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.scene import Articulation, ImplicitPd, Joint, JointType, Link, Mimic, Pose, RobotSpec
 

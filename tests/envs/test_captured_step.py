@@ -39,7 +39,7 @@ from orbit_core.scene import (
     SensorSpec,
     look_at,
 )
-from orbit_core.sensors.patterns import grid_pattern
+from orbit_core.sensors.rays import grid_pattern
 from orbit_tasks.lift import Lift, LiftObservations, LiftState
 from orbit_tasks.velocity_flat import CONTACTS, VelocityFlat
 

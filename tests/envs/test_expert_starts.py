@@ -13,8 +13,8 @@ from orbit_core.backends import default_backend
 from orbit_core.envs import PpoSettings, make
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.rollout.ends import EpisodeTally
 from orbit_learn.cli.train import TrainSettings, for_training, train
+from orbit_learn.ends import EpisodeTally
 from orbit_learn.imitation import imitate_expert
 from orbit_tasks.lift import Lift
 

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from orbit_conformance.tasks import run_task
 from orbit_core.backends import backend as find_backend
-from orbit_core.cli.run import _table
-from orbit_core.cli.runner import run
+from orbit_core.cli.run import _table, run
 from orbit_core.cli.settings import RunSettings
 from orbit_core.envs import Environment, EventTerm, PremiseTerm
 from orbit_core.interfaces import Capability, ConfigurationError, Level, PremiseError, World
@@ -151,7 +150,7 @@ def test_the_starts_that_are_sampled_change_nothing_after_them() -> None:
 def test_a_run_and_the_conformance_suite_say_how_often_a_premise_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = RunSettings(task="Hockey", backend="mujoco", num_envs=8, episodes=8, agent="zero")
     monkeypatch.setattr("orbit_tasks.hockey.HockeyPremises", OnIce)
-    monkeypatch.setattr("orbit_core.cli.runner.make_environment", lambda *_: lenient(HighHockey(), 8))
+    monkeypatch.setattr("orbit_core.cli.run.make_environment", lambda *_: lenient(HighHockey(), 8))
     result = run(settings)
     failed = result.premises[1].failed
     assert 0 < failed < 8

@@ -17,16 +17,16 @@ import numpy as np
 import torch
 import zarr
 
+from orbit_conformance.recording import Recording
 from orbit_core.interfaces import OrbitError
-from orbit_core.rollout.recording import Recording
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
 from orbit_learn.actuators.networks import NetworkDescription, read_network, write_network
 from orbit_learn.actuators.recordings import QUANTITIES, read_recording
-from orbit_learn.checkpoint import read_checkpoint, write_checkpoint
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.training import read_checkpoint, write_checkpoint
 from tests.fuzz.mutations import bytes_flipped, cut, mutate, words_written
 from tests.fuzz.watch import contents, watched
 

@@ -14,7 +14,7 @@ from torchrl.envs.utils import check_env_specs
 
 from orbit_core.backends import default_backend
 from orbit_core.envs import Environment, make
-from orbit_core.rollout.ends import EpisodeTally, true_next
+from orbit_learn.ends import EpisodeTally, true_next
 from orbit_learn.rl_games import RlGamesEnvironment
 from orbit_learn.rsl_rl import RslRlEnvironment
 from orbit_learn.sb3 import Sb3Environment

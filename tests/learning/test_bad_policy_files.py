@@ -20,12 +20,12 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 import orbit_core
-from orbit_core import tensor_file
 from orbit_core.interfaces import OrbitError
-from orbit_learn.checkpoint import read_checkpoint, write_checkpoint
+from orbit_data import tensor_file
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.training import read_checkpoint, write_checkpoint
 
 DESCRIPTION = PolicyDescription(
     "Reach", "a_robot", "joint_position", (Part("seen", 3),), (Part("moved", 2),), 0.02, "an_engine", "a_library", 1
@@ -79,10 +79,10 @@ def weight(name: str, value: Tensor | None) -> Callable[[dict[str, Any], dict[st
     [
         (put("format", value=7), "no policy of format 1"),
         (put("policy", value=[]), "not an object"),
-        (put("policy", "task", value=3), r"task is 3, not str"),
-        (put("policy", "step_dt", value="fast"), r"step_dt is fast, not float"),
+        (put("policy", "task", value=3), "task is 3, but must be text"),
+        (put("policy", "step_dt", value="fast"), "step_dt is 'fast', but must be a number"),
         (put("policy", "step_dt", value=float("nan")), "JSON holds NaN"),
-        (put("policy", "iteration", value=1e300), r"iteration is 1e\+300, not int"),
+        (put("policy", "iteration", value=1e300), r"iteration is 1e\+300, but must be a whole number"),
         (put("policy", "iteratoin", value=1), "did you mean 'iteration'"),
         (put("policy", "observation_parts", 0, "size", value=-1), "components, not -1"),
         (put("policy", "observation_parts", 0, "size", value=10**12), "components, not 1000000000000"),

@@ -17,14 +17,10 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
 from orbit_core.mdp.images import camera_color, camera_depth
 from orbit_core.scene import END_EFFECTOR, CameraSpec, Channel, look_at
-from orbit_learn.checkpoint import read_checkpoint
-from orbit_learn.distill import DistillTrainer
-from orbit_learn.distill_settings import DistillSettings
+from orbit_learn.distill import DistillSettings, DistillTrainer, ReplayBuffer, RunningMoments
 from orbit_learn.policy import PolicyActor, load_policy
-from orbit_learn.replay_buffer import ReplayBuffer
-from orbit_learn.student import RunningMoments
 from orbit_learn.trainer import Progress
-from orbit_learn.training import Training
+from orbit_learn.training import Training, read_checkpoint
 from orbit_tasks.reach import Reach, ReachState
 
 BACKEND = default_backend()

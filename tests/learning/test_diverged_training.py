@@ -14,11 +14,10 @@ from torch import nn
 from orbit_core.backends import default_backend
 from orbit_core.envs import Environment, PpoSettings
 from orbit_core.interfaces import NonFiniteError
-from orbit_learn.checkpoint import read_checkpoint
 from orbit_learn.learners import trainer_type
 from orbit_learn.networks import ActorNetwork
 from orbit_learn.trainer import Progress, Trainer
-from orbit_learn.training import Training
+from orbit_learn.training import Training, read_checkpoint
 from orbit_tasks.reach import Reach
 
 BACKEND = default_backend()

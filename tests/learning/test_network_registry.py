@@ -12,10 +12,10 @@ import torch
 from torch import nn
 
 from orbit_core.interfaces import OrbitError
-from orbit_learn import network_registry
+from orbit_learn import policy_file
 from orbit_learn.description import Part, PolicyDescription
-from orbit_learn.network_registry import register_network
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.policy_file import register_network
 
 DESCRIPTION = PolicyDescription(
     "Reach", "a_robot", "joint_position", (Part("seen", 3),), (Part("moved", 2),), 0.02, "an_engine", "a_library", 1
@@ -38,9 +38,9 @@ class Linear:
 @pytest.fixture
 def _own_networks() -> Iterator[None]:
     """What a test registers is forgotten after it."""
-    network_registry._networks.cache_clear()
+    policy_file._networks.cache_clear()
     yield
-    network_registry._networks.cache_clear()
+    policy_file._networks.cache_clear()
 
 
 @pytest.mark.usefixtures("_own_networks")
@@ -53,7 +53,7 @@ def test_an_installed_package_brings_networks(tmp_path: Path, monkeypatch: pytes
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-networks\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[orbit.networks]\nany = their_networks:Theirs\n")
     monkeypatch.syspath_prepend(tmp_path)
-    network = network_registry.network_type("theirs")(gain=0.5)  # pyright: ignore[reportCallIssue]
+    network = policy_file.network_type("theirs")(gain=0.5)  # pyright: ignore[reportCallIssue]
     module = network.build(3, 2)
     Policy(module, network, DESCRIPTION).save(tmp_path / "policy_1.safetensors")
     assert load_policy(tmp_path).network == network

@@ -15,16 +15,16 @@ import torch
 
 from orbit_core.backends import default_backend
 from orbit_core.cli.making import make_environment
-from orbit_core.cli.settings import PlaySettings
 from orbit_core.envs import Environment, make
 from orbit_core.envs.observation_groups import groups_of, terms_of_group
 from orbit_core.envs.registry import task_entries
 from orbit_core.envs.terms import meaning_of
 from orbit_core.interfaces import World
-from orbit_core.pretrained import policy_path
 from orbit_learn.cli.export import main as export
 from orbit_learn.cli.play import played
+from orbit_learn.cli.trained import PlaySettings
 from orbit_learn.policy import load_policy
+from orbit_learn.pretrained import policy_path
 
 BACKEND = default_backend()
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -142,8 +142,8 @@ def test_every_term_of_every_task_says_what_it_is() -> None:
 
 @pytest.mark.parametrize("task", ["Lift", "Velocity-Flat", "Handover"])
 def test_arrays_of_a_manifest_that_belong_together_have_one_length(task: str) -> None:
-    from orbit_core.manifest.manifest import Manifest
-    from orbit_learn.deployment import deployment_metadata
+    from orbit_data.manifest.manifest import Manifest
+    from orbit_learn.onnx_file import deployment_metadata
 
     environment = make(task, 1, BACKEND)
     manifest = Manifest.of(environment, task, 0)

@@ -22,11 +22,10 @@ from orbit_core.cli import main
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings, RewardTerm
 from orbit_core.interfaces import ConfigurationError, StorageError, UnknownNameError
 from orbit_core.mdp import common
-from orbit_learn.checkpoint import read_checkpoint
 from orbit_learn.learners import library_names, trainer_type
 from orbit_learn.policy import PolicyActor, load_policy
 from orbit_learn.trainer import Progress, Trainer
-from orbit_learn.training import Training, check_new
+from orbit_learn.training import Training, check_new, read_checkpoint
 from orbit_tasks.reach import Reach
 from tests.faults import no_file_beyond
 

@@ -12,7 +12,7 @@ import torch
 from orbit_core.actions import CommandMode, DifferentialIkConfig, FullIkTermConfig
 from orbit_core.actions.differential_ik import PoseTermConfig
 from orbit_core.actions.reach import PoseFollower
-from orbit_core.rollout.reach_watch import ReachWatch
+from orbit_core.rollout.stepping import ReachWatch
 from orbit_motion import (
     Admittance,
     AdmittanceConfig,

@@ -15,9 +15,9 @@ from orbit_core.scene import Box, Capsule, Cylinder, ObjectSpec, Pose, Scene, Sh
 from orbit_core.scene.shapes import Geometry
 from orbit_core.world import simulate
 from orbit_motion import RmpFlow, RmpFlowConfig
-from orbit_motion.barrier import Barrier
-from orbit_motion.collision_spheres import _surface, collision_spheres
+from orbit_motion.clearance import _surface, collision_spheres
 from orbit_motion.obstacles import Obstacles
+from orbit_motion.rmpflow import Barrier
 from tests.motion.servo_world import BACKENDS, ENGINES, held
 
 GEOMETRIES: tuple[Geometry, ...] = (Sphere(0.08), Box((0.05, 0.05, 0.15)), Capsule(0.05, 0.1), Cylinder(0.06, 0.1))

@@ -12,7 +12,7 @@ from orbit_core.dynamics.random import RandomStreams
 from orbit_core.dynamics.transforms import pose_inverse, transform_points
 from orbit_core.interfaces import ConfigurationError, Port, ShapeError
 from orbit_core.scene import CameraSpec, Plane, Pose, Sphere, look_at
-from orbit_core.sensors.mount import pose_tensor
+from orbit_core.sensors.proprioception import pose_tensor
 from orbit_motion.perception import CloudFrame, PointCloudConfig, PointCloudNode, Sampling, TsdfConfig, TsdfNode
 from orbit_motion.perception import sample_point_cloud as sample
 

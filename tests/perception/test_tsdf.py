@@ -14,7 +14,7 @@ from orbit_core.interfaces import ConfigurationError, ShapeError
 from orbit_core.scene import Box, CameraSpec, Plane, Pose, Sphere, look_at
 from orbit_core.scene.shapes import Geometry
 from orbit_core.sensors import intrinsic_matrix
-from orbit_core.sensors.mount import pose_tensor
+from orbit_core.sensors.proprioception import pose_tensor
 from orbit_motion.perception import TsdfConfig, TsdfVolume
 
 CPU = torch.device("cpu")

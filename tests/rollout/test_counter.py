@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orbit_core.envs.environment import EpisodeEnd
-from orbit_core.rollout.counter import EpisodeCounter
 from orbit_core.rollout.estimates import statistic
+from orbit_core.rollout.stepping import EpisodeCounter
 
 
 def end_of(env_ids: list[int], success: bool, length: int) -> EpisodeEnd:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from orbit_conformance.recording import Recording
 from orbit_core.interfaces import AssetError
-from orbit_core.reading.budget import ReadBudget
-from orbit_core.rollout.recording import Recording
+from orbit_data.reading.budget import ReadBudget
 
 HEADER = {"task": "Reach", "backend": "an_engine", "seed": 0, "step_dt": 0.02, "fields": {"tolerance": 0.1}}
 

@@ -34,6 +34,7 @@ from orbit_core.scene import (
 from orbit_core.scene.shapes import Geometry
 from orbit_core.sensors import CameraSensor
 from orbit_core.world import simulate
+from orbit_data.bounding_boxes import CameraBoxes
 
 SIZE, FOV = 128, 0.8
 FOCAL = 0.5 * SIZE / math.tan(0.5 * FOV)
@@ -97,7 +98,7 @@ def look() -> Iterator:
 
 @pytest.mark.parametrize("backend", ["mujoco", "bullet"])
 def test_boxes_of_a_ball_and_a_crate_are_those_of_the_pinhole_camera(look, backend):
-    boxes = look(BALL, CRATE, backend=backend).bounding_boxes_2d()
+    boxes = CameraBoxes(look(BALL, CRATE, backend=backend)).in_pictures()
     truth = torch.tensor([sphere_box(0.2, *BALL.pose.position), points_box(corners((0.2, 0.3, 0.15), CRATE_POSE))])
     assert boxes.names == NAMES
     assert boxes.semantic_labels == ("toy", "crate")
@@ -113,8 +114,8 @@ def test_boxes_of_a_ball_and_a_crate_are_those_of_the_pinhole_camera(look, backe
 
 @pytest.mark.parametrize("backend", ["mujoco", "bullet"])
 def test_what_hides_an_entity_changes_the_tight_box_alone(look, backend):
-    free = look(BALL, CRATE, backend=backend).bounding_boxes_2d(NAMES)
-    hidden = look(BALL, CRATE, SCREEN, backend=backend).bounding_boxes_2d(NAMES)
+    free = CameraBoxes(look(BALL, CRATE, backend=backend)).in_pictures(NAMES)
+    hidden = CameraBoxes(look(BALL, CRATE, SCREEN, backend=backend)).in_pictures(NAMES)
     torch.testing.assert_close(hidden.loose, free.loose)
     torch.testing.assert_close(hidden.tight[:, 1], free.tight[:, 1])
     edge = SIZE / 2 - FOCAL * 0.1 / 0.99  # of the screen's near face
@@ -126,7 +127,7 @@ def test_what_hides_an_entity_changes_the_tight_box_alone(look, backend):
 
 def test_what_is_wholly_hidden_is_in_view_and_not_visible(look):
     wall = thing("wall", Box((0.01, 1.0, 1.0)), Pose((1.0, 0.0, 0.0)))
-    boxes = look(BALL, wall).bounding_boxes_2d(("ball",))
+    boxes = CameraBoxes(look(BALL, wall)).in_pictures(("ball",))
     assert boxes.in_view.all()
     assert not boxes.visible.any()
     assert (boxes.tight == 0).all()
@@ -135,7 +136,7 @@ def test_what_is_wholly_hidden_is_in_view_and_not_visible(look):
 
 @pytest.mark.parametrize("position", [(-2.0, 0.0, 0.0), (2.0, 3.0, 0.0), (2.0, 0.0, -3.0)])
 def test_what_is_out_of_view_has_no_box(look, position):
-    boxes = look(thing("ball", Sphere(0.2), Pose(position))).bounding_boxes_2d()
+    boxes = CameraBoxes(look(thing("ball", Sphere(0.2), Pose(position)))).in_pictures()
     assert not boxes.in_view.any()
     assert not boxes.visible.any()
     assert (boxes.tight == 0).all()
@@ -143,7 +144,7 @@ def test_what_is_out_of_view_has_no_box(look, position):
 
 
 def test_a_box_is_cut_off_at_the_images_edge_and_its_share_is_not(look):
-    boxes = look(thing("ball", Sphere(0.2), Pose((1.0, math.tan(FOV / 2), 0.0)))).bounding_boxes_2d()
+    boxes = CameraBoxes(look(thing("ball", Sphere(0.2), Pose((1.0, math.tan(FOV / 2), 0.0))))).in_pictures()
     left, _, right, _ = sphere_box(0.2, 1.0, math.tan(FOV / 2), 0.0)
     assert boxes.loose[0, 0, 0] == boxes.tight[0, 0, 0] == 0.0
     assert boxes.loose[0, 0, 2].item() == pytest.approx(right, abs=1e-3)
@@ -152,7 +153,7 @@ def test_a_box_is_cut_off_at_the_images_edge_and_its_share_is_not(look):
 
 def test_a_thing_that_reaches_through_the_near_plane_fills_the_image_where_it_passes_the_camera(look):
     beam = thing("beam", Box((2.0, 0.05, 0.05)), Pose((0.0, 0.0, -0.1)))
-    boxes = look(beam).bounding_boxes_2d()
+    boxes = CameraBoxes(look(beam)).in_pictures()
     left, top, right, bottom = boxes.loose[0, 0].tolist()
     assert (left, right, bottom) == (0.0, SIZE, SIZE)
     assert top == pytest.approx(SIZE / 2 + FOCAL * 0.05 / 2.0, abs=1e-3)
@@ -170,7 +171,7 @@ ROUND = Pose.from_euler(0.7, -0.4, 0.3, (2.0, 0.2, -0.1))
 @pytest.mark.parametrize("geometry", [Capsule(0.1, 0.3), Cylinder(0.2, 0.3), Box((0.1, 0.2, 0.3)), _octahedron()])
 def test_loose_boxes_bound_the_points_of_the_surface(look, geometry):
     truth = points_box(ROUND.transform(_surface(geometry)))
-    assert_allclose(look(thing("it", geometry, ROUND)).bounding_boxes_2d().loose[0, 0], truth, atol=5e-3)
+    assert_allclose(CameraBoxes(look(thing("it", geometry, ROUND))).in_pictures().loose[0, 0], truth, atol=5e-3)
 
 
 def _surface(geometry: Geometry) -> np.ndarray:
@@ -194,7 +195,7 @@ def test_a_detailed_mesh_has_the_box_of_all_its_vertices(look):
     random = np.random.default_rng(0)
     vertices = random.normal(size=(500, 3)) * (0.1, 0.2, 0.05)
     faces = np.arange(498)[:, None] + np.arange(3)
-    boxes = look(thing("it", Mesh(vertices, faces), ROUND)).bounding_boxes_2d()
+    boxes = CameraBoxes(look(thing("it", Mesh(vertices, faces), ROUND))).in_pictures()
     assert_allclose(boxes.loose[0, 0], points_box(ROUND.transform(vertices)), atol=2e-3)
 
 
@@ -212,7 +213,7 @@ def _lamp() -> ObjectSpec:
 
 def test_boxes_in_space_have_the_roots_orientation_and_follow_the_joints(look):
     sensor = look(_lamp(), BALL)
-    boxes = sensor.bounding_boxes_3d()
+    boxes = CameraBoxes(sensor).in_space()
     assert boxes.names == ("lamp", "ball")
     # In the foot's frame the arm's ball stands at (0, 0.5, 0.2): the box spans x +-0.1, y -0.1..0.6, z -0.05..0.3.
     assert_allclose(boxes.half_extents[0, 0], (0.1, 0.35, 0.175), atol=1e-6)
@@ -223,7 +224,7 @@ def test_boxes_in_space_have_the_roots_orientation_and_follow_the_joints(look):
 
 
 def test_links_have_boxes_of_their_own_and_the_camera_sees_them_ahead(look):
-    boxes = look(_lamp(), BALL).bounding_boxes_3d(("lamp",), of_links=True, in_camera_frame=True)
+    boxes = CameraBoxes(look(_lamp(), BALL)).in_space(("lamp",), of_links=True, in_camera_frame=True)
     assert boxes.names == ("lamp/foot", "lamp/arm")
     assert_allclose(boxes.half_extents[0], [(0.1, 0.1, 0.05), (0.1, 0.1, 0.1)], atol=1e-6)
     assert_allclose(boxes.poses[0, :, :3], [(0.0, 0.0, -2.0), (0.0, 0.2, -1.5)], atol=1e-6)
@@ -236,27 +237,27 @@ def test_each_environment_has_the_box_of_its_variant(look):
     )
     sensor = look(varied, num_envs=3)
     truth = torch.tensor([sphere_box(radius, 2.0, 0.0, 0.0) for radius in (0.1, 0.2, 0.1)])
-    torch.testing.assert_close(sensor.bounding_boxes_2d().loose[:, 0], truth, atol=1e-3, rtol=0)
-    assert_allclose(sensor.bounding_boxes_3d().half_extents[:, 0, 0], (0.1, 0.2, 0.1), atol=1e-6)
+    torch.testing.assert_close(CameraBoxes(sensor).in_pictures().loose[:, 0], truth, atol=1e-3, rtol=0)
+    assert_allclose(CameraBoxes(sensor).in_space().half_extents[:, 0, 0], (0.1, 0.2, 0.1), atol=1e-6)
 
 
 def test_boxes_are_of_the_time_of_the_picture(look):
     free = single_link("ball", Shape(Sphere(0.2)), 1.0, np.eye(3) * 0.01)
     sensor = look(ObjectSpec(name="ball", articulation=free, pose=Pose((2.0, 0.0, 0.0))), rate=20.0)
-    before = sensor.bounding_boxes_2d()
+    before = CameraBoxes(sensor).in_pictures()
     sensor.engine.write_root_state(0, torch.tensor([[2.0, 0.5, 0, 1, 0, 0, 0]] * 2), None)
-    held = sensor.bounding_boxes_2d()
+    held = CameraBoxes(sensor).in_pictures()
     torch.testing.assert_close(held.loose, before.loose)
-    assert_allclose(sensor.bounding_boxes_3d().poses[:, 0, 1], 0.0, atol=1e-6)
+    assert_allclose(CameraBoxes(sensor).in_space().poses[:, 0, 1], 0.0, atol=1e-6)
 
 
 def test_what_cannot_be_asked_for_is_told(look):
     with pytest.raises(ConfigurationError, match="no instance channel: add it"):
-        look(BALL, channels=(Channel.DEPTH,)).bounding_boxes_2d()
+        CameraBoxes(look(BALL, channels=(Channel.DEPTH,))).in_pictures()
     with pytest.raises(UnknownNameError, match="unknown entity 'bal' in the picture: did you mean 'ball'"):
-        look(BALL).bounding_boxes_2d(("bal",))
+        CameraBoxes(look(BALL)).in_pictures(("bal",))
 
 
 def test_an_entity_without_bounds_has_no_box(look):
     floor = thing("floor", Plane(), Pose((0.0, 0.0, -1.0)))
-    assert look(BALL, floor).bounding_boxes_2d().names == ("ball",)
+    assert CameraBoxes(look(BALL, floor)).in_pictures().names == ("ball",)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from orbit_core.scene import CameraSpec, ImuSpec, SensorSpec
 from orbit_core.sensors import TimedSensor
-from orbit_core.sensors.mount import Mount
+from orbit_core.sensors.proprioception import Mount
 
 
 @dataclass(frozen=True, kw_only=True)

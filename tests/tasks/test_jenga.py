@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from orbit_assets.towers import SIZE
+from orbit_assets.objects import BLOCK_SIZE as SIZE
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError

@@ -24,12 +24,9 @@ from orbit_data.hdf5 import Hdf5Dataset
 from orbit_data.recording import RecordingFile
 from orbit_data.teleoperation.browser import Browser
 from orbit_data.teleoperation.device import FARTHEST, MOST_EVENTS, Device, DeviceLostError, Event, Reading, Speeds
-from orbit_data.teleoperation.devices import open_device
+from orbit_data.teleoperation.devices import Gamepad, Keyboard, SpaceMouse, open_device
 from orbit_data.teleoperation.driver import Driver
-from orbit_data.teleoperation.gamepad import Gamepad
-from orbit_data.teleoperation.keyboard import Keyboard
 from orbit_data.teleoperation.session import Session
-from orbit_data.teleoperation.spacemouse import SpaceMouse
 
 BACKEND = default_backend()
 SPEEDS = Speeds()

@@ -18,12 +18,10 @@ from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.envs import make
 from orbit_data.hdf5 import Hdf5Dataset
 from orbit_data.recording import RecordingFile
-from orbit_data.teleoperation.browser import Browser
+from orbit_data.teleoperation.browser import Browser, Pad
 from orbit_data.teleoperation.device import Event, Speeds
 from orbit_data.teleoperation.driver import Driver
-from orbit_data.teleoperation.pad import Pad
-from orbit_data.teleoperation.session import Session
-from orbit_data.teleoperation.views import Views
+from orbit_data.teleoperation.session import Session, Views
 from orbit_viewer.viewer import Viewer
 
 Running = tuple[Viewer, Session, Browser, Driver]

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from orbit_viewer.controls import Controls, Pacer, Selection
+from orbit_viewer.panel import Controls, Pacer, Selection
 
 
 def test_paused_takes_only_the_steps_asked_for() -> None:

@@ -11,8 +11,7 @@ import torch
 import trimesh
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.plugin_kit.markers import marker_shapes
-from orbit_core.plugin_kit.meshes import triangles
+from orbit_core.plugin_kit.meshes import marker_shapes, triangles
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -28,8 +27,8 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_viewer.camera_pictures import picture_of
-from orbit_viewer.geometry import Drawing
+from orbit_viewer.scene_view import Drawing
+from orbit_viewer.viewer import picture_of
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from viser import ViserServer
 
 from orbit_core.scene import AmbientLight, DirectionalLight, Scene
-from orbit_viewer.lights import add_lights, browser_light
+from orbit_viewer.scene_view import add_lights, browser_light
 
 
 class Recorder:

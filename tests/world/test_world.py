@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_assets.compound_joints import BALL, compound
+from orbit_assets.joint_models import BALL, compound
 from orbit_assets.objects import box
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree

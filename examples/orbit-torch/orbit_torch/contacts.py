@@ -21,7 +21,7 @@ from orbit_core.interfaces import (
     SceneLayout,
     UnsupportedCapabilityError,
 )
-from orbit_core.plugin_kit.velocities import contact_signs
+from orbit_core.plugin_kit.engines import contact_signs
 from orbit_core.scene import Box, Capsule, Shape
 from orbit_torch.geometry import SOLIDS, balls, distance, meet
 from orbit_torch.rotations import apply, matrix, multiply

@@ -26,7 +26,7 @@ from orbit_core.interfaces import (
     diverged,
     divergence_error,
 )
-from orbit_core.plugin_kit.springs import soft_springs
+from orbit_core.plugin_kit.bodies import soft_springs
 from orbit_torch.contacts import Contacts
 from orbit_torch.dynamics import Body, Chain, step_free_body
 from orbit_torch.impulses import JointRows, gather

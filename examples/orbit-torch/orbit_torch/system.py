@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import EntityLayout, SceneLayout
-from orbit_core.plugin_kit.velocities import velocity_at
+from orbit_core.plugin_kit.engines import velocity_at
 from orbit_torch.dynamics import Body, Chain, Motion
 from orbit_torch.rotations import apply, cross, matrix, turn
 from orbit_torch.rotations import multiply as compose

@@ -1,4 +1,4 @@
-"""Files to scene data and back, models of robots and objects, and audits of both. Names load on first use."""
+"""Readers and writers of asset files, models of robots and objects, and audits of both. Names load on first use."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from orbit_assets.sdf import read_sdf
     from orbit_assets.urdf import read_urdf, write_urdf
 
+# Readers import heavy parsers: a name is imported when it is first used, so that the catalogue starts without them.
 _MODULES = {
     "compose": ("add_frames", "attach", "edit_joints", "edit_links", "subtree"),
     "files": ("asset_file", "load_articulation"),

@@ -1,4 +1,4 @@
-"""Parsed models kept on disk: one JSON file a model, and its meshes as arrays, each checked as it is read.
+"""Cache of parsed models on disk: a JSON file per model, and its meshes as arrays that are checked on reading.
 
 A folder of the cache may be copied to a machine that has none of the packages the models come from.
 """
@@ -28,8 +28,8 @@ from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
-_NO_READERS = {"decomposition.py", "object_kinds.py", "objects.py", "parts.py", "robots", "audit", "cli"}
-"""Modules and folders that change nothing in what is read from a file."""
+# Modules and folders whose code does not affect what is read from a file.
+_NO_READERS = {"decomposition.py", "object_kinds.py", "objects.py", "robot_parts.py", "robots", "audit", "cli"}
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Model:
     parts: tuple[Callable[..., Articulation], ...] = ()
 
     def fingerprint(self) -> str:
-        """Changes with the code of the recipe's module, of a part's or of a reader."""
+        """Return a digest that changes with the code of the recipe's module, of a part's or of a reader."""
         recipe = (Path(function.__code__.co_filename) for function in (self.build, *self.parts))
         return _digest_files(*recipe, *_reader_files())
 
@@ -60,7 +60,7 @@ def cache_folder() -> Path:
 
 
 def cached_articulation(model: Model) -> Articulation:
-    """The model's articulation, merged and validated; from the cache where that holds a current copy.
+    """Return the model's articulation, merged and validated; from the cache where that holds a current copy.
 
     Where a package is not installed, the copy at hand is used; if an older recipe made it, its notes say so.
 
@@ -79,6 +79,7 @@ def cached_articulation(model: Model) -> Articulation:
         if missing or (current and manifest["packages"] == versions):
             articulation = _decode(manifest["articulation"], cache_folder())
             return articulation if current else _with_note(articulation, missing[0])
+    # JSON of any shape may be in a damaged file: all errors that decoding can raise mean the same.
     except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError) as error:
         if missing:
             raise AssetError(
@@ -90,6 +91,7 @@ def cached_articulation(model: Model) -> Articulation:
     return articulation
 
 
+# The copy is used although it is not current: the user has no other, and must know.
 def _with_note(articulation: Articulation, package: str) -> Articulation:
     note = f"cached copy made by another version of its recipe; package '{package}' is not installed to rebuild it"
     return replace(articulation, notes=(*articulation.notes, note))
@@ -97,7 +99,7 @@ def _with_note(articulation: Articulation, package: str) -> Articulation:
 
 def _store(path: Path, articulation: Articulation, manifest: dict[str, Any]) -> None:
     try:
-        # Meshes first: whoever finds the description finds all that it names.
+        # Meshes first: a process that finds the description finds all meshes that it names.
         manifest["articulation"] = _encode(articulation, cache_folder())
         write_cached(path, lambda file: file.write_text(json.dumps(manifest), encoding="utf-8"))
     except (StorageError, OSError) as error:
@@ -116,7 +118,7 @@ def write_cached(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def _encode(value: Any, folder: Path) -> Any:
-    """Plain JSON of scene data; a value equal to its field's default is left out."""
+    """Return scene data as plain JSON; a value equal to its field's default is left out."""
     if isinstance(value, Mesh):
         return _store_mesh(value, folder)
     if isinstance(value, Enum):
@@ -133,6 +135,7 @@ def _encode(value: Any, folder: Path) -> Any:
 
 
 def _is_default(field: dataclasses.Field[Any], value: Any) -> bool:
+    # Arrays do not compare to one truth value, and are never defaults.
     if isinstance(value, np.ndarray):
         return False
     if field.default_factory is not dataclasses.MISSING:
@@ -171,6 +174,7 @@ def _load_mesh(folder: Path, key: str, collision: str, shapes: list[list[int]]) 
     # Mapping them would take longer than reading, as the digest touches every page.
     vertices, faces = (np.load(_mesh_path(folder, key, name), allow_pickle=False) for name in ("vertices", "faces"))
     for array in (vertices, faces):
+        # Meshes are shared between all articulations that use them: nobody may write to them.
         array.flags.writeable = False
     if [list(vertices.shape), list(faces.shape)] != shapes:
         raise ValueError(f"mesh {key} has another size than its model says")
@@ -180,7 +184,7 @@ def _load_mesh(folder: Path, key: str, collision: str, shapes: list[list[int]]) 
 
 
 def digest_arrays(*arrays: np.ndarray) -> str:
-    """A key that changes with the arrays' types, shapes and contents."""
+    """Return a key that changes with the arrays' types, shapes and contents."""
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(f"{array.dtype.str}{array.shape}".encode())

@@ -1,4 +1,4 @@
-"""Articulations put together, cut apart and adjusted."""
+"""Composition of articulations: attach one to another, cut a part out, and edit joints, links and frames."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
+from orbit_assets.mass_properties import shapes_mass_properties
 from orbit_assets.meshes import simplified_hull
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.interfaces.names import match_names
-from orbit_core.preparation.inertia import shapes_mass_properties
 from orbit_core.preparation.validation import check_structure, sort_links
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mesh, Pose, Shape
 
@@ -18,10 +18,17 @@ from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJo
 def attach(
     base: Articulation, other: Articulation, at: str, pose: Pose | None = None, prefix: str = ""
 ) -> Articulation:
-    """``base`` with the root of ``other`` fixed to it at ``pose`` in the link or frame ``at`` of ``base``.
+    """Return ``base`` with the root of ``other`` fixed to it.
 
-    ``prefix`` goes before every name of ``other``. The result collides with itself if either part does; links of a part
-    that does not collide with itself still do not collide with each other.
+    The result collides with itself if either part does; links of a part that does not collide with itself still do not
+    collide with each other.
+
+    Args:
+        base: the articulation that carries the other.
+        other: the articulation to attach.
+        at: link or frame of ``base``.
+        pose: of the root of ``other`` in ``at``; the same pose by default.
+        prefix: put before every name of ``other``.
 
     Raises:
         UnknownNameError: ``base`` has no such link or frame.
@@ -30,6 +37,7 @@ def attach(
     mount = _frame(base, at)
     other = renamed(other, lambda name: prefix + name) if prefix else other
     self_collisions = base.self_collisions or other.self_collisions
+    # One flag holds for the whole articulation: a part without self-collision keeps that by exclusions.
     if self_collisions:
         base, other = _kept_apart(base), _kept_apart(other)
     joint = Joint(
@@ -56,7 +64,7 @@ def attach(
 
 
 def _kept_apart(articulation: Articulation) -> Articulation:
-    """The same with every pair of its links excluded, where these do not collide with each other."""
+    """Exclude every pair of links, where these do not collide with each other."""
     if articulation.self_collisions:
         return articulation
     colliding = [link.name for link in articulation.links if link.collisions]
@@ -64,18 +72,18 @@ def _kept_apart(articulation: Articulation) -> Articulation:
 
 
 def subtree(articulation: Articulation, link: str, name: str | None = None) -> Articulation:
-    """The link and everything beyond it, as an articulation of its own with that link as root.
+    """Return the link and everything beyond it as an articulation that has this link as its root.
 
     Raises:
         UnknownNameError: there is no such link.
-        AssetError: a joint of the part mimics one outside it, or a loop closes through what lies outside.
+        AssetError: a joint of the part mimics one outside it, or a loop closes through a link outside it.
     """
     if link not in articulation.link_names:
         raise UnknownNameError("link", link, articulation.link_names, f"'{articulation.name}'")
     articulation = sort_links(articulation)
     kept = {link}
     joints: list[Joint] = []
-    for joint in articulation.joints:  # parents come before children
+    for joint in articulation.joints:  # one pass is enough: parents come before children
         if joint.parent in kept:
             kept.add(joint.child)
             joints.append(joint)
@@ -83,13 +91,13 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
     for joint in joints:
         if joint.mimic and joint.mimic.joint not in names:
             raise AssetError(
-                f"'{articulation.name}': joint '{joint.name}' mimics '{joint.mimic.joint}', which lies outside the "
+                f"'{articulation.name}': joint '{joint.name}' mimics '{joint.mimic.joint}', which is outside the "
                 f"part beyond link '{link}': cut at a link nearer to the root, or drop the mimic"
             )
     for loop in articulation.loops:
         if len(kept.intersection((loop.first, loop.second))) == 1:
             raise AssetError(
-                f"'{articulation.name}': loop '{loop.name}' closes through what lies outside the part beyond link "
+                f"'{articulation.name}': loop '{loop.name}' closes through a link outside the part beyond link "
                 f"'{link}': cut at a link nearer to the root, or drop the loop"
             )
     exclusions = tuple(pair for pair in articulation.collision_exclusions if kept.issuperset(pair))
@@ -109,7 +117,14 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
 def branch(
     articulation: Articulation, joint: str, root: str, name: str | None = None, pose: Pose | None = None
 ) -> Articulation:
-    """The joint and everything beyond it, on a massless link ``root`` in which the joint's frame at zero has ``pose``.
+    """Return the joint and everything beyond it, on a massless link that becomes the root.
+
+    Args:
+        articulation: the description to cut.
+        joint: the first joint that is kept.
+        root: name of the new root link.
+        name: of the result; that of the first link by default.
+        pose: of the joint's frame at zero in the new root.
 
     Raises:
         UnknownNameError: there is no such joint.
@@ -124,7 +139,7 @@ def branch(
 
 
 def without(articulation: Articulation, link: str) -> Articulation:
-    """The articulation without the link and everything beyond it, as an arm without its hand.
+    """Return the articulation without the link and everything beyond it, such as an arm without its hand.
 
     Raises:
         UnknownNameError: there is no such link.
@@ -138,7 +153,7 @@ def without(articulation: Articulation, link: str) -> Articulation:
     for follower in joints:
         if follower.mimic and follower.mimic.joint not in kept:
             raise AssetError(
-                f"'{articulation.name}': joint '{follower.name}' mimics '{follower.mimic.joint}', which lies beyond "
+                f"'{articulation.name}': joint '{follower.name}' mimics '{follower.mimic.joint}', which is beyond "
                 f"link '{link}': cut elsewhere, or drop the mimic"
             )
     return replace(
@@ -152,9 +167,13 @@ def without(articulation: Articulation, link: str) -> Articulation:
 
 
 def edit_joints(articulation: Articulation, joints: tuple[str, ...], note: str, **changes: Any) -> Articulation:
-    """The articulation with fields of :class:`Joint` changed on every movable joint that a pattern matches in full.
+    """Change fields of :class:`Joint` on every movable joint that a pattern matches in full.
 
-    ``note`` tells the build report what was changed and why.
+    Args:
+        articulation: the description.
+        joints: regular expressions over joint names.
+        note: the change and its reason, for the build report.
+        changes: new values by field name.
 
     Raises:
         UnknownNameError: a pattern matches no movable joint.
@@ -168,9 +187,13 @@ def edit_joints(articulation: Articulation, joints: tuple[str, ...], note: str, 
 def edit_links(
     articulation: Articulation, links: tuple[str, ...], note: str, edit: Callable[[Link], Link]
 ) -> Articulation:
-    """The articulation with ``edit`` applied to every link that a pattern matches in full.
+    """Apply ``edit`` to every link that a pattern matches in full.
 
-    ``note`` tells the build report what was changed and why.
+    Args:
+        articulation: the description.
+        links: regular expressions over link names.
+        note: the change and its reason, for the build report.
+        edit: returns the changed link.
 
     Raises:
         UnknownNameError: a pattern matches no link.
@@ -182,7 +205,7 @@ def edit_links(
 
 
 def simplify_collisions(articulation: Articulation, links: tuple[str, ...] = (".*",)) -> Articulation:
-    """The articulation with the collision meshes of matching links replaced by hulls of at most 38 vertices.
+    """Replace the collision meshes of matching links by hulls of at most 38 vertices.
 
     Raises:
         UnknownNameError: a pattern matches no link.
@@ -200,7 +223,7 @@ def simplify_collisions(articulation: Articulation, links: tuple[str, ...] = (".
 
 
 def inertia_of_shapes(articulation: Articulation, links: tuple[str, ...]) -> Articulation:
-    """The articulation with the inertia of matching links, whose masses stay, taken from their collision shapes.
+    """Compute the inertia of matching links from their collision shapes; their masses stay.
 
     For models that have placeholders; the shapes count as solids of one density.
 
@@ -210,6 +233,7 @@ def inertia_of_shapes(articulation: Articulation, links: tuple[str, ...]) -> Art
     """
 
     def edit(link: Link) -> Link:
+        # The mass is proportional to the density: one computation at density 1 gives the density of the right mass.
         solid = shapes_mass_properties(link.collisions, 1.0)
         solid = shapes_mass_properties(link.collisions, link.mass / solid.mass)
         return replace(link, center_of_mass=solid.center_of_mass, inertia=solid.inertia)
@@ -219,7 +243,7 @@ def inertia_of_shapes(articulation: Articulation, links: tuple[str, ...]) -> Art
 
 
 def add_frames(articulation: Articulation, *frames: Frame) -> Articulation:
-    """The articulation with more frames; each may be given on a link or on another frame.
+    """Add frames; each may be given on a link or on another frame.
 
     Raises:
         UnknownNameError: a frame is on nothing that exists.
@@ -241,10 +265,10 @@ def _frame(articulation: Articulation, name: str) -> Frame:
 
 
 def renamed(articulation: Articulation, rename: Callable[[str], str]) -> Articulation:
-    """The articulation with the names of its links, joints, loops and frames as ``rename`` gives them.
+    """Rename links, joints, loops and frames by ``rename``.
 
     Raises:
-        AssetError: two things of a kind have one name then.
+        AssetError: two things of a kind would have one name.
     """
 
     def of_joint(joint: Joint) -> Joint:

@@ -15,9 +15,10 @@ import numpy as np
 from orbit_core.scene import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
 from orbit_core.scene.pose import FloatArray
 
+# GJK converges in fewer than ten rounds on the shapes of robots; this bound stops numerical cycles.
 _ROUNDS = 64
+# Metres below which a distance counts as none, and to which distances are found.
 _EXACT = 1e-9
-"""Metres below which a distance counts as none, and to which distances are found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +35,15 @@ class Convex:
     axis: FloatArray | None = None
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """The least and the greatest corner (3,) of the box along the axes that holds the shape."""
+        """Return the least and the greatest corner (3,) of the box along the axes that holds the shape."""
         reach = np.full(3, self.radius)
         if self.axis is not None:
+            # Support of a disc along each axis: its radius times the sine of the angle to its normal.
             reach = reach + self.disc * np.sqrt(np.clip(1.0 - np.square(self.axis), 0.0, 1.0))
         return self.points.min(0) - reach, self.points.max(0) + reach
 
     def support(self, direction: FloatArray) -> FloatArray:
-        """The point (3,) of the core that lies farthest along ``direction``."""
+        """Return the point (3,) of the core that is farthest along ``direction``."""
         farthest = self.points[int(np.argmax(self.points @ direction))]
         if self.axis is None:
             return farthest
@@ -51,7 +53,7 @@ class Convex:
 
 
 def convex_shape(shape: Shape, place: Pose) -> Convex | None:
-    """The shape of a link at ``place``, a mesh as its hull; ``None`` for ground and terrain."""
+    """Return the shape of a link at ``place``, a mesh as its hull; ``None`` for ground and terrain."""
     pose = place @ shape.pose
     match shape.geometry:
         case Box(half_extents=half):
@@ -70,12 +72,13 @@ def convex_shape(shape: Shape, place: Pose) -> Convex | None:
 
 
 def distance(first: Convex, second: Convex) -> float:
-    """Metres between two shapes; zero where they overlap, however far."""
+    """Return the distance (m) between two shapes; zero where they overlap, however deep."""
     return max(0.0, _core_distance(first, second, np.inf) - first.radius - second.radius)
 
 
 def within(first: Convex, second: Convex, reach: float) -> bool:
-    """Whether two shapes come within ``reach`` (m) of each other; quicker than their distance."""
+    """Return True if two shapes come within ``reach`` (m) of each other; quicker than their distance."""
+    # Bounding boxes first: most pairs of links are far apart.
     (low, high), (least, most) = first.bounds(), second.bounds()
     if np.any(high + reach < least) or np.any(most + reach < low):
         return False
@@ -84,7 +87,7 @@ def within(first: Convex, second: Convex, reach: float) -> bool:
 
 
 def _core_distance(first: Convex, second: Convex, enough: float) -> float:
-    """Metres between the cores, or a lower bound of them that exceeds ``enough``."""
+    """Return the distance (m) of the cores, or a lower bound of it that exceeds ``enough``."""
     simplex = (first.points[0] - second.points[0])[None]
     nearest = simplex[0]
     for _ in range(_ROUNDS):
@@ -93,6 +96,7 @@ def _core_distance(first: Convex, second: Convex, enough: float) -> float:
             return 0.0
         support = first.support(-nearest) - second.support(nearest)
         bound = float(support @ nearest) / length
+        # The separating plane alone proves the distance: no need for the exact one.
         if bound > enough:
             return bound
         if length - bound < _EXACT:
@@ -102,8 +106,9 @@ def _core_distance(first: Convex, second: Convex, enough: float) -> float:
 
 
 def _nearest(simplex: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The point of a simplex (P, 3) that is nearest to the origin, and the corners of the face that it lies on."""
+    """Find the point of a simplex (P, 3) nearest to the origin, and the corners of the face that contains it."""
     best, face, least = simplex[-1], simplex[-1:], np.inf
+    # At most 4 corners span a face in three dimensions.
     for count in range(1, min(len(simplex), 4) + 1):
         for chosen in combinations(range(len(simplex)), count):
             corners = simplex[list(chosen)]
@@ -114,7 +119,7 @@ def _nearest(simplex: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _foot(corners: FloatArray) -> FloatArray | None:
-    """The point nearest to the origin of the plane, line or space through ``corners``, where it lies between them."""
+    """Return the point of the plane, line or space through ``corners`` nearest to the origin, if it is between them."""
     if len(corners) == 1:
         return corners[0]
     edges = corners[1:] - corners[0]

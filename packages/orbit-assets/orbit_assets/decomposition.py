@@ -1,4 +1,4 @@
-"""Meshes split into convex pieces, which every engine collides as they are; each split is made once and kept on disk.
+"""Convex decomposition of meshes, which every engine collides exactly; each is computed once and cached on disk.
 
 By CoACD: Wei, Liu, Ling and Su, Approximate convex decomposition for 3D meshes with collision-aware concavity and tree
 search, ACM Transactions on Graphics, 2022.
@@ -24,7 +24,7 @@ from orbit_assets.cache import cache_folder, digest_arrays, write_cached
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ArgumentError, AssetError, StorageError
 from orbit_core.plugin_kit.scratch import ScratchFolder
-from orbit_core.preparation.surface_checks import check_mesh, extents
+from orbit_core.preparation.scene_data import check_mesh, extents
 from orbit_core.scene import Mesh
 
 _Pieces = list[tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]]
@@ -32,7 +32,7 @@ _Pieces = list[tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]]
 
 @dataclass(frozen=True, kw_only=True)
 class ConvexDecomposition:
-    """How finely a mesh is split."""
+    """Settings of a convex decomposition."""
 
     concavity: float = 0.05
     """The most by which pieces may differ from the surface, as a share of half the mesh's longest side: 0.01 to 1."""
@@ -45,7 +45,7 @@ class ConvexDecomposition:
 def convex_pieces(
     mesh: Mesh, settings: ConvexDecomposition = ConvexDecomposition(), *, where: str = "the mesh"
 ) -> tuple[Mesh, ...]:
-    """The mesh as convex pieces in its own frame, from ORBIT's cache where the same mesh was split so before.
+    """Split the mesh into convex pieces in its own frame; use ORBIT's cache where the same mesh was split so before.
 
     Args:
         mesh: any triangle mesh; one that is not closed is closed first.
@@ -62,11 +62,12 @@ def convex_pieces(
     if not 0.01 <= settings.concavity <= 1.0 or not (most is None or (isinstance(most, int) and most >= 1)):
         raise AssetError(f"{where} cannot be split by {settings}: give a concavity of 0.01 to 1 and at least one piece")
     try:
-        check_mesh(mesh, where)  # the package reads whatever lies where a triangle points
+        check_mesh(mesh, where)  # CoACD does not check indices: it would read memory outside the mesh
     except ArgumentError as error:
         raise AssetError(str(error)) from None
     vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float64)
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
+    # The settings are part of the key, and 0 pieces means no limit.
     limits = np.array((settings.concavity, settings.max_pieces or 0), dtype=np.float64)
     path = cache_folder() / "decompositions" / f"{digest_arrays(vertices, faces, limits)}.npz"
     pieces = _stored(path)
@@ -79,7 +80,7 @@ def convex_pieces(
 def _split(
     vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int64], settings: ConvexDecomposition, where: str
 ) -> _Pieces:
-    """The pieces, while a line on a terminal says what is being split."""
+    """Split the mesh, with a status line on the terminal."""
     from rich.console import Console
     from rich.text import Text
 
@@ -96,6 +97,7 @@ def _split(
             _run(folder, settings, where)
         with np.load(folder / "pieces.npz", allow_pickle=False) as file:
             pieces = _read(file)
+    # CoACD sometimes gives flat slivers, which engines reject as hulls.
     solid = [piece for piece in pieces if extents(piece[0]) == 3]
     if not solid:
         raise _failed(where, "no piece has a volume")
@@ -103,8 +105,10 @@ def _split(
 
 
 def _run(folder: Path, settings: ConvexDecomposition, where: str) -> None:
-    """Split the mesh in this folder in a process of its own, which is ended at the time limit."""
+    """Split the mesh of this folder in a separate process, which is ended at the time limit."""
     script = str(Path(__file__).with_name("split_process.py"))
+    # A process, for CoACD can neither be interrupted nor survives all meshes; -P keeps the folder of the script off
+    # sys.path.
     command = [
         sys.executable,
         "-P",
@@ -136,7 +140,7 @@ def _failed(where: str, reason: str) -> AssetError:
 
 
 def _stored(path: Path) -> _Pieces | None:
-    """What the cache holds; ``None`` for nothing, or a file that is damaged."""
+    """Return the pieces in the cache; None if there are none, or the file is damaged."""
     try:
         with np.load(path, allow_pickle=False) as file:
             found = _read(file)
@@ -170,4 +174,4 @@ def _store(path: Path, pieces: _Pieces) -> None:
     try:
         write_cached(path, lambda file: np.savez(file, allow_pickle=False, **arrays))
     except (StorageError, OSError):
-        return  # a cache that cannot be written costs time at the next start, and nothing else
+        return  # a cache that cannot be written costs time at the next start, only

@@ -1,4 +1,4 @@
-"""Inertias that no body can have, mended on request, with a note on each."""
+"""Repair of inertias that no body can have, on request, with a note on each."""
 
 from __future__ import annotations
 
@@ -8,33 +8,34 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from orbit_assets.mass_properties import mass_properties
 from orbit_assets.options import ReadOptions, Repair
-from orbit_core.preparation.inertia import MassProperties, combine, mass_properties
-from orbit_core.preparation.merge import link_hosts
+from orbit_core.preparation.merge import MassProperties, combine, link_hosts
 from orbit_core.scene import Articulation, Link, Pose, Sphere
 from orbit_core.scene.inertias import raised_moments
 
+# Least principal moment as a share of the largest; a thin rod's smallest one is about that.
 _LEAST = 1e-3
-"""Least principal moment as a share of the largest; a thin rod's smallest one is about that."""
+# As in :mod:`orbit_core.preparation.validation`: published models round their inertias to three digits.
 _TRIANGLE_TOLERANCE = 1e-3
-"""As in :mod:`orbit_core.preparation.validation`: published models round their inertias to three digits."""
+# kg/m^3, of the ball that replaces an inertia of zero.
 _WATER = 1000.0
-"""kg/m^3, of the ball that stands in for an inertia of zero."""
 
 
 def repaired(articulation: Articulation, options: ReadOptions) -> Articulation:
-    """Return the articulation as read, or with its inertias balanced where the caller has it so."""
+    """Return the articulation as read, or with its inertias balanced where the options say so."""
     return balance_inertias(articulation) if options.repair is Repair.BALANCE else articulation
 
 
 def balance_inertias(articulation: Articulation) -> Articulation:
-    """The articulation with every rigid body's inertia one that a body can have.
+    """Replace inertias that no body can have by the nearest possible ones.
 
     Links joined by fixed joints are one body; where it is sound, its links stay as they are. Else each of its unsound
     links gets the nearest sound principal moments that are no smaller, about the same axes: each at least a thousandth
     of the largest, and the two smaller ones together no smaller than the largest (half of what lacks goes to each). A
     link with mass and an inertia of zero gets that of a ball of water of its mass. Masses stay as they are.
     """
+    # Judged by rigid body, not by link: a model may split one body's inertia over links that alone are impossible.
     unsound = {name for body in _bodies(articulation) for name in _unsound_links(body)}
     if not unsound:
         return articulation
@@ -49,7 +50,7 @@ def balance_inertias(articulation: Articulation) -> Articulation:
 
 
 def balanced(inertia: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """The inertia (3, 3), symmetric, with principal moments raised as :func:`balance_inertias` says.
+    """Return the inertia (3, 3), symmetric, with principal moments raised as :func:`balance_inertias` says.
 
     At least one principal moment must be positive.
     """
@@ -59,7 +60,7 @@ def balanced(inertia: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def _bodies(articulation: Articulation) -> list[list[tuple[Link, Pose]]]:
-    """Links that fixed joints join, each with its pose in its body."""
+    """Group links that fixed joints join, each with its pose in its body."""
     hosts = link_hosts(articulation)
     bodies: dict[str, list[tuple[Link, Pose]]] = {}
     for link in articulation.links:

@@ -1,4 +1,8 @@
-"""Mesh files decoded by trimesh, which opens no other file and makes no more of one than the caller allows."""
+"""Mesh files decoded by trimesh, which opens no other file and allocates no more than the caller allows.
+
+Files are checked before they are decoded, for the decoders take a truncated file for a smaller mesh. COLLADA files with
+no other fault than a missing texture are repaired.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +16,140 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
-from orbit_assets.archives import check_archive, check_picture
-from orbit_assets.mesh_faults import check_obj, check_obj_faces, check_stl, without_broken_textures
 from orbit_assets.options import ReadOptions
-from orbit_assets.outside import check_file, resolve_file
+from orbit_assets.outside import check_archive, check_file, check_picture, resolve_file
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 
+# Bytes, of a binary STL file.
+_STL_HEADER, _STL_TRIANGLE = 84, 50
+# Least number of words in a line of an OBJ file, by its first word.
+_LEAST_WORDS = {b"v": 4, b"f": 4, b"vn": 4, b"vt": 2}
+_COLLADA = "http://www.collada.org/2005/11/COLLADASchema"
+_GREY = "0.7 0.7 0.7 1"
+
+
+def check_stl(data: bytes, path: Path) -> None:
+    """Check that a binary STL file holds as many triangles as its header says.
+
+    Raises:
+        AssetError: it has fewer.
+    """
+    # ASCII files begin with "solid", but so do some binary ones: the word "facet" decides.
+    if data[:5].lower() == b"solid" and b"facet" in data[:1024].lower():
+        return
+    if len(data) < _STL_HEADER:
+        raise AssetError(f"mesh file '{path}' has {len(data)} bytes, fewer than an STL file's header: export it again")
+    (count,) = struct.unpack("<I", data[80:84])
+    held = (len(data) - _STL_HEADER) // _STL_TRIANGLE
+    if count > held:
+        raise AssetError(
+            f"mesh file '{path}' says {count} triangles and holds {held}: it is cut short, export it again"
+        )
+
+
+def check_obj(data: bytes, path: Path) -> None:
+    """Check that the last line of an OBJ file is complete; a truncated file ends within one.
+
+    Raises:
+        AssetError: the last line lacks words.
+    """
+    if data.endswith(b"\n"):
+        return
+    last = data.rpartition(b"\n")[2].split()
+    if last and len(last) < _LEAST_WORDS.get(last[0], 0):
+        said = b" ".join(last)[:80].decode("utf-8", "replace")
+        raise AssetError(f"mesh file '{path}' ends within a line, '{said}': it is cut short, export it again")
+
+
+def check_obj_faces(data: bytes, path: Path) -> None:
+    """Check that the faces of an OBJ file refer to vertices that it has.
+
+    Raises:
+        AssetError: a face names another.
+    """
+    lines = [line.split() for line in data.splitlines()]
+    vertices = sum(words[:1] == [b"v"] for words in lines)
+    for words in lines:
+        numbers = (word.partition(b"/")[0] for word in words[1:] if words[0] == b"f")
+        highest = max((int(number) for number in numbers if number.isdigit()), default=0)
+        if highest > vertices:
+            raise AssetError(
+                f"mesh file '{path}' has a face of vertex {highest} and {vertices} vertices: it is cut short or mixed "
+                "up, export it again"
+            )
+
+
+def without_broken_textures(data: bytes) -> bytes:
+    """Replace textures of a COLLADA file that name no picture of it by grey.
+
+    Samplers and surfaces that lead to none are taken out. Decoders drop the material over them, and with it the
+    geometry that bears it. A file without such is given back as it is.
+    """
+    root = ElementTree.fromstring(data)
+    images = {image.get("id") for image in root.iter(_tag("image"))}
+    broken = 0
+    for effect in root.iter(_tag("effect")):
+        parameters = {parameter.get("sid"): parameter for parameter in effect.iter(_tag("newparam"))}
+        for slot in list(effect.iter()):
+            for texture in slot.findall(_tag("texture")):
+                if not _leads_to(texture.get("texture"), parameters, images):
+                    slot.remove(texture)
+                    ElementTree.SubElement(slot, _tag("color")).text = _GREY
+                    broken += 1
+        broken += _remove_dangling(effect, parameters, images)
+    if not broken:
+        return data
+    ElementTree.register_namespace("", _COLLADA)
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _leads_to(name: str | None, parameters: dict[str | None, Element], images: set[str | None]) -> bool:
+    """Return True if a texture, a sampler or a surface leads to a picture."""
+    met: set[str | None] = set()
+    while name not in images:
+        parameter = parameters.get(name)
+        if parameter is None or name in met:
+            return False
+        met.add(name)
+        further = next((each for tag in ("source", "init_from") for each in parameter.iter(_tag(tag))), None)
+        name = (further.text or "").strip() if further is not None else None
+    return True
+
+
+def _remove_dangling(effect: Element, parameters: dict[str | None, Element], images: set[str | None]) -> int:
+    """Remove samplers and surfaces that lead to no picture, over which decoders stumble; return their number."""
+    dangling = {id(each) for name, each in parameters.items() if _holds_picture(each)}
+    dangling -= {id(each) for name, each in parameters.items() if _leads_to(name, parameters, images)}
+    for holder in list(effect.iter()):
+        for parameter in holder.findall(_tag("newparam")):
+            if id(parameter) in dangling:
+                holder.remove(parameter)
+    return len(dangling)
+
+
+def _holds_picture(parameter: Element) -> bool:
+    return parameter.find(_tag("surface")) is not None or parameter.find(_tag("sampler2D")) is not None
+
+
+def _tag(name: str) -> str:
+    return f"{{{_COLLADA}}}{name}"
+
+
 SUFFIXES = ("stl", "obj", "dae", "zae", "glb", "gltf", "ply", "off", "3mf")
-"""Suffixes of the formats that are read; what else trimesh decodes has not been held to any limits."""
+"""Suffixes of the formats that are read; other formats of trimesh have not been tested against the limits."""
 _ENTITY = re.compile(rb"<!\s*(ENTITY|DOCTYPE)")
 
 
 def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
-    """A mesh file as a trimesh scene.
+    """Decode a mesh file as a trimesh scene.
 
     Args:
-        path: the file; what it names besides, such as pictures, must lie where ``model`` may name files.
-        options: the limits, and what files may be opened.
+        path: the file; files that it names, such as pictures, must be where ``model`` may name files.
+        options: the limits, and the files that may be opened.
         model: the file that names the mesh.
 
     Raises:
@@ -50,6 +169,7 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
         if suffix == "dae":
             data = without_broken_textures(data)
         neighbours = _Neighbours(path, options, model).as_trimesh()
+        # From memory: given a path, trimesh would open neighbouring files itself, past the resolver.
         scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=neighbours, process=False)
         _check_size(scene, path, options)
         return scene
@@ -59,7 +179,7 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
         raise AssetError(
             f"mesh file '{path}' needs a decoder that is not installed ({error}): {install_extra('robots')}"
         ) from error
-    except Exception as error:  # a decoder's own errors are of any class
+    except Exception as error:  # decoders raise errors of any class
         if suffix == "obj":
             check_obj_faces(data, path)
         raise AssetError(f"mesh file '{path}' cannot be read ({error}): re-export it") from error
@@ -67,9 +187,10 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
 
 @contextmanager
 def bounded_pictures(options: ReadOptions) -> Iterator[None]:
-    """Keep Pillow from pictures of too many pixels, and from running Ghostscript, which it does for PostScript.
+    """Limit the pixels of pictures that Pillow opens, and keep it from running Ghostscript, which it does for
+    PostScript.
 
-    trimesh opens pictures wherever a mesh holds some, and copies decode them: all reading of a mesh belongs within.
+    trimesh opens pictures at any time while a mesh is read or copied: all reading of a mesh belongs in this context.
     """
     from PIL import EpsImagePlugin, Image
 
@@ -77,6 +198,7 @@ def bounded_pictures(options: ReadOptions) -> Iterator[None]:
     EpsImagePlugin.gs_binary, Image.MAX_IMAGE_PIXELS = False, options.limits.pixels
     try:
         with warnings.catch_warnings():
+            # Pillow only warns between one and two times the limit: the warning must be an error.
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             yield
     finally:
@@ -84,7 +206,7 @@ def bounded_pictures(options: ReadOptions) -> Iterator[None]:
 
 
 class _Neighbours:
-    """The files that a mesh names, by their names."""
+    """Files that a mesh names, by their names."""
 
     def __init__(self, path: Path, options: ReadOptions, model: Path) -> None:
         self.path = path
@@ -92,7 +214,7 @@ class _Neighbours:
         self.model = model
 
     def get(self, name: Any) -> bytes:
-        """The bytes of a file.
+        """Return the bytes of a file.
 
         Raises:
             AssetError: the model may not name it, or it is a picture of too many pixels.
@@ -107,7 +229,7 @@ class _Neighbours:
         return data
 
     def as_trimesh(self) -> Any:
-        """An instance of the class that trimesh asks for, which is not imported before a mesh is read."""
+        """Return an instance of trimesh's own resolver class, which is imported only when a mesh is read."""
         from trimesh.resolvers import Resolver
 
         neighbours = self
@@ -132,7 +254,7 @@ class _Neighbours:
 
 
 def _check_size(scene: Any, path: Path, options: ReadOptions) -> None:
-    """Refuse more triangles than the limits allow, each instance of a mesh counted, before they are set out."""
+    """Reject more triangles than the limits allow, each instance of a mesh counted, before instances are copied."""
     instances = scene.graph.geometry_nodes
     faces = sum(len(instances.get(name, ())) * len(getattr(each, "faces", ())) for name, each in scene.geometry.items())
     if faces > options.limits.vertices:
@@ -143,7 +265,8 @@ def _check_size(scene: Any, path: Path, options: ReadOptions) -> None:
 
 
 def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -> None:
-    """Refuse what is cut short, and what makes a decoder ask for memory out of proportion to the file."""
+    """Reject truncated files, and files that make a decoder allocate memory out of proportion to their size."""
+    # NUL bytes are removed so that UTF-16 does not hide a declaration.
     if any(_ENTITY.search(document.replace(b"\0", b"")) for document in _documents(data, suffix)):
         raise AssetError(f"mesh file '{path}' declares XML entities: export it again without")
     if suffix == "stl":
@@ -155,7 +278,7 @@ def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -
 
 
 def _documents(data: bytes, suffix: str) -> Iterator[bytes]:
-    """The XML of a mesh file, and all that an archive holds, for its own tables say which of that is XML."""
+    """Yield the XML of a mesh file, and all files of an archive, for its own tables say which of them are XML."""
     if suffix == "dae":
         yield data
     elif suffix in ("zae", "3mf"):
@@ -164,7 +287,8 @@ def _documents(data: bytes, suffix: str) -> Iterator[bytes]:
 
 
 def _gltf_header(data: bytes, path: Path) -> Any:
-    """The JSON of a glTF file, text or binary."""
+    """Return the JSON of a glTF file, text or binary."""
+    # GLB: 12 bytes of header, then the JSON chunk with its length and type in 8 bytes.
     if data[:4] == b"glTF" and len(data) >= 20:
         (length,) = struct.unpack("<I", data[12:16])
         data = data[20 : 20 + length]
@@ -175,10 +299,11 @@ def _gltf_header(data: bytes, path: Path) -> Any:
 
 
 def _check_accessors(header: Any, path: Path, options: ReadOptions) -> None:
-    """An accessor without data stands for as many zeros as it says."""
+    """Limit the size of glTF accessors: one without data makes a decoder allocate as many zeros as it says."""
     accessors = header.get("accessors", []) if isinstance(header, dict) else []
     for accessor in accessors if isinstance(accessors, list) else []:
         count = accessor.get("count", 0) if isinstance(accessor, dict) else 0
+        # Three numbers per vertex or corner are the most that an accessor needs.
         if not isinstance(count, int) or not 0 <= count <= 3 * options.limits.vertices:
             raise AssetError(
                 f"mesh file '{path}' has an accessor of {count} elements: give {3 * options.limits.vertices} at most, "

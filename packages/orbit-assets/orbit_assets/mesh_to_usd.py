@@ -1,4 +1,4 @@
-"""A mesh file as one rigid body: what is drawn, what collides, mass, friction."""
+"""Mesh files as one rigid body: visual and collision shapes, mass and friction."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from orbit_assets.mass_properties import mass_properties
 from orbit_assets.meshes import MeshPart, load_mesh, load_parts
 from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions
 from orbit_assets.usd import write_usd
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.inertia import mass_properties
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Link, Mesh, MeshCollision, PhysicsMaterial, Pose, Shape
 
+# Formats that have y up by their specification.
 _Y_UP = (".glb", ".gltf")
-"""Formats that have y up by their specification."""
+# Density (kg/m^3) of an object for which the caller gives none.
 _SOFT_WOOD = 500.0
-"""kg/m^3, as of an object whose density nobody gives."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshBody:
-    """What a mesh file does not say of the body that it shows."""
+    """Properties of a rigid body that its mesh file does not describe."""
 
     friction: float = 1.0
     """Static and dynamic."""
@@ -44,7 +44,7 @@ class MeshBody:
 def mesh_articulation(
     path: Path | str, body: MeshBody = MeshBody(), *, options: ReadOptions = ReadOptions()
 ) -> Articulation:
-    """One rigid body with the surface of an OBJ, STL, glTF or other mesh file, z up, its frame the file's own.
+    """Build one rigid body with the surface of an OBJ, STL, glTF or other mesh file, z up, its frame the file's own.
 
     The whole mesh collides as one shape; what is drawn has a shape for each colour of the file. Mass is spread evenly
     over the volume within the mesh, or over that of its hull where it is not closed.
@@ -60,13 +60,14 @@ def mesh_articulation(
     whole = _upright(load_mesh(path, scale, options=options), upright)
     parts = load_parts(path, scale, options=options)
     material = PhysicsMaterial(body.friction, body.friction, restitution=body.restitution)
+    # A mass overrides the density: with both given, the density is not used.
     density = (body.density or _SOFT_WOOD) if body.mass is None else None
     properties = mass_properties(whole, mass=body.mass, density=density)
     solid = Shape(replace(whole, collision=body.collision), material=material, name="collision")
     visuals = tuple(_visual(part, upright, number) for number, part in enumerate(parts, start=1))
     notes = (f"mesh {path.name} is one rigid body of {properties.mass:.4g} kg",)
     if any(part.textured for part in parts):
-        notes = (*notes, "textures are left out: the median colour of each stands for it")
+        notes = (*notes, "textures are left out: the median colour of each replaces it")
     link = Link(path.stem, properties.mass, properties.center_of_mass, properties.inertia, (solid,), visuals)
     return validate(Articulation(path.stem, (link,), notes=notes))
 
@@ -74,7 +75,7 @@ def mesh_articulation(
 def mesh_to_usd(
     path: Path | str, out: Path | str, body: MeshBody = MeshBody(), *, options: ReadOptions = ReadOptions()
 ) -> tuple[str, ...]:
-    """Write a mesh file as a rigid body to USD, and give what was changed or left out, a sentence each.
+    """Write a mesh file as a rigid body to USD; return changes and losses, a sentence each.
 
     Raises:
         AssetError: as :func:`mesh_articulation`, or the name of ``out`` is no USD file's.
@@ -84,8 +85,8 @@ def mesh_to_usd(
     return (*articulation.notes, *write_usd(articulation, out))
 
 
+# The rotation that takes y to z.
 _Y_TO_Z = Pose.from_euler(math.pi / 2, 0.0, 0.0)
-"""The rotation that takes y to z."""
 
 
 def _upright(mesh: Mesh, turn: Pose) -> Mesh:

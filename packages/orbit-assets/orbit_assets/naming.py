@@ -14,13 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
+from orbit_core.configuration import TypeChecker
 from orbit_core.interfaces.errors import ArgumentError, AssetError, OrbitError
-from orbit_core.interfaces.typed import Typed
 
+# Most characters of a message; parsers quote whole files.
 _LONGEST = 1000
-"""Characters of a message; parsers quote whole files."""
 
-_TYPED = Typed()
+_CHECKER = TypeChecker()
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -28,12 +28,12 @@ _R = TypeVar("_R")
 
 @contextmanager
 def naming(place: str) -> Iterator[None]:
-    """Let whatever is raised within leave as one :class:`AssetError` of one line that names ``place``.
+    """Turn errors raised within into one :class:`AssetError` of one line that names ``place``.
 
     An :class:`AssetError` that names the place already passes as it is. Nested uses name the outer place first.
 
     Raises:
-        AssetError: anything was raised within, but for what ends the process.
+        AssetError: any exception was raised within, except for those that end the process.
     """
     try:
         yield
@@ -43,9 +43,10 @@ def naming(place: str) -> Iterator[None]:
             raise
         said = one_line(text)
         raise AssetError(said if place in said else f"{place}: {said}") from error
+    # Parsers and arithmetic raise errors of any class; each is a fault of the file.
     except Exception as error:
         cause = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
-        raise AssetError(f"{place} cannot be read ({cause}): mend the file or export it again") from error
+        raise AssetError(f"{place} cannot be read ({cause}): correct the file or export it again") from error
 
 
 def names_file(read: Callable[Concatenate[Path | str, _P], _R]) -> Callable[Concatenate[Path | str, _P], _R]:
@@ -60,20 +61,22 @@ def names_file(read: Callable[Concatenate[Path | str, _P], _R]) -> Callable[Conc
         if not isinstance(path, str | os.PathLike):
             raise ArgumentError(f"path is {path!r}: give the path of a file")
         given = signature.bind(path, *args, **kwargs).arguments
+        # Arguments are checked outside of ``naming``: a wrong one is no fault of the file.
         for name, value in given.items():
-            _TYPED.check_value(value, _hints(read)[name], name)
+            _CHECKER.check_value(value, _hints(read)[name], name)
         with naming(str(path)):
             return read(path, *args, **kwargs)
 
     return named
 
 
+# Annotations are strings and may name types that are imported later: they are resolved at the first call.
 @functools.cache
 def _hints(read: Callable[..., object]) -> dict[str, typing.Any]:
     return typing.get_type_hints(read)
 
 
 def one_line(text: str) -> str:
-    """A message of any length on one line, cut where it quotes too much."""
+    """Join a message to one line, cut where it quotes too much."""
     joined = " ".join(text.split())
     return joined if len(joined) <= _LONGEST else f"{joined[:_LONGEST]} ..."

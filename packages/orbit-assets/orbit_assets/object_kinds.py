@@ -45,7 +45,7 @@ class SolidConfig(ObjectConfig):
     """Semantic label; the object's name where it is empty."""
 
     def options(self, pose: Pose | None) -> SolidOptions:
-        """What the functions of :mod:`orbit_assets.objects` take besides the shape."""
+        """Return the options of the functions in :mod:`orbit_assets.objects` other than the shape."""
         options = SolidOptions(
             density=self.density,
             color=self.color,
@@ -54,6 +54,7 @@ class SolidConfig(ObjectConfig):
             fixed_base=self.fixed_base,
             label=self.label,
         )
+        # ``mass`` is left out rather than None: the functions distinguish the two.
         if self.mass is not None:
             options["mass"] = self.mass
         return options

@@ -1,4 +1,4 @@
-"""How asset files are read: what they may open, how large they may be, and what is done with what ORBIT lacks."""
+"""Options for reading asset files: files that may be opened, limits of size, and handling of what ORBIT lacks."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
+from orbit_core.configuration import TypeChecker
 from orbit_core.interfaces.errors import ArgumentError
-from orbit_core.interfaces.typed import Typed
 
 
 class Unsupported(Enum):
-    """What becomes of something in a file that the description cannot hold."""
+    """Handling of something in a file that the description cannot hold."""
 
     REFUSE = "refuse"
-    """The file is refused, by the name of what it holds."""
+    """The file is rejected, and the error names the element."""
     DROP = "drop"
     """It is left out, and the articulation's notes say so."""
 
 
 class Repair(Enum):
-    """What becomes of an inertia that no body can have."""
+    """Handling of an inertia that no body can have."""
 
     NONE = "none"
-    """The file is refused."""
+    """The file is rejected."""
     BALANCE = "balance"
     """The principal moments are raised to the nearest that a body can have, and the articulation's notes say so."""
 
 
 @dataclass(frozen=True)
 class ReadLimits:
-    """What one model may ask of the machine, its meshes and pictures included; more is refused before it is made."""
+    """Limits on the resources that one model may use, its meshes and pictures included; checked before allocation."""
 
     file_bytes: int = 512 * 2**20
     """Most bytes of any one file."""
@@ -53,11 +53,12 @@ class ReadLimits:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a caller may tell every reader of asset files.
+    """Options of every reader of asset files.
 
-    ``packages`` gives the folders of packages that ``package://`` names, besides the model's own. ``allow_outside``
-    lets a model name files outside its folder and its packages: those below the folders listed, or any (``True``).
-    ``environment`` names the environment variables that a xacro file may read by ``$(env NAME)``.
+    ``packages`` gives the folders of packages that ``package://`` names, in addition to the model's own.
+    ``allow_outside`` allows a model to name files outside its folder and its packages: those below the folders listed,
+    or
+    any (``True``). ``environment`` names the environment variables that a xacro file may read by ``$(env NAME)``.
     ``articulation`` names one of several in a file.
     """
 
@@ -70,14 +71,14 @@ class ReadOptions:
     repair: Repair = Repair.NONE
 
     def __post_init__(self) -> None:
-        """Check all fields: readers would blame the file, or not notice at all.
+        """Check all fields: readers would blame the file, or would not notice.
 
         Raises:
             ArgumentError: a field is of another type.
         """
         if not isinstance(self.allow_outside, bool | tuple):
             raise ArgumentError(f"ReadOptions.allow_outside is {self.allow_outside!r}: give True or a tuple of folders")
-        Typed().check(self, "ReadOptions")
+        TypeChecker().check(self, "ReadOptions")
         folders = self.allow_outside if isinstance(self.allow_outside, tuple) else ()
         for folder in (*folders, *self.packages.values()):
             if not isinstance(folder, str | os.PathLike):

@@ -1,8 +1,13 @@
-"""Which files a model may open: those of its own folder, of its packages, and of folders that the caller allows."""
+"""Files that a model may open: those in its folder, of its packages, and of folders that the caller allows.
+
+Archives and pictures are measured before they are unpacked.
+"""
 
 from __future__ import annotations
 
 import stat
+import struct
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -11,26 +16,26 @@ from orbit_assets.options import ReadOptions
 from orbit_core.interfaces.errors import AssetError
 
 _INSTALLED = ("site-packages", "dist-packages")
+# Folders in which distributions made by cmeel keep files that are not Python.
 _SHARE = ("cmeel.prefix", "share")
-"""Where distributions made by cmeel keep what is no Python."""
+# Levels above a model at which its package's folder may be, where no file marks it.
 _NEAR = 3
-"""Folders above a model in which its package's own may be, where nothing else marks that."""
 _PACKAGE_SCHEMES = ("package://", "model://")
 
 
 def resolve_file(
     reference: str | Path, base: Path | str, options: ReadOptions, *, model: Path | str | None = None
 ) -> Path:
-    """The file that a model names, if it may be opened.
+    """Return the file that a model names, if it may be opened.
 
     Args:
-        reference: as for :func:`allowed_path`, as are ``base`` and ``model``.
-        base: where the reference is.
-        options: packages, folders allowed besides, and the largest size.
+        reference: as for :func:`allowed_path`.
+        base: the file that holds the reference, or the folder that relative references start from.
+        options: packages, further folders that are allowed, and the largest size.
         model: the model's main file, where ``base`` is another one.
 
     Raises:
-        AssetError: the file lies elsewhere, is missing, no regular file or too large, or its package is unknown.
+        AssetError: the file is elsewhere, is missing, no regular file or too large, or its package is unknown.
     """
     path = allowed_path(reference, base, options, model=model)
     check_file(path, options)
@@ -40,7 +45,7 @@ def resolve_file(
 def allowed_path(
     reference: str | Path, base: Path | str, options: ReadOptions, *, model: Path | str | None = None
 ) -> Path:
-    """Return the path of a file that a model names, if it may be opened, whether it is there or not.
+    """Return the path of a file that a model names, if it may be opened, whether or not it exists.
 
     It may be opened if it is, with links followed, in one of the :func:`allowed_folders` or in the package that the
     reference names.
@@ -48,7 +53,7 @@ def allowed_path(
     Args:
         reference: a path, or a URI ``file://``, ``package://NAME/...`` or ``model://NAME/...``.
         base: the file that holds the reference, or the folder that relative references start from.
-        options: packages, and folders allowed besides.
+        options: packages, and further folders that are allowed.
         model: the model's main file, where ``base`` is another one.
 
     Raises:
@@ -57,6 +62,7 @@ def allowed_path(
     base = Path(base)
     main = Path(model) if model is not None else base
     path, package = _located(str(reference), base, main, options)
+    # Links are followed before the comparison: one inside the folder may point anywhere.
     try:
         real = path.resolve()
         folders = [folder.resolve() for folder in (*allowed_folders(main, options), *package)]
@@ -71,7 +77,7 @@ def allowed_path(
 
 
 def check_file(path: Path | str, options: ReadOptions) -> None:
-    """Hold a file that is about to be read to be there, regular, and of a size that the limits allow.
+    """Check that a file that is about to be read exists, is regular, and has a size that the limits allow.
 
     Raises:
         AssetError: it is not.
@@ -80,6 +86,7 @@ def check_file(path: Path | str, options: ReadOptions) -> None:
         status = Path(path).stat()
     except (OSError, ValueError):
         raise AssetError(f"file '{path}' does not exist: put it there or correct its path") from None
+    # A pipe or a device would block or never end.
     if not stat.S_ISREG(status.st_mode):
         raise AssetError(f"'{path}' is no regular file: name a file that holds data")
     if status.st_size > options.limits.file_bytes:
@@ -90,13 +97,13 @@ def check_file(path: Path | str, options: ReadOptions) -> None:
 
 
 def allowed_folders(model: Path | str, options: ReadOptions) -> tuple[Path, ...]:
-    """Below which a model may name files: its own folder first, the packages', and those that the caller allows."""
+    """Return the folders below which a model may name files: its own first, the packages', and those of the caller."""
     outside = options.allow_outside if isinstance(options.allow_outside, tuple) else ()
     return (model_folder(model), *map(Path, options.packages.values()), *map(Path, outside))
 
 
 def model_folder(model: Path | str) -> Path:
-    """The folder that a model's files share.
+    """Return the folder that a model's files share.
 
     It is the root of the installed distribution that holds the model, or else of the ROS package (the nearest folder
     above with a ``package.xml``), or else the folder of the model's file.
@@ -107,7 +114,7 @@ def model_folder(model: Path | str) -> Path:
 
 
 def _located(reference: str, base: Path, model: Path, options: ReadOptions) -> tuple[Path, tuple[Path, ...]]:
-    """Where a reference leads, and the folder of the package that it names, if it names one."""
+    """Return the path of a reference, and the folder of the package that it names, if it names one."""
     for scheme in _PACKAGE_SCHEMES:
         if reference.startswith(scheme):
             # Some tools write an empty package before the package's name, or for the model's own folder.
@@ -134,7 +141,7 @@ def _local_path(uri: str) -> str:
 
 
 def _in_package(reference: str, package: str, inner: str, model: Path, options: ReadOptions) -> tuple[Path, Path]:
-    """The first folder that may be the package and has the file, or else the first; and the file in it."""
+    """Return the first folder that may be the package and has the file, or else the first; and the file in it."""
     folders = list(package_folders(package, model, options))
     if not folders:
         raise AssetError(
@@ -145,9 +152,9 @@ def _in_package(reference: str, package: str, inner: str, model: Path, options: 
 
 
 def package_folders(package: str, model: Path, options: ReadOptions) -> Iterator[Path]:
-    """Where a package may be: the folder that the caller gives, or those of its name around the model.
+    """Yield the folders that may be a package: the one that the caller gives, or those of its name around the model.
 
-    These are the folders above the model, below the user's home, and one beside the model's file.
+    These are the folders above the model, below the user's home, and one next to the model's file.
     """
     if not package:
         yield from allowed_folders(model, options)
@@ -159,6 +166,7 @@ def package_folders(package: str, model: Path, options: ReadOptions) -> Iterator
         above = [folder for folder in (model.resolve(), *model.resolve().parents) if folder.is_dir()]
         for level, folder in enumerate(above):
             near = level < _NEAR or folder.is_relative_to(shared)
+            # A folder above the home could be anybody's: /home/user/robot must not make /home a package.
             if folder.name == package and near and not home.is_relative_to(folder):
                 yield folder
         own = model.parent.resolve()
@@ -168,10 +176,47 @@ def package_folders(package: str, model: Path, options: ReadOptions) -> Iterator
 
 
 def _installed_root(folder: Path) -> Path | None:
-    """The top folder of the distribution installed around a folder, as far as paths tell."""
+    """Return the top folder of the installed distribution around a folder, judged by the path alone."""
     parts = folder.parts
     for index, part in enumerate(parts):
         if part in _INSTALLED:
             depth = index + (4 if parts[index + 1 : index + 3] == _SHARE else 2)
             return Path(*parts[:depth]) if len(parts) >= depth else None
     return None
+
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def check_archive(path: Path, options: ReadOptions) -> None:
+    """Check that a zip archive (USDZ, ZAE, 3MF) unpacks to no more than the limits allow.
+
+    Raises:
+        AssetError: it would, or it is no zip archive.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+    except (zipfile.BadZipFile, OSError, ValueError) as error:
+        raise AssetError(f"{path} is no zip archive ({error}): export it again") from None
+    if size > options.limits.expanded_bytes:
+        raise AssetError(
+            f"{path} unpacks to {size} bytes: make it smaller, or raise ReadLimits.expanded_bytes from "
+            f"{options.limits.expanded_bytes}"
+        )
+
+
+def check_picture(head: bytes, name: str, options: ReadOptions) -> None:
+    """Check that a PNG picture has no more pixels than the limits allow, by its first 24 bytes; other data passes.
+
+    Raises:
+        AssetError: it has more.
+    """
+    # Width and height are in the IHDR chunk, which is the first of every PNG file.
+    if head.startswith(_PNG) and len(head) >= 24:
+        width, height = struct.unpack(">II", head[16:24])
+        if width * height > options.limits.pixels:
+            raise AssetError(
+                f"picture {name} has {width} x {height} pixels: make it smaller, or raise ReadLimits.pixels from "
+                f"{options.limits.pixels}"
+            )

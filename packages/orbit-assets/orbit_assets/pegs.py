@@ -49,20 +49,20 @@ COLORS: Sequence[Color] = (
     (0.20, 0.60, 0.30, 1.0),
     (0.55, 0.30, 0.65, 1.0),
 )
-"""For blocks that are to look different."""
+"""Colours of blocks that must look different."""
 FIT = 0.001
-"""Metres from which engines may make contacts between block and board."""
+"""Metres below which engines generate contacts between block and board."""
+# Metres of board that a hole leaves at its tile's edge.
 _LEAST_RIM = 0.01
-"""Metres of board that a hole leaves at its tile's edge."""
+# Sides of the polygon around a round hole: the corners are within 1 % of the circle.
 _ROUND_SIDES = 24
-"""Sides of the polygon around a round hole."""
 
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """What a block looks like from above.
+    """Cross-section of a block, seen from above.
 
-    ``turns`` equal turns bring it onto itself; none stands for any turn, of a round section with that ``radius``.
+    ``turns`` equal turns bring it onto itself; 0 means any turn, of a round section with that ``radius``.
     """
 
     outline: Polygon
@@ -81,13 +81,13 @@ class Section:
 
 
 def _regular(corners: int, *radii: float) -> Polygon:
-    """Corners on circles about the origin, whose radii take turns."""
+    """Return corners on circles about the origin, whose radii alternate."""
     angles = 2.0 * math.pi * np.arange(corners) / corners
     return np.stack((np.cos(angles), np.sin(angles)), 1) * np.resize(radii, corners)[:, None]
 
 
 def _around(radius: float) -> Polygon:
-    """The polygon whose sides touch the circle."""
+    """Return the polygon whose sides touch the circle."""
     return _regular(_ROUND_SIDES, radius / math.cos(math.pi / _ROUND_SIDES))
 
 
@@ -105,7 +105,7 @@ SECTIONS: Mapping[str, Section] = {
 
 
 def section(name: str) -> Section:
-    """The section of that name.
+    """Return the section of that name.
 
     Raises:
         UnknownNameError: there is none.
@@ -116,7 +116,7 @@ def section(name: str) -> Section:
 
 
 def block(name: str, kind: str, *, color: Color, material: PhysicsMaterial | None = None) -> ObjectSpec:
-    """A block of the section ``kind`` with a knob on top; its frame lies in the middle of its base, z upward.
+    """Build a block of the section ``kind`` with a knob on top; its frame is in the middle of its base, z upward.
 
     Raises:
         UnknownNameError: there is no such section.
@@ -127,6 +127,7 @@ def block(name: str, kind: str, *, color: Color, material: PhysicsMaterial | Non
         parts: list[tuple[Geometry, Pose]] = [(Cylinder(own.radius, 0.5 * BODY_HEIGHT), middle)]
     else:
         parts = [prism(piece, BODY_HEIGHT) for piece in _inside(own.outline)]
+    # The knob is a cube: any gripper that opens 24 mm can hold any block.
     parts.append((Box((0.5 * KNOB, 0.5 * KNOB, 0.5 * KNOB)), Pose((0.0, 0.0, GRIP_HEIGHT))))
     shapes = tuple(Shape(geometry, pose, surface, color, contact_distance=FIT) for geometry, pose in parts)
     articulation = Articulation(name, (solid_link(name, shapes, DENSITY),))
@@ -136,15 +137,17 @@ def block(name: str, kind: str, *, color: Color, material: PhysicsMaterial | Non
 def board(
     name: str, kinds: Sequence[str], clearance: float, *, color: Color = WOOD, material: PhysicsMaterial | None = None
 ) -> ObjectSpec:
-    """A static board with a hole for each of the sections ``kinds``, in a row along y.
+    """Build a static board with a hole for each of the sections ``kinds``, in a row along y.
 
-    Its frame lies in the middle of its underside. Frames ``hole_0``, ``hole_1``, ... lie where the base of a block is
-    that is all the way in.
+    Its frame is in the middle of its underside. Frames ``hole_0``, ``hole_1``, ... are at the base of a block that is
+    inserted all the way.
 
     Args:
         name: of the object in its scene.
         kinds: names of sections.
         clearance: metres by which each hole is wider than its block, half of it on either side.
+        color: of the board.
+        material: of the board; the default one if None.
 
     Raises:
         UnknownNameError: there is no such section.
@@ -183,28 +186,30 @@ def _hole(kind: str, clearance: float) -> Polygon:
 
 
 def _widened(outline: Polygon, margin: float) -> Polygon:
-    """The polygon whose sides are ``margin`` metres further out."""
+    """Return the polygon whose sides are ``margin`` metres further out."""
     sides = np.roll(outline, -1, axis=0) - outline
     normals = np.stack((sides[:, 1], -sides[:, 0]), 1) / np.linalg.norm(sides, axis=1, keepdims=True)
     offsets = (normals * outline).sum(1) + margin
+    # Each new corner is on the two shifted sides that meet there: two linear equations.
     rows = np.stack((np.roll(normals, 1, axis=0), normals), 1)
     return np.linalg.solve(rows, np.stack((np.roll(offsets, 1), offsets), 1)[..., None])[..., 0]
 
 
 def _inside(outline: Polygon) -> list[Polygon]:
-    """Convex parts of a section: itself, rectangles, or a kite about each of a star's tips."""
+    """Return convex parts of a section: itself, rectangles, or a kite about each of a star's tips."""
     sides = np.roll(outline, -1, axis=0) - outline
     bends = _cross(np.roll(sides, 1, axis=0), sides)
     if (bends > 0.0).all():
         return [outline]
     if _rectilinear(outline):
         return [piece for piece, inside in _rectangles(outline) if inside]
+    # A left turn is a convex corner of a counter-clockwise outline: the tip of a star's ray.
     tips = np.flatnonzero(bends > 0.0)
     return [np.stack((np.zeros(2), outline[tip - 1], outline[tip], outline[(tip + 1) % len(outline)])) for tip in tips]
 
 
 def _outside(hole: Polygon) -> list[Polygon]:
-    """Convex parts of the tile around a hole whose sides are all in sight of its middle: one a side, or rectangles."""
+    """Return convex parts of the tile around a star-shaped hole: one per side, or rectangles."""
     if _rectilinear(hole):
         return [piece for piece, inside in _rectangles(hole) if not inside]
     pieces = []
@@ -217,8 +222,9 @@ def _outside(hole: Polygon) -> list[Polygon]:
 
 
 def _rectangles(outline: Polygon) -> list[tuple[Polygon, bool]]:
-    """The tile cut along x at every corner, and each strip at the sides that cross it; True where inside."""
+    """Cut the tile along x at every corner, and each strip at the sides that cross it; True for parts inside."""
     half = 0.5 * TILE
+    # Rounded, for corners at one height may differ in the last bit.
     levels = (-half, *np.unique(outline[:, 1].round(9)), half)
     starts, ends = outline, np.roll(outline, -1, axis=0)
     found = []
@@ -232,12 +238,13 @@ def _rectangles(outline: Polygon) -> list[tuple[Polygon, bool]]:
 
 
 def prism(polygon: Polygon, height: float) -> tuple[Geometry, Pose]:
-    """The solid of a height (m) above a convex polygon, and where its frame lies."""
+    """Return the solid of a height (m) above a convex polygon, and the pose of its frame."""
     low, high = polygon.min(0), polygon.max(0)
     if len(polygon) == 4 and _rectilinear(polygon):
         x, y = 0.5 * (low + high)
         return Box((*(0.5 * (high - low)).tolist(), 0.5 * height)), Pose((float(x), float(y), 0.5 * height))
     count = len(polygon)
+    # Vertices of the lower face, then of the upper one, in the polygon's order.
     vertices = np.concatenate([np.c_[polygon, np.full(count, z)] for z in (-0.5 * height, 0.5 * height)])
     faces = [(0, k + 1, k) for k in range(1, count - 1)] + [
         (count, count + k, count + k + 1) for k in range(1, count - 1)
@@ -253,9 +260,10 @@ def _tile() -> Polygon:
 
 
 def _left_of(polygon: Polygon, along: Polygon, through: Polygon) -> Polygon:
-    """The part of a convex polygon on the left of a line, by Sutherland and Hodgman's clipping (1974)."""
+    """Return the part of a convex polygon on the left of a line, by Sutherland and Hodgman's clipping (1974)."""
     heights = _cross(along, polygon - through)
     kept: list[Polygon] = []
+    # Corners on the left stay; where a side crosses the line, its crossing is added.
     for k, (corner, height) in enumerate(zip(polygon, heights, strict=True)):
         before, below = polygon[k - 1], heights[k - 1]
         if (height > 0.0) != (below > 0.0):

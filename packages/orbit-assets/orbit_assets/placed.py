@@ -1,4 +1,4 @@
-"""What a file holds, and where the file puts it."""
+"""Contents of an asset file with their poses."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class PlacedArticulation:
     articulation: Articulation
     pose: Pose = field(default_factory=Pose)
     fixed_base: bool = False
-    """Whether its root does not move."""
+    """True if its root does not move."""
     path: str = ""
-    """Where the file itself keeps it, as a prim's path, in formats that have any."""
+    """Path in the file, such as a prim's, in formats that have any."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneParts:
-    """All that a file holds: what stands where, the ground, light and gravity as far as the file says."""
+    """All contents of a file: articulations, ground, light and gravity as far as the file describes them."""
 
     placed: tuple[PlacedArticulation, ...]
     terrain: tuple[Shape, ...] = ()
@@ -35,16 +35,16 @@ class SceneParts:
     physics_dt: float | None = None
     """Time step in seconds."""
     notes: tuple[str, ...] = ()
-    """What was changed against the file as a whole."""
+    """Changes against the file as a whole."""
 
 
 def chosen(placed: Sequence[PlacedArticulation], name: str | None) -> PlacedArticulation:
-    """The one of a file's articulations that a caller named, or the only one.
+    """Return the one of a file's articulations that a caller named, or the only one.
 
-    ``name`` is an articulation's name, its path in the file, or a path below which it lies alone.
+    ``name`` is an articulation's name, its path in the file, or a path below which it is the only one.
 
     Raises:
-        AssetError: there are several and none is named, or none or several answer to the name.
+        AssetError: there are several and none is named, or none or several match the name.
     """
     known = ", ".join(f"'{each.articulation.name}' ({each.path})" for each in placed)
     if name is None:

@@ -1,4 +1,4 @@
-"""Links of one robot that touch each other where it stands at home.
+"""Links of one robot that touch each other at home.
 
 A robot that collides with itself must not do so at home: contact would push its links apart from the first step on.
 Files often have such pairs, for their collision shapes are wider than the parts (hulls of a wrist and the link before
@@ -14,15 +14,15 @@ from itertools import combinations
 from orbit_assets.convex import Convex, convex_shape, within
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Articulation, Entity
 
+# Metres between links that count as touching: a drive that holds home lets them move by as much.
 _CLEARANCE = 1e-3
-"""Metres between links that count as touching: a drive that holds home lets them move by as much."""
 
 
 def without_home_contacts(articulation: Articulation, home: Mapping[str, float]) -> Articulation:
-    """The articulation with collision excluded for each pair of links that touch at home, with a note of them.
+    """Exclude collision of each pair of links that touch at home, with a note of them.
 
     Links touch where their collision shapes come within a millimetre of each other; meshes count as their convex
     hulls. Links that a joint connects never collide anyway. Whether the links collide with each other at all is left
@@ -35,7 +35,7 @@ def without_home_contacts(articulation: Articulation, home: Mapping[str, float])
 
     Raises:
         UnknownNameError: a key of ``home`` matches no joint.
-        ConfigurationError: a position lies outside its joint's limits.
+        ConfigurationError: a position is outside its joint's limits.
     """
     merged = merge_fixed_links(articulation)  # links that fixed joints connect are one body
     at_home = home_positions(Entity(name=articulation.name, articulation=merged, home=home))
@@ -53,7 +53,7 @@ def without_home_contacts(articulation: Articulation, home: Mapping[str, float])
 
 
 def touching_links(articulation: Articulation, positions: Mapping[str, float]) -> Iterator[tuple[str, str]]:
-    """Names of links that touch at joint positions (rad, m), those that a joint connects or that are excluded left out.
+    """Yield pairs of links that touch at joint positions (rad, m), without joined and excluded ones.
 
     Links must be in topological order.
     """
@@ -67,7 +67,7 @@ def touching_links(articulation: Articulation, positions: Mapping[str, float]) -
 
 
 def _placed(articulation: Articulation, positions: Mapping[str, float]) -> dict[str, list[Convex]]:
-    """Collision shapes in the root's frame, of the links that have any."""
+    """Return the collision shapes in the root's frame, of the links that have any."""
     poses = link_poses(articulation, positions)
     placed = {
         link.name: [convex_shape(shape, poses[link.name]) for shape in link.collisions] for link in articulation.links

@@ -1,4 +1,7 @@
-"""XML files in any encoding, read into element trees under the limits of the caller."""
+"""XML files: text in any encoding, element trees under the limits of the caller, and fields of their elements.
+
+:class:`Findings` collects faults, omissions and remarks of one reading; errors name file, element and remedy.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,69 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
-from orbit_assets.options import ReadLimits, ReadOptions
+from orbit_assets.options import ReadLimits, ReadOptions, Unsupported
 from orbit_assets.outside import check_file
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.scene.pose import Vector3
 
+# Places that a note lists by name; it counts the rest.
+_MOST = 3
+
+
+class Findings:
+    """Errors that name one file, and the notes on what was left out of it.
+
+    Args:
+        place: the file with its format, as "URDF file 'a.urdf'".
+        options: says whether what ORBIT has no word for is refused or left out.
+    """
+
+    def __init__(self, place: str, options: ReadOptions) -> None:
+        self.place = place
+        self._drop = options.unsupported is Unsupported.DROP
+        self._left_out: dict[str, list[str]] = {}
+        self._notes: dict[str, None] = {}
+
+    def error(self, fault: str, remedy: str) -> AssetError:
+        """Return the error for a fault of the file, to be raised."""
+        return AssetError(f"in {self.place}, {fault}: {remedy}")
+
+    def note(self, text: str) -> None:
+        """Record a remark once, however often it occurs."""
+        self._notes[text] = None
+
+    def leave_out(self, what: str, where: str) -> None:
+        """Record an omission that changes no motion of the model, or that ORBIT keeps elsewhere."""
+        self._left_out.setdefault(what, []).append(where)
+
+    def unsupported(self, what: str, where: str, remedy: str) -> None:
+        """Reject something that the description cannot hold, or record it as left out if the options say so.
+
+        Raises:
+            AssetError: the caller did not ask for it.
+        """
+        if not self._drop:
+            raise self.error(
+                f"{where} has {what}, which ORBIT does not have",
+                f"{remedy}, or leave it out by ReadOptions(unsupported=Unsupported.DROP)",
+            )
+        self.leave_out(what, where)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All remarks and omissions, in the order of their first occurrence."""
+        left_out = (f"{what} is left out of {_listed(where)}" for what, where in self._left_out.items())
+        return (*self._notes, *left_out)
+
+
+def _listed(places: list[str]) -> str:
+    distinct = list(dict.fromkeys(places))
+    if len(distinct) <= _MOST:
+        return ", ".join(distinct)
+    return f"{', '.join(distinct[:_MOST])} and {len(distinct) - _MOST} more"
+
+
+# First bytes of files by encoding; UTF-32 before UTF-16, whose little-endian mark is its beginning.
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF32_LE, "utf-32-le"),
@@ -21,14 +83,13 @@ _MARKS = (
     (b"<\0", "utf-16-le"),
     (b"\0<", "utf-16-be"),
 )
-"""How files of each encoding begin; UTF-32 before UTF-16, of whose marks its own begins with one."""
 _DECLARATION = re.compile(r"\s*<\?xml\b[^>]*\?>")
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _ENCODING = re.compile(rb"<\?xml[^>]*\bencoding\s*=\s*[\"']([\w.:-]+)[\"']")
 
 
 def read_xml(path: Path | str, options: ReadOptions) -> Element:
-    """The root element of an XML file. Comments and instructions are left out; prefixes stay in names, ``xacro:if``.
+    """Return the root element of an XML file, without comments and instructions; prefixes stay in names, ``xacro:if``.
 
     Prefixes need no declaration, for published files use ``xacro:`` and ``gazebo:`` without one.
 
@@ -39,7 +100,7 @@ def read_xml(path: Path | str, options: ReadOptions) -> Element:
 
 
 def read_text(path: Path | str, options: ReadOptions) -> str:
-    """The text of an XML file: by its byte-order mark, else as it declares, else UTF-8, else Latin-1.
+    """Read the text of an XML file: by its byte-order mark, else as it declares, else UTF-8, else Latin-1.
 
     Raises:
         AssetError: the file is missing or too large, or its bytes are not of the encoding that it declares.
@@ -49,19 +110,21 @@ def read_text(path: Path | str, options: ReadOptions) -> str:
     for mark, encoding in _MARKS:
         if data.startswith(mark):
             return _decoded(data, encoding, path).removeprefix("\ufeff")
+    # An XML declaration is within the first 200 bytes of any file that has one.
     declared = _ENCODING.search(data[:200])
     if declared is not None:
         name = declared.group(1).decode("ascii")
-        # Without a mark, bytes in which the declaration could be read are no UTF-16, whatever it says.
+        # Without a mark, bytes in which the declaration could be read are no UTF-16, although it says so.
         return _decoded(data, "utf-8" if name.lower().startswith(("utf-16", "utf-32", "ucs")) else name, path)
     try:
         return data.decode("utf-8")
+    # Old exporters write Latin-1 without saying so; every byte sequence is valid in it.
     except UnicodeDecodeError:
         return data.decode("latin-1")
 
 
 def parse_xml(text: str, name: str, limits: ReadLimits) -> Element:
-    """The root element of XML text, as :func:`read_xml` gives it.
+    """Parse XML text to its root element, as :func:`read_xml` does.
 
     Args:
         text: the document; an encoding that it declares no longer matters.
@@ -72,6 +135,7 @@ def parse_xml(text: str, name: str, limits: ReadLimits) -> Element:
         AssetError: as :func:`read_xml`.
     """
     builder = _Builder(name, limits)
+    # One call per run of text instead of one per line.
     parser = expat.ParserCreate("utf-8")
     parser.buffer_text = True
     parser.StartElementHandler = builder.start
@@ -94,7 +158,7 @@ def plain_document(text: str) -> bytes:
 
 
 class _Builder:
-    """Builds the tree as the parser goes, and stops it at what is refused."""
+    """Tree builder that stops the parser at rejected content."""
 
     def __init__(self, name: str, limits: ReadLimits) -> None:
         self.name = name
@@ -121,8 +185,8 @@ class _Builder:
         self.tree.end(tag)
 
     def refuse_entity(self, entity: str, *_: object) -> None:
-        """An entity may stand for gigabytes, or for another file."""
-        raise AssetError(f"{self.name} declares the entity '{entity}': write out what it stands for")
+        """Reject every entity: it may expand to gigabytes, or include another file."""
+        raise AssetError(f"{self.name} declares the entity '{entity}': write its text out")
 
 
 def _decoded(data: bytes, encoding: str, path: Path | str) -> str:
@@ -130,3 +194,71 @@ def _decoded(data: bytes, encoding: str, path: Path | str) -> str:
         return data.decode(encoding)
     except (UnicodeDecodeError, LookupError) as error:
         raise AssetError(f"{path} is not in its encoding, {encoding} ({error}): save it as UTF-8") from None
+
+
+class Fields:
+    """Reader of attributes and child elements; errors name file, element and remedy.
+
+    ``where`` in all methods is the thing being read, as "joint 'elbow'".
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self.findings = findings
+
+    def attribute(self, element: Element, key: str, where: str) -> str:
+        """Return the attribute's text.
+
+        Raises:
+            AssetError: it is missing.
+        """
+        value = element.get(key)
+        if value is None:
+            raise self.findings.error(f"{where} lacks attribute '{key}' of <{element.tag}>", "add it")
+        return value
+
+    def child(self, element: Element, tag: str, where: str) -> Element:
+        """Return the first child element with the tag.
+
+        Raises:
+            AssetError: it is missing.
+        """
+        child = element.find(tag)
+        if child is None:
+            raise self.findings.error(f"{where} lacks <{tag}> in <{element.tag}>", "add it")
+        return child
+
+    def number(self, element: Element, key: str, where: str, default: float | None = None) -> float:
+        """Return the number in an attribute; ``default`` where it is missing.
+
+        Raises:
+            AssetError: it is missing without a default, or no number.
+        """
+        if default is not None and element.get(key) is None:
+            return default
+        return self.numbers(element, key, where, 1)[0]
+
+    def vector(self, element: Element, key: str, where: str, default: Vector3 | None = None) -> Vector3:
+        """Return the three numbers in an attribute; ``default`` where it is missing.
+
+        Raises:
+            AssetError: it is missing without a default, or not three numbers.
+        """
+        if default is not None and element.get(key) is None:
+            return default
+        x, y, z = self.numbers(element, key, where, 3)
+        return (x, y, z)
+
+    def numbers(self, element: Element, key: str, where: str, count: int) -> list[float]:
+        """Return ``count`` numbers separated by spaces from an attribute.
+
+        Raises:
+            AssetError: it is missing, or holds another count or no numbers.
+        """
+        text = self.attribute(element, key, where)
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            values = []
+        if len(values) != count:
+            raise self.findings.error(f'{where} has {key}="{text}" in <{element.tag}>', f"give {count} number(s)")
+        return values

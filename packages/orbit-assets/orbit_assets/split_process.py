@@ -1,4 +1,4 @@
-"""The process that splits one mesh by CoACD, so that a split may be stopped and a crash is only its own.
+"""Process that splits one mesh by CoACD, so that a split can be stopped and a crash is isolated.
 
     python -P split_process.py FOLDER CONCAVITY MOST
 
@@ -14,7 +14,7 @@ import numpy as np
 
 
 def main(folder: Path, concavity: float, most: int) -> int:
-    """Split the folder's mesh into at most so many pieces, -1 for any number; the process's exit code."""
+    """Split the folder's mesh into at most ``most`` pieces, -1 for any number; return the exit code."""
     import coacd
 
     coacd.set_log_level("error")
@@ -22,6 +22,7 @@ def main(folder: Path, concavity: float, most: int) -> int:
         solid = coacd.Mesh(mesh["vertices"], mesh["faces"].astype(np.int32))
     try:
         found = coacd.run_coacd(solid, threshold=concavity, max_convex_hull=most)
+    # Errors go to the caller as one line; a crash of the native library is seen by its exit code.
     except (RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1

@@ -9,29 +9,30 @@ import numpy as np
 from orbit_core.interfaces import AssetError
 from orbit_core.scene import Texture
 
+# Pixels of a side: a picture of 2 by 2 squares needs few, blotches with waves of 2^5 need 8 per wave.
 _SIDE = 256
+# Most pixels of a picture file; a larger one is rejected before it is decoded.
 _LARGEST = 64 * 1024 * 1024
+# Formats that Pillow decodes itself; for PostScript it runs a program.
 _FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TGA", "TIFF", "WEBP")
-"""Formats that Pillow decodes by itself; for PostScript it runs a program."""
-"""Pixels of a picture file, beyond which it is refused before it is decoded."""
 
 Gray = float
 """A brightness in [0, 1]."""
 
 
 def checker(width: float = 0.1, dark: Gray = 0.2, light: Gray = 1.0) -> Texture:
-    """Two by two squares, dark and light, ``width`` metres across all of them."""
+    """Build two by two squares, dark and light, ``width`` metres across all of them."""
     squares = np.indices((_SIDE, _SIDE)) * 2 // _SIDE
     return Texture(_gray(np.where(squares.sum(0) % 2 == 0, light, dark)), width)
 
 
 def stripes(width: float = 0.05, dark: Gray = 0.2, light: Gray = 1.0) -> Texture:
-    """Upright stripes, a dark and a light one in ``width`` metres."""
+    """Build upright stripes, a dark and a light one in ``width`` metres."""
     return Texture(_gray(np.where(np.arange(_SIDE) * 2 < _SIDE, light, dark) * np.ones((_SIDE, 1))), width)
 
 
 def blotches(seed: int, width: float = 0.2, finest: int = 5, dark: Gray = 0.1, light: Gray = 1.0) -> Texture:
-    """Smooth random blotches that go on without a seam: waves of 1 to ``2^finest`` in ``width`` metres.
+    """Build smooth random blotches without a seam: waves of 1 to ``2^finest`` in ``width`` metres.
 
     The power of a wave falls with the square of its number, as in pictures of nature (Field, Relations between the
     Statistics of Natural Images and the Response Properties of Cortical Cells, 1987). One seed gives one texture.
@@ -40,6 +41,7 @@ def blotches(seed: int, width: float = 0.2, finest: int = 5, dark: Gray = 0.1, l
     numbers = np.fft.fftfreq(_SIDE, 1.0 / _SIDE)
     waves = np.hypot(*np.meshgrid(numbers, numbers))
     inside = (waves >= 1.0) & (waves <= 2.0**finest)
+    # Noise filtered in the frequency domain is periodic: it has no seam.
     power = np.where(inside, 1.0 / np.maximum(waves, 1.0), 0.0)
     height = np.fft.ifft2(np.fft.fft2(random.standard_normal((_SIDE, _SIDE))) * power).real
     least, most = height.min(), height.max()
@@ -47,7 +49,7 @@ def blotches(seed: int, width: float = 0.2, finest: int = 5, dark: Gray = 0.1, l
 
 
 def texture_file(path: str | Path, width: float = 0.2) -> Texture:
-    """A picture file (PNG, JPEG, BMP, GIF, PPM, TGA, TIFF or WebP; needs Pillow), ``width`` metres wide.
+    """Read a picture file (PNG, JPEG, BMP, GIF, PPM, TGA, TIFF or WebP; needs Pillow), ``width`` metres wide.
 
     Raises:
         AssetError: there is none, it is no picture, or one of more than 64 million pixels; or Pillow is missing.
@@ -66,5 +68,5 @@ def texture_file(path: str | Path, width: float = 0.2) -> Texture:
 
 
 def _gray(values: np.ndarray) -> np.ndarray:
-    """(H, W) in [0, 1] as pixels (H, W, 3)."""
+    """Return brightnesses (H, W) in [0, 1] as pixels (H, W, 3)."""
     return np.repeat((255.0 * np.clip(values, 0.0, 1.0) + 0.5).astype(np.uint8)[..., None], 3, axis=2)

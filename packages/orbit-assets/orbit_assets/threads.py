@@ -1,4 +1,4 @@
-"""Bolts and nuts with a right-handed metric thread, as meshes whose threads really meet.
+"""Bolts and nuts with a right-handed metric thread, as meshes whose threads mesh.
 
 The profile is the basic one of ISO 68-1: flanks of 60 degrees, crests cut by an eighth of the fundamental triangle's
 height, roots by a quarter. For engines without signed distance fields there are square threads of boxes along the
@@ -30,18 +30,18 @@ from orbit_core.scene import (
     Shape,
 )
 
+# Rows of vertices per turn of a thread: ten resolve its profile of eighths.
 _ROWS = 10
-"""Rows of vertices in each turn of a thread."""
+# Vertices around the axis: chords are within 0.02 mm of an M16's circle.
 _AROUND = 48
-"""Vertices around."""
+# Boxes in each turn of a thread of boxes.
 _BOXES = 12
-"""Boxes in each turn of a thread of boxes."""
+# Metres below which engines generate contacts between boxes of threads.
 _NEAR = 1e-3
-"""Metres from which engines may make contacts between boxes of threads."""
+# Density in kg/m^3.
 _STEEL = 7800.0
-"""kg/m^3"""
+# Metres of a nut's wall outside its thread that belong to the field of distances.
 _WALL = 0.002
-"""Metres of a nut's wall outside its thread that belong to the field of distances."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,23 +59,24 @@ class Thread:
         return self.radius - 0.625 * 0.5 * math.sqrt(3.0) * self.lead
 
     def radii(self, angles: npt.NDArray[np.float64], heights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """The radius of the bolt's surface (m) at angles about its axis (rad) and heights along it (m)."""
+        """Return the radius of the bolt's surface (m) at angles about its axis (rad) and heights along it (m)."""
+        # The profile of ISO 68-1 over one lead: crest 1/8, flanks 5/16 each, root 1/4.
         phase = (heights / self.lead - angles / (2.0 * math.pi)) % 1.0
         rise = np.clip((0.375 - np.abs(phase - 0.5)) / 0.3125, 0.0, 1.0)
         return self.minor_radius + (self.radius - self.minor_radius) * rise
 
 
 class ThreadOptions(TypedDict):
-    """What bolts and nuts on their own may be given besides their shape."""
+    """Options of bolts and nuts other than their shape."""
 
     material: PhysicsMaterial
-    """Of all of it."""
+    """Material of all parts."""
     boxes: NotRequired[bool]
-    """Whether threads collide as :func:`bolt_boxes` and :func:`nut_boxes` do, and not by fields of distances."""
+    """True if threads collide as :func:`bolt_boxes` and :func:`nut_boxes`, instead of by signed distance fields."""
 
 
 def bolt(length: float, thread: Thread = Thread()) -> Mesh:
-    """A threaded rod along z that stands on the origin; its last turn is a pilot of the roots' radius.
+    """Build a threaded rod along z that stands on the origin; its last turn is a pilot of the roots' radius.
 
     Args:
         length: metres.
@@ -87,6 +88,7 @@ def bolt(length: float, thread: Thread = Thread()) -> Mesh:
     _check(length, thread)
     heights = _heights(length, thread)
     grid, angles = np.meshgrid(heights, _angles(), indexing="ij")
+    # The pilot lets a nut find the axis before threads engage.
     pilot = grid > length - thread.lead
     rows = _rows(np.where(pilot, thread.minor_radius, thread.radii(angles, grid)), heights)
     ends = np.array(((0.0, 0.0, 0.0), (0.0, 0.0, length)))
@@ -99,7 +101,7 @@ def bolt(length: float, thread: Thread = Thread()) -> Mesh:
 
 
 def nut(height: float, outer_radius: float, thread: Thread = Thread(), *, clearance: float = 1e-4) -> Mesh:
-    """A round nut about z that stands on the origin, in phase with :func:`bolt` at whole numbers of leads above it.
+    """Build a round nut about z that stands on the origin, in phase with :func:`bolt` at whole leads above it.
 
     Args:
         height: metres.
@@ -129,9 +131,10 @@ def nut(height: float, outer_radius: float, thread: Thread = Thread(), *, cleara
 
 
 def bolt_boxes(length: float, thread: Thread, material: PhysicsMaterial) -> tuple[Shape, ...]:
-    """Boxes that stand for :func:`bolt`: a ridge half a lead wide around a core of the roots' radius."""
+    """Build boxes in place of :func:`bolt`: a ridge half a lead wide around a core of the roots' radius."""
     half = thread.minor_radius / math.sqrt(2.0)
     core = Box((half, half, 0.5 * length))
+    # Two square prisms, an eighth of a turn apart, are an octagonal core.
     across = (math.cos(math.pi / 8.0), 0.0, 0.0, math.sin(math.pi / 8.0))
     cores = [Shape(core, Pose((0.0, 0.0, 0.5 * length), turn), material) for turn in ((1.0, 0.0, 0.0, 0.0), across)]
     ridge = _ridge(thread, (half, thread.radius), 0.5 * thread.lead, (0.0, length - thread.lead), 0.5, material)
@@ -141,7 +144,7 @@ def bolt_boxes(length: float, thread: Thread, material: PhysicsMaterial) -> tupl
 def nut_boxes(
     height: float, outer_radius: float, thread: Thread, material: PhysicsMaterial, *, clearance: float
 ) -> tuple[Shape, ...]:
-    """Boxes that stand for the thread of :func:`nut`: a ridge in the groove of the bolt's.
+    """Build boxes in place of the thread of :func:`nut`: a ridge in the groove of the bolt's.
 
     It is narrower than the groove by ``clearance`` (metres), and as much further from the axis than the bolt's core.
     """
@@ -160,7 +163,7 @@ def bolt_on_base(
     material: PhysicsMaterial,
     boxes: bool = False,
 ) -> ObjectSpec:
-    """A bolt that stands on a square base 80 mm wide, fixed; its frame lies in the middle of the base's underside.
+    """Build a bolt that stands on a fixed square base 80 mm wide; its frame is in the middle of the base's underside.
 
     Args:
         name: of the object in its scene.
@@ -178,6 +181,7 @@ def bolt_on_base(
     foot = Shape(Box((0.04, 0.04, half)), Pose((0.0, 0.0, half)), material, color, "base")
     rod = Shape(bolt(length, thread), Pose((0.0, 0.0, base)), material, color, "bolt")
     link = solid_link(name, (foot, rod), _STEEL)
+    # The mass stays that of the mesh: boxes overlap, and their volumes would count twice.
     if boxes:
         link = replace(link, collisions=(foot, *_placed(bolt_boxes(length, thread, material), rod.pose)))
     return ObjectSpec(name=name, articulation=Articulation(name, (link,)), fixed_base=True, semantic_label="bolt")
@@ -194,7 +198,7 @@ def hexagonal_nut(
     material: PhysicsMaterial,
     boxes: bool = False,
 ) -> ObjectSpec:
-    """A nut of six flat sides; its frame lies in the middle of its underside, x towards a corner.
+    """Build a nut of six flat sides; its frame is in the middle of its underside, x towards a corner.
 
     The thread collides by its field of distances and ends 0.5 mm within the faces; what grippers and tables touch are
     six prisms around it.
@@ -214,6 +218,7 @@ def hexagonal_nut(
     """
     inner, outer = thread.radius + clearance + _WALL, width / math.sqrt(3.0)
     ring = nut(height - 1e-3, inner, thread, clearance=clearance)
+    # Half a millimetre within the faces: else thread and prisms would touch the table together.
     shapes = [Shape(ring, Pose((0.0, 0.0, 5e-4)), material, color, "thread")]
     for k in range(6):
         first, second = (
@@ -241,10 +246,12 @@ def _ridge(
     phase: float,
     material: PhysicsMaterial,
 ) -> tuple[Shape, ...]:
-    """Boxes between two radii (m), ``width`` metres high, along the helix that is ``phase`` leads high at angle 0."""
+    """Build boxes between two radii (m), ``width`` metres high, along the helix ``phase`` leads high at angle 0."""
     shapes: list[Shape] = []
     middle, half = 0.5 * sum(radii), math.pi / _BOXES
-    slope = 0.5 * math.atan(thread.lead / (math.pi * (thread.minor_radius + thread.radius)))  # where threads meet
+    slope = 0.5 * math.atan(
+        thread.lead / (math.pi * (thread.minor_radius + thread.radius))
+    )  # half the helix angle at the radius where threads meet, as in a quaternion
     box = Box((0.5 * (radii[1] - radii[0]), thread.radius * math.tan(half), 0.5 * width))
     for number in range(-_BOXES, math.ceil(heights[1] / thread.lead) * _BOXES):
         angle, height = 2.0 * half * number, thread.lead * (number / _BOXES + phase)
@@ -273,13 +280,13 @@ def _heights(length: float, thread: Thread) -> npt.NDArray[np.float64]:
 
 
 def _rows(radii: npt.NDArray[np.float64], heights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Vertices (rows * around, 3) at radii (rows, around)."""
+    """Return vertices (rows * around, 3) at radii (rows, around)."""
     up = np.broadcast_to(heights[:, None], radii.shape)
     return np.stack((radii * np.cos(_angles()), radii * np.sin(_angles()), up), -1).reshape(-1, 3)
 
 
 def _sides(rows: int) -> npt.NDArray[np.int64]:
-    """Faces between rows of vertices, seen from outside."""
+    """Return faces between rows of vertices, seen from outside."""
     k = np.arange(_AROUND)
     low = (np.arange(rows - 1)[:, None] * _AROUND + k).ravel()
     after = (np.arange(rows - 1)[:, None] * _AROUND + (k + 1) % _AROUND).ravel()

@@ -21,29 +21,28 @@ from orbit_core.dynamics.transforms import (
     quat_multiply,
 )
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
 from orbit_core.rollout.estimates import Estimate, proportion
 from orbit_core.rollout.stepping import StepObserver, roll_out
 from orbit_data.episodes import ACTIONS, INITIAL, POSES, STATES, Dataset
-from orbit_data.recorder import DemonstrationRecorder
-from orbit_data.recording import RecordingFile
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.recording import DemonstrationRecorder, RecordingFile
 from orbit_data.replay import EpisodePlayer
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment, EpisodeEnd
 
+# Steps by which the pose asked for is ahead of the one that is to be reached.
 _AHEAD = 2
-"""Steps by which the pose asked for is ahead of the one that is to be reached."""
+# How much farther than that pose the hand is sent, for drives follow late; at most by the leads below.
 _GAIN = 4.0
-"""How much farther than that pose the hand is sent, for drives follow late; at most by the leads below."""
+# m and rad
 _LEADS = (0.06, 0.4)
-"""m and rad"""
+# m and rad within which a pose counts as reached, and the next is due.
 _NEAR = (0.01, 0.1)
-"""m and rad within which a pose counts as reached, and the next is due."""
+# m from the subtask's frame at which a piece begins; where the hand never comes so near, it is whole.
 _REACH = 0.13
-"""m from the subtask's frame at which a piece begins; where the hand never comes so near, it is whole."""
+# Steps after which the next pose is due all the same: where a piece begins, and within it.
 _PATIENCE = (60, 10)
-"""Steps after which the next pose is due all the same: where a piece begins, and within it."""
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from orbit_core.files import as_path, written_whole
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.reading.budget import TRUSTED
 from orbit_core.rollout.estimates import proportion
 from orbit_data.episodes import Dataset
+from orbit_data.reading.budget import TRUSTED
 
 CARD = "README.md"
 """Name of the card of a dataset that is a folder."""
+# Lines after a card's title.
 _HEAD = ("", "| | |", "|---|---|")
-"""Lines after a card's title."""
 
 
 def card(dataset: Dataset) -> str:

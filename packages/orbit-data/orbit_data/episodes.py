@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import ReadAccount, check_name
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import ReadAccount, check_name
 
 Array = npt.NDArray[Any]
 
@@ -54,7 +54,7 @@ class Episode:
     arrays: Mapping[str, Array]
 
     def named(self, prefix: str) -> dict[str, Array]:
-        """The arrays whose names begin so, by the rest of their names."""
+        """Return the arrays whose names begin so, by the rest of their names."""
         return {name.removeprefix(prefix): array for name, array in self.arrays.items() if name.startswith(prefix)}
 
 
@@ -70,7 +70,7 @@ class Dataset(ABC):
 
     @abstractmethod
     def read(self, position: int, names: Sequence[str] | None = None) -> Episode:
-        """An episode by its position in ``episodes``.
+        """Return an episode by its position in ``episodes``.
 
         Args:
             position: from 0.
@@ -84,7 +84,7 @@ class Dataset(ABC):
         """Close files."""
 
     def known(self) -> Manifest:
-        """The manifest.
+        """Return the manifest.
 
         Raises:
             ConfigurationError: the file holds none.
@@ -113,12 +113,12 @@ def check_found(names: Sequence[str] | None, arrays: Collection[str], where: str
             raise ConfigurationError(f"{where} has no '{asked}', which this needs")
 
 
+# Steps of an episode; no recording comes near.
 _LONGEST = 100_000_000
-"""Steps of an episode; no recording comes near."""
+# Bytes of an array that are checked at a time.
 _STRETCH = 1 << 24
-"""Bytes of an array that are checked at a time."""
+# Memory of what is known of an episode.
 _INFO_BYTES = 512
-"""Memory of what is known of an episode."""
 
 
 def check_infos(infos: Sequence[EpisodeInfo], account: ReadAccount) -> None:

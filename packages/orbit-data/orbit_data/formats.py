@@ -11,14 +11,14 @@ import numpy as np
 
 from orbit_core.files import as_path, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.compare import Kind, differences
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import TRUSTED, ReadBudget
 from orbit_data.card import CARD, card, check_card, write_card
 from orbit_data.episodes import Dataset, Episode
 from orbit_data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
 from orbit_data.lerobot import check_replaceable, write_lerobot
 from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.manifest.compare import Kind, differences
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import TRUSTED, ReadBudget
 from orbit_data.zarr_reader import SUFFIXES as ZARR
 from orbit_data.zarr_reader import ZarrDataset, is_zarr
 
@@ -112,13 +112,13 @@ def check_target(path: Path) -> None:
 
 
 def read_all(datasets: Iterable[Dataset]) -> Iterator[Episode]:
-    """All episodes of some datasets, one after the other."""
+    """Yield all episodes of some datasets, one after the other."""
     for dataset in datasets:
         yield from map(dataset.read, range(len(dataset.episodes)))
 
 
 def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
-    """The manifest of datasets that can be one; the first one's, where they differ in what is noted alone.
+    """Return the manifest of datasets that can be one; the first one's, where they differ in what is noted alone.
 
     Raises:
         ConfigurationError: numbers mean different things in them; names every difference.
@@ -139,7 +139,7 @@ def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
 
 
 def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
-    """Positions of ``train`` and ``valid``, the latter's share of ``count`` drawn at random.
+    """Return positions of ``train`` and ``valid``, the latter's share of ``count`` drawn at random.
 
     Raises:
         ConfigurationError: one of them would be empty.

@@ -24,22 +24,22 @@ import numpy as np
 
 from orbit_core.files import as_path, storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError, StorageError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget
-from orbit_core.reading.hdf5 import Hdf5File, hdf5_module
 from orbit_data.episodes import Array, Dataset, Episode, EpisodeInfo, check_episode, check_found, check_infos, chosen
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget
+from orbit_data.reading.hdf5 import Hdf5File, hdf5_module
 
 SUFFIX = ".hdf5"
+# robomimic's number for environments in Gymnasium's manner.
 _GYM = 2
-"""robomimic's number for environments in Gymnasium's manner."""
 _MANIFEST = "orbit/manifest"
 _INFO = "orbit_episode"
 _REASON = re.compile(r"error message = '([^']*)'")
 _DEMO = re.compile(r"demo_[0-9]{1,9}")
+# Bytes that must be free besides what is written, and for which room is looked for at once.
 _MARGIN, _AHEAD = 1 << 20, 1 << 22
-"""Bytes that must be free besides what is written, and for which room is looked for at once."""
+# How pictures are compressed; numbers as small as states gain nothing from it.
 _PICTURE = {"compression": "lzf"}
-"""How pictures are compressed; numbers as small as states gain nothing from it."""
 
 
 def write_hdf5(

@@ -13,9 +13,6 @@ import msgspec
 
 from orbit_core.files import as_path, read_bytes
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget, check_name
-from orbit_core.tensor_file import parse_json
 from orbit_data.episodes import (
     ACTIONS,
     DONES,
@@ -31,17 +28,19 @@ from orbit_data.episodes import (
     check_infos,
     chosen,
 )
-from orbit_data.lerobot import ACTION, EPISODES, INFO, MANIFEST, PICTURE, SIMULATED, VERSION
+from orbit_data.lerobot import ACTION, EPISODES, INFO, MANIFEST, PICTURE, SIMULATED, VERSION, read_video
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget, check_name
 from orbit_data.reading.parquet import arrow_modules, read_columns
-from orbit_data.video import read_video
+from orbit_data.tensor_file import parse_json
 
 _OWN = {ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
+# What a pattern of file names may hold; others could ask for names of any length.
 _PLACE = re.compile(r"\{(chunk_index|file_index|video_key)(:0?[1-9]d)?\}")
-"""What a pattern of file names may hold; others could ask for names of any length."""
+# Memory of a number of meta/episodes.
 _ROW_BYTES = 100
-"""Memory of a number of meta/episodes."""
+# Most bytes of what is known of all episodes, some 200 of each.
 _MOST_INFOS = 1 << 25
-"""Most bytes of what is known of all episodes, some 200 of each."""
 _INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 

@@ -1,31 +1,390 @@
-"""A recording as a whole: begun, gone on with, gathered into one file."""
+"""Recordings: episodes of many environments at once, in files that no crash undoes, gathered into one dataset.
+
+While episodes run, the steps of all environments are in rings (steps, N, ...) on their device, to which each step adds
+one row. Only when episodes end are their rows gathered and written to a folder of parts, each file whole and flushed
+before the next begins. A part is safetensors, its arrays those of a few episodes one after the other; its header
+describes each. At the end the parts become one HDF5 file; a recording that was cut off can be resumed.
+"""
 
 from __future__ import annotations
 
 import glob
-from collections.abc import Callable, Collection, Iterator, Mapping
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+import numpy as np
+import safetensors.numpy
 import torch
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from orbit_core.files import as_path, storage_faults, sweep
-from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.compare import Kind, differences
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.reading.budget import TRUSTED
-from orbit_core.reading.hdf5 import hdf5_module
+from orbit_core.envs.observation_groups import POLICY
+from orbit_core.files import LOCK, FolderLock, as_path, read_bytes, storage_faults, sweep, written_whole
+from orbit_core.interfaces import ConfigurationError, Object, Robot, ShapeError, UnknownNameError, World
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
+from orbit_core.sensors.contact import ContactSensor
 from orbit_data.card import check_card, write_card
-from orbit_data.episodes import Episode, EpisodeInfo
+from orbit_data.episodes import (
+    ACTIONS,
+    CONTACTS,
+    DONES,
+    INITIAL,
+    NEXT,
+    OBSERVED,
+    POSES,
+    REWARDS,
+    STATES,
+    Array,
+    Episode,
+    EpisodeInfo,
+)
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_data.parts import PartFolder
-from orbit_data.recorder import DemonstrationRecorder
+from orbit_data.manifest.compare import Kind, differences
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.reading.budget import MAX_DOCUMENT, TRUSTED
+from orbit_data.reading.hdf5 import hdf5_module
+from orbit_data.states import TaskMemory, WorldStates
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
+    from orbit_core.envs.captured_step import StepResult
     from orbit_core.envs.environment import Environment, EpisodeEnd
+    from orbit_core.envs.observation_layout import GroupLayout, Observation
+
+_MANIFEST = "manifest.json"
+# Marks a recording that takes the place of the dataset in the end, instead of going on with it.
+_REPLACES = "replaces"
+_PART = re.compile(r"part_(\d{6,})\.safetensors")
+_KEY = "episodes"
+
+
+class PartFolder:
+    """Files of finished episodes beside the dataset that they are going to be.
+
+    Args:
+        path: of the folder; it need not be there.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = as_path(path)
+        self._lock: FolderLock | None = None
+
+    @property
+    def files(self) -> list[Path]:
+        """In the order of writing."""
+        found = [path for path in self.path.iterdir() if _PART.fullmatch(path.name)] if self.path.is_dir() else []
+        return sorted(found, key=lambda path: int(path.stem.removeprefix("part_")))
+
+    @property
+    def begun(self) -> bool:
+        """True if a recording has begun here."""
+        return (self.path / _MANIFEST).is_file() or bool(self.files)
+
+    @property
+    def replaces(self) -> bool:
+        """True if the recording replaces the dataset in the end; otherwise it extends it."""
+        return (self.path / _REPLACES).is_file()
+
+    def begin_replacing(self) -> None:
+        """Let the recording that begins here take the dataset's place in the end.
+
+        Raises:
+            ConfigurationError: another process writes into the folder; names that.
+            StorageError: it cannot be written.
+        """
+        self.hold()
+        with storage_faults(self.path):
+            (self.path / _REPLACES).touch()
+
+    def hold(self) -> None:
+        """Let nobody else write into the folder until it is removed or released.
+
+        Raises:
+            ConfigurationError: another process writes into it; names that.
+            StorageError: it cannot be written.
+        """
+        if self._lock is None:
+            with storage_faults(self.path):
+                self.path.mkdir(parents=True, exist_ok=True)
+                self._lock = FolderLock(self.path)
+
+    def release(self) -> None:
+        """Let others write into the folder."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def begin(self, manifest: Manifest) -> None:
+        """Make the folder, or take it up again: what a killed program left half written is removed.
+
+        Raises:
+            ConfigurationError: another process writes into it; names that.
+            StorageError: it cannot be written.
+        """
+        self.hold()
+        sweep(self.path)
+        with written_whole(self.path / _MANIFEST) as written:
+            written.write_bytes(manifest.encode())
+
+    def manifest(self) -> Manifest | None:
+        """Of the recording; None if none has begun.
+
+        Raises:
+            ConfigurationError: its file is damaged.
+        """
+        path = self.path / _MANIFEST
+        return Manifest.decode(read_bytes(path, MAX_DOCUMENT), str(path)) if path.exists() else None
+
+    def add(self, infos: Sequence[EpisodeInfo], arrays: Mapping[str, Array]) -> None:
+        """Write finished episodes: arrays (sum of lengths, ...), of ``initial/`` (episodes, ...).
+
+        Raises:
+            StorageError: the disk is full; what was written before stays.
+        """
+        last = self.files[-1:]
+        number = int(last[0].stem.removeprefix("part_")) + 1 if last else 0
+        data = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        header = {_KEY: msgspec.json.encode(infos).decode()}
+        path = self.path / f"part_{number:06d}.safetensors"
+        with written_whole(path) as written:
+            written.write_bytes(safetensors.numpy.save(data, header))
+
+    def infos(self) -> list[EpisodeInfo]:
+        """What is known of all episodes."""
+        return [info for path in self.files for info in _header(path)]
+
+    def read(self) -> Iterator[Episode]:
+        """Yield all episodes, file by file.
+
+        Raises:
+            ConfigurationError: a file is damaged.
+        """
+        for path in self.files:
+            infos = _header(path)
+            try:
+                arrays = safetensors.numpy.load(read_bytes(path))
+            except (SafetensorError, ValueError, KeyError, TypeError) as error:
+                raise ConfigurationError(
+                    f"{path} holds no episodes: {error}; remove it to go on without them"
+                ) from None
+            ends = np.cumsum([info.length for info in infos])
+            _check_lengths(path, arrays, len(infos), int(ends[-1]) if len(ends) else 0)
+            for row, (info, end) in enumerate(zip(infos, ends.tolist(), strict=True)):
+                own = slice(end - info.length, end)
+                yield Episode(info, {n: a[row if n.startswith(INITIAL) else own] for n, a in arrays.items()})
+
+    def remove(self) -> None:
+        """Delete the recording, once all is elsewhere; files of other kinds stay, and the folder with them.
+
+        Raises:
+            ConfigurationError: another process writes into it; names that.
+            StorageError: it cannot be deleted.
+        """
+        self.hold()
+        with storage_faults(self.path):
+            # The mark first: what a kill then leaves goes on with the dataset, which has its episodes, and replaces
+            # nothing.
+            (self.path / _REPLACES).unlink(missing_ok=True)
+            for path in (*self.files, self.path / _MANIFEST, self.path / LOCK):
+                path.unlink(missing_ok=True)
+            sweep(self.path)
+            with suppress(OSError):
+                self.path.rmdir()
+        self.release()
+
+
+def _check_lengths(path: Path, arrays: Mapping[str, Array], episodes: int, steps: int) -> None:
+    for name, array in arrays.items():
+        if len(array) != (episodes if name.startswith(INITIAL) else steps):
+            raise _damaged(path, f"'{name}' has shape {array.shape}, of {episodes} episodes with {steps} steps")
+
+
+def _header(path: Path) -> list[EpisodeInfo]:
+    try:
+        with safe_open(path, framework="np") as file:
+            return msgspec.json.decode(file.metadata()[_KEY], type=list[EpisodeInfo])
+    except (SafetensorError, OSError, KeyError, TypeError, msgspec.MsgspecError) as error:
+        raise _damaged(path, str(error)) from None
+
+
+def _damaged(path: Path, reason: str) -> ConfigurationError:
+    return ConfigurationError(f"{path} holds no episodes: {reason}; remove it to go on without them")
+
+
+Wanted = Callable[["EpisodeEnd", Tensor], Tensor]
+"""Which of the episodes that ended (n,) are kept, given how often each environment ended one before (n,)."""
+
+
+def check_groups(groups: Collection[str], environment: Environment) -> None:
+    """Refuse observation groups that an environment lacks.
+
+    Raises:
+        UnknownNameError: tells the nearest.
+    """
+    for name in groups:
+        if name not in environment.observation:
+            raise UnknownNameError("observation group", name, environment.observation)
+
+
+class DemonstrationRecorder(StepObserver):
+    """Writes each finished episode: states, actions, observations, rewards, poses, contacts, and how it began.
+
+    On a GPU each step waits for the device, to know which episodes ended.
+
+    Args:
+        environment: that is stepped; its episodes have just begun.
+        folder: takes the episodes.
+        wanted: which of them.
+        seed: that the random streams were started from.
+        groups: observation groups to record; all if None.
+        begun: (N,) episodes that each environment ended before; none if None.
+
+    Raises:
+        UnknownNameError: there is no such group.
+    """
+
+    def __init__(
+        self,
+        environment: Environment,
+        folder: PartFolder,
+        wanted: Wanted,
+        seed: int,
+        groups: Collection[str] | None = None,
+        begun: Tensor | None = None,
+    ) -> None:
+        check_groups(groups or (), environment)
+        self._environment, self._folder, self._wanted, self._seed = environment, folder, wanted, seed
+        self._layouts = {n: o for n, o in environment.observation.items() if groups is None or n in groups}
+        self._states, self._memory = WorldStates(environment.world), TaskMemory(environment)
+        self._frames = dict(tracked_frames(environment.world))
+        sensors = environment.world.sensors.items()
+        self._contacts = {name: sensor for name, sensor in sensors if isinstance(sensor, ContactSensor)}
+        self._rings: dict[str, Tensor] = {}
+        self._capacity = environment.max_episode_steps + 1
+        self._step = 0
+        self._initial = {name: value.clone() for name, value in self._memory.read().items()}
+        self._seen = environment.observe()
+        none = torch.zeros(environment.num_envs, dtype=torch.int64, device=environment.device)
+        self.ended = none if begun is None else begun.clone()
+        """(N,) episodes that each environment has ended."""
+        self.kept = 0
+        """Episodes that were written."""
+
+    def before_step(self) -> None:
+        """Take in the state, and what is seen of it."""
+        self._put(STATES, self._states.read())
+        for name, (entity, frame) in self._frames.items():
+            self._put(POSES + name, entity.frame_pose(frame))
+        for name, sensor in self._contacts.items():
+            self._put(CONTACTS + name, sensor.forces)
+        for name, value in self._leaves(self._seen):
+            self._put(OBSERVED + name, value)
+
+    def stepped(self, action: Tensor, result: StepResult) -> None:
+        """Take in what was done and what it gave; write the episodes that ended."""
+        self._seen, reward, terminated, truncated, info = result
+        self._put(ACTIONS, action.clamp(-1.0, 1.0))
+        self._put(REWARDS, reward)
+        self._put(DONES, terminated | truncated)
+        self._step += 1
+        if "final" in info:
+            self._finish(info["final"])
+
+    def finish(self, end: EpisodeEnd) -> None:
+        """Write episodes that are ended from outside, now, as if their last step had ended them."""
+        self._rings[DONES][(self._step - 1) % self._capacity, end.env_ids] = True
+        self._finish(end)
+
+    def _put(self, name: str, value: Tensor) -> None:
+        ring = self._rings.get(name)
+        if ring is None:
+            ring = self._rings[name] = value.new_zeros((self._capacity, *value.shape))
+        if value.shape != ring.shape[1:]:
+            raise ShapeError(f"'{name}' has shape {tuple(value.shape)}, but had {tuple(ring.shape[1:])} before")
+        ring[self._step % self._capacity] = value
+
+    def _leaves(self, observation: Observation) -> list[tuple[str, Tensor]]:
+        """Return a tensor for each group that is one, and for each term of a dictionary, by ``group`` or
+        ``group/term``.
+        """
+        leaves: list[tuple[str, Tensor]] = []
+        for group in self._layouts:
+            value = observation[group]
+            named = {f"{group}/{term}": each for term, each in value.items()} if isinstance(value, dict) else {}
+            leaves += named.items() if isinstance(value, dict) else [(group, value)]
+        return leaves
+
+    def _finish(self, end: EpisodeEnd) -> None:
+        ids = end.env_ids
+        rows = self._wanted(end, self.ended[ids]).nonzero().squeeze(-1)
+        if len(rows):
+            kept = end.only(rows)
+            self._folder.add(self._infos(kept), self._arrays(kept))
+            self.kept += len(rows)
+        self.ended[ids] += 1
+        for name, value in self._memory.read().items():
+            self._initial[name][ids] = value[ids]
+
+    def _infos(self, end: EpisodeEnd) -> list[EpisodeInfo]:
+        count, backend = self._environment.num_envs, self._environment.world.backend
+        returns = torch.stack(list(end.rewards.values())).sum(0).tolist() if end.rewards else [0.0] * len(end.env_ids)
+        ids, numbers = end.env_ids.tolist(), self.ended[end.env_ids].tolist()
+        metrics = {name: values.tolist() for name, values in end.metrics.items()}
+        return [
+            EpisodeInfo(
+                number=number * count + env_id,
+                length=length,
+                success=success,
+                episode_return=returns[row],
+                metrics={name: float(values[row]) for name, values in metrics.items()},
+                seed=self._seed,
+                env_id=env_id,
+                episode=number,
+                backend=backend,
+            )
+            for row, (env_id, number, length, success) in enumerate(
+                zip(ids, numbers, end.steps.tolist(), end.success.tolist(), strict=True)
+            )
+        ]
+
+    def _arrays(self, end: EpisodeEnd) -> dict[str, Array]:
+        """Return the steps of episodes that end now, one episode after the other, and how each began."""
+        lengths, total = end.steps, int(end.steps.sum())
+        last = lengths.cumsum(0) - 1
+        first = (last - lengths + 1).repeat_interleave(lengths)
+        begin = (self._step - lengths).repeat_interleave(lengths)
+        steps = (begin + torch.arange(total, device=lengths.device) - first) % self._capacity
+        columns = end.env_ids.repeat_interleave(lengths)
+        flat = {name: ring[steps, columns] for name, ring in self._rings.items()}
+        arrays = {name: value for name, value in flat.items() if not name.startswith(OBSERVED)}
+        for name, final in self._leaves(end.observation):
+            value = flat[OBSERVED + name]
+            following = value.roll(-1, 0)
+            following[last] = final
+            self._add_terms(arrays, name, value, following)
+        arrays |= {INITIAL + name: value[end.env_ids] for name, value in self._initial.items()}
+        return {name: value.cpu().numpy() for name, value in arrays.items()}
+
+    def _add_terms(self, arrays: dict[str, Tensor], name: str, value: Tensor, following: Tensor) -> None:
+        """The terms of an observation by their names: those of group ``policy`` bare, others after their group's."""
+        layout = self._layouts[name.partition("/")[0]]
+        for term, columns in _terms_in(layout, name).items():
+            arrays[OBSERVED + term] = value[:, columns]
+            if value.dim() < 4:  # the next picture is the next row's
+                arrays[NEXT + term] = following[:, columns]
+
+
+def _terms_in(layout: GroupLayout, name: str) -> dict[str, slice]:
+    """Columns of each term in a tensor of the group, by the term's name in files."""
+    prefix = "" if layout.name == POLICY else f"{layout.name}/"
+    if layout.concatenated:
+        return {prefix + term: columns for term, columns in layout.columns.items()}
+    return {prefix + name.partition("/")[2]: slice(None)}
+
 
 _ASIDE = ".replaced-"
 
@@ -170,7 +529,7 @@ class RecordingFile:
         return [*dataset.episodes]
 
     def _episodes(self) -> Iterator[Episode]:
-        """All episodes in the order in which they were recorded, a file at a time; each number once."""
+        """Yield all episodes in the order in which they were recorded, a file at a time; each number once."""
         numbers: set[int] = set()
         if self._continued:
             dataset = Hdf5Dataset(self.path, TRUSTED)
@@ -279,3 +638,23 @@ def _skip(environment: Environment, begun: Tensor) -> None:
         return
     environment.world.random.begin(begun - 1)
     environment.reset()
+
+
+def tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:
+    """Yield the frames whose poses describe a world: end effectors, and links of objects that can move.
+
+    A robot without an end effector has the frame of its root.
+
+    Args:
+        world: whose robots and objects are listed.
+
+    Yields:
+        Name of the track, and the entity and frame that it follows.
+    """
+    for name, robot in world.robots.items():
+        ends = [end.frame for end in robot.spec.end_effectors] if isinstance(robot, Robot) else []
+        for frame in ends or robot.link_names[:1]:
+            yield f"{name}/{frame}", (robot, frame)
+    for name, thing in world.objects.items():
+        for link in thing.link_names[1 if thing.spec.fixed_base else 0 :]:
+            yield (name if len(thing.link_names) == 1 else f"{name}/{link}"), (thing, link)

@@ -13,12 +13,12 @@ from torch import Tensor
 from orbit_core.envs.configuration import configure
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import ConfigurationError, Object
-from orbit_core.manifest.compare import check_manifest
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.manifest.plain import as_plain
 from orbit_core.rollout.estimates import Estimate, proportion
-from orbit_core.rollout.recording import tracked_frames
 from orbit_data.episodes import ACTIONS, INITIAL, POSES, STATES, Array, Dataset, Episode
+from orbit_data.manifest.compare import check_manifest
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.plain import as_plain
+from orbit_data.recording import tracked_frames
 from orbit_data.states import TaskMemory, WorldStates
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class ReplayResult:
 
 
 def fields_of(manifest: Manifest) -> dict[str, Any]:
-    """The task's fields, by path, in which a manifest differs from the task's defaults and which text could set.
+    """Return the task's fields, by path, in which a manifest differs from the task's defaults and which text could set.
 
     Functions and kinds of things are not among them: where those differ, ``check_manifest`` tells.
     """
@@ -153,7 +153,9 @@ class EpisodePlayer:
     def play(
         self, episodes: Sequence[Episode], mode: Mode, before_step: Callable[[], None]
     ) -> tuple[dict[str, Array], list[bool]]:
-        """Distances (T, n) from the recorded poses, NaN after an episode's end, and whether each reached the goal."""
+        """Return distances (T, n) from the recorded poses, NaN after an episode's end, and whether each reached the
+        goal.
+        """
         environment, rows = self._environment, self.begin(episodes)
         lengths = np.array([episode.info.length for episode in episodes])
         running = np.ones(len(episodes), bool)

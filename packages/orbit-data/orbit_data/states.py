@@ -104,7 +104,7 @@ class TaskMemory:
         self._world = environment.world
 
     def read(self) -> dict[str, Tensor]:
-        """The tensors themselves, which steps write: copy what is kept."""
+        """Return the tensors themselves, which steps write: copy what is kept."""
         markers = {_MARKERS: self._world.marker_poses} if self._world.markers else {}
         return {**self._tensors, **markers}
 
@@ -120,5 +120,5 @@ class TaskMemory:
 
 
 def _plain(name: str) -> str:
-    """A path of brackets and quotes as words between dots, which any file can hold."""
+    """Return a path of brackets and quotes as words between dots, which any file can hold."""
     return ".".join(re.findall(r"[\w ]+", name)).replace(" ", "_")

@@ -21,7 +21,6 @@ import numpy as np
 from orbit_core.files import as_path
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.reading.budget import ReadAccount, ReadBudget
 from orbit_data.episodes import (
     ACTIONS,
     OBSERVED,
@@ -34,13 +33,14 @@ from orbit_data.episodes import (
     check_infos,
     chosen,
 )
+from orbit_data.reading.budget import ReadAccount, ReadBudget
 
 SUFFIXES = (".zarr", ".zarr.zip")
 _ENDS = "meta/episode_ends"
+# Bytes that are read at a time, after which the clock is looked at.
 _SLAB = 1 << 25
-"""Bytes that are read at a time, after which the clock is looked at."""
+# Chunks that are read at a time.
 _CHUNKS = 500
-"""Chunks that are read at a time."""
 
 
 def is_zarr(path: Path | str) -> bool:
@@ -136,7 +136,7 @@ def _ours(name: str) -> str:
 
 
 def _rows(name: str, array: Any, begin: int, end: int, account: ReadAccount) -> Array:
-    """Rows of an array, read some chunks at a time."""
+    """Return rows of an array, read some chunks at a time."""
     row = math.prod(array.shape[1:]) * array.dtype.itemsize
     found_rows, rows = end - begin, array.chunks[0]
     account.take(name, row * max(found_rows, rows))

@@ -1,7 +1,8 @@
-"""The network ``convolutional``: pictures through convolutions, beside vectors, into linear layers.
+"""The network ``convolutional``: pictures through convolutions, joined with vectors, into linear layers.
 
-Convolutions with strides in place of pooling keep where things are in the picture, as in Mnih et al., Human-level
-control through deep reinforcement learning (2015), which policies that reach for things need.
+Convolutions with strides in place of pooling keep positions in the picture, as in Mnih et al., Human-level control
+through deep reinforcement learning (2015), which policies that reach for objects need. Learning libraries may put their
+own layers behind the encoders.
 """
 
 from __future__ import annotations
@@ -17,6 +18,47 @@ from torch import Tensor, nn
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.description import Part
 from orbit_learn.networks import ActorNetwork, activation_type, layer_weights, perceptron
+
+
+class PictureFeatures(nn.Module):
+    """A dictionary of terms, (N, ...) each -> (N, K) as the network's linear layers see them.
+
+    Args:
+        network: of the terms.
+        normalize: of the vectors side by side (N, V); nothing if None, where the library has done that before.
+    """
+
+    def __init__(self, network: Convolutional, normalize: nn.Module | None = None) -> None:
+        super().__init__()
+        self.network = network
+        self.normalize = nn.Identity() if normalize is None else normalize
+        self.encoders = network.build_encoders()
+
+    @property
+    def size(self) -> int:
+        """K."""
+        return self.network.vector_size + self.network.features
+
+    def forward(self, terms: Mapping[str, Tensor]) -> Tensor:
+        vectors = self.normalize(joined_vectors(self.network, terms)).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
+        return torch.cat((vectors, encoded_pictures(self.network, self.encoders, terms)), dim=1)
+
+
+class TermByTerm(nn.Module):
+    """A module of a dictionary as one of its values, in order.
+
+    Args:
+        module: takes a dictionary of tensors.
+        names: of its values.
+    """
+
+    def __init__(self, module: nn.Module, names: Sequence[str]) -> None:
+        super().__init__()
+        self._module, self._names = module, tuple(names)
+
+    def forward(self, *terms: Tensor) -> Tensor:
+        return self._module(dict(zip(self._names, terms, strict=True)))
+
 
 _MOST_PIXELS, _MOST_FILTERS, _MOST_UNITS = 2**22, 4096, 2**16
 MOST_DEVIATIONS = 10.0
@@ -105,11 +147,11 @@ class Convolutional:
         return sum(part.size for part in self.vectors)
 
     def build_encoders(self) -> nn.ModuleList:
-        """One module for each encoder."""
+        """Return one module for each encoder."""
         return nn.ModuleList(encoder.build(activation_type(self.activation)) for encoder in self.encoders)
 
     def build(self, observation_size: int, action_size: int) -> PictureActor:
-        """The actor; what it sees is as large as encoders and vectors say, whatever the observation size."""
+        """Return the actor; what it sees is as large as encoders and vectors say, whatever the observation size."""
         return PictureActor(self, action_size)
 
 
@@ -173,7 +215,7 @@ def convolutional_actor(
     mean: Tensor | None = None,
     std: Tensor | None = None,
 ) -> ActorNetwork:
-    """A copy on the CPU of a library's actor that is made of this network's encoders and linear layers.
+    """Return a copy on the CPU of a library's actor that is made of this network's encoders and linear layers.
 
     Args:
         network: that the encoders were built by.
@@ -195,7 +237,7 @@ def convolutional_actor(
 
 
 def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int]) -> Convolutional:
-    """The network for a group of such terms.
+    """Return the network for a group of such terms.
 
     uint8 terms (N, H, W, C) are colours, and floating-point ones, such as depth in metres, are scaled from their bounds
     to [0, 1]. Terms of one camera and size are the channels of one picture.

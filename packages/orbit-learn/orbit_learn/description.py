@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from orbit_core.configuration import from_plain
 from orbit_core.interfaces import ConfigurationError
-from orbit_learn.plain import from_plain
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -104,7 +104,7 @@ class PolicyDescription:
     def of(
         environment: Environment, task: str, library: str, iteration: int, versions: Mapping[str, str] | None = None
     ) -> PolicyDescription:
-        """The description of a policy for this environment's group ``policy``."""
+        """Return the description of a policy for this environment's group ``policy``."""
         layout = environment.observation["policy"]
         return PolicyDescription(
             task=task,
@@ -136,13 +136,14 @@ class PolicyDescription:
         return any(part.is_picture for part in self.observation_parts)
 
     def zeros(self, count: int, device: torch.device | str = "cpu") -> Tensor | dict[str, Tensor]:
-        """An observation of so many environments in which everything is zero."""
+        """Return an observation of so many environments in which everything is zero."""
         if self.concatenated:
             return torch.zeros(count, self.observation_size, device=device)
         return {part.name: part.zeros(count, device) for part in self.observation_parts}
 
     def find_group(self, environment: Environment) -> str:
-        """The group of an environment that shows what the policy sees: the one of its name, else ``teacher``, else any.
+        """Return the group of an environment that shows what the policy sees: the one of its name, else ``teacher``,
+        else any.
 
         A policy that sees terms side by side needs the same terms in the same order; one that sees a dictionary needs
         its terms, by name, and does not mind others.
@@ -192,7 +193,7 @@ class PolicyDescription:
         return None if given == self.observation_parts else f"has {_told(group_parts(layout))}"
 
     def document(self) -> dict[str, Any]:
-        """The description as plain data, for a file."""
+        """Return the description as plain data, for a file."""
         return {"format": FORMAT, "policy": asdict(self)}
 
     @staticmethod
@@ -214,7 +215,7 @@ class PolicyDescription:
 
 
 def group_parts(layout: GroupLayout) -> tuple[Part, ...]:
-    """The terms of a group as a description lists them."""
+    """Return the terms of a group as a description lists them."""
     return tuple(_part(name, term) for name, term in layout.terms.items())
 
 

@@ -1,33 +1,189 @@
-"""Distillation: a student learns to do, from what it sees, what a teacher does that sees more."""
+"""Distillation: a student learns from its own observations to act as a teacher does that observes more."""
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from orbit_core.envs.actors import Teacher
 from orbit_core.envs.environment import Environment, Observation
+from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.pretrained import policy_path
-from orbit_learn.distill_settings import DistillSettings
-from orbit_learn.loop import LoopTrainer
-from orbit_learn.networks import ActorNetwork
+from orbit_learn.convolutional import PictureActor, convolutional
+from orbit_learn.description import group_parts
+from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron
 from orbit_learn.policy import load_policy
-from orbit_learn.replay_buffer import ReplayBuffer
-from orbit_learn.student import RunningMoments, build_actor, copied_actor, network_for
+from orbit_learn.pretrained import policy_path
+from orbit_learn.trainer import LoopTrainer
+
+
+@dataclass(frozen=True)
+class DistillSettings:
+    """Imitation of a teacher in the states that the student comes to: Ross, Gordon and Bagnell, A Reduction of
+    Imitation Learning and Structured Prediction to No-Regret Online Learning (2011), known as DAgger.
+
+    The learning rate falls to zero along half a cosine: Loshchilov and Hutter, SGDR (2017).
+    """
+
+    teacher: str = ""
+    """A kept policy's name, a policy's file, a training's folder, or ``expert``, the task's own."""
+    iterations: int = 1000
+    """Number of iterations, each of collecting steps and learning from them."""
+    steps_per_iteration: int = 16
+    """Environment steps that every environment contributes to an iteration."""
+    hidden_sizes: tuple[int, ...] = (256, 128)
+    """Units of the hidden layers behind the encoders of pictures."""
+    teacher_led: float = 0.2
+    """Share of the training during which the teacher leads some episodes: all at first, then fewer and fewer."""
+    buffer_size: int = 200_000
+    """Steps that are remembered to learn from; with two cameras of 64 x 64 pixels, 41 kB each on the device."""
+    updates_per_iteration: int = 32
+    """Steps of gradient descent."""
+    batch_size: int = 2048
+    """Remembered steps that each of them takes."""
+    learning_rate: float = 1e-3
+    """Learning rate at first."""
+    shift: int = 0
+    """Most pixels that pictures are shifted by, at random, while learning: Yarats et al., Mastering Visual Continuous
+    Control: Improved Data-Augmented Reinforcement Learning (2021)."""
+    mixed_precision: bool = False
+    """Whether to compute gradients in bfloat16 where numbers allow it."""
+
+    def __post_init__(self) -> None:
+        for name in ("iterations", "steps_per_iteration", "buffer_size", "updates_per_iteration", "batch_size"):
+            if getattr(self, name) < 1:
+                raise ConfigurationError(f"{name} of a distillation is 1 or more, not {getattr(self, name)}")
+        if not 0.0 <= self.teacher_led <= 1.0:
+            raise ConfigurationError(f"teacher_led of a distillation is a share in [0, 1], not {self.teacher_led}")
+        if self.shift < 0 or self.learning_rate <= 0.0:
+            raise ConfigurationError("shift of a distillation is not negative, and its learning_rate above zero")
+
+
+# How pictures are kept: depth to within half a millimetre in a metre, colours as they are.
+_SHORT = {torch.float32: torch.float16}
+
+
+class ReplayBuffer:
+    """A ring of the last steps of all environments; nothing in it waits for the device.
+
+    Args:
+        capacity: steps of one environment that are kept; rounded down to whole steps of all.
+        observation: an example, (N, ...): one tensor or a dictionary of terms.
+        action_size: components of an action.
+    """
+
+    def __init__(self, capacity: int, observation: Tensor | Mapping[str, Tensor], action_size: int) -> None:
+        terms = {"": observation} if isinstance(observation, Tensor) else dict(observation)
+        first = next(iter(terms.values()))
+        self._count, self._device = len(first), first.device
+        rows = max(1, capacity // self._count) * self._count
+        self._terms = {
+            name: torch.zeros((rows, *value.shape[1:]), dtype=_kept_dtype(value), device=self._device)
+            for name, value in terms.items()
+        }
+        self._dtypes = {name: value.dtype for name, value in terms.items()}
+        self._actions = torch.zeros(rows, action_size, device=self._device)
+        self._rows, self._next, self.size = rows, 0, 0
+
+    def add(self, observation: Tensor | Mapping[str, Tensor], action: Tensor) -> None:
+        """Copy one step of all environments."""
+        terms = {"": observation} if isinstance(observation, Tensor) else observation
+        rows = slice(self._next, self._next + self._count)
+        for name, kept in self._terms.items():
+            kept[rows] = terms[name]
+        self._actions[rows] = action
+        self._next = (self._next + self._count) % self._rows
+        self.size = min(self.size + self._count, self._rows)
+
+    def sample(self, count: int) -> tuple[Tensor | dict[str, Tensor], Tensor]:
+        """Observations (count, ...) and actions (count, A), each drawn from all that is kept."""
+        rows = torch.randint(self.size, (count,), device=self._device)
+        terms = {name: kept[rows].to(self._dtypes[name]) for name, kept in self._terms.items()}
+        return terms.get("", terms), self._actions[rows]
+
+
+def _kept_dtype(value: Tensor) -> torch.dtype:
+    return _SHORT.get(value.dtype, value.dtype) if value.dim() == 4 else value.dtype
+
+
+# Added to standard deviations: what never changes in training must not weigh more for that.
+_LEAST_STD = 1e-2
+
+
+def network_for(layout: GroupLayout, hidden_sizes: Sequence[int]) -> Network:
+    """Return a perceptron for a concatenated group; for a dictionary with pictures, convolutions before it.
+
+    Raises:
+        ConfigurationError: the dictionary holds pictures that are neither colour nor depth, or none at all.
+    """
+    if layout.concatenated:
+        return Perceptron(tuple(hidden_sizes))
+    return convolutional(group_parts(layout), hidden_sizes)
+
+
+def build_actor(network: Network, layout: GroupLayout, action_size: int) -> PictureActor | NormalizedActor:
+    """Return the module of :func:`network_for`."""
+    module = network.build(layout.size if layout.concatenated else 0, action_size)
+    assert isinstance(module, PictureActor | NormalizedActor)
+    return module
+
+
+def copied_actor(network: Network, module: nn.Module) -> ActorNetwork:
+    """Return a copy on the CPU that learns no more."""
+    copied = copy.deepcopy(module).cpu().to(memory_format=torch.contiguous_format)  # pyright: ignore[reportCallIssue]
+    return ActorNetwork(network, copied.requires_grad_(False).eval())
+
+
+class RunningMoments:
+    """Mean and standard deviation of all rows so far, which weigh the same.
+
+    Chan, Golub and LeVeque, Updating Formulae and a Pairwise Algorithm for Computing Sample Variances (1979).
+    """
+
+    def __init__(self, size: int, device: torch.device) -> None:
+        self.count = torch.zeros((), device=device)
+        self.mean = torch.zeros(size, device=device)
+        self._squares = torch.zeros(size, device=device)
+        """(size,) sum of squared deviations from the mean."""
+
+    def add(self, rows: Tensor) -> None:
+        """Take in (M, size)."""
+        count, mean = len(rows), rows.mean(0)
+        total, change = self.count + count, mean - self.mean
+        self._squares += ((rows - mean) ** 2).sum(0) + change**2 * self.count * count / total
+        self.mean += change * count / total
+        self.count += count
+
+    @property
+    def std(self) -> Tensor:
+        """(size,) never zero."""
+        return (self._squares / self.count.clamp(min=1.0)).sqrt() + _LEAST_STD
+
+    def state(self) -> dict[str, Tensor]:
+        """Return the statistics, for a checkpoint."""
+        return {"count": self.count, "mean": self.mean, "squares": self._squares}
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Take over what :meth:`state` gave."""
+        self.count.copy_(state["count"])
+        self.mean.copy_(state["mean"])
+        self._squares.copy_(state["squares"])
+
 
 EXPERT = "expert"
 """Name of the teacher that is the task's own expert."""
 _MOST_GRADIENT = 0.1
+# Errors of an action beyond which the loss grows no longer as their square: Huber, Robust Estimation of a Location
+# Parameter (1964).
 _OUTLIER = 0.5
-"""Errors of an action beyond which the loss grows no longer as their square: Huber, Robust Estimation of a Location
-Parameter (1964)."""
 
 
 class DistillTrainer(LoopTrainer[DistillSettings]):

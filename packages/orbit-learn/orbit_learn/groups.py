@@ -20,7 +20,7 @@ _TAKE_CRITICS = ("rsl-rl", "rl-games", "skrl", "torchrl")
 
 
 def critic_group(environment: Environment) -> str:
-    """The group that a critic sees: ``critic`` where the task has one, else ``policy``."""
+    """Return the group that a critic sees: ``critic`` where the task has one, else ``policy``."""
     return CRITIC if CRITIC in environment.observation else ACTOR
 
 
@@ -46,7 +46,7 @@ def check_groups(environment: Environment, library: str) -> None:
 
 
 def tensors_by_name(observation: Observation) -> dict[str, Tensor]:
-    """All tensors of an observation: ``group`` where it is concatenated, else ``group/term``."""
+    """Return all tensors of an observation: ``group`` where it is concatenated, else ``group/term``."""
     named: dict[str, Tensor] = {}
     for group, value in observation.items():
         if isinstance(value, Mapping):
@@ -57,6 +57,6 @@ def tensors_by_name(observation: Observation) -> dict[str, Tensor]:
 
 
 def tensor_names(environment: Environment, group: str) -> list[str]:
-    """Names of a group's tensors, as :func:`tensors_by_name` gives them."""
+    """Return names of a group's tensors, as :func:`tensors_by_name` gives them."""
     layout = environment.observation[group]
     return [group] if layout.concatenated else [f"{group}/{term}" for term in layout.terms]

@@ -19,9 +19,9 @@ from orbit_core.envs.making import make
 from orbit_core.envs.observation_layout import Observation, map_leaves
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
-from orbit_core.rollout.ends import all_ends
-from orbit_core.rollout.pictures import OverviewCamera
+from orbit_core.rollout.video import OverviewCamera
 from orbit_core.world.closing import close_for_good
+from orbit_learn.ends import all_ends
 from orbit_learn.spaces import action_space, observation_space
 
 Arrays = dict[str, npt.NDArray[Any] | dict[str, npt.NDArray[Any]]]
@@ -176,7 +176,7 @@ def refuse_options(options: Mapping[str, Any] | None, known: str) -> None:
 
 
 def as_tensor(values: object, dtype: torch.dtype | None, device: torch.device, what: str) -> Tensor:
-    """Numbers as users of Gymnasium give them: a tensor anywhere, an array or nested lists.
+    """Return numbers as users of Gymnasium give them: a tensor anywhere, an array or nested lists.
 
     Raises:
         ArgumentError: they are no numbers.
@@ -192,7 +192,7 @@ def _metadata(environment: Environment, mode: AutoresetMode) -> dict[str, Any]:
 
 
 def checked_mode(render_mode: str | None) -> str | None:
-    """The render mode.
+    """Return the render mode.
 
     Raises:
         ConfigurationError: there is none of that name.
@@ -221,7 +221,7 @@ def outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
 
 
 def arrays_of(observation: Observation) -> Arrays:
-    """The first environment's observation as NumPy arrays."""
+    """Return the first environment's observation as NumPy arrays."""
     return _host_arrays(map_leaves(lambda value: value[0], observation))
 
 

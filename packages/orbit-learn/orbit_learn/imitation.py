@@ -14,8 +14,8 @@ from orbit_core.envs.observation_groups import POLICY
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
 
+# Moments in a gradient step.
 _BATCH = 4096
-"""Moments in a gradient step."""
 
 
 def imitate_expert(environment: Environment, network: nn.Module, normalizer: nn.Module, settings: PpoSettings) -> float:

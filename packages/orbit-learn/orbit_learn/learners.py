@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from orbit_learn.trainer import Trainer
 
 GROUP = "orbit.learners"
+# Modules in this package. Each but the last is also the name of the extra that installs it.
 _LIBRARIES = {
     "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several GPUs"),
     "sb3": ("sb3:Sb3Trainer", "PPO, pictures"),
@@ -30,12 +31,11 @@ _LIBRARIES = {
     "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
     "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
 }
-"""Modules in this package. Each but the last is also the name of the extra that installs it."""
 
 
 @cache
 def learners() -> Registry[type[Trainer[Any]]]:
-    """All trainers by name; none is imported before it is asked for."""
+    """Return all trainers by name; none is imported before it is asked for."""
     registry = Registry["type[Trainer[Any]]"]("learning library", GROUP)
     for name, (place, _) in _LIBRARIES.items():
         registry.add_lazily(name, partial(_own_trainer, name, place))
@@ -53,7 +53,7 @@ def library_description(name: str) -> str:
 
 
 def trainer_type(library: str) -> type[Trainer[Any]]:
-    """The trainer of that library.
+    """Return the trainer of that library.
 
     Raises:
         UnknownNameError: there is none; names the nearest.

@@ -17,7 +17,7 @@ _MOST_LAYERS, _MOST_UNITS = 64, 2**16
 
 
 def activation_type(name: str) -> type[nn.Module]:
-    """The activation of that name.
+    """Return the activation of that name.
 
     Raises:
         UnknownNameError: there is none.
@@ -28,13 +28,13 @@ def activation_type(name: str) -> type[nn.Module]:
 
 
 class Network(Protocol):
-    """Settings of a network: a frozen dataclass of what :func:`~orbit_learn.plain.from_plain` reads."""
+    """Settings of a network: a frozen dataclass of what :func:`~orbit_core.configuration.from_plain` reads."""
 
     name: ClassVar[str]
     """The network's name in files."""
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
-        """The module that maps an observation to an action (N, A) in [-1, 1], for any N.
+        """Return the module that maps an observation to an action (N, A) in [-1, 1], for any N.
 
         The observation is what the policy's group gives: one tensor (N, O), or a dictionary of its terms.
 
@@ -71,7 +71,7 @@ class Perceptron:
             raise ValueError(f"observation_limit is positive, not {self.observation_limit}")
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
-        """The layers, and the statistics of observations: zero and one until they are loaded."""
+        """Return the layers, and the statistics of observations: zero and one until they are loaded."""
         layers = perceptron(observation_size, self.hidden_sizes, action_size, activation_type(self.activation))
         return NormalizedActor(layers, observation_size, self.observation_limit)
 
@@ -126,7 +126,7 @@ def perceptron(inputs: int, hidden: Sequence[int], outputs: int, activation: typ
 def perceptron_actor(
     layers: nn.Module, mean: Tensor | None = None, std: Tensor | None = None, limit: float | None = None
 ) -> ActorNetwork:
-    """A copy on the CPU of a library's actor that is a perceptron with exponential linear units.
+    """Return a copy on the CPU of a library's actor that is a perceptron with exponential linear units.
 
     Args:
         layers: holds the linear layers, in the order in which they act.

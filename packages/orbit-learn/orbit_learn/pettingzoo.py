@@ -95,7 +95,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         return self._observed(observation), rewards, terminations, truncations, infos
 
     def state(self) -> Any:
-        """The whole group ``"policy"``: (O,), or its terms by name.
+        """Return the whole group ``"policy"``: (O,), or its terms by name.
 
         Raises:
             ConfigurationError: no episode has begun.

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, Node, Port
-from orbit_core.manifest.compare import check_manifest, renamed_group
-from orbit_core.manifest.manifest import Manifest
+from orbit_data.manifest.compare import check_manifest, renamed_group
+from orbit_data.manifest.manifest import Manifest
 from orbit_learn import onnx_file
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import ActorNetwork, Network
@@ -39,7 +39,8 @@ class Policy:
     """Of the environment that it was learned in; None where its file holds none."""
 
     def fit(self, environment: Environment) -> str:
-        """The group of an environment that shows what the policy sees; warns where the environment leads elsewhere.
+        """Return the group of an environment that shows what the policy sees; warns where the environment leads
+        elsewhere.
 
         Raises:
             ConfigurationError: the policy was learned for another environment; names what differs.
@@ -72,7 +73,8 @@ class Policy:
 
 
 def load_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
-    """A policy from its file, safetensors or ONNX, or the latest of a training's folder. Nothing in it is executed.
+    """Return a policy from its file, safetensors or ONNX, or the latest of a training's folder. Nothing in it is
+    executed.
 
     Raises:
         OrbitError: there is no such file, or it is no policy; names the file and what is wrong.
@@ -138,7 +140,7 @@ class PolicyNode(Node):
 
 
 def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
-    """The environment's agent with the policy in the cut's place, from the observation to the actuators.
+    """Return the environment's agent with the policy in the cut's place, from the observation to the actuators.
 
     ``agent.step()`` and then ``environment.world.step(task.decimation)`` moves the robot as ``environment.step`` does
     with the policy's actions; rewards, ends of episodes and resets are the environment's step's alone. Where

@@ -8,10 +8,10 @@ from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor, nn
 
+# Most numbers of one environment between observation and action, all layers together.
 _MOST_NUMBERS = 2**26
-"""Most numbers of one environment between observation and action, all layers together."""
+# Most multiplications for an action of one environment; kept policies of pictures take a thousandth.
 _MOST_OPERATIONS = 2**35
-"""Most multiplications for an action of one environment; kept policies of pictures take a thousandth."""
 
 
 @runtime_checkable

@@ -1,9 +1,15 @@
-"""Policies as safetensors files: the weights, what they were learned for, and the network that they belong to.
+"""Policies as safetensors files: weights, description of the environment, and the network that they belong to.
 
-The document of such a file (see :mod:`orbit_core.tensor_file`) is
+The document of such a file (see :mod:`orbit_data.tensor_file`) is
 ``{"format": 1, "policy": {...}, "manifest": {...}, "network": {"name": ..., "settings": {...}}}`` with the fields of
-:class:`~orbit_learn.description.PolicyDescription`, of :class:`~orbit_core.manifest.manifest.Manifest`, which may
+:class:`~orbit_learn.description.PolicyDescription`, of :class:`~orbit_data.manifest.manifest.Manifest`, which may
 be missing, and of a registered network.
+
+A network is a frozen dataclass of plain settings that builds a module; the module's weights are next to the settings in
+the file. Packages add networks through the entry-point group ``orbit.networks``, whose value is the dataclass::
+
+    [project.entry-points."orbit.networks"]
+    my_network = "my_package.networks:MyNetwork"
 """
 
 from __future__ import annotations
@@ -11,27 +17,58 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
+from orbit_core.configuration import from_plain
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, OrbitError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.tensor_file import read_tensors, write_tensors
+from orbit_core.registry import ClassRegistry
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.tensor_file import read_tensors, write_tensors
+from orbit_learn.convolutional import Convolutional
 from orbit_learn.description import PolicyDescription
-from orbit_learn.network_registry import network_type
-from orbit_learn.networks import ActorNetwork, Network
-from orbit_learn.plain import from_plain
+from orbit_learn.networks import ActorNetwork, Network, Perceptron
 from orbit_learn.policy_cost import limited
+
+GROUP = "orbit.networks"
+"""Entry points of packages that bring networks."""
+
+
+@cache
+def _networks() -> ClassRegistry[Network]:
+    return ClassRegistry[Network]("network", GROUP, (Perceptron, Convolutional))
+
+
+def register_network(kind: type[Network]) -> None:
+    """Let files of this process name a network; installed packages use an entry point instead.
+
+    Raises:
+        ConfigurationError: it is no dataclass with a class variable ``name``, or the name is taken.
+    """
+    _networks().add_class(kind)
+
+
+def network_type(name: str) -> type[Network]:
+    """Return the network of that name.
+
+    Raises:
+        UnknownNameError: there is none; names the nearest, and the packages that were left out.
+        ConfigurationError: two packages bring it.
+    """
+    return _networks().get(name)
+
 
 SUFFIX = ".safetensors"
 
 
 def newest_file(folder: Path | str, prefix: str) -> Path | None:
-    """The file ``<prefix>_<iteration>.safetensors`` of the highest iteration; links that lead elsewhere are refused.
+    """Return the file ``<prefix>_<iteration>.safetensors`` of the highest iteration; links that lead elsewhere are
+    refused.
 
     Raises:
         ConfigurationError: that file is a link to a place outside the folder.
@@ -64,12 +101,12 @@ def write_policy(
 
 
 def manifest_document(manifest: Manifest | None) -> dict[str, Any]:
-    """The manifest's part of a policy's document, which files of earlier versions lack."""
+    """Return the manifest's part of a policy's document, which files of earlier versions lack."""
     return {} if manifest is None else {"manifest": manifest.document()}
 
 
 def manifest_of(document: Mapping[str, Any], path: Path) -> Manifest | None:
-    """The manifest in a policy's document, if there is one.
+    """Return the manifest in a policy's document, if there is one.
 
     Raises:
         ConfigurationError: it is none, or of another format.
@@ -78,7 +115,7 @@ def manifest_of(document: Mapping[str, Any], path: Path) -> Manifest | None:
 
 
 def read_policy(path: Path | str) -> tuple[PolicyDescription, Manifest | None, ActorNetwork]:
-    """A policy on the CPU, of which nothing was executed but the registered network that its file names.
+    """Return a policy on the CPU, of which nothing was executed but the registered network that its file names.
 
     Raises:
         OrbitError: the file is malformed, or its parts do not fit each other; names which.

@@ -20,9 +20,9 @@ from orbit_core.envs.observation_layout import Observation, one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.groups import CRITIC, check_groups, critic_group
-from orbit_learn.loop import LoopTrainer
 from orbit_learn.networks import ActorNetwork, perceptron_actor
 from orbit_learn.spaces import action_space, critic_space, observation_space
+from orbit_learn.trainer import LoopTrainer
 
 
 class RlGamesEnvironment(IVecEnv):
@@ -50,7 +50,7 @@ class RlGamesEnvironment(IVecEnv):
         return {**seen, "states": one_tensor(observation, CRITIC)} if CRITIC in observation else seen
 
     def get_env_info(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - it has no types
-        """The spaces, by the names that rl-games asks for."""
+        """Return the spaces, by the names that rl-games asks for."""
         return {
             "observation_space": observation_space(self.environment)["policy"],  # pyright: ignore[reportIndexIssue]
             "action_space": action_space(self.environment),
@@ -110,7 +110,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
         return perceptron_actor(layers, seen.running_mean, std, 5.0)  # the limit stands in its code
 
     def _central_value(self) -> dict[str, Any]:
-        """The critic that sees ``states``, where the task has that group."""
+        """Return the critic that sees ``states``, where the task has that group."""
         if critic_group(self.environment) != CRITIC:
             return {}
         settings = self.settings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,21 +12,89 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
+from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.ppo import PpoSettings
-from orbit_learn.convolutional import MOST_DEVIATIONS, Convolutional, convolutional, convolutional_actor
+from orbit_learn.convolutional import (
+    MOST_DEVIATIONS,
+    Convolutional,
+    PictureFeatures,
+    convolutional,
+    convolutional_actor,
+)
 from orbit_learn.description import group_parts
 from orbit_learn.groups import ACTOR, check_groups
 from orbit_learn.networks import ActorNetwork, perceptron_actor
-from orbit_learn.sb3_pictures import PictureExtractor, PicturePpo, Seen, array_of, observed_space, row_of, seen_arrays
+from orbit_learn.spaces import group_space
 from orbit_learn.trainer import Progress, Trainer
 
+Seen = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
+"""A group: one array, or its terms by name."""
+
+
+class PicturePpo(PPO):
+    """PPO that leaves pictures (H, W, C), as its :class:`PictureExtractor` reads them."""
+
+    @staticmethod
+    def _wrap_env(env: Any, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
+        return env
+
+
+class PictureExtractor(BaseFeaturesExtractor):
+    """The features extractor of ``MultiInputPolicy`` that reads what ORBIT's network ``convolutional`` reads.
+
+    Args:
+        observation_space: of the group.
+        network: of the group's terms.
+    """
+
+    def __init__(self, observation_space: spaces.Dict, network: Convolutional) -> None:
+        features = PictureFeatures(network)
+        super().__init__(observation_space, features.size)
+        self.features = features
+
+    def forward(self, terms: dict[str, Tensor]) -> Tensor:
+        return self.features(terms)
+
+
+def observed_space(layout: GroupLayout) -> spaces.Space[Any]:
+    """Space of a group: pictures as they are, all else unbounded float32, which is normalised."""
+    if layout.concatenated:
+        return spaces.Box(-np.inf, np.inf, (layout.size,), np.float32)
+    whole: Any = group_space(layout)
+    return spaces.Dict(
+        {
+            part.name: whole[part.name] if part.is_picture else spaces.Box(-np.inf, np.inf, part.shape, np.float32)
+            for part in group_parts(layout)
+        }
+    )
+
+
+def seen_arrays(group: Tensor | Mapping[str, Tensor]) -> Seen:
+    """Return a group on the host, of the dtypes of :func:`observed_space`."""
+    if isinstance(group, Tensor):
+        return array_of(group)
+    return {name: array_of(value if value.dim() == 4 else value.float()) for name, value in group.items()}
+
+
+def row_of(seen: Seen, row: int) -> Seen:
+    """What one environment sees."""
+    return {name: values[row] for name, values in seen.items()} if isinstance(seen, dict) else seen[row]
+
+
+def array_of(values: Tensor) -> npt.NDArray[Any]:
+    """Return a copy on the host."""
+    return values.cpu().numpy().copy()
+
+
+# Episodes over which success is averaged, as the library does for returns.
 _RECENT = 100
-"""Episodes over which success is averaged, as the library does for returns."""
 
 
 class Sb3Environment(VecEnv):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,21 +13,115 @@ from skrl.agents.torch import ExperimentCfg
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.envs.wrappers.torch import Wrapper
 from skrl.memories.torch import RandomMemory
+from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
-from skrl.utils.spaces.torch import flatten_tensorized_space
-from torch import Tensor
+from skrl.utils.spaces.torch import flatten_tensorized_space, unflatten_tensorized_space
+from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.rollout.ends import true_next
-from orbit_learn.convolutional import convolutional_actor
+from orbit_learn.convolutional import MOST_DEVIATIONS, PictureFeatures, convolutional, convolutional_actor
+from orbit_learn.description import Part, group_parts
+from orbit_learn.ends import true_next
 from orbit_learn.groups import ACTOR, CRITIC, check_groups, critic_group
-from orbit_learn.loop import LoopTrainer
-from orbit_learn.networks import ActorNetwork, perceptron_actor
-from orbit_learn.skrl_models import Actor, Critic, VectorScaler
-from orbit_learn.spaces import action_space, critic_space, observation_space
+from orbit_learn.networks import ActorNetwork, perceptron, perceptron_actor
+from orbit_learn.spaces import action_space, critic_space, group_space, observation_space
+from orbit_learn.trainer import LoopTrainer
+
+
+class GroupModel(Model):
+    """Linear layers, behind encoders where the group is a dictionary.
+
+    Args:
+        layout: of the group.
+        hidden: units of the hidden layers.
+        outputs: components of the output.
+        spaces: and device, as skrl's models take them.
+    """
+
+    def __init__(self, layout: GroupLayout, hidden: Sequence[int], outputs: int, **spaces: Any) -> None:
+        Model.__init__(self, **spaces)
+        self._space = group_space(layout)
+        self.features = None
+        if not layout.concatenated:
+            self.features = PictureFeatures(convolutional(group_parts(layout), hidden))
+        self.layers = perceptron(layout.size if self.features is None else self.features.size, hidden, outputs)
+
+    def output(self, seen: Tensor) -> Tensor:
+        """(N, outputs) of a group as skrl flattens it, (N, K)."""
+        if self.features is None:
+            return self.layers(seen)
+        return self.layers(self.features(unflatten_tensorized_space(self._space, seen)))
+
+
+class Actor(GaussianMixin, GroupModel):
+    """Normal about the output, with a deviation that is learned but no function of the observation."""
+
+    def __init__(self, layout: GroupLayout, hidden: Sequence[int], initial_std: float, **spaces: Any) -> None:
+        actions = spaces["action_space"].shape[0]
+        GroupModel.__init__(self, layout, hidden, actions, **spaces)
+        GaussianMixin.__init__(self)
+        self.log_std = nn.Parameter(torch.full((actions,), math.log(initial_std)))
+
+    def compute(  # pyright: ignore[reportIncompatibleMethodOverride] - its mixins give the role by position
+        self, inputs: dict[str, Any], role: str = ""
+    ) -> tuple[Tensor, dict[str, Any]]:
+        return self.output(inputs["observations"]), {"log_std": self.log_std}
+
+
+class Critic(DeterministicMixin, GroupModel):
+    """The worth of skrl's state where there is one, else of the observation."""
+
+    def __init__(self, layout: GroupLayout, hidden: Sequence[int], **spaces: Any) -> None:
+        GroupModel.__init__(self, layout, hidden, 1, **spaces)
+        DeterministicMixin.__init__(self)
+        self._seen = "observations" if self.state_space is None else "states"
+
+    def compute(  # pyright: ignore[reportIncompatibleMethodOverride] - its mixins give the role by position
+        self, inputs: dict[str, Any], role: str = ""
+    ) -> tuple[Tensor, dict[str, Any]]:
+        return self.output(inputs[self._seen]), {}
+
+
+class VectorScaler(RunningStandardScaler):
+    """Standardises the vectors of a flattened dictionary, and leaves its pictures as they are.
+
+    Its mean and variance are those of the vectors side by side, in the order of the group's terms.
+
+    Args:
+        size: layout of the group, by the name that skrl's configuration gives it.
+        device: where the statistics live.
+    """
+
+    columns: Tensor
+
+    def __init__(self, size: GroupLayout, *, device: torch.device) -> None:
+        parts = group_parts(size)
+        begins = _begins(parts)
+        columns = [begins[part.name] + i for part in parts if not part.is_picture for i in range(part.size)]
+        super().__init__(len(columns), clip_threshold=MOST_DEVIATIONS, device=device)
+        self.register_buffer("columns", torch.tensor(columns, dtype=torch.long, device=device), persistent=False)
+
+    def forward(
+        self, x: Tensor | None, *, train: bool = False, inverse: bool = False, no_grad: bool = True
+    ) -> Tensor | None:
+        if x is None:
+            return None
+        vectors = super().forward(x[:, self.columns], train=train, inverse=inverse, no_grad=no_grad)
+        assert vectors is not None
+        return x.index_copy(1, self.columns, vectors)
+
+
+def _begins(parts: Sequence[Part]) -> dict[str, int]:
+    """First column of each term: skrl flattens dictionaries in the order of their names."""
+    begins: dict[str, int] = {}
+    end = 0
+    for part in sorted(parts, key=lambda part: part.name):
+        begins[part.name] = end
+        end += part.size
+    return begins
 
 
 class SkrlEnvironment(Wrapper):
@@ -53,7 +148,7 @@ class SkrlEnvironment(Wrapper):
         return action_space(self.environment)
 
     def reset(self) -> tuple[Tensor, dict[str, Any]]:
-        """The present observation; the episodes begin only with the first call, as they renew themselves."""
+        """Return the present observation; the episodes begin only with the first call, as they renew themselves."""
         if self._seed is not None:
             self.environment.reset(self._seed)
             self._seed = None
@@ -160,7 +255,7 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
 def _scaling(
     layout: GroupLayout | None, space: Space[Any] | None, settings: PpoSettings, device: torch.device
 ) -> tuple[type[RunningStandardScaler] | None, dict[str, Any]]:
-    """The class that normalises a group, and what it is made with; none where there is nothing to normalise."""
+    """Return the class that normalises a group, and what it is made with; none where there is nothing to normalise."""
     if layout is None or not settings.normalize_observations:
         return None, {}
     if layout.concatenated:

@@ -47,7 +47,7 @@ def action_space(environment: Environment) -> spaces.Space[Any]:
 
 
 def _ordered(boxes: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:
-    """A dictionary of boxes in the order of an observation: Gymnasium sorts plain dictionaries by name."""
+    """Return a dictionary of boxes in the order of an observation: Gymnasium sorts plain dictionaries by name."""
     return spaces.Dict(OrderedDict(boxes))
 
 

@@ -1,21 +1,23 @@
-"""What every learning library must do for ``orbit train``."""
+"""Interface of learning libraries to ``orbit train``, and the training loop of libraries without one."""
 
 from __future__ import annotations
 
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
+import torch
+
+from orbit_core.envs.environment import Environment
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError
+from orbit_learn.ends import EpisodeTally
 from orbit_learn.networks import ActorNetwork
-
-if TYPE_CHECKING:
-    from orbit_core.envs.environment import Environment
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ class Trainer(ABC, Generic[Settings]):
 
     @abstractmethod
     def state(self) -> Any:
-        """All that learning goes on with, as :mod:`~orbit_learn.checkpoint` writes it."""
+        """Return all that learning goes on with, as :func:`~orbit_learn.training.write_checkpoint` writes it."""
 
     @abstractmethod
     def restore(self, state: Any, iteration: int) -> None:
@@ -116,4 +118,54 @@ class Trainer(ABC, Generic[Settings]):
 
     @abstractmethod
     def actor(self) -> ActorNetwork:
-        """A copy of the policy on the CPU, without exploration, normalisation included."""
+        """Return a copy of the policy on the CPU, without exploration, normalisation included."""
+
+
+class LoopTrainer(Trainer[Settings]):
+    """A trainer whose library does one iteration at a time."""
+
+    def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        torch.manual_seed(seed)
+        self.tally = EpisodeTally(environment.device)
+        """Counts episodes; it is to be told of every step."""
+        self.batch = environment.num_envs * settings.steps_per_iteration
+        """Steps of all environments in an iteration."""
+        self.steps_ahead = 0
+        """Steps of all environments that were collected beside those of the iterations."""
+        self._iteration = 0
+
+    @abstractmethod
+    def iterate(self, iteration: int) -> None:
+        """Collect ``settings.steps_per_iteration`` steps of every environment, and learn from them."""
+
+    def loss(self) -> float:
+        """What the last iteration has brought down, where that is one number; else NaN."""
+        return math.nan
+
+    @abstractmethod
+    def load(self, state: Any) -> None:
+        """Take over what :meth:`state` gave."""
+
+    def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
+        from torch.utils.tensorboard import SummaryWriter  # late: only trainers without a loop of their own need it
+
+        begin, first, last = time.perf_counter(), self._iteration, self._iteration + iterations - 1
+        with SummaryWriter(str(self.folder / "tensorboard")) as board:
+            for iteration in range(first, last + 1):
+                self.iterate(iteration)
+                self._iteration = iteration + 1
+                done = (iteration - first + 1) * self.batch + self.steps_ahead
+                returns, success_rate, episodes = self.tally.read()
+                seconds = time.perf_counter() - begin
+                told = {"loss": self.loss(), "metrics": self.tally.metrics}
+                progress = Progress(iteration, done, seconds, returns, success_rate, episodes, **told)
+                board.add_scalar("episode/return", progress.episode_return, iteration)
+                board.add_scalar("episode/success_rate", progress.success_rate, iteration)
+                if not math.isnan(progress.loss):
+                    board.add_scalar("loss", progress.loss, iteration)
+                report(progress)
+
+    def restore(self, state: Any, iteration: int) -> None:
+        self.load(state)
+        self._iteration = iteration + 1

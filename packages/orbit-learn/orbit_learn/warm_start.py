@@ -15,13 +15,14 @@ from orbit_learn.networks import ActorNetwork, NormalizedActor, Perceptron
 from orbit_learn.policy import Policy
 
 LAST_ACTION = "last_action"
+# At first, of what the environment shows now and the policy did not see: robots that begin on level ground see the
+# same everywhere, and will see more than that.
 _LEAST_STD = 0.2
-"""At first, of what the environment shows now and the policy did not see: robots that begin on level ground see the
-same everywhere, and will see more than that."""
 
 
 def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
-    """A network that acts in the environment as the policy acts, whatever is shown there beside what the policy saw.
+    """Return a network that acts in the environment as the policy acts, whatever is shown there beside what the policy
+    saw.
 
     Terms of the observation are matched by their names. What is new weighs nothing, and is normalised by what the
     environment shows now, on which a training that goes on improves. Where joints' targets are

@@ -21,8 +21,8 @@ from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.force_reading import ForceReading
 
+# 1/s: at which targets go beyond where the joints shall be, until the drives hold them there.
 _SAG_RATE = 4.0
-"""1/s: at which targets go beyond where the joints shall be, until the drives hold them there."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,8 @@ from orbit_core.interfaces import Robot
 from orbit_motion.compliant import Compliant, CompliantConfig, HandState, without_free
 from orbit_motion.servo import check_rate
 
+# Enough for motions whose frequencies differ by a factor of 15.
 _ROOT_ITERATIONS = 8
-"""Enough for motions whose frequencies differ by a factor of 15."""
 
 
 @dataclass(frozen=True, kw_only=True)

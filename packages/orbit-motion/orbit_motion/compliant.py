@@ -34,8 +34,8 @@ from orbit_core.scene import RobotSpec
 from orbit_motion.gains import CommandedGains, GainCommand, GainRange
 from orbit_motion.servo import Servo, check_rate
 
+# 1/kg and 1/(kg m^2): added to the inverse inertia, so that efforts stay bounded in singular poses.
 _REGULAR = 1e-4
-"""1/kg and 1/(kg m^2): added to the inverse inertia, so that efforts stay bounded in singular poses."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.kinematics import link_ancestry
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.dynamics.tree import link_ancestry
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import ContactSensorSpec, ForceTorqueSpec
 from orbit_core.sensors import ContactSensor, ForceTorqueSensor

@@ -95,7 +95,7 @@ class CommandedGains:
             self.damping_ratio.copy_(_geometric(command[:, self._size :], self._ratio))
 
     def varying(self) -> dict[str, Tensor]:
-        """The gains, by name, where commands set them."""
+        """Return the gains, by name, where commands set them."""
         return dict(self.memory())
 
     def of(self, varying: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:

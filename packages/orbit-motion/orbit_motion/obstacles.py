@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.kinematics import joint_ancestry
 from orbit_core.dynamics.transforms import pose_multiply, quat_rotate, quat_rotate_inverse
-from orbit_core.dynamics.tree import joint_ancestry
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, Plane, Pose, Shape, Sphere
 from orbit_motion.still import PlacedObject, PlacedWorld
@@ -121,7 +121,7 @@ class Obstacles:
 
 
 def _simple(shape: Shape) -> Shape:
-    """The shape itself, or the box around it."""
+    """Return the shape itself, or the box around it."""
     if isinstance(shape.geometry, Mesh):
         points = np.asarray(shape.geometry.vertices)
         low, high = points.min(0), points.max(0)

@@ -1,4 +1,7 @@
-"""Inverse kinematics as quadratic programs: weighted tasks in order of priority, within limits of place and speed."""
+"""Inverse kinematics as quadratic programs: weighted tasks in order of priority, within limits of position and speed.
+
+Manipulability, the distance of a posture from singular ones, may be one of the tasks.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,44 @@ from orbit_core.actions.differential_ik import PoseTermConfig, bounded_targets
 from orbit_core.actions.ik import steadying
 from orbit_core.actions.modes import CommandMode
 from orbit_core.actions.reach import PoseFollower
-from orbit_core.dynamics.qp import solve_qp
+from orbit_core.dynamics.linear import solve_spd
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
-from orbit_motion.manipulability import manipulability_gradient
+from orbit_motion.qp import solve_qp
 
+_REGULAR = 1e-6
+
+
+def manipulability(jacobian: Tensor) -> Tensor:
+    """(N,) ``sqrt(det(J J^T))`` of Jacobians (N, 6, k).
+
+    Yoshikawa, Manipulability of Robotic Mechanisms, International Journal of Robotics Research 4(2), 1985.
+    """
+    return torch.linalg.det(jacobian @ jacobian.mT).clamp_min(0.0).sqrt()
+
+
+def manipulability_gradient(jacobian: Tensor) -> Tensor:
+    """(N, k) gradient of the manipulability's logarithm by the joints, for a chain of joints in order.
+
+    ``d log w / dq_i = tr(J^+ dJ/dq_i)``, and with columns ``(v_j, w_j)`` of the geometric Jacobian a turn about axis i
+    carries the axes and points behind it along: ``dv_j = w_min(i,j) x v_max(i,j)``, and ``dw_j = w_i x w_j`` for i < j.
+    """
+    identity = torch.eye(6, device=jacobian.device, dtype=jacobian.dtype)
+    inverse = jacobian.mT @ solve_spd(
+        jacobian @ jacobian.mT + _REGULAR * identity, identity.expand(len(jacobian), 6, 6)
+    )
+    linear, angular = jacobian[:, :3].mT, jacobian[:, 3:].mT
+    crossed = torch.linalg.cross(angular.unsqueeze(2), linear.unsqueeze(1))  # (N, i, j, 3): w_i x v_j
+    count = linear.shape[1]
+    before = torch.triu(torch.ones(count, count, device=jacobian.device)).view(1, count, count, 1)
+    turning = torch.linalg.cross(angular.unsqueeze(2), angular.unsqueeze(1)) * before
+    moving = crossed * before + crossed.transpose(1, 2) * (1.0 - before)
+    change = torch.cat((moving, turning), -1)
+    return (change * inverse.unsqueeze(1)).sum((2, 3))
+
+
+# Of the distance to a limit that a joint may cover in one step (Faverjon and Tournassoud's velocity damper, 1987).
 _LIMIT_SHARE = 0.5
-"""Of the distance to a limit that a joint may cover in one step (Faverjon and Tournassoud's velocity damper, 1987)."""
 
 
 class Priority(Enum):

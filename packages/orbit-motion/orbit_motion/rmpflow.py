@@ -1,13 +1,12 @@
-"""A hand that goes to its goal around obstacles: Riemannian motion policies, combined in joint space.
+"""Reaching around obstacles: Riemannian motion policies, combined in joint space.
 
 Ratliff et al., Riemannian Motion Policies, arXiv:1801.02854, 2018; Cheng et al., RMPflow: A Computational Graph for
 Automatic Motion Policy Generation, WAFR 2018. Each policy says in a space of its own which acceleration a it wants and,
-by a metric G, how much that counts. With J the Jacobian of the space, what the joints do minimises the sum of all:
-
+by a metric G, how much that counts. With J the Jacobian of the space, the joints minimise the sum of all:
 ``a = (sum J^T M J)^-1 sum J^T (f - M J' v)``, M the metric with its curvature, f the force that is wanted.
 
-Metrics that change with the state are :class:`~orbit_motion.barrier.Barrier` spaces, with all their curvature
-terms. Of ``J' v`` the shapes' own curvature is left out, which takes away from a convex shape and never towards it.
+Metrics that change with the state are :class:`Barrier` spaces, with all their curvature terms. Of ``J' v`` the shapes'
+own curvature is left out, which takes away from a convex shape and never towards it.
 """
 
 from __future__ import annotations
@@ -28,10 +27,47 @@ from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error, quat_rotate
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
-from orbit_motion.barrier import Barrier
 from orbit_motion.clearance import Clearance
 from orbit_motion.fusion import Fused
 from orbit_motion.obstacles import Obstacles
+
+# Share of the range below which a distance counts as this in the metric: float32 resolves what is left free.
+_NEAREST = 0.03
+# The same of the margin, in the potential.
+_TOUCHING = 0.05
+
+
+@dataclass(frozen=True)
+class Barrier:
+    """The collision leaf of Cheng et al. (RMPflow, WAFR 2018, appendix on collision avoidance) for a distance x >= 0.
+
+    With ``s = x / range`` and the speed ``v = x' / speed``, a geometric dynamical system of the metric
+
+    ``G = weight w(s) u(v)``, ``w = (1/s^2 - 1)^2`` within the range, ``u = v^2`` while x shrinks, else 0,
+
+    whose w is theirs, ``1/s^4``, near the obstacle, and goes to zero at the range. Its curvature terms
+    ``Xi = x'/2 dG/dx'`` and ``xi = x'^2/2 dG/dx`` make the inertia ``M = G + Xi`` and the force ``-xi``, by which what
+    comes nearer slows down with the distance, ``x' ~ x`` where nothing drives it, and nothing is felt at rest or on
+    leaving. Only within ``margin`` a potential pushes, with ``push (margin / x - 1)^2``.
+    """
+
+    weight: float
+    range: float
+    speed: float
+    margin: float
+    push: float
+
+    def __call__(self, distance: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
+        """Inertia M and force f (...) at distances x (...), with their speeds x' (...)."""
+        share = (distance / self.range).clamp_min(_NEAREST)
+        root = (share.square().reciprocal() - 1.0).clamp_min(0.0)
+        square = (speed.clamp_max(0.0) / self.speed).square()
+        # dw/dx = -4 root / s^3 / range; x'^2 dG/dx / 2 then is this, and Xi equals G, as u is quadratic.
+        slope = -4.0 * root / share.pow(3) / self.range
+        inertia = 2.0 * self.weight * root.square() * square
+        near = distance.clamp_min(_TOUCHING * self.margin)
+        pushing = self.push * (self.margin / near - 1.0).clamp_min(0.0).square()
+        return inertia, pushing - 0.5 * self.weight * slope * square * speed.square()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +249,7 @@ class RmpFlow(PoseFollower):
         return self._packed(metric, force), torch.cat((links, *spatial), -1), twists
 
     def _step(self, own: Tensor, around: Tensor, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
-        """Positions and velocities (N, k) after a step of integration under two of :meth:`_packed`."""
+        """Return positions and velocities (N, k) after a step of integration under two of :meth:`_packed`."""
         total, count = own + around, len(self.joints)
         metric, force = total[:, self._unpacked].unflatten(1, (count, count)), total[:, -count:]
         accelerations = solve_spd(metric, force.unsqueeze(-1)).squeeze(-1)

@@ -23,10 +23,10 @@ from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.fusion import Fused
 
+# 1/s: joints near a limit of position approach it no faster than this times the distance that is left.
 _LIMIT_RATE = 10.0
-"""1/s: joints near a limit of position approach it no faster than this times the distance that is left."""
+# Physics steps in which what exceeds the velocity that a joint may have is taken off.
 _BRAKING_STEPS = 2.0
-"""Physics steps in which what exceeds the velocity that a joint may have is taken off."""
 
 
 class Servo(MotionGenerator):
@@ -112,7 +112,7 @@ class Servo(MotionGenerator):
 def check_rate(name: str, load: float, what: str) -> None:
     """Refuse ``load``, the largest ``h^2 k + 2 h d`` over the inertia, where steps of h seconds diverge.
 
-    See :mod:`orbit_core.dynamics.drive_stability`.
+    See :mod:`orbit_core.actuators.stability`.
 
     Raises:
         ConfigurationError: it is four or more.

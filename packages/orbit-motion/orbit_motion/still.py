@@ -113,7 +113,7 @@ class StillWorld:
 
     @staticmethod
     def of(world: World, robot: Robot, env: int = 0) -> StillWorld:
-        """A copy of one environment as it now is, which any thread may read."""
+        """Return a copy of one environment as it now is, which any thread may read."""
         objects = {name: _still_object(thing, env) for name, thing in world.objects.items()}
         copied = StillRobot(
             robot.name,

@@ -37,7 +37,7 @@ class WholeBodyIkConfig(PrioritizedIkConfig):
         return (*super().default_joints(spec), *base_joints(spec))
 
     def joint_indices(self, spec: RobotSpec, name: str) -> list[int]:
-        """Indices of the arm's joints, then of the base's."""
+        """Return indices of the arm's joints, then of the base's."""
         joints = super().joint_indices(spec, name)
         base = _base_indices(spec)
         missing = [joint for joint in base if joint not in joints]

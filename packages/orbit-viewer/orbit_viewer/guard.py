@@ -88,7 +88,7 @@ class Guard:
         return _refusal("open the address that was printed where the viewer was started: it holds a token")
 
     def page(self, request: Request) -> Page | None:
-        """The page that a request asks for, if it is one of :attr:`pages`."""
+        """Return the page that a request asks for, if it is one of :attr:`pages`."""
         return self.pages.get(request.path.partition("?")[0])
 
     def _is_known(self, headers: Headers) -> bool:
@@ -153,7 +153,7 @@ def guarded(guard: Guard) -> Iterator[None]:
 
 
 def _name_of(host: str) -> str:
-    """The name or address in a ``Host`` header, without the port."""
+    """Return the name or address in a ``Host`` header, without the port."""
     return urllib.parse.urlsplit(f"//{host}").hostname or ""
 
 

@@ -1,28 +1,149 @@
-"""A scene in the browser: every link is sent once, and a frame only moves it."""
+"""Scene in the browser: every link is sent once, and a frame only moves it; with lights, and a robot's ghost.
+
+The browser's renderer computes in linear light. Surfaces that no directional light falls on, and those that face a
+single one, are as bright as :mod:`orbit_core.scene.scene` says; between the two, the browser's are brighter.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
+from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import SceneLayout
-from orbit_core.plugin_kit.deformable_surface import DeformableSurface
-from orbit_core.plugin_kit.markers import marker_shapes
-from orbit_core.scene import Plane, RobotSpec, Shape
+from orbit_core.plugin_kit.meshes import marker_shapes, triangles
+from orbit_core.plugin_kit.rendering import DeformableSurface
+from orbit_core.scene import Color, Plane, RobotSpec, Scene, Shape
 from orbit_core.scene.pose import Vector3
 from orbit_core.world.frames import frame_shapes
-from orbit_viewer.geometry import Drawing
-from orbit_viewer.lights import add_lights
 
 if TYPE_CHECKING:
+    from trimesh import Trimesh
     from viser import BatchedGlbHandle, MeshHandle, ViserServer
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """Shapes in a frame of their own, ready to be drawn."""
+
+    glb: bytes
+    """Binary glTF, one mesh a colour."""
+    corners: npt.NDArray[np.float64]
+    """(8, 3) of the box round them."""
+
+    @staticmethod
+    def of(shapes: Iterable[Shape]) -> Drawing:
+        """Triangles of one or more shapes.
+
+        Raises:
+            ConfigurationError: one is a plane, which has no end.
+        """
+        import trimesh
+        from trimesh.visual import TextureVisuals
+
+        by_color: dict[Color, list[Trimesh]] = {}
+        for shape in shapes:
+            mesh = triangles(shape.geometry)
+            mesh.apply_transform(shape.pose.matrix())
+            by_color.setdefault(shape.color, []).append(mesh)
+        scene = trimesh.Scene()
+        for color, meshes in by_color.items():
+            joined: Any = trimesh.util.concatenate(meshes)
+            joined.visual = TextureVisuals(material=_material(color))
+            scene.add_geometry(joined)
+        data = scene.export(file_type="glb", include_normals=True)
+        assert isinstance(data, bytes)  # what a GLB export gives
+        return Drawing(data, np.asarray(trimesh.bounds.corners(scene.bounds)))
+
+
+def _material(color: Color) -> Any:
+    from trimesh.visual.material import PBRMaterial
+
+    # glTF's colours are linear in light; a screen's, as the scene's are, follow the sRGB curve.
+    screen = np.asarray(color[:3])
+    linear = np.where(screen <= 0.04045, screen / 12.92, ((screen + 0.055) / 1.055) ** 2.4)
+    rgba = np.round(255.0 * np.array([*linear, color[3]])).astype(np.uint8)
+    return PBRMaterial(
+        baseColorFactor=rgba,
+        metallicFactor=0.0,
+        roughnessFactor=0.6,
+        alphaMode="OPAQUE" if color[3] >= 1.0 else "BLEND",
+    )
+
+
+_COLOR: Color = (0.15, 0.5, 0.95, 0.35)
+
+
+class Ghost:
+    """Draws a robot at joint positions of one's choice, by forward kinematics.
+
+    Args:
+        server: of viser.
+        spec: of the robot.
+    """
+
+    def __init__(self, server: ViserServer, spec: RobotSpec) -> None:
+        self._server, self._tree = server, KinematicTree(spec.articulation)
+        self._links = []
+        for index, link in enumerate(spec.articulation.links):
+            if shapes := link.visuals or link.collisions:
+                drawing = Drawing.of([replace(shape, color=_COLOR) for shape in shapes])
+                handle = server.scene.add_glb(f"/ghost/{index}", drawing.glb, visible=False, cast_shadow=False)
+                self._links.append((index, handle))
+
+    def place(self, root: Tensor, positions: Tensor) -> None:
+        """Show it with its root at a pose (7,) and its joints at positions (J,)."""
+        poses = self._tree.forward(root[None].cpu(), positions[None].cpu().to(torch.float32))[0].numpy()
+        with self._server.atomic():
+            for index, handle in self._links:
+                handle.position, handle.wxyz = poses[index, :3], poses[index, 3:]
+                handle.visible = True
+
+    def hide(self) -> None:
+        """Draw it no more."""
+        for _, handle in self._links:
+            handle.visible = False
+
+
+_GAMMA = 2.2
+# Metres from a directional light to the origin, which it shines at.
+_DISTANCE = 3.0
+
+
+def add_lights(server: ViserServer, scene: Scene) -> None:
+    """Light and background of a scene in place of the browser's own."""
+    browser = server.scene
+    browser.configure_default_lights(enabled=False)
+    around = np.asarray(scene.ambient, dtype=np.float64)
+    color, intensity = browser_light(around**_GAMMA)
+    browser.add_light_ambient("/lights/ambient", color=color, intensity=intensity)
+    for index, light in enumerate(scene.directional_lights):
+        color, intensity = browser_light((around + light.radiance) ** _GAMMA - around**_GAMMA)
+        x, y, z = (-_DISTANCE * part for part in light.unit_direction)
+        browser.add_light_directional(
+            f"/lights/{index}", color=color, intensity=intensity, cast_shadow=light.shadows, position=(x, y, z)
+        )
+    sky = np.linspace(scene.sky.above, scene.sky.below, 256)
+    rows = (255.0 * sky + 0.5).astype(np.uint8)
+    browser.set_background_image(np.repeat(rows[:, None], 2, axis=1), format="png")
+
+
+def browser_light(linear: npt.NDArray[np.float64]) -> tuple[tuple[int, int, int], float]:
+    """Colour and intensity of linear light (3,); three.js divides a light's intensity by pi."""
+    brightest = float(linear.max())
+    if brightest <= 0.0:
+        return (0, 0, 0), 0.0
+    red, green, blue = (round(255.0 * float(part / brightest) ** (1.0 / _GAMMA)) for part in linear)
+    return (red, green, blue), math.pi * brightest
+
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -274,7 +395,7 @@ class SceneView:
 
 
 def _robot_axes(layout: SceneLayout) -> list[_Body]:
-    """The axes of all robots, by the links that they are fixed to."""
+    """Return the axes of all robots, by the links that they are fixed to."""
     return [
         _Body(entity.links.start + entity.spec.articulation.link_names.index(link), Drawing.of(shapes), 0, 1)
         for entity in layout.entities

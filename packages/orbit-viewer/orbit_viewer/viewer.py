@@ -1,4 +1,4 @@
-"""The live viewer: a simulation in this thread, a person in a browser."""
+"""Live viewer: a simulation in this thread, a person in a browser."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
+import torch
 from torch import Tensor
 
 from orbit_core.envs.actors import Actor
@@ -19,9 +21,7 @@ from orbit_core.interfaces import ConfigurationError, Deformable, Marker, SceneL
 from orbit_core.rollout.estimates import proportion
 from orbit_core.scene import CameraSpec, Channel
 from orbit_core.sensors import CameraSensor
-from orbit_viewer.camera_pictures import Picture, picture_of
-from orbit_viewer.controls import Controls, Pacer, Selection
-from orbit_viewer.panel import Panel
+from orbit_viewer.panel import Controls, Pacer, Panel, Selection
 from orbit_viewer.scene_view import FloatArray, Frame, SceneView
 
 if TYPE_CHECKING:
@@ -29,12 +29,58 @@ if TYPE_CHECKING:
 
     from orbit_viewer.guard import Page
 
+Picture = npt.NDArray[np.uint8]
+
+
+def picture_of(channel: Channel, image: Tensor) -> Picture:
+    """(H, W, 3) of one camera's (H, W, channels).
+
+    Depth runs from near, bright, to far, dark; normals and positions show x, y, z as red, green, blue; every
+    index of a segmentation
+    has a colour of its own.
+    """
+    match channel:
+        case Channel.RGB | Channel.ALBEDO:
+            return image.cpu().numpy()
+        case Channel.DEPTH:
+            return _depth(image).cpu().numpy()
+        case Channel.POSITION:
+            return _position(image).cpu().numpy()
+        case Channel.NORMALS:
+            return ((image + 1.0) * 127.5).to(torch.uint8).cpu().numpy()
+        case Channel.INSTANCE | Channel.SEMANTIC:
+            return _indices(image[..., 0].cpu().numpy())
+
+
+def _depth(depth: Tensor) -> Tensor:
+    seen = torch.isfinite(depth)
+    if not bool(seen.any()):
+        return torch.zeros(*depth.shape[:2], 3, dtype=torch.uint8)
+    near, far = depth[seen].min(), depth[seen].max()
+    brightness = 230.0 - 200.0 * (depth - near) / (far - near).clamp_min(1e-6)
+    return torch.where(seen, brightness, 0.0).to(torch.uint8).expand(-1, -1, 3)
+
+
+def _position(position: Tensor) -> Tensor:
+    """Colours repeat every metre."""
+    seen = torch.isfinite(position)
+    return torch.where(seen, 255.0 * (torch.where(seen, position, 0.0) % 1.0), 0.0).to(torch.uint8)
+
+
+def _indices(indices: npt.NDArray[np.integer]) -> Picture:
+    # Hues a golden angle apart are all well apart, however many there are.
+    hue = (indices * 0.381966) % 1.0
+    channels = [np.abs((hue * 6.0 - shift) % 6.0 - 3.0) - 1.0 for shift in (0.0, 2.0, 4.0)]
+    colors = 60.0 + 180.0 * np.clip(np.stack(channels, axis=-1), 0.0, 1.0)
+    return np.where(indices[..., None] < 0, 30.0, colors).astype(np.uint8)
+
+
 FRAME_PERIOD = 1.0 / 30.0
 """Seconds from one frame of the scene to the next, at the least."""
 PANEL_PERIOD = 0.2
 """Seconds from one update of the panel's text, curve and picture to the next, at the least."""
+# Share of the time that the panel's pictures may take; where drawing is slow they are fewer.
 _DRAWING = 0.1
-"""Share of the time that the panel's pictures may take; where drawing is slow they are fewer."""
 
 
 class ViewedWorld(Protocol):
@@ -105,7 +151,7 @@ class Viewer:
         port: if taken, the next free one is used.
         title: stands over the panel.
         information: more rows for the panel's table, given an environment's number;
-            :func:`orbit_viewer.information.task_information` makes one.
+            :func:`orbit_viewer.cli.view.task_information` makes one.
         paused: wait for the person to press play.
         frames: begin with axes at the robots' bases, end effectors, finger tips, feet and wheels.
         tool: makes what the page has besides, given its server and scene.
@@ -283,7 +329,7 @@ class Viewer:
 
 
 def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tuple[ViserServer, str]:
-    """A server that answers its own pages alone and is never shared over the internet; and its token."""
+    """Return a server that answers its own pages alone and is never shared over the internet; and its token."""
     try:
         from viser import ViserServer
 

@@ -11,8 +11,7 @@ import numpy.typing as npt
 from orbit_bullet.buffers import Buffers
 from orbit_bullet.drives import Wheels, write_wheels
 from orbit_bullet.stage import Stage
-from orbit_core.plugin_kit.mimics import on_leaders
-from orbit_core.plugin_kit.springs import soft_springs
+from orbit_core.plugin_kit.bodies import on_leaders, soft_springs
 
 FloatArray = npt.NDArray[np.float64]
 

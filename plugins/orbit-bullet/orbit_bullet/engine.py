@@ -32,8 +32,7 @@ from orbit_core.interfaces import (
     divergence_error,
     first_few,
 )
-from orbit_core.plugin_kit.inertias import inertia_approximations
-from orbit_core.plugin_kit.massless import stand_in_approximations
+from orbit_core.plugin_kit.bodies import inertia_approximations, stand_in_approximations
 from orbit_core.plugin_kit.scratch import ScratchFolder
 
 

@@ -26,7 +26,7 @@ from orbit_core.interfaces import (
     albedo_table,
     drawn_shapes,
 )
-from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures, painted, repainted
 from orbit_core.plugin_kit.rotations import compose, rotate
 from orbit_core.plugin_kit.scratch import ScratchFolder

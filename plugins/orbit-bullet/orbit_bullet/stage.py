@@ -16,7 +16,7 @@ from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import refusals
 from orbit_bullet.urdf import MeshFiles, child_poses, write_entity
 from orbit_core.interfaces import TERRAIN, AssetError, ConfigurationError, EntityLayout, SceneLayout
-from orbit_core.plugin_kit.faces import fans, few_faces
+from orbit_core.plugin_kit.meshes import fans, few_faces
 from orbit_core.scene import (
     Box,
     Capsule,

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.plugin_kit.faces import convex_faces, fans
-from orbit_core.plugin_kit.massless import with_stand_in
+from orbit_core.plugin_kit.bodies import with_stand_in
+from orbit_core.plugin_kit.meshes import convex_faces, fans
 from orbit_core.scene import (
     Box,
     Capsule,

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import Image, SceneLayout
 from orbit_core.interfaces.matter import MatterPainter
-from orbit_core.plugin_kit.deformable_surface import DeformableSurface
+from orbit_core.plugin_kit.rendering import DeformableSurface
 from orbit_core.scene import CameraSpec
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.start import start

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from orbit_core.interfaces.capabilities import EXACT, Capabilities, Capability, approximate, unsupported
-from orbit_core.interfaces.gaps import Gap
+from orbit_core.interfaces.capabilities import EXACT, Capabilities, Capability, Gap, approximate, unsupported
 from orbit_core.interfaces.matter import Matter, MatterPainter, MatterSolver
 from orbit_matter.config import MatterConfig
 

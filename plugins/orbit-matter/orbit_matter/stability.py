@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
-from orbit_core.plugin_kit.ropes import STANDARD_GRAVITY, hanging_weight
+from orbit_core.plugin_kit.bodies import STANDARD_GRAVITY, hanging_weight
 from orbit_core.scene import Attachment, Cloth, Entity, Rope
 from orbit_matter.substeps import edge_length
 

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from orbit_core.interfaces import Approximation
-from orbit_core.plugin_kit.ropes import hanging_weight
+from orbit_core.plugin_kit.bodies import hanging_weight
 from orbit_core.scene import Cloth, Rope, Scene
 
 LONGEST, SHORTEST = 1.25e-3, 0.25e-3

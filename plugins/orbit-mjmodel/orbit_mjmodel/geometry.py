@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError
-from orbit_core.plugin_kit.faces import convex_faces, few_faces
+from orbit_core.plugin_kit.meshes import convex_faces, few_faces
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
 from orbit_mjmodel.materials import ContactParameters
 

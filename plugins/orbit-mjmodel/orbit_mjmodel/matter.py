@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout, UnsupportedCapabilityError
-from orbit_core.plugin_kit.ropes import hanging_weight
+from orbit_core.plugin_kit.bodies import hanging_weight
 from orbit_core.scene import Attachment, Cloth, Rope, Scene
 from orbit_mjmodel.addresses import MATTER_BODY, body_name
 from orbit_mjmodel.chains import chain_positions

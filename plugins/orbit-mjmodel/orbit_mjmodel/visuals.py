@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
-from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_core.scene import Box, Capsule, Cylinder, Entity, HeightField, Mesh, Plane, Scene, Shape, Sky, Sphere
 
 _HEIGHT_FIELD_BASE = 0.01

@@ -25,7 +25,7 @@ from orbit_core.interfaces import (
     first_few,
     matter_divergence_error,
 )
-from orbit_core.plugin_kit.parts import PartedEngine
+from orbit_core.plugin_kit.engines import PartedEngine
 from orbit_core.plugin_kit.rows import HostRows, block, host_rows
 from orbit_mjmodel.addresses import MATTER_BODY
 from orbit_mjmodel.readback import read_back

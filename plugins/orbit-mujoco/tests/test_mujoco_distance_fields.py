@@ -10,12 +10,12 @@ import pytest
 import torch
 import trimesh
 
+from orbit_assets.mass_properties import mass_properties
 from orbit_assets.threads import Thread, bolt, nut
 from orbit_core.backends import backend_names
 from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import Capability, UnsupportedCapabilityError
 from orbit_core.interfaces.errors import ArgumentError, AssetError
-from orbit_core.preparation.inertia import mass_properties
 from orbit_core.scene import (
     Articulation,
     Link,

@@ -20,7 +20,7 @@ from orbit_core.interfaces import (
     SimulationError,
     divergence_error,
 )
-from orbit_core.plugin_kit.parts import PartedEngine
+from orbit_core.plugin_kit.engines import PartedEngine
 from orbit_core.plugin_kit.rows import Rows, rows_of
 from orbit_newton.builder import build_model
 from orbit_newton.config import NewtonConfig

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, SceneLayout
-from orbit_core.plugin_kit.springs import least_inertias, softest
+from orbit_core.plugin_kit.bodies import least_inertias, softest
 from orbit_sapien.model import BuiltWorld
 
 _RIGID = 1e5

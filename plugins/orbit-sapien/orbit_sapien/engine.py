@@ -19,7 +19,7 @@ from orbit_core.interfaces import (
     SimulationError,
     divergence_error,
 )
-from orbit_core.plugin_kit.parts import PartedEngine
+from orbit_core.plugin_kit.engines import PartedEngine
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.drives import Drives, JointState
 from orbit_sapien.measurements import ContactMeter, WrenchMeter, held_links

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import MAX_SPEED, TERRAIN, Approximation, AssetError, EntityLayout, SceneLayout
-from orbit_core.plugin_kit.massless import stand_in_approximations, with_stand_in
+from orbit_core.plugin_kit.bodies import stand_in_approximations, with_stand_in
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, PhysicsMaterial, Plane, Pose, Shape
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import collision_shape

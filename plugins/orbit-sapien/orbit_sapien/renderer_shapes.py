@@ -12,8 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.plugin_kit import markers
-from orbit_core.plugin_kit.meshes import height_field_mesh
+from orbit_core.plugin_kit import meshes
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -64,14 +63,14 @@ def render_shape(shape: Shape, reach: float) -> sapien.render.RenderShape:
         case Mesh() as mesh:
             made = _mesh(mesh.vertices, mesh.faces, look)
         case HeightField() as field:
-            made = _mesh(*height_field_mesh(field), look)
+            made = _mesh(*meshes.height_field_mesh(field), look)
     made.set_local_pose(native_pose(pose))
     return made
 
 
 def marker_shapes(marker: MarkerSpec) -> list[sapien.render.RenderShape]:
     """Return the shapes of a marker, in its own frame."""
-    return [render_shape(shape, marker.size) for shape in markers.marker_shapes(marker)]
+    return [render_shape(shape, marker.size) for shape in meshes.marker_shapes(marker)]
 
 
 def _square(half: float) -> tuple[Vertices, npt.NDArray[np.integer]]:

@@ -13,7 +13,7 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.interfaces import Approximation, BuiltModel, RayHits, SceneLayout
-from orbit_core.plugin_kit.parts import PartedEngine
+from orbit_core.plugin_kit.engines import PartedEngine
 from orbit_core.plugin_kit.rows import Rows, rows_of
 from orbit_mjmodel.drives import implicit_bounds, spring_lead
 from orbit_warp.buffers import BufferSizes, buffer_sizes

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from orbit_core.interfaces import SceneLayout, drawn_shapes
-from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_mjmodel.visuals import all_variants, looks_spec
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_assets.mass_properties import shapes_mass_properties
 from orbit_assets.objects import box, cylinder, mesh_object, sphere
 from orbit_conformance.bodies import SMOOTH
 from orbit_core.interfaces import World
-from orbit_core.preparation.inertia import shapes_mass_properties
 from orbit_core.scene import Articulation, Link, Mesh, ObjectSpec, PhysicsMaterial, Plane, Pose, Shape, Sphere
 from orbit_core.sensors import ContactSensor
 

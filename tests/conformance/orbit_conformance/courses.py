@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbit_core.rollout.recording import Recording
+from orbit_conformance.recording import Recording
 
 _INSTANTS = 101
 """The most instants of a course that are kept, evenly spaced."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from orbit_conformance.recording import Recording
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.rollout.recording import Recording
 
 _POINTS = 101
 """The most instants of a divergence that are kept, evenly spaced."""

@@ -9,14 +9,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from orbit_conformance.recording import EpisodeRecorder, Recording
 from orbit_core.envs import Environment, make
 from orbit_core.envs.actors import Actor
 from orbit_core.envs.environment import EpisodeEnd
 from orbit_core.envs.premises import PremiseCheck
-from orbit_core.rollout.counter import EpisodeCounter
 from orbit_core.rollout.estimates import Estimate, mean
-from orbit_core.rollout.recording import EpisodeRecorder, Recording
-from orbit_core.rollout.stepping import StepObserver, roll_out
+from orbit_core.rollout.stepping import EpisodeCounter, StepObserver, roll_out
 
 
 @dataclass(frozen=True)

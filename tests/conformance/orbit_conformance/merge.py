@@ -13,6 +13,7 @@ from orbit_conformance.courses import Course, course_of
 from orbit_conformance.execution import RECORDING
 from orbit_conformance.jobs import Job, Kind
 from orbit_conformance.journal import DROPPED, LOG, PREVIOUS, now
+from orbit_conformance.recording import Recording
 from orbit_conformance.results import (
     REPORT,
     RESULT_FILE,
@@ -31,7 +32,6 @@ from orbit_conformance.tasks import compare_recordings
 from orbit_core.envs.registry import task_entries
 from orbit_core.files import LOCK, as_path, check_apart, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.rollout.recording import Recording
 
 _Named = TypeVar("_Named")
 

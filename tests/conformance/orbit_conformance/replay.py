@@ -9,7 +9,7 @@ from typing import Any
 
 from orbit_conformance.divergence import Divergence, divergence
 from orbit_conformance.episodes import FirstEpisodes, TaskResult
-from orbit_core.rollout.recording import RecordedActions, Recording
+from orbit_conformance.recording import RecordedActions, Recording
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from orbit_conformance.hardware import Hardware, versions
 from orbit_conformance.jobs import Job, Kind, plan
 from orbit_conformance.journal import Journal, now
 from orbit_conformance.pools import Pool, Work
+from orbit_conformance.recording import Recording
 from orbit_conformance.results import BackendInfo, Ending, Header, Parting, PolicyInfo, Record, Result, ScenarioInfo
 from orbit_conformance.settings import Settings, scenario
 from orbit_conformance.sources import source_digests
@@ -21,7 +22,6 @@ from orbit_core.backends import matter_solver
 from orbit_core.files import as_path
 from orbit_core.interfaces import Backend
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
-from orbit_core.rollout.recording import Recording
 
 Progress = Callable[[Record | None, int, int], None]
 """A callback that takes the record that has arrived, if one has, the number of records so far and the total."""

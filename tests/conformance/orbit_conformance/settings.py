@@ -18,8 +18,8 @@ from orbit_core.envs.registry import task_entries, task_entry
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import EXACT, Capability, ConfigurationError, UnknownNameError
 from orbit_core.interfaces.matter import NATIVE
-from orbit_core.pretrained import pretrained_policies
 from orbit_core.robots import robot_info, robot_names
+from orbit_learn.pretrained import pretrained_policies
 
 
 class Part(Enum):

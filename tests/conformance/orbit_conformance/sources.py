@@ -23,8 +23,8 @@ from orbit_core.backends import renderer as find_renderer
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import Backend
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
-from orbit_core.pretrained import pretrained_policy
 from orbit_core.robots import robot_info
+from orbit_learn.pretrained import pretrained_policy
 
 CORE = "orbit_core"
 _SHARED = ("orbit_core", "orbit_assets", "orbit_motion", "orbit_learn", "orbit_conformance")

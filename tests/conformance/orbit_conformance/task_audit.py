@@ -19,9 +19,8 @@ from orbit_core.envs.actors import scripted_actor
 from orbit_core.envs.task_checks import TaskCheck
 from orbit_core.interfaces import Robot
 from orbit_core.interfaces.layout import joint_limits
-from orbit_core.rollout.counter import EpisodeCounter, Episodes
 from orbit_core.rollout.estimates import Estimate, mean
-from orbit_core.rollout.stepping import StepObserver, roll_out
+from orbit_core.rollout.stepping import EpisodeCounter, Episodes, StepObserver, roll_out
 
 EXPERT, TRIVIAL = "expert", ("random", "zero", "hold")
 MOST_BEYOND = 0.01

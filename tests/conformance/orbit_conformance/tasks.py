@@ -8,8 +8,8 @@ from typing import Any
 
 from orbit_conformance.divergence import Divergence, divergence
 from orbit_conformance.episodes import FirstEpisodes, TaskResult
+from orbit_conformance.recording import Recording
 from orbit_core.envs.actors import ExpertActor
-from orbit_core.rollout.recording import Recording
 
 
 def run_task(

@@ -1,1 +1,1 @@
-"""Whether a description is the machine that its file describes: figures against other readers, and plain checks."""
+"""Audit of asset files and robots: comparison with other readers of a format, and checks of plausibility."""

@@ -1,4 +1,4 @@
-"""A whole asset file audited: read, measured, checked, and held against other readers of its format."""
+"""Audit of an asset file: read, measured, checked, and compared with other readers of its format."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from orbit_assets.audit.bodies import Body, check_body, measure_body
-from orbit_assets.audit.findings import Finding, Severity
-from orbit_assets.audit.joints import check_joints, check_touching
+from orbit_assets.audit.checks import Body, Finding, Severity, check_body, check_joints, check_touching, measure_body
 from orbit_assets.audit.mjcf_reference import MujocoReference
-from orbit_assets.audit.reference import Comparison, Reference, compare
-from orbit_assets.audit.urdf_reference import PinocchioReference, pinocchio_installed
+from orbit_assets.audit.reference import Comparison, PinocchioReference, Reference, compare, pinocchio_installed
 from orbit_assets.files import load_articulation
 from orbit_assets.options import ReadOptions, Repair
 from orbit_core.files import as_path
@@ -29,7 +26,7 @@ INERTIA_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class AssetReport:
-    """What an audit found. The description is without fixed joints, as every world simulates it."""
+    """Result of an audit. The description is without fixed joints, as every world simulates it."""
 
     path: Path
     articulation: Articulation
@@ -40,7 +37,7 @@ class AssetReport:
 
     @property
     def faults(self) -> tuple[Finding, ...]:
-        """Those findings that would make a simulation wrong."""
+        """Findings that would make a simulation wrong."""
         return tuple(finding for finding in self.findings if finding.severity is Severity.FAULT)
 
 
@@ -51,7 +48,9 @@ def audit_file(path: Path | str, options: ReadOptions = ReadOptions()) -> AssetR
         AssetError: the file cannot be read.
     """
     path = as_path(path)
+    # Masses are compared on the merged description: other readers merge fixed joints too.
     articulation = merge_fixed_links(load_articulation(path, merge=False, options=options))
+    # Measured on the merged links, which engines simulate.
     bodies = tuple(measure_body(link) for link in articulation.links)
     findings = [
         *(found for link, body in zip(articulation.links, bodies, strict=True) for found in check_body(link, body)),
@@ -64,15 +63,19 @@ def audit_file(path: Path | str, options: ReadOptions = ReadOptions()) -> AssetR
         if (reference := reference_of(path, articulation.root.name, options)) is not None:
             comparison = compare(articulation, reference)
             findings += _differences(comparison, repaired=options.repair is not Repair.NONE)
+    # A reader that refuses the file is no fault of the description: the rest of the report stands.
     except AssetError as error:
         findings.append(Finding(Severity.NOTE, "model", f"not compared: {error}"))
     return AssetReport(path, articulation, bodies, tuple(findings), comparison)
 
 
 def reference_of(path: Path, root: str, options: ReadOptions = ReadOptions()) -> Reference | None:
-    """Another reader's model of the file, of an MJCF or a URDF; Pinocchio's of a URDF where it is installed.
+    """Return another reader's model of the file; None for formats that no other reader knows.
 
-    ``None`` for other formats. ``root`` names the description's root link, and ``options`` are those it was read with.
+    Args:
+        path: a URDF, which Pinocchio reads where it is installed; the reader of MJCF files reads MJCF, and else URDF.
+        root: the description's root link.
+        options: those that the description was read with.
 
     Raises:
         AssetError: the other reader refuses the file.
@@ -86,7 +89,7 @@ def reference_of(path: Path, root: str, options: ReadOptions = ReadOptions()) ->
 
 
 def _differences(comparison: Comparison, repaired: bool) -> Iterator[Finding]:
-    """Inertias that were mended differ from the file's, as they should."""
+    """Yield the differences beyond tolerance. Inertias that were repaired differ from the file's, as they should."""
     figures = (
         ("a link's mass", comparison.mass, MASS_TOLERANCE, "kg", Severity.FAULT),
         ("a link's position", comparison.kinematics, KINEMATICS_TOLERANCE, "m", Severity.FAULT),
@@ -99,6 +102,7 @@ def _differences(comparison: Comparison, repaired: bool) -> Iterator[Finding]:
             Severity.NOTE if repaired else Severity.FAULT,
         ),
     )
+    # Written as a negation so that NaN, which compares as False, is reported too.
     for what, value, tolerance, unit, severity in figures:
         if not value <= tolerance:
             text = f"{what} differs from what {comparison.reader} reads by {value:.3g} {unit}"

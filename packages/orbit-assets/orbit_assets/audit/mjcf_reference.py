@@ -1,4 +1,4 @@
-"""An MJCF file as MuJoCo, whose format it is, compiles it; and a URDF file as it imports that."""
+"""MuJoCo's own compilation of an MJCF file, and its import of a URDF file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from orbit_assets.audit.mechanics import FloatArray, Posture
+from orbit_assets.audit.geometry import FloatArray, Posture
 from orbit_assets.mjcf.model import compile_file
 from orbit_assets.naming import one_line
 from orbit_assets.options import ReadOptions
@@ -45,6 +45,7 @@ class MujocoReference:
         hinges = range(self._model.njnt)
         self._simple = {self._joint_name(joint): joint for joint in hinges if self._coordinates(joint) == 1}
 
+    # MuJoCo must not see a URDF's shapes: it refuses meshes of formats that it does not know.
     def _compiled(self, path: Path, options: ReadOptions) -> Any:
         if path.suffix.lower() != ".urdf":
             return compile_file(path, options).model
@@ -59,7 +60,7 @@ class MujocoReference:
         return frozenset(self._simple)
 
     def masses(self, articulation: Articulation) -> dict[str, float]:
-        """Of each body and all that is welded to it, by the link that they became."""
+        """Return the mass (kg) of each link: its body's and those of all bodies welded to it."""
         hosts = {frame.name: frame.link for frame in articulation.frames} | {
             name: name for name in articulation.link_names
         }
@@ -91,18 +92,19 @@ class MujocoReference:
             return
         rest, turned = np.zeros(9), np.zeros(4)
         self._mujoco.mju_quat2Mat(rest, model.body_quat[body])
+        # The rest orientation is taken out: ``qpos`` of a ball joint is relative to ``body_quat``.
         relative = rest.reshape(3, 3).T @ at.links[parent][:3, :3].T @ at.links[child][:3, :3]
         self._mujoco.mju_mat2Quat(turned, relative.ravel())
         start = int(model.jnt_qposadr[ball])
         self._data.qpos[start : start + 4] = turned
 
     def links(self) -> dict[str, FloatArray]:
-        """Of all bodies."""
+        """Return poses (4, 4) of all bodies by name, in the root's frame."""
         root = np.linalg.inv(self._pose(self._root))
         return {name: root @ self._pose(body) for name, body in self._bodies.items()}
 
     def mass_matrix(self, joints: tuple[str, ...]) -> FloatArray:
-        """By the composite rigid body algorithm, armature included."""
+        """Return the mass matrix by the composite rigid body algorithm, armature included."""
         full = np.zeros((self._model.nv, self._model.nv))
         self._mujoco.mj_fullM(self._model, self._data, full)
         rows = [int(self._model.jnt_dofadr[self._simple[name]]) for name in joints]
@@ -116,6 +118,7 @@ class MujocoReference:
 
     def _coordinates(self, joint: int) -> int:
         kinds = self._mujoco.mjtJoint
+        # A free joint has 6 coordinates and a ball 3; hinges and slides have one.
         return {kinds.mjJNT_FREE: 6, kinds.mjJNT_BALL: 3}.get(kinds(self._model.jnt_type[joint]), 1)
 
     def _joint_name(self, joint: int) -> str:
@@ -127,7 +130,7 @@ class MujocoReference:
 
 
 def urdf_without_shapes(path: Path, options: ReadOptions = ReadOptions()) -> str:
-    """A URDF file's text without what collides and is seen, told to keep fixed joints, as MuJoCo imports it.
+    """Return a URDF file's text without shapes, with a flag that makes MuJoCo keep fixed joints.
 
     Raises:
         AssetError: it is no XML.
@@ -138,5 +141,6 @@ def urdf_without_shapes(path: Path, options: ReadOptions = ReadOptions()) -> str
             link.remove(shape)
     for other in [child for child in root if child.tag not in ("link", "joint")]:
         root.remove(other)
+    # MuJoCo's extension of URDF; by default its importer merges links that fixed joints connect.
     ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", fusestatic="false")
     return ElementTree.tostring(root, encoding="unicode")

@@ -1,4 +1,4 @@
-"""``orbit check-asset``: what is wrong, missing or changed in a robot's or an object's file."""
+"""``orbit check-asset``: report what is wrong, missing or changed in a robot's or an object's file."""
 
 from __future__ import annotations
 
@@ -12,13 +12,20 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from orbit_assets.audit.audit import AssetReport, audit_file
-from orbit_assets.audit.bodies import Body
-from orbit_assets.audit.findings import Severity
-from orbit_assets.cli.findings_table import findings_table
+from orbit_assets.audit.checks import Body, Finding, Severity
 from orbit_assets.cli.reading import ReadSettings, remedies_in_flags
-from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import check_output, parse_words
+
+
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """Build a table of an audit's findings, the gravest first."""
+    table = new_table("", "where", "what")
+    for level in Severity:
+        for finding in findings:
+            if finding.severity is level:
+                table.add_row(level.value, Text(finding.element), Text(finding.text))
+    return table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +60,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def values_of(report: AssetReport) -> dict[str, Any]:
-    """Everything in the report, for a JSON file."""
+    """Return everything in the report, for a JSON file."""
     return {
         "file": str(report.path),
         "name": report.articulation.name,

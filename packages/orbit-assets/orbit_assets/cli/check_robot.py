@@ -1,4 +1,4 @@
-"""``orbit check-robot``: what a catalogue entry, or a composition, lacks, and what is implausible in it."""
+"""``orbit check-robot``: report what a catalogue entry or a composition lacks, and what is implausible in it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from orbit_assets.audit.findings import Severity
-from orbit_assets.audit.robots.drives import JointRow
-from orbit_assets.audit.robots.report import RobotReport, audit_robot
-from orbit_assets.cli.findings_table import findings_table
-from orbit_core.cli.checks import check_output
+from orbit_assets.audit.checks import Severity
+from orbit_assets.audit.robots.report import JointRow, RobotReport, audit_robot
+from orbit_assets.cli.check_asset import findings_table
 from orbit_core.cli.output import console, new_table, print_heading, print_line, write_json
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import check_output, parse_words
 from orbit_core.interfaces.errors import ConfigurationError
 
 
@@ -57,7 +55,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def values_of(report: RobotReport) -> dict[str, Any]:
-    """Everything in the report, for a JSON file; limits that are infinite as text."""
+    """Return everything in the report, for a JSON file; infinite limits as text, which JSON has no number for."""
     return {
         "robot": report.entry.name,
         "mass": report.spec.articulation.mass,

@@ -1,4 +1,4 @@
-"""``orbit convert``: robots and objects from one format into another, and meshes into rigid bodies."""
+"""``orbit convert``: convert robots and objects between formats, and meshes into rigid bodies."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from orbit_assets.cli.reading import ReadSettings, remedies_in_flags
-from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import check_output, parse_words
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import Articulation, MeshCollision
@@ -23,6 +22,7 @@ _COLLISIONS = {
     "pieces": MeshCollision.CONVEX_DECOMPOSITION,
     "triangles": MeshCollision.TRIANGLES,
 }
+# Options that apply to a mesh only; each is a field of :class:`orbit_assets.mesh_to_usd.MeshBody`.
 _MESH_OPTIONS = ("friction", "restitution", "density", "mass", "collision", "scale", "up")
 
 
@@ -34,8 +34,8 @@ class ConvertSettings(ReadSettings):
     source: Annotated[Positional[Path], arg(metavar="IN")]
     """The file to read."""
     target: Annotated[Positional[Path], arg(metavar="OUT")]
-    """The file to write: .urdf, .xml, .mjcf, .usda, .usdc or .usd. A URDF's and an MJCF's meshes go to a folder beside
-    it."""
+    """The file to write: .urdf, .xml, .mjcf, .usda, .usdc or .usd. A URDF's and an MJCF's meshes go to a folder next
+    to it."""
     friction: float | None = None
     """Of a mesh, static and dynamic; 1 if left out."""
     restitution: float | None = None
@@ -45,8 +45,7 @@ class ConvertSettings(ReadSettings):
     mass: float | None = None
     """Of a mesh, in kg; wins over the density."""
     collision: Literal["hull", "pieces", "triangles"] | None = None
-    """How a mesh collides: as its convex hull, which is what happens if this is left out, as several convex pieces, or
-    as its own triangles."""
+    """Collision shape of a mesh: its convex hull, which is the default, several convex pieces, or its own triangles."""
     scale: float | None = None
     """Metres of a mesh file's unit."""
     up: Literal["y", "z"] | None = None
@@ -56,13 +55,14 @@ class ConvertSettings(ReadSettings):
 
 
 def main(words: Sequence[str]) -> None:
-    """Read one file, write the other, and tell what happened on the way."""
+    """Read one file, write the other, and report changes and losses."""
     settings = parse_words(ConvertSettings, words, "orbit convert")
     write = _writer(settings.target)
+    # Checks come before imports of readers: a typing error in a path is reported at once.
     check_apart(settings.target, (settings.source,))
     check_output(settings.target, settings.target.suffix, settings.overwrite)
+    from orbit_assets.files import check_written
     from orbit_assets.options import ReadOptions, Unsupported
-    from orbit_assets.written import check_written
 
     articulation = _read(settings)
     lost = write(articulation, settings.target)
@@ -98,7 +98,7 @@ def _read_mesh(settings: ConvertSettings, given: set[str]) -> Articulation:
 
 
 def _writer(target: Path) -> Callable[[Articulation, Path], tuple[str, ...]]:
-    """What writes files of that suffix."""
+    """Return the writer of files of that suffix."""
     suffix = target.suffix.lower()
     if suffix == ".urdf":
         from orbit_assets.urdf import write_urdf

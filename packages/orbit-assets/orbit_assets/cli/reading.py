@@ -1,4 +1,4 @@
-"""How the command line says which files a model may open, and what is done with what ORBIT lacks."""
+"""Options of the command line for reading a model: files that it may open, and handling of unsupported elements."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from tyro.conf import UseAppendAction, arg
 from orbit_assets.options import ReadOptions, Repair, Unsupported
 from orbit_core.interfaces.errors import AssetError, ConfigurationError
 
+# Remedies in readers' messages, which name Python's options, and the flag of the command line that does the same.
 _FLAGS = (
     (r"ReadOptions\(unsupported=[^)]*\)", "--unsupported drop"),
     (r"ReadOptions\(repair=[^)]*\)", "--repair balance"),
@@ -24,11 +25,10 @@ _FLAGS = (
     (r"ReadOptions\(articulation=[^)]*\)", "--articulation NAME"),
     (r"ReadOptions\(environment=[^)]*\)", "--environment NAME"),
 )
-"""Remedies as readers say them to programs, and the flag that does the same on the command line."""
 
 
 def in_flags(text: str) -> str:
-    """Return a reader's message with flags in the place of Python's words."""
+    """Replace Python's options in a reader's message by flags."""
     for words, flag in _FLAGS:
         text = re.sub(words, flag, text)
     return text
@@ -36,7 +36,7 @@ def in_flags(text: str) -> str:
 
 @contextmanager
 def remedies_in_flags() -> Iterator[None]:
-    """Let a reader's refusals name flags of the command line.
+    """Rewrite the remedies in a reader's errors as flags of the command line.
 
     Raises:
         AssetError: one was raised within.
@@ -49,23 +49,23 @@ def remedies_in_flags() -> Iterator[None]:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadSettings:
-    """How an asset file is read."""
+    """Options for reading an asset file."""
 
     articulation: str | None = None
-    """Which one, where the file holds several."""
+    """Name of the articulation, where the file holds several."""
     package: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FOLDER")] = ()
-    """Where package://NAME is; repeatable."""
+    """Folder of package://NAME; repeatable."""
     allow_outside: bool = False
-    """Let the file name files outside its folder and packages."""
+    """Allow the file to name files outside its folder and packages."""
     environment: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """An environment variable that $(env NAME) of a xacro file may read; repeatable."""
     unsupported: Literal["refuse", "drop"] = "refuse"
-    """What becomes of what ORBIT cannot describe."""
+    """Handling of elements that ORBIT cannot describe."""
     repair: Literal["none", "balance"] = "none"
-    """What becomes of inertias that no body can have."""
+    """Handling of inertias that no body can have."""
 
     def options(self) -> ReadOptions:
-        """The same for readers.
+        """Return the options for a reader.
 
         Raises:
             ConfigurationError: a package is not given as NAME=FOLDER.

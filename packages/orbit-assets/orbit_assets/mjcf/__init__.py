@@ -1,4 +1,4 @@
-"""MJCF files to articulations and back."""
+"""Reader and writer of MJCF files."""
 
 from orbit_assets.mjcf.reader import read_mjcf, read_mjcf_all
 from orbit_assets.mjcf.writer import write_mjcf

@@ -1,28 +1,154 @@
-"""Constraints of a compiled MJCF model on its joints: some follow others, some stand still."""
+"""Constraints and fixed tendons of a compiled MJCF model on its joints: mimics, fixed joints, springs."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from orbit_assets.mjcf.model import Compiled, vector_of
-from orbit_assets.mjcf.relations import Law, linear_law, polynomial_law
-from orbit_assets.mjcf.tendons import Share, share_of
 from orbit_assets.mjcf.trees import Tree
-from orbit_core.scene import Joint, JointType, Pose
+from orbit_core.scene import Joint, JointType, Mimic, Pose
+
+# Share of the largest coefficient of a law below which a coefficient counts as none.
+_NEGLIGIBLE = 1e-12
+
+
+@dataclass(frozen=True)
+class Law:
+    """The position of joint ``follower``: a polynomial in that of ``leader``, or a constant where there is none."""
+
+    follower: int
+    leader: int | None
+    coefficients: tuple[float, ...]
+    """Coefficients of the leader's powers, from the zeroth on."""
+
+    def mimic(self, leader_name: str) -> Mimic:
+        """Return the law as the description's mimic."""
+        offset, multiplier, *higher = (*self.coefficients, 0.0)[: max(2, len(self.coefficients))]
+        return Mimic(leader_name, multiplier, offset, tuple(higher))
+
+    def turned(self) -> Law | None:
+        """Return the same law solved for the other joint, or None if it has no unique solution."""
+        if self.leader is None or len(self.coefficients) != 2 or not self.coefficients[1]:
+            return None
+        offset, slope = self.coefficients
+        return Law(self.leader, self.follower, (-offset / slope, 1.0 / slope))
+
+
+def polynomial_law(
+    follower: tuple[int, float], leader: tuple[int, float] | None, coefficients: np.ndarray, scales: tuple[float, float]
+) -> Law:
+    """Return the law of ``scale * (q - reference)`` of the follower, a polynomial in the same of the leader.
+
+    Args:
+        follower: a joint's number, and its reference.
+        leader: likewise, or ``None`` for a constant.
+        coefficients: (5,) of the polynomial, from the zeroth power on.
+        scales: of the follower and of the leader.
+    """
+    joint, rest = follower
+    own, others = scales
+    if leader is None:
+        return Law(joint, None, (rest + float(coefficients[0]) / own,))
+    other, other_rest = leader
+    # Composition of polynomials: the leader's reference and scale go into its coefficients.
+    powers = np.polynomial.Polynomial(coefficients / own)(
+        np.polynomial.Polynomial((-others * other_rest, others))
+    ).coef.tolist()
+    powers += [0.0] * (2 - len(powers))
+    powers[0] += rest
+    # Trailing zeros are dropped so that a linear law is recognised as one.
+    while len(powers) > 2 and powers[-1] == 0.0:
+        powers.pop()
+    return Law(joint, other, tuple(float(power) for power in powers))
+
+
+def linear_law(coefficients: Mapping[int, float], total: float) -> Law | None:
+    """Return the law of a weighted sum of joint positions of given value; None unless it is of one joint or two."""
+    largest = max((abs(value) for value in coefficients.values()), default=0.0)
+    held = {joint: value for joint, value in coefficients.items() if abs(value) > _NEGLIGIBLE * largest}
+    if len(held) == 1:
+        ((joint, coefficient),) = held.items()
+        return Law(joint, None, (total / coefficient,))
+    if len(held) == 2:
+        leader, follower = sorted(held)
+        return Law(follower, leader, (total / held[follower], -held[leader] / held[follower]))
+    return None
+
+
+@dataclass(frozen=True)
+class Share:
+    """Contribution of a tendon to its joint, in the joint's own units; see :class:`orbit_core.scene.Joint`."""
+
+    lower_limit: float
+    upper_limit: float
+    stiffness: float
+    rest_position: float
+    damping: float
+    friction: float
+    armature: float
+
+    def added(self, joint: Joint) -> Joint:
+        """Return the joint with this share: the narrower limits, and one spring that pulls as both do."""
+        lower, upper = max(joint.lower_limit, self.lower_limit), min(joint.upper_limit, self.upper_limit)
+        limited = (lower, upper) != (-math.inf, math.inf)
+        stiffness = joint.stiffness + self.stiffness
+        # Two springs in parallel pull like one at the mean of their rest positions, weighted by stiffness.
+        pull = joint.stiffness * joint.rest_position + self.stiffness * self.rest_position
+        return replace(
+            joint,
+            type=JointType.REVOLUTE if limited and joint.type is JointType.CONTINUOUS else joint.type,
+            lower_limit=lower,
+            upper_limit=max(lower, upper),
+            stiffness=stiffness,
+            rest_position=pull / stiffness if stiffness else 0.0,
+            damping=joint.damping + self.damping,
+            friction=joint.friction + self.friction,
+            armature=joint.armature + self.armature,
+        )
+
+
+def share_of(compiled: Compiled, tendon: int, coefficient: float) -> Share | None:
+    """Compute the share of a tendon of length ``coefficient * position``; None if no joint can have it.
+
+    The tendon's force acts on the joint times the coefficient (MuJoCo's documentation, "Computation", on actuation and
+    tendons), so that its stiffness, damping and armature count with the coefficient's square.
+    """
+    model = compiled.model
+    slack = model.tendon_lengthspring[tendon].tolist()
+    stiffness = float(model.tendon_stiffness[tendon])
+    curved = np.any(model.tendon_stiffnesspoly[tendon]) or np.any(model.tendon_dampingpoly[tendon])
+    # A dead zone between two slack lengths, or a polynomial spring, is no spring that a joint has.
+    if not coefficient or curved or (stiffness and slack[0] != slack[1]):
+        return None
+    ends = (-math.inf, math.inf)
+    if model.tendon_limited[tendon]:
+        # A negative coefficient exchanges the ends.
+        first, second = (float(length) / coefficient for length in model.tendon_range[tendon])
+        ends = min(first, second), max(first, second)
+    return Share(
+        *ends,
+        stiffness * coefficient**2,
+        slack[0] / coefficient if stiffness else 0.0,
+        float(model.tendon_damping[tendon]) * coefficient**2,
+        float(model.tendon_frictionloss[tendon]) * abs(coefficient),
+        float(model.tendon_armature[tendon]) * coefficient**2,
+    )
 
 
 @dataclass(eq=False)
 class Couplings:
-    """Those of one tree of a model, from its constraints on joints and tendons and from its tendons."""
+    """Couplings of one tree of a model, read from its constraints on joints and tendons and from its tendons."""
 
     compiled: Compiled
     tree: Tree
     laws: dict[int, Law] = field(default_factory=dict)
     """Laws by their followers' numbers."""
     shares: dict[int, list[Share]] = field(default_factory=dict)
-    """What tendons over one joint add to it, by the joint's number."""
+    """Contributions of tendons over one joint, by the joint's number."""
 
     def __post_init__(self) -> None:
         self._members = set(self.tree.bodies)
@@ -34,7 +160,7 @@ class Couplings:
         self._settle()
 
     def applied(self, joint: Joint, number: int) -> Joint:
-        """A joint of the file with what its constraint says: it follows another, or is fixed where it is held."""
+        """Apply the constraints of a joint of the file: it follows another, or is fixed where it is held."""
         for share in self.shares.get(number, ()):
             joint = share.added(joint)
         law = self.laws.get(number)
@@ -72,7 +198,7 @@ class Couplings:
         )
 
     def _read_tendons(self, index: int, called: str) -> None:
-        """Two fixed tendons whose lengths follow a law, or one whose length is held."""
+        """Read a constraint of two fixed tendons whose lengths follow a law, or of one whose length is held."""
         model = self.compiled.model
         tendons = [int(tendon) for tendon in (model.eq_obj1id[index], model.eq_obj2id[index]) if tendon >= 0]
         parts = [self.fixed_tendon(tendon) for tendon in tendons]
@@ -88,6 +214,7 @@ class Couplings:
             ((follower, scale),), ((leader, others),) = own.items(), other.items()
             ends = (follower, self._reference(follower)), (leader, self._reference(leader))
             law: Law | None = polynomial_law(*ends, coefficients, (scale, others))
+        # A nonlinear law of several joints has no form that a mimic could hold.
         elif np.any(coefficients[2:]):
             law = None
         else:
@@ -101,7 +228,7 @@ class Couplings:
             self._add(law, called)
 
     def _add(self, law: Law, called: str) -> None:
-        """Keep a law; one that follows where another is already in force is turned round."""
+        """Keep a law; one whose follower already has a law is solved for its leader."""
         chosen = law
         if law.follower in self.laws:
             turned = law.turned()
@@ -115,7 +242,9 @@ class Couplings:
         self.laws[chosen.follower] = chosen
 
     def _settle(self) -> None:
-        """Let followers of followers follow the first leader, or stand where it does; what runs in a circle stays."""
+        """Make followers of followers follow the first leader, or stand where it does; circles stay for validation to
+        name.
+        """
         for number in list(self.laws):
             law, seen = self.laws[number], {number}
             while law.leader in self.laws and law.leader not in seen:
@@ -126,7 +255,9 @@ class Couplings:
             self.laws[number] = law
 
     def fixed_tendon(self, tendon: int) -> dict[int, float] | None:
-        """The joints of a tendon whose length is a weighted sum of their positions, with the weights."""
+        """Return the joints and weights of a tendon whose length is a weighted sum of positions; None for other
+        tendons.
+        """
         model = self.compiled.model
         first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
         joint_kind = int(self.compiled.mujoco.mjtWrap.mjWRAP_JOINT)
@@ -139,7 +270,9 @@ class Couplings:
         return found
 
     def _meet_tendons(self) -> None:
-        """Those that pull or hold by themselves are refused; one whose motor alone moves two joints couples them."""
+        """Add or reject tendons that pull or hold by themselves; couple two joints that one motor moves through a
+        tendon.
+        """
         model = self.compiled.model
         driven = {
             int(model.actuator_trnid[actuator, 0])
@@ -163,7 +296,7 @@ class Couplings:
                 self._couple(weights, called)
 
     def _couple(self, weights: dict[int, float], called: str) -> None:
-        """Let two joints that one motor drives through a tendon move in proportion, as it pulls on them."""
+        """Make two joints that one motor drives through a tendon move in proportion, as it pulls on them."""
         leader, follower = sorted(weights)
         if {leader, follower} & self.laws.keys() or not self._here([leader, follower], called):
             return
@@ -190,7 +323,7 @@ class Couplings:
         return [word for word, values in properties if np.any(values[tendon])]
 
     def _here(self, joints: list[int], called: str) -> bool:
-        """Whether a constraint on joints is this tree's, and wholly."""
+        """Return True if all joints of a constraint are in this tree; reject one that couples two articulations."""
         inside = [self._body(joint) in self._members for joint in joints]
         if any(inside) and not all(inside):
             self.compiled.unsupported(f"{called} couples joints of two articulations", "remove it")

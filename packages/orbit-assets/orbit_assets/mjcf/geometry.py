@@ -1,8 +1,9 @@
-"""Geoms of a compiled MJCF model as shapes."""
+"""Geoms of a compiled MJCF model as shapes, and its masks and exclusions as pairs that do not collide."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -25,14 +26,14 @@ from orbit_core.scene import (
 )
 from orbit_core.scene.pose import Vector3
 
+# A geom of this colour shows its material's.
 _UNPAINTED: Color = (0.5, 0.5, 0.5, 1.0)
-"""A geom of this colour shows its material's."""
+# MuJoCo's viewer draws geoms of the groups below this one, by default.
 _DRAWN_GROUPS = 3
-"""MuJoCo's viewer draws geoms of the groups below this one, unless it is told otherwise."""
 
 
 class Geoms:
-    """Those of one tree of a model; ``terrain`` takes over planes and height fields that do not move.
+    """Geoms of one tree of a model; ``terrain`` takes over planes and height fields that do not move.
 
     Raises:
         AssetError: a height field moves, and the options have what cannot be held refused.
@@ -54,7 +55,7 @@ class Geoms:
         self._left = moves if terrain else endless
 
     def of_body(self, body: int) -> Iterator[int]:
-        """The body's geoms that are taken over."""
+        """Yield the body's geoms that are taken over."""
         model = self.compiled.model
         if body == 0 and not self.tree.world_geoms:
             return
@@ -64,7 +65,7 @@ class Geoms:
                 yield geom
 
     def shapes(self, body: int) -> tuple[tuple[Shape, ...], tuple[Shape, ...]]:
-        """Those that collide, and those that are drawn."""
+        """Return the shapes that collide, and the shapes that are drawn."""
         model = self.compiled.model
         collisions: list[Shape] = []
         visuals: list[Shape] = []
@@ -75,15 +76,16 @@ class Geoms:
         return tuple(collisions), tuple(visuals)
 
     def called(self, geom: int) -> str:
-        """The geom in words."""
+        """Return the name of the geom for messages."""
         body = self.compiled.body_names[int(self.compiled.model.geom_bodyid[geom])]
         return f"geom '{self.compiled.geom_names[geom] or geom}' of body '{body}'"
 
     def _shape(self, geom: int) -> Shape:
-        """A geom with its pose in the body, material and colour."""
+        """Return a geom with its pose in the body, material and colour."""
         model = self.compiled.model
         sliding, torsional, rolling = model.geom_friction[geom].tolist()
         dimensions = int(model.geom_condim[geom])
+        # condim 1 has no friction, 3 adds sliding, 4 torsional and 6 rolling friction.
         sliding = sliding if dimensions >= 3 else 0.0
         material = PhysicsMaterial(
             static_friction=sliding,
@@ -124,11 +126,12 @@ class Geoms:
         from trimesh.creation import icosphere
 
         self.compiled.notes.append(f"{self.called(geom)}, an ellipsoid, is a mesh of 320 triangles")
+        # 320 triangles: within 1 % of the ellipsoid, and few enough to collide as a hull.
         ball = icosphere(subdivisions=2)
         return Mesh(np.asarray(ball.vertices) * radii, np.asarray(ball.faces))
 
     def _mesh(self, mesh: int, collision: MeshCollision) -> Mesh:
-        """One object however many geoms show it."""
+        """Return one object however many geoms show it, so that engines store the mesh once."""
         if (mesh, collision) not in self._meshes:
             model = self.compiled.model
             first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
@@ -142,13 +145,63 @@ class Geoms:
         rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
         first = int(model.hfield_adr[field])
         x, y, top, _ = model.hfield_size[field].tolist()
+        # Heights of a compiled field are normalised to [0, 1]; the fourth size is the base's thickness.
         heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns) * top
         return HeightField(heights.astype(np.float64), (2 * x, 2 * y))
 
     def _color(self, geom: int) -> Color:
         model = self.compiled.model
         rgba = model.geom_rgba[geom]
+        # MuJoCo takes the material's colour where the geom has its default one.
         if model.geom_matid[geom] >= 0 and np.allclose(rgba, _UNPAINTED):
             rgba = model.mat_rgba[model.geom_matid[geom]]
         red, green, blue, alpha = rgba.tolist()
         return (red, green, blue, alpha)
+
+
+def self_collisions(compiled: Compiled, geoms: Geoms, tree: Tree) -> tuple[bool, tuple[tuple[str, str], ...]]:
+    """Return whether any two links may collide, and the pairs that never do although others may."""
+    model = compiled.model
+    types = np.zeros(model.nbody, np.int64)
+    affinities = np.zeros(model.nbody, np.int64)
+    for body in tree.bodies:
+        for geom in geoms.of_body(body):
+            types[body] |= int(model.geom_contype[geom])
+            affinities[body] |= int(model.geom_conaffinity[geom])
+    bodies = np.asarray(tree.bodies)
+    solid = np.sort(bodies[(types[bodies] | affinities[bodies]) != 0])
+    parent, weld = np.asarray(model.body_parentid), np.asarray(model.body_weldid)
+    hangs_on = weld[parent[weld]]
+    excluded = _excluded(model)
+    may = False
+    apart: list[tuple[str, str]] = []
+    unfiltered: list[tuple[str, str]] = []
+    # A row of all later bodies at a time: the number of pairs grows with the square, and only NumPy is fast enough.
+    for position, first in enumerate(solid[:-1]):
+        later = solid[position + 1 :]
+        meet = (types[first] & affinities[later]) | (types[later] & affinities[first])
+        one, others = weld[first], weld[later]
+        joined = (
+            (one == others) | ((one != 0) & (one == hangs_on[later])) | ((others != 0) & (others == hangs_on[first]))
+        )
+        free = (meet != 0) & ~joined & ~np.isin(later, list(excluded.get(int(first), ())))
+        neighbours = parent[later] == first
+        # The engine filters no pair with a body that is fixed to the world, where a joint moves the other.
+        unfiltered += [(compiled.body_names[first], compiled.body_names[body]) for body in later[free & neighbours]]
+        free, later = free[~neighbours], later[~neighbours]
+        may = may or bool(free.any())
+        apart += [(compiled.body_names[first], compiled.body_names[body]) for body in later[~free]]
+    if unfiltered:
+        pairs = ", ".join(f"{one} with {other}" for one, other in unfiltered)
+        compiled.notes.append(f"bodies fixed to the world do not collide with those that they carry by joints: {pairs}")
+    return (True, tuple(apart)) if may else (False, ())
+
+
+def _excluded(model: Any) -> dict[int, set[int]]:
+    """Return for each body the bodies that an ``<exclude>`` names with it."""
+    found: dict[int, set[int]] = {}
+    for mark in model.exclude_signature.tolist():
+        # The two bodies' numbers, 16 bits each.
+        for one, other in ((mark >> 16, mark & 0xFFFF), (mark & 0xFFFF, mark >> 16)):
+            found.setdefault(one, set()).add(other)
+    return found

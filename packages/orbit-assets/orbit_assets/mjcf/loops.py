@@ -1,4 +1,4 @@
-"""Constraints of a compiled MJCF model that hold bodies together: joints that close loops."""
+"""Joints that close loops, from constraints of a compiled MJCF model that hold bodies together."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from orbit_core.scene import LoopJoint, LoopType, Pose
 from orbit_core.scene.pose import Vector3
 
 OWN_SITES = (":first", ":second")
-"""What follows a constraint's name in the names of sites that are its ends and nothing else."""
+"""Suffixes of a constraint's name in the names of sites that are only its ends."""
 _TYPES = {"CONNECT": LoopType.BALL, "WELD": LoopType.WELD}
 _ON_JOINTS = ("JOINT", "TENDON")
 
@@ -25,7 +25,7 @@ class _End:
 
 
 class Loops:
-    """Those of one tree of a model.
+    """Loops of one tree of a model.
 
     Raises:
         AssetError: one holds a body of another articulation, or a flex, and the options have that refused.
@@ -38,7 +38,7 @@ class Loops:
         self._names = compiled.names_of("EQUALITY")
 
     def read(self) -> tuple[LoopJoint, ...]:
-        """All that hold from the beginning, in the file's order."""
+        """Return all loops that hold from the beginning, in the file's order."""
         found: list[LoopJoint] = []
         for index in range(self.compiled.model.neq):
             kind = self.compiled.mujoco.mjtEq(self.compiled.model.eq_type[index]).name.removeprefix("mjEQ_")
@@ -66,9 +66,11 @@ class Loops:
         if first is None or second is None:
             self.compiled.unsupported(f"{called} holds a body to one that is not of its articulation", "remove it")
             return None
+        # Within one rigid body the constraint always holds.
         if model.body_weldid[bodies[0]] == model.body_weldid[bodies[1]]:
             notes.append(f"{called} holds a rigid body to itself, and is left out")
             return None
+        # Only a weld holds the orientation.
         turned = first.axes @ second.axes.inverse() if kind is LoopType.WELD else Pose()
         name = self._names[index]
         if not name or name in self.compiled.joint_names:
@@ -77,7 +79,7 @@ class Loops:
         return LoopJoint(name, one, other, first.point, second.point, kind, turned.orientation)
 
     def _ends(self, index: int, kind: LoopType) -> tuple[_End, _End]:
-        """The ends as two sites that coincide, or as points of two bodies, with the orientation of a weld."""
+        """Return the ends as two sites that coincide, or as points of two bodies, with the orientation of a weld."""
         model = self.compiled.model
         first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
         data = model.eq_data[index]
@@ -85,6 +87,7 @@ class Loops:
             return self._at_site(first), self._at_site(second)
         if kind is LoopType.BALL:
             return _End(first, vector_of(data[:3]), Pose()), _End(second, vector_of(data[3:6]), Pose())
+        # eq_data of a weld: anchor on the second body, pose of the second in the first, torque scale.
         axes = pose_of((0.0, 0.0, 0.0), data[6:10])
         return _End(first, vector_of(data[3:6]), axes), _End(second, vector_of(data[:3]), Pose())
 
@@ -94,7 +97,7 @@ class Loops:
         return _End(int(model.site_bodyid[site]), vector_of(model.site_pos[site]), axes)
 
     def _rebased(self, end: _End) -> _End | None:
-        """An end on a body of the tree: what stands fixed in the world may stand on a fixed root as well."""
+        """Move an end onto a body of the tree: a point fixed in the world may be attached to a fixed root as well."""
         if end.body in self._members:
             return end
         if self.compiled.model.body_weldid[end.body] != 0 or self.tree.floating:
@@ -104,7 +107,7 @@ class Loops:
         return _End(self.tree.root, (between @ Pose(end.point)).position, axes)
 
     def _in_world(self, body: int) -> Pose:
-        """The pose of a body that is fixed in the world."""
+        """Return the pose of a body that is fixed in the world."""
         pose = Pose()
         while body:
             pose = self.compiled.body_pose(body) @ pose

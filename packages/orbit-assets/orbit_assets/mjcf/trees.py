@@ -1,4 +1,4 @@
-"""Which bodies of a compiled MJCF model make an articulation."""
+"""Trees of bodies of a compiled MJCF model, each of which makes an articulation."""
 
 from __future__ import annotations
 
@@ -10,33 +10,35 @@ from orbit_assets.mjcf.model import Compiled
 from orbit_core.interfaces.errors import AssetError
 
 WORLD = "world"
-"""Names, among the articulations of a file, all that hangs from the world."""
+"""Name, among the articulations of a file, of the tree of all bodies that are attached to the world."""
 
 
 @dataclass(frozen=True)
 class Tree:
-    """Bodies that hang together, the root first and parents before children; root 0 is the world."""
+    """Connected bodies, the root first and parents before children; root 0 is the world."""
 
     bodies: tuple[int, ...]
     floating: bool = False
     world_geoms: bool = False
-    """Whether the shapes of the world belong to it; only where the world is its root."""
+    """True if the shapes of the world belong to it; only where the world is its root."""
 
     @property
     def root(self) -> int:
-        """The body that all others hang on."""
+        """Body that carries all others."""
         return self.bodies[0]
 
 
 class Trees:
-    """The bodies right below the world, and those that hang on each of them."""
+    """Bodies right below the world, each with its descendants."""
 
     def __init__(self, compiled: Compiled) -> None:
         model = compiled.model
         self.compiled = compiled
         below = np.asarray(model.body_rootid)
+        # Bodies of a flex's vertices are cloth, not links.
         cloth = set(model.flex_vertbodyid.tolist()) - {-1} if model.nflex else set()
         top = [body for body in range(1, model.nbody) if model.body_parentid[body] == 0 and body not in cloth]
+        # Bodies of motion capture have no dynamics.
         self.mocap = [body for body in top if model.body_mocapid[body] >= 0]
         self.top = [body for body in top if body not in set(self.mocap)]
         self.members: dict[int, list[int]] = {body: [] for body in self.top}
@@ -52,7 +54,7 @@ class Trees:
         self.world_has_terrain = bool(np.any(solid & terrain))
 
     def one(self) -> Tree:
-        """The articulation that the options name, or the only one.
+        """Return the articulation that the options name, or the only one.
 
         Raises:
             AssetError: there is none, of that name or at all, or there are several and none is named.
@@ -67,11 +69,15 @@ class Trees:
                 f"bodies moved by motion capture are left out: {self.compiled.listed(self.mocap)}"
             )
         if tree.root == 0:
-            self.compiled.notes.append("link 'world', without mass, stands for what bodies hang from: fix the base")
+            self.compiled.notes.append(
+                "link 'world', without mass, replaces the world that bodies are attached to: fix the base"
+            )
         return tree
 
     def every(self) -> list[Tree]:
-        """All of the file: what hangs from the world one by one, what is held together as one, and the world itself."""
+        """Return all trees of the file: one per body below the world, one for bodies held together, and the world
+        itself.
+        """
         trees = [Tree((0,), world_geoms=True)] if self.world_has_shapes or self.world_has_terrain else []
         for group in self._groups():
             if len(group) == 1:
@@ -121,7 +127,7 @@ class Trees:
         return any(self.compiled.model.body_jntnum[body] for body in self.members[top])
 
     def _groups(self) -> list[list[int]]:
-        """The bodies below the world, those together that hang from it and that a constraint of the file connects."""
+        """Group the bodies below the world; bodies attached to it that a constraint connects form one group."""
         group_of = {top: [top] for top in self.top}
         for first, second in self._connected():
             if group_of[first] is not group_of[second] and not (self._floats(first) or self._floats(second)):
@@ -135,6 +141,7 @@ class Trees:
         pairs: list[tuple[int, int]] = []
         for index in range(model.neq):
             kind, first, second = int(model.eq_objtype[index]), int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+            # Sites and joints name their bodies indirectly.
             known = bodies_of.get(kind)
             if min(first, second) < 0 or (known is None and kind != int(kinds.mjOBJ_BODY)):
                 continue

@@ -33,22 +33,23 @@ _PANDA_HOME = {
     "panda_joint7": math.pi / 4,
 }
 _PANDA_GRIPPER = Gripper(("panda_finger_joint1",), 0.04, 0.0)
+# Gains of ManiSkill's controllers.
 _STIFF, _DAMPED = 1e3, 1e2
 _NO_LIMITS = "effort limit of 100 N m is ManiSkill's controllers', armature of 0.01 kg m^2 the catalogue's choice"
 
 
 def panda() -> RobotSpec:
-    """The arm with its hand, pointing straight down."""
+    """Read the arm with its hand, pointing straight down."""
     return _panda("panda", "panda_v2")
 
 
 def panda_wristcam() -> RobotSpec:
-    """The same with a camera's body at its wrist; the frame ``camera_link`` is where it looks from, along x."""
+    """Read the same with a camera's body at its wrist; the frame ``camera_link`` is where it looks from, along x."""
     return _panda("panda_wristcam", "panda_v3")
 
 
 def panda_stick() -> RobotSpec:
-    """The arm with a stick in the place of its hand."""
+    """Read the arm with a stick in the place of its hand."""
     note = "armature of 0.1 kg m^2 is the catalogue's choice: the URDF has none"
     arm = edit_joints(_articulation("panda_stick", "panda/panda_stick.urdf"), (".*",), note, armature=0.1)
     drives = (ImplicitPd(joints=_PANDA_ARM, stiffness=_STIFF, damping=_DAMPED),)
@@ -56,7 +57,7 @@ def panda_stick() -> RobotSpec:
 
 
 def xarm7_ability() -> RobotSpec:
-    """The UFACTORY arm with a PSYONIC hand, whose palm carries the end effector's frame ``base``."""
+    """Read the UFACTORY arm with a PSYONIC hand, whose palm carries the end effector's frame ``base``."""
     note = "armature of 0.1 kg m^2 (arm) and 0.02 (hand, for its mimics) is the catalogue's choice: the URDF has none"
     body = _articulation("xarm7_ability", "xarm7/xarm7_ability_right_hand.urdf")
     body = edit_joints(edit_joints(body, ("joint[1-7]",), note, armature=0.1), (".*_q[12]",), note, armature=0.02)
@@ -69,7 +70,7 @@ def xarm7_ability() -> RobotSpec:
 
 
 def so100() -> RobotSpec:
-    """A 5-joint arm with one moving jaw. The frame ``tcp`` is the fixed jaw's tip."""
+    """Read a 5-joint arm with one moving jaw. The frame ``tcp`` is the fixed jaw's tip."""
     turn = (0.5, 0.5, 0.5, -0.5)  # the jaw points along -y and opens along x
     home = {
         "shoulder_lift": -math.pi / 2,
@@ -84,7 +85,7 @@ def so100() -> RobotSpec:
 
 
 def koch() -> RobotSpec:
-    """A 5-joint arm with one moving jaw. The frame ``tcp`` is the fixed jaw's tip."""
+    """Read a 5-joint arm with one moving jaw. The frame ``tcp`` is the fixed jaw's tip."""
     turn = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)  # the jaw points along -z and opens along x
     home = {"joint_2": 2.2, "joint_3": 3.017, "joint_4": -0.25, "joint_5": math.pi / 2, "joint_6": 0.6044}
     body = _articulation("koch", "koch/follower_arm_v1.1.urdf")
@@ -138,6 +139,7 @@ def _robot(
 
 
 @functools.cache
+# Cached, for reading takes seconds and several entries share one file.
 def _articulation(name: str, file: str) -> Articulation:
     folder = model_folder(SOURCE)  # robots share hands' meshes
     source = read_urdf(folder / file, name=f"maniskill_{name}", options=ReadOptions(allow_outside=(folder,)))

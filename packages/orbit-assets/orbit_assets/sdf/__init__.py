@@ -1,4 +1,4 @@
-"""SDFormat files to articulations."""
+"""Reader of SDFormat files."""
 
 from orbit_assets.sdf.reader import read_sdf, read_sdf_models
 

@@ -1,20 +1,125 @@
-"""Models of SDFormat files before they are read: elements, files, versions, and where an ``<include>`` puts them."""
+"""Models of SDFormat files before they are read: elements and their values, files, versions, ``<include>``."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from orbit_assets.findings import Findings
 from orbit_assets.options import ReadOptions
 from orbit_assets.outside import allowed_path, resolve_file
-from orbit_assets.sdf.fields import SdfFields
-from orbit_assets.source_text import read_xml
+from orbit_assets.source_text import Findings, read_xml
 from orbit_core.scene import Pose
+from orbit_core.scene.pose import Vector3, canonical
 
+_TRUE, _FALSE = ("true", "1"), ("false", "0", "")
+
+
+class SdfFields:
+    """Reader of child elements; errors name file, element and remedy.
+
+    ``where`` in all methods is the thing being read, as "link 'arm'".
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self.findings = findings
+
+    def name(self, element: Element, where: str) -> str:
+        """Return the element's name.
+
+        Raises:
+            AssetError: it has none.
+        """
+        name = element.get("name")
+        if not name:
+            raise self.findings.error(f"{where} lacks attribute 'name' of <{element.tag}>", "add it")
+        return name
+
+    def text(self, element: Element, tag: str, where: str, default: str | None = None) -> str:
+        """Return the text of a child element; ``default`` where there is no such child.
+
+        Raises:
+            AssetError: it is missing without a default.
+        """
+        child = element.find(tag)
+        if child is not None:
+            return (child.text or "").strip()
+        if default is None:
+            raise self.findings.error(f"{where} lacks <{tag}> in <{element.tag}>", "add it")
+        return default
+
+    def number(self, element: Element, tag: str, where: str, default: float | None = None) -> float:
+        """Return the number in a child element.
+
+        Raises:
+            AssetError: it is missing without a default, or no number.
+        """
+        return self.numbers(element, tag, where, 1, None if default is None else repr(default))[0]
+
+    def vector(self, element: Element, tag: str, where: str, default: str | None = None) -> Vector3:
+        """Return the three numbers in a child element.
+
+        Raises:
+            AssetError: it is missing without a default, or not three numbers.
+        """
+        x, y, z = self.numbers(element, tag, where, 3, default)
+        return (x, y, z)
+
+    def numbers(self, element: Element, tag: str, where: str, count: int, default: str | None = None) -> list[float]:
+        """Return ``count`` numbers separated by spaces from a child element.
+
+        Raises:
+            AssetError: it is missing without a default, or holds another count or no numbers.
+        """
+        return self._parsed(self.text(element, tag, where, default), tag, where, count)
+
+    def flag(self, element: Element, tag: str, where: str) -> bool:
+        """Return the truth value of a child element; False where there is none.
+
+        Raises:
+            AssetError: it says neither.
+        """
+        text = self.text(element, tag, where, "").lower()
+        if text not in (*_TRUE, *_FALSE):
+            raise self.findings.error(f"{where} has <{tag}>{text}</{tag}>", "give true or false")
+        return text in _TRUE
+
+    def pose(self, element: Element, where: str) -> tuple[Pose, str]:
+        """Return the pose of a child ``<pose>``, and the name of the frame that it is given in, empty for the default.
+
+        Raises:
+            AssetError: its numbers are not as they should be.
+        """
+        child = element.find("pose")
+        if child is None:
+            return Pose(), ""
+        # ``frame`` is the attribute's name before version 1.7.
+        frame = child.get("relative_to") or child.get("frame") or ""
+        text = (child.text or "").strip() or "0 0 0 0 0 0"
+        if child.get("rotation_format", "euler_rpy") == "quat_xyzw":
+            px, py, pz, x, y, z, w = self._parsed(text, "pose", where, 7)
+            return Pose((px, py, pz), canonical((w, x, y, z))), frame
+        px, py, pz, roll, pitch, yaw = self._parsed(text, "pose", where, 6)
+        unit = math.pi / 180.0 if child.get("degrees", "").lower() in _TRUE else 1.0
+        # Without rotation the identity is exact, where Euler angles would leave rounding.
+        if not (roll or pitch or yaw):
+            return Pose((px, py, pz)), frame
+        return Pose.from_euler(roll * unit, pitch * unit, yaw * unit, (px, py, pz)), frame
+
+    def _parsed(self, text: str, tag: str, where: str, count: int) -> list[float]:
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            values = []
+        if len(values) != count:
+            raise self.findings.error(f"{where} has <{tag}>{text[:80]}</{tag}>", f"give {count} number(s)")
+        return values
+
+
+# Most files that include one another.
 _DEEPEST = 8
-"""Files that include one another."""
+# A model's folder lists its SDF files by version in this file.
 _CONFIG = "model.config"
 _DEFAULT_VERSION = "1.7"
 
@@ -41,7 +146,7 @@ class SdfSource:
 
 @dataclass(frozen=True, eq=False)
 class SdfWorld:
-    """The models and ``<frame>`` elements of one world, or those of a file right below its root."""
+    """The models and ``<frame>`` elements of one world, or of a file right below its root."""
 
     fields: SdfFields
     models: list[SdfSource] = field(default_factory=list)
@@ -49,7 +154,7 @@ class SdfWorld:
 
 
 class SdfFiles:
-    """Reads the files of one model or world, under the limits of the caller.
+    """Reader of the files of one model or world, under the limits of the caller.
 
     Args:
         options: which files may be opened, and how many.
@@ -101,6 +206,7 @@ class SdfFiles:
         """
         uri = fields.text(element, "uri", "an <include>").rstrip("/")
         file = resolve_file(uri if uri.endswith(".sdf") else self._in_folder(uri, path), path, self.options)
+        # SDFormat takes the first model of an included file.
         model = next(model for world in self.worlds(file, (*above, path)) for model in world.models)
         name = fields.text(element, "name", "an <include>", model.name)
         where = f"the <include> of '{name}'"
@@ -142,7 +248,7 @@ class SdfFiles:
 def model_source(
     element: Element, path: Path, version: tuple[int, ...], fields: SdfFields, above: tuple[Path, ...]
 ) -> SdfSource:
-    """Return a ``<model>`` element as a source, placed as it says itself.
+    """Return a ``<model>`` element as a source, at its own pose.
 
     Args:
         element: the ``<model>``.

@@ -1,4 +1,4 @@
-"""A grid of terrain: kinds side by side along y, levels of difficulty one after another along x."""
+"""Grid of terrain: kinds side by side along y, levels of difficulty one after another along x."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from orbit_assets.terrain.kinds import Array, Boxes, Rough, Slope, Stairs, Surfa
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import Box, HeightField, Mesh, MeshCollision, PhysicsMaterial, Pose, RobotSpec, Shape
-from orbit_core.scene.materials import Color
+from orbit_core.scene.shapes import Color
 
+# Metres: thickness of the level ground around the grid.
 _BORDER_DEPTH = 1.0
-"""Metres: thickness of the level ground around the grid."""
+# Most points at which heights are sampled: 256 MiB as 8-byte numbers, and as much again in each engine.
 _MOST_POINTS = 2**25
-"""At which heights are sampled; they are held as numbers of 8 bytes, and again by each engine."""
+# Metres: a robot starts above the highest point within this distance, in x and in y, of its cell's middle.
 _START = 0.5
-"""Metres: a robot starts above the highest point within this distance, in x and in y, of its cell's middle."""
 
 
 class TerrainForm(Enum):
-    """What engines are given. Both are the same surface; a mesh is what an engine without height fields takes."""
+    """Form of the terrain in engines. Both are the same surface; a mesh is for engines without height fields."""
 
     HEIGHT_FIELD = "height_field"
     MESH = "mesh"
@@ -45,7 +45,7 @@ class TerrainGrid:
     levels: int = 10
     """Cells of each kind."""
     difficulty: tuple[float, float] = (0.0, 1.0)
-    """Of the first and of the last level; others lie evenly between."""
+    """Difficulties of the first and of the last level; the others are evenly spaced between."""
     cell_size: float = 8.0
     """Metres: side of a cell."""
     resolution: float = 0.1
@@ -58,7 +58,7 @@ class TerrainGrid:
     color: Color = (0.42, 0.4, 0.36, 1.0)
 
     def __post_init__(self) -> None:
-        """Check that the grid can be.
+        """Check that the fields describe a possible grid.
 
         Raises:
             ConfigurationError: it cannot; names the field and what would do.
@@ -69,6 +69,7 @@ class TerrainGrid:
                 f"cell_size is {self.cell_size:g} m and resolution {self.resolution:g} m: a cell must hold at least "
                 "three points a side"
             )
+        # Rounding of decimal fractions such as 8.0 / 0.1 must pass.
         if abs(self.cell_size / self.resolution - self._points) > 1e-6:
             raise ConfigurationError(
                 f"resolution {self.resolution:g} m does not divide cell_size {self.cell_size:g} m: "
@@ -96,6 +97,7 @@ class TerrainGrid:
         if not isinstance(self.form, TerrainForm):
             raise ConfigurationError(f"form of a terrain grid is {self.form!r}: give a TerrainForm")
         for name, least in (("levels", 1), ("seed", 0)):
+            # ``type`` rather than isinstance: True is an int.
             value = getattr(self, name)
             if type(value) is not int or value < least:
                 raise ConfigurationError(f"{name} of a terrain grid is {value!r}: give a whole number, {least} or more")
@@ -120,10 +122,11 @@ class TerrainGrid:
 
     @cached_property
     def surfaces(self) -> tuple[tuple[Surface, ...], ...]:
-        """The surface of each level's cells, of each kind; each cell has a random stream of its own."""
+        """Surface of each level's cells, by kind; each cell has an independent random stream."""
         difficulties = np.linspace(*self.difficulty, self.levels)
         return tuple(
             tuple(
+                # Seeded by place: adding a kind or a level leaves all other cells as they are.
                 kind.surface(self.cell_size, float(difficulty), np.random.default_rng((self.seed, level, column)))
                 for column, kind in enumerate(self.kinds)
             )
@@ -132,7 +135,7 @@ class TerrainGrid:
 
     @cached_property
     def heights(self) -> Array:
-        """(rows along y, columns along x) of the sampled surface, in metres."""
+        """Heights (rows along y, columns along x) of the sampled surface, in metres."""
         count = self._points
         place = np.linspace(-self.cell_size / 2, self.cell_size / 2, count + 1)
         x, y = np.meshgrid(place, place)
@@ -140,12 +143,13 @@ class TerrainGrid:
         for level, row in enumerate(self.surfaces):
             for kind, surface in enumerate(row):
                 cell = surface(x, y)
+                # Rims stay exactly zero, so that neighbours meet without a step.
                 inner = (slice(kind * count + 1, (kind + 1) * count), slice(level * count + 1, (level + 1) * count))
                 heights[inner] = cell[1:-1, 1:-1]
         return heights
 
     def height(self, x: Array, y: Array) -> Array:
-        """The height that the cells' own functions give at places in the environment's frame; zero beside the grid.
+        """Compute the exact height (m) at places in the environment's frame; zero outside the grid.
 
         Raises:
             ConfigurationError: a place is not finite.
@@ -166,20 +170,20 @@ class TerrainGrid:
 
     @cached_property
     def centers(self) -> Array:
-        """(levels, kinds, 2) x and y of the cells' middles, in the environment's frame."""
+        """x and y of the cells' middles (levels, kinds, 2), in the environment's frame."""
         x, y = ((np.arange(n) - (n - 1) / 2) * self.cell_size for n in (self.levels, len(self.kinds)))
         return np.stack(np.meshgrid(x, y, indexing="ij"), -1)
 
     @cached_property
     def origins(self) -> Array:
-        """(levels, kinds, 3) where robots start: the cells' middles, as high as the highest point near them."""
+        """Start positions of robots (levels, kinds, 3): the cells' middles, as high as the highest point near them."""
         near = np.linspace(-_START, _START, 2 * max(round(_START / self.resolution), 1) + 1)
         x, y = np.meshgrid(near, near)
         top = [[surface(x, y).max() for surface in row] for row in self.surfaces]
         return np.concatenate((self.centers, np.array(top)[..., None]), -1)
 
     def shapes(self) -> tuple[Shape, ...]:
-        """The terrain of a scene: the cells as one shape, and four level slabs around them."""
+        """Build the terrain of a scene: the cells as one shape, and four level slabs around them."""
         own = HeightField(self.heights, self.size)
         geometry = own
         if self.form is TerrainForm.MESH:
@@ -198,7 +202,7 @@ class TerrainGrid:
         )
 
     def check_fits(self, robot: RobotSpec, reach: float) -> None:
-        """Refuse cells that a robot does not fit in.
+        """Reject cells that a robot does not fit in.
 
         Args:
             robot: that stands on them.

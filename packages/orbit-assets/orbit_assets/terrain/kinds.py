@@ -1,6 +1,6 @@
-"""Kinds of ground. Each is a height as a function of place, which difficulty makes steeper, higher or sparser.
+"""Kinds of ground. Each is a height as a function of position, which difficulty makes steeper, higher or sparser.
 
-A cell is a square around its own origin. Its height is zero all along its rim, so that any cell may lie beside any
+A cell is a square around its own origin. Its height is zero all along its rim, so that any cell may be next to any
 other, and a robot starts in its middle. The kinds are those of Rudin et al., Learning to Walk in Minutes Using
 Massively Parallel Deep Reinforcement Learning (2021), and of Isaac Gym's terrains before it.
 """
@@ -20,10 +20,10 @@ from orbit_core.interfaces import ConfigurationError
 Array = npt.NDArray[np.floating[Any]]
 Surface = Callable[[Array, Array], Array]
 """Height in metres at x and y in metres from the middle of a cell; arrays of one shape."""
+# Metres: a place on an edge belongs to the side that is nearer to the middle.
 _EDGE = 1e-9
-"""Metres: a place on an edge belongs to the side that is nearer to the middle."""
+# Most stones in a row across a cell.
 _MOST_STONES = 1000
-"""In a row across a cell."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Span:
     hard: float
 
     def at(self, difficulty: float) -> float:
-        """The value at a difficulty."""
+        """Return the value at a difficulty."""
         return self.easy + difficulty * (self.hard - self.easy)
 
 
 def is_number(value: object) -> bool:
-    """Whether it is a finite number."""
+    """Return True if the value is a finite number."""
     return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
@@ -69,16 +69,18 @@ class TerrainKind(ABC):
 
     @abstractmethod
     def surface(self, size: float, difficulty: float, random: np.random.Generator) -> Surface:
-        """The surface of a cell of side ``size`` (m) at a difficulty of 0 to 1; what chance decides is drawn here."""
+        """Return the surface of a cell of side ``size`` (m) at a difficulty of 0 to 1; random values are drawn here,
+        once.
+        """
 
 
 def _ring(x: Array, y: Array) -> Array:
-    """Distance from the middle in the larger of both directions, so that its level lines are squares."""
+    """Return the distance from the middle in the larger of both directions, whose level lines are squares."""
     return np.maximum(np.abs(x), np.abs(y))
 
 
 def _square(place: Array, count: int, slack: float = 1e-6) -> npt.NDArray[np.int_]:
-    """Which of ``count`` squares in a row places lie on, in lengths of one; an edge, within slack, is the next's."""
+    """Return the square (of ``count`` in a row, side 1) of each place; an edge, within slack, belongs to the next."""
     return np.clip(np.floor(place + slack).astype(int), 0, count - 1)
 
 
@@ -130,7 +132,7 @@ class Slope(TerrainKind):
     grade: Span = Span(0.0, 0.4)
     """Rise over run: the tangent of the slope's angle."""
     down: bool = False
-    """Whether robots start at the bottom of a funnel, and not on top of a pyramid."""
+    """True for a funnel at whose bottom robots start, False for a pyramid on whose top they start."""
 
     def surface(self, size: float, difficulty: float, random: np.random.Generator) -> Surface:
         grade = self.grade.at(difficulty) * (-1.0 if self.down else 1.0)
@@ -146,11 +148,12 @@ class Stairs(TerrainKind):
     run: float = 0.3
     """Metres: depth of a step. A multiple of the grid's resolution, so that all steps are alike."""
     down: bool = False
-    """Whether robots start at the bottom and climb out."""
+    """True if robots start at the bottom and climb out."""
 
     def surface(self, size: float, difficulty: float, random: np.random.Generator) -> Surface:
         if not self.run:
             raise ConfigurationError("terrain Stairs: run is 0: give the steps a depth")
+        # Down is the same surface upside down.
         rise = self.rise.at(difficulty) * (-1.0 if self.down else 1.0)
         most = np.floor((size - self.platform) / 2 / self.run + _EDGE)
         if most < 1.0:
@@ -181,7 +184,7 @@ class SteppingStones(TerrainKind):
         pitch = self.side.at(difficulty) + apart
         if pitch < size / _MOST_STONES:
             raise ConfigurationError(
-                f"terrain SteppingStones: side and apart come to {pitch:g} m together: in a cell of {size:g} m give "
+                f"terrain SteppingStones: side and apart are {pitch:g} m together: in a cell of {size:g} m give "
                 f"{size / _MOST_STONES:g} m or more"
             )
         count = int(np.ceil(size / pitch)) + 1
@@ -190,6 +193,7 @@ class SteppingStones(TerrainKind):
         def height(x: Array, y: Array) -> Array:
             across, along = (v + size / 2 for v in (x, y))
             column, row = (_square(v / pitch, count) for v in (across, along))
+            # A slack of a micrometre keeps rounding from opening a gap one point wide at a stone's edge.
             wide = pitch - apart + 1e-6
             gap = (across - column * pitch > wide) | (along - row * pitch > wide)
             ring = _ring(x, y)
@@ -201,7 +205,7 @@ class SteppingStones(TerrainKind):
 
 @dataclass(frozen=True, kw_only=True)
 class Boxes(TerrainKind):
-    """Square blocks side by side, each of a height of its own."""
+    """Square blocks side by side, each with an independent height."""
 
     amplitude: Span = Span(0.025, 0.15)
     """Metres: heights are uniform between minus and plus this."""
@@ -242,7 +246,7 @@ class Gap(TerrainKind):
 
 @dataclass(frozen=True, kw_only=True)
 class Pit(TerrainKind):
-    """The platform lies in a pit with upright walls, which robots climb out of."""
+    """The platform is at the bottom of a pit with upright walls, which robots climb out of."""
 
     depth: Span = Span(0.05, 0.35)
     """Metres."""

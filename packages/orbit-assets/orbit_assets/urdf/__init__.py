@@ -1,4 +1,4 @@
-"""URDF files to articulations and back."""
+"""Reader and writer of URDF files."""
 
 from orbit_assets.urdf.reader import read_urdf
 from orbit_assets.urdf.writer import write_urdf

@@ -1,4 +1,4 @@
-"""URDF files read into the articulation description."""
+"""Reader of URDF and xacro files."""
 
 from __future__ import annotations
 
@@ -11,29 +11,74 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import numpy.typing as npt
 
-from orbit_assets.compound_joints import BALL, FLOATING, PLANAR, compound
-from orbit_assets.couplings import resolve_chains
-from orbit_assets.findings import Findings
 from orbit_assets.inertia_repair import repaired
+from orbit_assets.joint_models import BALL, FLOATING, PLANAR, compound, resolve_chains
 from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions, Repair
-from orbit_assets.trees import choose_tree
+from orbit_assets.source_text import Fields, Findings
 from orbit_assets.urdf.shapes import UrdfShapes, facing
-from orbit_assets.urdf.text import UNLIMITED
+from orbit_assets.urdf.writer import UNLIMITED
 from orbit_assets.xacro import read_expanded
-from orbit_assets.xml_fields import Fields
+from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.preparation.validation import sort_links
 from orbit_core.scene import Articulation, Joint, JointType, Link, Mimic
 
+
+def choose_tree(articulation: Articulation, root: str | None) -> Articulation:
+    """Return the tree of a description whose root is the link ``root``, with that link's name; all of it for None.
+
+    Raises:
+        AssetError: no root is named, and there are several.
+        UnknownNameError: no root has that name.
+    """
+    children = {joint.child for joint in articulation.joints}
+    roots = [link.name for link in articulation.links if link.name not in children]
+    if root is None:
+        if len(roots) > 1:
+            listed = ", ".join(f"'{name}'" for name in roots[:8])
+            raise AssetError(
+                f"'{articulation.name}': there are several roots, {listed}: connect them with joints, or name one by "
+                "ReadOptions(articulation=...)"
+            )
+        return articulation
+    if roots == [root] or (len(roots) == 1 and root == articulation.name):
+        return articulation
+    if root not in roots:
+        raise UnknownNameError("articulation", root, roots, f"'{articulation.name}'")
+    return _tree(articulation, root)
+
+
+def _tree(articulation: Articulation, root: str) -> Articulation:
+    followers: dict[str, list[str]] = {}
+    for joint in articulation.joints:
+        followers.setdefault(joint.parent, []).append(joint.child)
+    kept, stack = {root}, [root]
+    while stack:
+        for child in followers.get(stack.pop(), []):
+            if child not in kept:
+                kept.add(child)
+                stack.append(child)
+    return replace(
+        articulation,
+        name=root,
+        links=tuple(link for link in articulation.links if link.name in kept),
+        joints=tuple(joint for joint in articulation.joints if joint.child in kept),
+        loops=tuple(loop for loop in articulation.loops if kept.issuperset((loop.first, loop.second))),
+        frames=tuple(frame for frame in articulation.frames if frame.link in kept),
+        collision_exclusions=tuple(pair for pair in articulation.collision_exclusions if kept.issuperset(pair)),
+        notes=(*articulation.notes, f"the file holds other articulations besides '{root}'"),
+    )
+
+
 _JOINT_TYPES = {type_.value: type_ for type_ in JointType}
+# "spherical" and "ball" are not in the URDF specification, but in common files.
 _COMPOUND = {"floating": FLOATING, "planar": PLANAR, "spherical": BALL, "ball": BALL}
-"""The last two are no words of ROS, but common ones."""
+# Elements that are read; all others are left out with a note.
 _KNOWN = {
     "robot": {"link", "joint", "material"},
     "link": {"inertial", "visual", "collision"},
     "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"},
 }
-"""Elements that are read; all others are left out with a note."""
 
 
 @names_file
@@ -44,7 +89,7 @@ def read_urdf(
     *,
     options: ReadOptions = ReadOptions(),
 ) -> Articulation:
-    """The articulation that a URDF or xacro file describes, in link order depth first, fixed joints kept.
+    """Read the articulation that a URDF or xacro file describes, in link order depth first, fixed joints kept.
 
     ``packages`` adds folders of packages that ``package://`` names to those of ``options``; one that neither has is
     looked for among the folders above the file. Collision meshes collide as their convex hulls. Visual meshes keep
@@ -62,7 +107,7 @@ def read_urdf(
 
 
 class _Reader:
-    """One file's reading."""
+    """Reader of one file."""
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
@@ -77,11 +122,13 @@ class _Reader:
         self._leave_free_base(root)
         links = [self._link(element) for element in root.findall("link")]
         joints: list[Joint] = []
+        # Joints after links: a compound joint adds links of its chain.
         for element in root.findall("joint"):
             made, single = self._joint(element)
             links += made
             joints += single
         articulation = Articulation(name or root.get("name") or self.path.stem, tuple(links), tuple(joints))
+        # Before sorting: a tree is chosen by its root, and sorting accepts one root only.
         articulation = resolve_chains(self._without_lost_leaders(articulation))
         articulation = sort_links(choose_tree(articulation, self.options.articulation))
         return repaired(replace(articulation, notes=(*articulation.notes, *self.findings.notes)), self.options)
@@ -113,7 +160,7 @@ class _Reader:
         return replace(link, mass=mass, center_of_mass=pose.position, inertia=rotation @ inertia @ rotation.T)
 
     def _joint(self, element: Element) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
-        """A joint, or the joints and links that a compound one becomes."""
+        """Convert a joint; return the joints and links of the chain if it is compound."""
         name = self.fields.attribute(element, "name", "a joint")
         where = f"joint '{name}'"
         kind = self.fields.attribute(element, "type", where)
@@ -174,7 +221,7 @@ class _Reader:
         return replace(joint, lower_limit=lower, upper_limit=upper)
 
     def _without_lost_leaders(self, articulation: Articulation) -> Articulation:
-        """The articulation without laws that name a joint which does not exist, where the caller lets them go."""
+        """Remove laws that name a joint which does not exist, where the options allow it."""
         known = {joint.name for joint in articulation.joints}
         joints: list[Joint] = []
         for joint in articulation.joints:
@@ -189,7 +236,7 @@ class _Reader:
         return replace(articulation, joints=tuple(joints))
 
     def _inertia(self, inertial: Element, where: str) -> npt.NDArray[np.float64]:
-        """The inertia in the frame of ``<inertial>``; zero where none is given and repairs are asked for."""
+        """Return the inertia in the frame of ``<inertial>``; zero where it is missing and repairs are requested."""
         element = inertial.find("inertia")
         if element is None and self.options.repair is Repair.BALANCE:
             return np.zeros((3, 3))
@@ -204,7 +251,7 @@ class _Reader:
         return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
     def _leave_free_base(self, root: Element) -> None:
-        """Take a floating joint that carries the whole robot out of the file, and the empty link that holds it."""
+        """Remove a floating joint that carries the whole robot, and the empty link that holds it."""
         found = _free_base(root)
         if found is None:
             return
@@ -223,7 +270,7 @@ class _Reader:
 
 
 def _free_base(root: Element) -> tuple[str, str] | None:
-    """The floating joint that carries the whole robot, and the empty link that it hangs on, if there are such."""
+    """Find the floating joint that carries the whole robot and its empty parent link; None if there is none."""
     links = {element.get("name"): element for element in root.findall("link")}
     ends = [[(joint.find(tag), joint) for tag in ("parent", "child")] for joint in root.findall("joint")]
     parents, children = ([end[at][0] for end in ends] for at in (0, 1))

@@ -1,4 +1,4 @@
-"""Shapes of a URDF link: primitives, and meshes from files that several links may share."""
+"""Shapes of a URDF link: primitives, and meshes from files that several links may share; flat ones thickened."""
 
 from __future__ import annotations
 
@@ -13,11 +13,59 @@ from orbit_assets.meshes import MeshFiles
 from orbit_assets.naming import naming
 from orbit_assets.options import ReadOptions
 from orbit_assets.outside import resolve_file
-from orbit_assets.thin_shapes import touchable
-from orbit_assets.xml_fields import Fields
-from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, Plane, Pose, Shape, Sphere
+from orbit_assets.source_text import Fields, Findings
+from orbit_core.preparation.scene_data import extents
+from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, Mesh, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
 
+# Half the thickness (m) that a flat shape gets.
+_HALF_THICKNESS = 0.5e-3
+
+
+def touchable(geometry: Geometry, findings: Findings, where: str) -> Geometry | None:
+    """Return a shape that can collide: the shape itself, or a plate 1 mm thick for a flat one.
+
+    Args:
+        geometry: of a ``<collision>``.
+        findings: notes what is changed or left out.
+        where: the link, for the note.
+
+    Returns:
+        The shape, or None for a point or a line, which nothing can touch.
+    """
+    match geometry:
+        case Box(half_extents) if 0.0 in half_extents:
+            x, y, z = (length or _HALF_THICKNESS for length in half_extents)
+            solid = Box((x, y, z)) if half_extents.count(0.0) == 1 else None
+        case Cylinder(radius, 0.0) if radius > 0.0:
+            solid = Cylinder(radius, _HALF_THICKNESS)
+        case Sphere(0.0) | Capsule(0.0) | Cylinder(0.0):
+            solid = None
+        case Mesh() if extents(geometry.vertices) == 2:
+            solid = _thickened(geometry)
+        case _:
+            return geometry
+    if solid is None:
+        findings.leave_out("a <collision> of size zero, which nothing touches,", where)
+    else:
+        findings.note(f"a flat <collision> of {where} is a plate {2e3 * _HALF_THICKNESS:g} mm thick")
+    return solid
+
+
+def _thickened(mesh: Mesh) -> Mesh:
+    """Return the convex hull of a flat mesh, with thickness."""
+    from trimesh.convex import convex_hull
+
+    points = np.asarray(mesh.vertices, dtype=np.float64)
+    centred = points - points.mean(axis=0)
+    # The eigenvector of the smallest eigenvalue is the plane's normal.
+    normal = np.linalg.eigh(centred.T @ centred).eigenvectors[:, 0]
+    hull = convex_hull(np.concatenate((points + _HALF_THICKNESS * normal, points - _HALF_THICKNESS * normal)))
+    vertices, faces = np.asarray(hull.vertices, dtype=np.float32), np.asarray(hull.faces, dtype=np.int32)
+    return replace(mesh, vertices=np.ascontiguousarray(vertices), faces=np.ascontiguousarray(faces))
+
+
+# One object for all upright shapes, recognised by identity: composing with it would cost time for nothing.
 _UPRIGHT = Pose()
 HULLS = "collision meshes of the URDF collide as their convex hulls"
 SIZELESS = "a <visual> of size zero, which shows nothing,"
@@ -25,7 +73,7 @@ TEXTURES = "surfaces with a texture are drawn in one colour, the median of its p
 
 
 class UrdfShapes:
-    """Reads ``<collision>`` and ``<visual>`` elements of one file, whose named materials it knows.
+    """Reader of ``<collision>`` and ``<visual>`` elements of one file, with its named materials.
 
     Args:
         root: the file's root element.
@@ -40,13 +88,14 @@ class UrdfShapes:
         self.options = options
         self.meshes = MeshFiles(options, path)
         self.colors: dict[str, Color] = {}
+        # Materials may be defined anywhere, and used by name before their definition.
         for material in root.iter("material"):
             color = material.find("color")
             if color is not None and material.get("name"):
                 self.colors.setdefault(material.get("name", ""), self._color(color))
 
     def collision(self, element: Element, where: str) -> Iterator[Shape]:
-        """The shape that collides; none of what the caller lets be left out.
+        """Yield the shape that collides; nothing if the options have it left out.
 
         Raises:
             AssetError: a number, a file or the geometry is not as it should be.
@@ -65,7 +114,7 @@ class UrdfShapes:
                 yield Shape(shape, pose if turned is _UPRIGHT else pose @ turned, name=name)
 
     def visual(self, element: Element, where: str) -> Iterator[Shape]:
-        """The shapes that are drawn, one for each colour of a mesh.
+        """Yield the shapes that are drawn, one for each colour of a mesh.
 
         Raises:
             AssetError: as :meth:`collision`.
@@ -94,7 +143,7 @@ class UrdfShapes:
             yield shape if shown is None else replace(shape, color=shown)
 
     def origin(self, element: Element, where: str) -> Pose:
-        """The pose that ``<origin>`` gives, or the identity.
+        """Return the pose of ``<origin>``, or the identity.
 
         Raises:
             AssetError: its numbers are not as they should be.
@@ -117,7 +166,7 @@ class UrdfShapes:
                 case "cylinder" | "capsule":
                     radius, length = (fields.number(child, key, where) for key in ("radius", "length"))
                     yield (Cylinder if child.tag == "cylinder" else Capsule)(radius, length / 2), _UPRIGHT
-                case "plane":  # no word of ROS, but a common one
+                case "plane":  # not in the URDF specification, but in common files
                     yield Plane(), facing(fields.vector(child, "normal", where, (0.0, 0.0, 1.0)))
                 case _:
                     fields.findings.unsupported(
@@ -160,7 +209,7 @@ def is_sizeless(solid: Geometry) -> bool:
 
 
 def facing(normal: Vector3) -> Pose:
-    """A rotation that takes z to ``normal``, which need not have unit length; the identity for a zero vector."""
+    """Return a rotation that takes z to ``normal``, which need not have unit length; the identity for a zero vector."""
     length = float(np.linalg.norm(normal))
     if length == 0.0:
         return Pose()

@@ -1,34 +1,185 @@
-"""The articulations of a USD stage: its bodies and joints put together."""
+"""Articulations of a USD stage: mass and shapes of its bodies, put together by its joints."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from orbit_assets.mass_properties import MassProperties, combine, mass_properties
 from orbit_assets.placed import PlacedArticulation
-from orbit_assets.usd.actuators import Actuators
-from orbit_assets.usd.contents import STAGE, collect, is_frame
-from orbit_assets.usd.geometry import Placements
-from orbit_assets.usd.joints import Joints
-from orbit_assets.usd.library import pxr
-from orbit_assets.usd.links import Links
-from orbit_assets.usd.names import unique_names
-from orbit_assets.usd.stage import Reading, applies, attribute, is_authored, label, numbers, rotation, targets
+from orbit_assets.usd.contents import MASSLESS, STAGE, Contents, collect, is_frame
+from orbit_assets.usd.geometry import Placement, Placements, Shapes
+from orbit_assets.usd.joints import Actuators, Joints
+from orbit_assets.usd.library import pxr, unique_names
+from orbit_assets.usd.stage import (
+    Reading,
+    Units,
+    applies,
+    array,
+    attribute,
+    authored,
+    is_authored,
+    label,
+    number,
+    numbers,
+    rotation,
+    targets,
+)
 from orbit_assets.usd.tree import Edge, Tree, grow, stacked
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.validation import sort_links
-from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
+from orbit_core.scene import Articulation, Frame, Joint, Link, Pose, Shape
+from orbit_core.scene.pose import FloatArray
+
+# Density (kg/m^3) where the stage gives none, as UsdPhysics specifies.
+_DENSITY = 1000.0
+NOTHING = MassProperties(0.0, (0.0, 0.0, 0.0), np.zeros((3, 3)))
+"""Mass properties of a link without mass."""
+
+
+def is_given(body: Any) -> bool:
+    """Return True if a body gives its mass and inertia, so that those of its colliders are not needed."""
+    inertia = len(array(body, "newton:inertia", 1, float)) or any(numbers(body, "physics:diagonalInertia", _ZERO))
+    return number(body, "physics:mass") > 0 and bool(inertia)
+
+
+def solid(prim: Any, body: Any, material: Any, shape: Shape, units: Units) -> MassProperties:
+    """Compute a collider's mass properties from its own mass, or the density of itself, its body, or its material.
+
+    UsdPhysics takes a mass of zero for one that is not given; MuJoCo, for a collider without mass.
+    """
+    if (mass := number(prim, "physics:mass")) > 0:
+        return mass_properties(shape.geometry, mass=mass * units.mass).placed(shape.pose)
+    if authored(prim, "physics:mass") == 0 and applies(prim, "MjcCollisionAPI"):
+        return NOTHING
+    sources = (prim, body, *([material] if material else []))
+    densities = [number(source, "physics:density") for source in sources]
+    given = next((value for value in densities if value > 0), None)
+    density = _DENSITY if given is None else given * units.mass / units.length**3
+    return mass_properties(shape.geometry, density=density).placed(shape.pose)
+
+
+def body_mass(body: Any, solids: list[MassProperties], placements: Placements, units: Units) -> MassProperties:
+    """Return a body's own mass, centre and inertia as far as it gives them, and those of its colliders for the rest."""
+    of_shapes = combine(solids) if any(each.mass > 0 for each in solids) else NOTHING
+    placement = placements.of(body, body)
+    mass = number(body, "physics:mass") * units.mass or of_shapes.mass
+    center = numbers(body, "physics:centerOfMass", (-math.inf,) * 3)
+    x, y, z = placement.point(center) if math.isfinite(center[0]) else of_shapes.center_of_mass
+    inertia = _inertia(body, placement, units)
+    if inertia is None:
+        inertia = of_shapes.inertia * (mass / of_shapes.mass if of_shapes.mass else 1.0)
+    return MassProperties(mass, (float(x), float(y), float(z)), inertia)
+
+
+def _inertia(body: Any, placement: Placement, units: Units) -> FloatArray | None:
+    # Newton's full tensor wins: UsdPhysics has only a diagonal and the orientation of its axes.
+    full = array(body, "newton:inertia", 1, float)
+    if len(full) == 6:
+        xx, yy, zz, xy, xz, yz = full
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        axes = placement.pose.rotation_matrix()
+    else:
+        diagonal = numbers(body, "physics:diagonalInertia", _ZERO)
+        if not any(diagonal):
+            return None
+        tensor = np.diag(np.asarray(diagonal))
+        axes = placement.frame((0.0, 0.0, 0.0), rotation(body, "physics:principalAxes")).rotation_matrix()
+    return units.inertia(angular=True) * axes @ tensor @ axes.T
+
+
+_ZERO = (0.0, 0.0, 0.0)
+
+
+@dataclass(eq=False)
+class Links:
+    """Reader of the links of one stage."""
+
+    reading: Reading
+    contents: Contents
+    placements: Placements
+
+    def __post_init__(self) -> None:
+        self.shapes = Shapes(self.reading, self.placements, self.contents.geometry)
+
+    def body(self, path: str, name: str) -> Link:
+        """Return the link of a rigid body."""
+        body = self.contents.bodies[path]
+        parts = self.contents.parts.get(path, [])
+        massless = bool(attribute(body, MASSLESS, False))
+        # Volumes of meshes are expensive: they are computed only if the body needs them.
+        collisions, visuals, solids = self._shapes(parts, body, weighed=not (massless or is_given(body)))
+        properties = NOTHING if massless else body_mass(body, solids, self.placements, self.reading.units)
+        return Link(
+            name,
+            properties.mass,
+            properties.center_of_mass,
+            properties.inertia,
+            collisions,
+            visuals,
+            semantic_label(body),
+        )
+
+    def static(self, prim: Any, parts: list[Any], name: str) -> Link:
+        """Return a massless link, in the frame of ``prim``, of geometry that does not move."""
+        collisions, visuals, _ = self._shapes(parts, prim, weighed=False)
+        kind = "" if str(prim.GetPath()) == STAGE else semantic_label(prim)
+        return Link(name, NOTHING.mass, NOTHING.center_of_mass, NOTHING.inertia, collisions, visuals, kind)
+
+    def _shapes(
+        self, parts: list[Any], body: Any, *, weighed: bool
+    ) -> tuple[tuple[Shape, ...], tuple[Shape, ...], list[MassProperties]]:
+        """Return shapes that collide, shapes that are drawn, and mass properties of each collider."""
+        collisions: list[Shape] = []
+        visuals: list[Shape] = []
+        solids: list[MassProperties] = []
+        for prim in parts:
+            if not prim.IsA(pxr().UsdGeom.Gprim):
+                continue
+            collides = prim.HasAPI(pxr().UsdPhysics.CollisionAPI) and attribute(prim, "physics:collisionEnabled", True)
+            imageable = pxr().UsdGeom.Imageable(prim)
+            # By convention, colliders that should not be drawn have the purpose "guide".
+            drawn = imageable.ComputePurpose() != "guide" and imageable.ComputeVisibility() != "invisible"
+            shape = self.shapes.read(prim, body, collides=collides) if collides or drawn else None
+            if shape is None:
+                self._lack_shape(prim, collides, drawn)
+                continue
+            visuals += [shape] if drawn else []
+            if collides:
+                collisions.append(shape)
+                if weighed:
+                    material = self.shapes.surfaces.physics_prim(prim)
+                    solids.append(solid(prim, body, material, shape, self.reading.units))
+        return tuple(collisions), tuple(visuals), solids
+
+    def _lack_shape(self, prim: Any, collides: bool, drawn: bool) -> None:
+        if collides:
+            raise AssetError(f"{prim.GetPath()} is a collider of type {prim.GetTypeName()}: make it a mesh")
+        if drawn:
+            self.reading.note(f"{prim.GetPath()} is drawn as a {prim.GetTypeName()} and left out: make it a mesh")
+
+
+def semantic_label(prim: Any) -> str:
+    """Return the first label of the prim in any taxonomy; empty if it has none."""
+    for taxonomy in pxr().UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
+        if labels := pxr().UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr().Get():
+            return str(labels[0])
+    return ""
+
 
 WORLD = "world"
-"""The root link of an articulation whose first movable joint hangs from the world."""
+"""Root link of an articulation whose first movable joint is attached to the world."""
 _ADDS = "newton:jointsAddMobility"
+# Types of joints of which several may act one after another between the same bodies.
 _MOVING = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsSphericalJoint")
-"""Types of joints of which several may act one after another between the same bodies."""
 
 
 class StageReader:
-    """Reads what one stage holds.
+    """Reader of the articulations of one stage.
 
     Raises:
         AssetError: the stage holds something that the description lacks.
@@ -42,7 +193,7 @@ class StageReader:
         self.actuators = Actuators(self.contents.actuators, self.contents.joints, reading)
 
     def articulations(self) -> list[PlacedArticulation]:
-        """All that rigid bodies and joints make, in the stage's order; of a stage without bodies, one static link.
+        """Return all articulations of the stage in its order; of a stage without bodies, one static link.
 
         Raises:
             AssetError: the stage holds nothing that could collide, or something that the description lacks.
@@ -70,7 +221,7 @@ class StageReader:
         return label(top) if top else self.reading.path.stem
 
     def _names(self, trees: list[Tree]) -> list[tuple[str, str]]:
-        """Path and name of each articulation: the default prim's name for the only one."""
+        """Return path and name of each articulation: the default prim's name for the only one."""
         paths = [self._around(tree) for tree in trees]
         if len(trees) == 1:
             return [(paths[0], self._only_name())]
@@ -78,9 +229,9 @@ class StageReader:
         return [(path, names[path]) for path in paths]
 
     def _around(self, tree: Tree) -> str:
-        """The path of the innermost prim that holds all bodies of an articulation, or of its first body.
+        """Return the path of the innermost prim that holds all bodies of an articulation, or of its first body.
 
-        The stage's default prim holds everything and stands for nothing.
+        The stage's default prim holds everything and names no articulation.
         """
         bodies = [path for path in tree.bodies if path != STAGE]
         first = tree.root if tree.root != STAGE else bodies[0]
@@ -96,6 +247,7 @@ class StageReader:
             if self._acts(prim) and (edge := self._edge(prim)) is not None:
                 yield edge
 
+    # Disabled joints are reported: the file lets a program enable them.
     def _acts(self, prim: Any) -> bool:
         if attribute(prim, "physics:collisionEnabled", False):
             self.reading.note(f"the links that '{label(prim)}' connects do not collide, though it lets them")
@@ -108,7 +260,7 @@ class StageReader:
         return enabled
 
     def _adds_mobility(self, edge: Edge) -> bool:
-        """As the articulation's root says; else as MuJoCo's joints do, which are known by their schema."""
+        """Return the setting of the articulation's root; else True for joints of MuJoCo, known by their schema."""
         if edge.prim.GetTypeName() not in _MOVING:
             return False
         for body in (path for path in edge.bodies if path != STAGE):
@@ -138,6 +290,7 @@ class StageReader:
         return Edge(prim, (bodies[0], bodies[1]), (frames[0], frames[1]), closing)
 
     def _placed(self, tree: Tree, path: str, name: str) -> PlacedArticulation:
+        # Each articulation collects its own notes.
         own = replace(self.reading, notes=[])
         names = self._link_names(tree)
         inner = (part for edge, _ in tree.parent_edges.values() for part in edge.parts)
@@ -147,7 +300,7 @@ class StageReader:
         joints.gather(tree)
         links = [self._link(body, names[body]) for body in tree.bodies]
         if tree.root == STAGE:
-            own.note(f"link '{WORLD}', without mass, stands for what joints hang from: fix the base")
+            own.note(f"link '{WORLD}', without mass, replaces the world that joints are attached to: fix the base")
         articulation = Articulation(
             name,
             (*links, *joints.links),
@@ -165,7 +318,7 @@ class StageReader:
         return PlacedArticulation(ordered, self._pose(tree.root), tree.fixed_base or bool(kinematic), path)
 
     def _link_names(self, tree: Tree) -> dict[str, str]:
-        """Names of the links by their bodies' paths."""
+        """Return names of the links by their bodies' paths."""
         bodies = {path: label(self.contents.bodies[path]) for path in tree.bodies if path != STAGE}
         world = {STAGE: WORLD} if tree.root == STAGE else {}
         return world | unique_names(bodies, frozenset(world.values()))
@@ -174,7 +327,7 @@ class StageReader:
         return self.links.body(path, name) if path != STAGE else Link(name)
 
     def _pose(self, path: str) -> Pose:
-        """Where the link of a body stands in the world."""
+        """Return the pose of the link of a body in the world."""
         return self.placements.root(self.contents.bodies[path]) if path != STAGE else Pose()
 
     def _frames(self, names: dict[str, str]) -> Iterator[Frame]:
@@ -191,12 +344,13 @@ class StageReader:
             yield Frame(unique[path], names[body], self.placements.of(prim, host).pose)
 
     def _self_collisions(self, tree: Tree) -> bool:
-        """As the articulation's root says; UsdPhysics itself lets all bodies collide that no joint connects."""
+        """Return the setting of the root; the default of UsdPhysics is True for bodies without a joint between them."""
         if len(tree.bodies) == 1:
             return False
         names = ("newton:selfCollisionEnabled", "physxArticulation:enabledSelfCollisions")
         around = [prim for path in tree.bodies if path != STAGE for prim in self._upwards(self.contents.bodies[path])]
         around += [prim for edge, _ in tree.parent_edges.values() for prim in (edge.prim,)]
+        # Files put the flag on the root body, a prim above it, or the joint to the world.
         values = (attribute(prim, name) for prim in dict.fromkeys(around) for name in names)
         return next((bool(value) for value in values if value is not None), True)
 
@@ -218,7 +372,7 @@ class StageReader:
 
 
 def _in_order(articulation: Articulation) -> bool:
-    """Whether every parent comes before its children, the root first."""
+    """Return True if every parent comes before its children, the root first."""
     place = {name: index for index, name in enumerate(articulation.link_names)}
     children = {joint.child for joint in articulation.joints}
     return (

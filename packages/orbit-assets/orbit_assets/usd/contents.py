@@ -1,4 +1,4 @@
-"""What a USD stage holds for physics: bodies and what each carries, joints, lights; instancers as what they draw."""
+"""Prims of a USD stage sorted by their meaning for physics: bodies and their parts, joints, lights."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from orbit_assets.usd.stage import Reading, applies, array, attribute, label, ta
 from orbit_core.interfaces.errors import AssetError
 
 FRAME = "orbit:frame"
-"""The attribute that marks a named frame."""
+"""Attribute that marks a named frame."""
 MASSLESS = "orbit:massless"
-"""The attribute that marks a body whose mass is none, where UsdPhysics would compute one of its colliders."""
+"""Attribute that marks a body without mass, where UsdPhysics would compute one from its colliders."""
 STAGE = "/"
-"""The path of what does not move: the stage itself."""
+"""Path of everything that does not move: the stage itself."""
 _INSTANCES = "orbit_instance_"
+# Prefixes of types and applied schemas that the description cannot hold, and their meaning.
 _LACKING = {
     "PhysxDeformable": "a deformable body",
     "OmniPhysicsDeformable": "a deformable body",
@@ -33,27 +34,26 @@ _LACKING = {
     "PhysxPhysicsAttachment": "an attachment",
     "MjcTendon": "a tendon",
 }
-"""Beginnings of the names of types and applied schemas that the description has nothing for, and what they are."""
+# Attributes by applied schema that are left out with a note, for each engine treats them differently.
 _SMALL = {
     "PhysxCollisionAPI": ("physxCollision:contactOffset", "physxCollision:restOffset"),
     "NewtonCollisionAPI": ("newton:contactMargin", "newton:contactGap"),
     "PhysicsRigidBodyAPI": ("physics:velocity", "physics:angularVelocity"),
     "PhysxRigidBodyAPI": ("physxRigidBody:linearDamping", "physxRigidBody:angularDamping"),
 }
-"""Attributes by applied schema that are left out with a note, as each engine has its own ways with them."""
 
 
 @dataclass(eq=False)
 class Contents:
-    """Prims of one stage, sorted by what they are to physics."""
+    """Prims of one stage, sorted by their meaning for physics."""
 
     bodies: dict[str, Any] = field(default_factory=dict)
     """Rigid bodies by path, in the stage's order."""
     parts: dict[str, list[Any]] = field(default_factory=dict)
-    """Geometry and frames by the path of the body that carries them; :data:`STAGE` for what does not move."""
+    """Geometry and frames by the path of the body that carries them; :data:`STAGE` for static ones."""
     joints: list[Any] = field(default_factory=list)
     actuators: list[Any] = field(default_factory=list)
-    """MuJoCo's."""
+    """Actuators of MuJoCo's schema."""
     lights: list[Any] = field(default_factory=list)
     scene: Any = None
     """The first physics scene, or ``None``."""
@@ -72,12 +72,12 @@ class Contents:
 
 
 def is_frame(prim: Any) -> bool:
-    """Whether a prim is a named frame: one of ORBIT's own, or a site of MuJoCo's or Newton's."""
+    """Return True if a prim is a named frame: one of ORBIT's own, or a site of MuJoCo's or Newton's."""
     return bool(attribute(prim, FRAME, False)) or applies(prim, "MjcSiteAPI") or applies(prim, "NewtonSiteAPI")
 
 
 def collect(reading: Reading) -> Contents:
-    """Sort the stage's prims, after its instancers have been set out.
+    """Sort the stage's prims, with instancers expanded.
 
     Raises:
         AssetError: the stage holds more prims than the limits allow, an instancer of which the prototypes are missing,
@@ -92,13 +92,14 @@ def collect(reading: Reading) -> Contents:
 
 
 def _prims(reading: Reading) -> Iterator[Any]:
-    """All prims of the stage but what instancers keep for drawing from."""
+    """Yield all prims of the stage except the prototypes of instancers."""
     prims = iter(pxr().Usd.PrimRange(reading.stage.GetPseudoRoot(), pxr().Usd.TraverseInstanceProxies()))
     most = reading.options.limits.elements
     for count, prim in enumerate(prims):
         if count > most:
             raise AssetError(f"the stage has over {most} prims: make it smaller, or raise ReadLimits.elements")
         if prim.IsPseudoRoot():
+            # Children of an instancer are prototypes, which only their instances show.
             continue
         parent = prim.GetParent()
         if parent.GetTypeName() == "PointInstancer" and not prim.GetName().startswith(_INSTANCES):
@@ -128,7 +129,7 @@ def _sort(reading: Reading, contents: Contents, prim: Any) -> None:
 
 
 def _notice(reading: Reading, prim: Any) -> None:
-    """Tell what is in the prim that ORBIT leaves out."""
+    """Note or reject content of the prim that ORBIT leaves out."""
     kind = str(prim.GetTypeName())
     applied = [name.partition(":")[0] for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
     for name in (kind, *applied):
@@ -138,7 +139,7 @@ def _notice(reading: Reading, prim: Any) -> None:
         for attribute_name in _SMALL.get(name, ()):
             found = prim.GetAttribute(attribute_name)
             if found and found.HasAuthoredValue() and found.Get() not in (0.0, pxr().Gf.Vec3f(0.0)):
-                reading.note(f"{attribute_name} is left out wherever it is given, as on {prim.GetPath()}")
+                reading.note(f"{attribute_name} is left out everywhere, as on {prim.GetPath()}")
     if attribute(prim, "mjc:body:gravcomp", 0.0):
         reading.lack(f"{prim.GetPath()} is held up against gravity (mjc:body:gravcomp), which descriptions cannot hold")
     if kind == "PhysicsCollisionGroup":
@@ -150,7 +151,7 @@ def _notice(reading: Reading, prim: Any) -> None:
 
 
 def _set_out_instancers(reading: Reading) -> None:
-    """Let each instance that a ``PointInstancer`` draws be a prim of its own, on a layer that lasts as the reading."""
+    """Expand each instance of a ``PointInstancer`` to a prim on the session layer, which is not saved."""
     stage, usd = reading.stage, pxr()
     every = usd.Usd.PrimRange(stage.GetPseudoRoot(), usd.Usd.TraverseInstanceProxies())
     instancers = [prim for prim in every if prim.IsA(usd.UsdGeom.PointInstancer)]
@@ -165,7 +166,7 @@ def _set_out_instancers(reading: Reading) -> None:
 
 
 def _set_out(reading: Reading, prim: Any, most: int) -> int:
-    """The number of instances set out, at most ``most``."""
+    """Expand at most ``most`` instances; return their number."""
     usd, stage = pxr(), reading.stage
     instancer = usd.UsdGeom.PointInstancer(prim)
     prototypes = targets(prim, "prototypes")
@@ -179,6 +180,7 @@ def _set_out(reading: Reading, prim: Any, most: int) -> int:
             raise AssetError(f"{prim.GetPath()} draws {path}, which the stage lacks: put it there")
     now = usd.Usd.TimeCode.Default()
     keep = usd.UsdGeom.PointInstancer
+    # The mask is applied below, to keep the numbers of instances.
     transforms = instancer.ComputeInstanceTransformsAtTime(now, now, keep.IncludeProtoXform, keep.IgnoreMask)
     shown = instancer.ComputeMaskAtTime(now) or [True] * len(indices)
     if len(transforms) != len(indices):

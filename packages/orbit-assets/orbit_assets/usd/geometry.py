@@ -1,9 +1,9 @@
-"""Where things stand in a USD stage, and the shapes found there, in SI units with z up."""
+"""Poses, shapes, physics materials and colours of USD prims, in SI units with z up."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,39 +12,152 @@ import numpy.typing as npt
 from orbit_assets.urdf.shapes import is_sizeless
 from orbit_assets.usd.contents import STAGE
 from orbit_assets.usd.library import pxr
-from orbit_assets.usd.stage import Reading, Units, array, attribute, axis, label, number
-from orbit_assets.usd.surfaces import Surfaces
+from orbit_assets.usd.stage import Reading, Units, applies, array, attribute, axis, label, number
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
+from orbit_core.scene import (
+    Box,
+    Capsule,
+    Color,
+    Compliance,
+    Cylinder,
+    Geometry,
+    Mesh,
+    MeshCollision,
+    PhysicsMaterial,
+    Plane,
+    Pose,
+    Shape,
+    Sphere,
+)
 from orbit_core.scene.pose import FloatArray, Quaternion, Vector3, canonical
 
+
+class Surfaces:
+    """Materials of the geometry of one stage, resolved together, which is faster than one by one."""
+
+    def __init__(self, reading: Reading, gprims: list[Any]) -> None:
+        self._reading = reading
+        paths = [str(prim.GetPath()) for prim in gprims]
+        bound = pxr().UsdShade.MaterialBindingAPI.ComputeBoundMaterials
+        self._physics = dict(zip(paths, bound(gprims, "physics")[0], strict=True)) if gprims else {}
+        self._drawn = dict(zip(paths, bound(gprims, "")[0], strict=True)) if gprims else {}
+
+    def material(self, prim: Any) -> PhysicsMaterial:
+        """Return the physics material bound to a prim; the default one where none is."""
+        source = self.physics_prim(prim)
+        if source is None or not source.HasAPI(pxr().UsdPhysics.MaterialAPI):
+            return PhysicsMaterial()
+        self._note_combination(source)
+        units = self._reading.units
+        read = PhysicsMaterial(
+            static_friction=number(source, "physics:staticFriction"),
+            dynamic_friction=number(source, "physics:dynamicFriction"),
+            restitution=number(source, "physics:restitution"),
+        )
+        if "NewtonMaterialAPI" not in source.GetAppliedSchemas():
+            return read
+        stiffness = number(source, "newton:contactStiffness", -math.inf)
+        damping = number(source, "newton:contactDamping", -math.inf)
+        read = replace(
+            read,
+            torsional_friction=number(source, "newton:torsionalFriction") * units.length,
+            rolling_friction=number(source, "newton:rollingFriction") * units.length,
+            compliance=Compliance(stiffness * units.mass, max(damping, 0.0) * units.mass) if stiffness > 0 else None,
+        )
+        return self._as_mujoco(prim, read) if applies(prim, "MjcCollisionAPI") else read
+
+    def _as_mujoco(self, prim: Any, material: PhysicsMaterial) -> PhysicsMaterial:
+        """Return the material of a collider with MuJoCo's schema: ``condim`` selects the directions of friction.
+
+        Newton's attribute for stiffness then holds MuJoCo's ``solref``, which is in proportion to the mass in contact
+        and no
+        stiffness of the material.
+        """
+        if material.compliance is not None:
+            self._reading.note("the softness of contacts (solref) of colliders with MuJoCo's schema is left out")
+        dimensions = int(number(prim, "mjc:condim", 3.0))
+        return PhysicsMaterial(
+            static_friction=material.static_friction if dimensions >= 3 else 0.0,
+            dynamic_friction=material.dynamic_friction if dimensions >= 3 else 0.0,
+            restitution=material.restitution,
+            torsional_friction=material.torsional_friction if dimensions >= 4 else 0.0,
+            rolling_friction=material.rolling_friction if dimensions >= 6 else 0.0,
+        )
+
+    def physics_prim(self, prim: Any) -> Any:
+        """Return the material prim of the prim's surface and substance; None without one."""
+        material = self._physics.get(str(prim.GetPath()))
+        return material.GetPrim() if material else None
+
+    def _note_combination(self, source: Any) -> None:
+        for what in ("friction", "restitution"):
+            # Engines combine two surfaces in different ways: the contract of ORBIT is the larger value.
+            mode = attribute(source, f"physxMaterial:{what}CombineMode")
+            if mode not in (None, "max"):
+                self._reading.note(
+                    f"{source.GetPath()} combines {what} of two surfaces by '{mode}'; everywhere the larger counts"
+                )
+
+    def color(self, prim: Any) -> Color:
+        """Return a prim's display colour, else the diffuse colour of its preview surface, else grey."""
+        gprim = pxr().UsdGeom.Gprim(prim)
+        if colors := gprim.GetDisplayColorPrimvar().Get():
+            opacities = gprim.GetDisplayOpacityPrimvar().Get()
+            if len(colors) > 1:
+                self._reading.note(f"{prim.GetPath()} has {len(colors)} colours and is drawn in the first")
+            return _color(colors[0], opacities[0] if opacities else 1.0)
+        material = self._drawn.get(str(prim.GetPath()))
+        surface = material.ComputeSurfaceSource()[0] if material else None
+        return self._surface_color(prim, surface) if surface else Shape(Plane()).color
+
+    def _surface_color(self, prim: Any, surface: Any) -> Color:
+        for name in ("diffuseColor", "diffuse_color_constant"):
+            found = surface.GetInput(name)
+            if not found:
+                continue
+            if found.HasConnectedSource():
+                self._reading.note(f"the texture of {prim.GetPath()} is left out, and its texture coordinates")
+            if (value := found.Get()) is not None:
+                opacity = surface.GetInput("opacity")
+                alpha = opacity.Get() if opacity else None
+                return _color(value, 1.0 if alpha is None else alpha)
+        if surface.GetInput("diffuse_texture"):
+            self._reading.note(f"the texture of {prim.GetPath()} is left out, and its texture coordinates")
+        return Shape(Plane()).color
+
+
+def _color(rgb: Any, alpha: float) -> Color:
+    red, green, blue = (float(value) for value in rgb)
+    return (red, green, blue, float(alpha))
+
+
 UNNAMED = "orbit:unnamed"
-"""The attribute that marks a shape without a name, as every prim has one."""
+"""Attribute that marks a shape without a name, for every prim has one."""
+# Rotations that take z to a prim's own axis.
 _TO_Z = {"X": Pose.from_euler(0.0, math.pi / 2, 0.0), "Y": Pose.from_euler(-math.pi / 2, 0.0, 0.0), "Z": Pose()}
-"""The rotation that takes z to a prim's own axis."""
+# Sides of the pyramid that replaces a cone.
 _SIDES = 32
-"""Of the pyramid that a cone becomes."""
+# Relative tolerance of shear; stages hold most numbers in single precision.
 _SHEAR = 1e-4
-"""Relative; stages hold most numbers in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A prim's pose in its link's frame, and the stretch (3, 3) of its own axes into metres."""
+    """A prim's pose in its link's frame, and the stretch (3, 3) of its axes into metres."""
 
     pose: Pose
     stretch: FloatArray
 
     def point(self, position: Any) -> FloatArray:
-        """A point (3,) of the prim's own space in the link's frame."""
+        """Return a point (3,) of the prim's own space in the link's frame."""
         return self.pose.transform(self.stretch @ np.asarray(position, dtype=float))
 
     def frame(self, position: Any, rotation: Any) -> Pose:
-        """A USD vector and quaternion of the prim's own space as a pose in the link's frame."""
+        """Return a USD vector and quaternion of the prim's own space as a pose in the link's frame."""
         return self.pose @ Pose(_vector(self.stretch @ np.asarray(position, dtype=float)), _quaternion(rotation))
 
     def scale(self, prim: Any) -> FloatArray:
-        """The stretch along each of the prim's axes (3,), without sign.
+        """Return the stretch along each of the prim's axes (3,), without sign.
 
         Raises:
             AssetError: the prim is sheared.
@@ -56,7 +169,7 @@ class Placement:
 
 
 class Placements:
-    """Where the prims of a stage stand, each body worked out once."""
+    """Poses of the prims of a stage; each body's is computed once."""
 
     def __init__(self, units: Units) -> None:
         self._units = units
@@ -65,7 +178,7 @@ class Placements:
         self._inverses: dict[str, Pose] = {}
 
     def of(self, prim: Any, body: Any) -> Placement:
-        """The pose of a prim that moves with the prim ``body``."""
+        """Return the pose of a prim that moves with the prim ``body``."""
         matrix = self._matrix(prim)
         rigid = _rigid(matrix)
         stretch = rigid[:3, :3].T @ matrix[:3, :3]
@@ -75,7 +188,7 @@ class Placements:
         return Placement(self._inverses[path] @ Pose.from_matrix(rigid), stretch)
 
     def root(self, body: Any) -> Pose:
-        """Where the link frame of a body stands in the world, z up."""
+        """Return the pose of a body's link frame in the world, z up."""
         up = self._units.up
         return up @ self._body(body) @ up.inverse()
 
@@ -86,11 +199,12 @@ class Placements:
         return self._bodies[path]
 
     def _matrix(self, prim: Any) -> FloatArray:
-        """The prim's transform (4, 4) in the stage, acting on columns, translation in metres."""
+        """Return the prim's transform (4, 4) in the stage, acting on columns, translation in metres."""
         length = self._units.length
         if prim.IsPseudoRoot():
             return np.diag((length, length, length, 1.0))
         try:
+            # USD's matrices act on rows.
             matrix = np.array(self._cache.GetLocalToWorldTransform(prim)).T
         except pxr().Tf.ErrorException as error:
             raise AssetError(f"{prim.GetPath()} has a transform that USD cannot work out: {error}") from None
@@ -106,11 +220,11 @@ APPROXIMATIONS = {
     "convexDecomposition": MeshCollision.CONVEX_DECOMPOSITION,
     "sdf": MeshCollision.SIGNED_DISTANCE,  # of PhysX' schema
 }
-"""By USD's name of a collision approximation."""
+"""Collision shapes by USD's name of a collision approximation."""
 
 
 class Shapes:
-    """Reads the geometry of one stage."""
+    """Reader of the geometry of one stage."""
 
     def __init__(self, reading: Reading, placements: Placements, gprims: list[Any]) -> None:
         self._reading = reading
@@ -118,7 +232,7 @@ class Shapes:
         self.surfaces = Surfaces(reading, gprims)
 
     def read(self, prim: Any, body: Any, *, collides: bool) -> Shape | None:
-        """The shape of a geometric prim in its link's frame; ``None`` for a kind that holds no surface.
+        """Return the shape of a geometric prim in its link's frame; None for a kind without a surface.
 
         Raises:
             AssetError: no engine has a shape like it.
@@ -157,6 +271,7 @@ class Shapes:
         if len(points) == 0 or len(indices) == 0 or indices.min() < 0 or indices.max() >= len(points):
             raise AssetError(f"{prim.GetPath()} is a mesh without faces, or with faces of vertices that it lacks")
         faces = _triangles(counts, indices)
+        # A mirrored mesh and a left-handed one each turn the faces over; both together do not.
         mirrored = np.linalg.det(placement.stretch) < 0
         if mirrored != (attribute(prim, "orientation") == "leftHanded"):
             faces = faces[:, ::-1]
@@ -198,8 +313,9 @@ def _primitive(prim: Any, kind: str, placement: Placement) -> Geometry | None:
 
 
 def _cone(prim: Any, placement: Placement) -> Mesh:
-    """A cone as a pyramid of the same volume."""
+    """Build a pyramid of the same volume in place of a cone."""
     turn = 2.0 * np.pi / _SIDES
+    # A regular polygon of N sides has the area N/2 r^2 sin(2 pi/N): the radius grows so that it equals the circle's.
     radius = number(prim, "radius") * math.sqrt(turn / math.sin(turn))
     half = 0.5 * number(prim, "height")
     angles = turn * np.arange(_SIDES)
@@ -213,7 +329,7 @@ def _cone(prim: Any, placement: Placement) -> Mesh:
 
 
 def _triangles(counts: npt.NDArray[np.int_], indices: npt.NDArray[np.int_]) -> npt.NDArray[np.int_]:
-    """Fans of triangles (F, 3) of polygons given one after another."""
+    """Split polygons given one after another into fans of triangles (F, 3)."""
     starts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     first = np.repeat(starts, fans)
@@ -222,7 +338,7 @@ def _triangles(counts: npt.NDArray[np.int_], indices: npt.NDArray[np.int_]) -> n
 
 
 def _rigid(matrix: FloatArray) -> FloatArray:
-    """The nearest rigid transform: the rotation of the polar decomposition, and the translation."""
+    """Return the nearest rigid transform: the rotation of the polar decomposition, and the translation."""
     rotation = matrix[:3, :3]
     if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-12:  # no rotation yet
         u, _, vt = np.linalg.svd(rotation)
@@ -240,5 +356,5 @@ def _vector(values: FloatArray) -> Vector3:
 def _quaternion(rotation: Any) -> Quaternion:
     x, y, z = (float(value) for value in rotation.GetImaginary())
     quaternion = (float(rotation.GetReal()), x, y, z)
-    # USD's way to say that principal axes are the body's own is a quaternion of zeros.
+    # USD writes a quaternion of zeros for principal axes that are the body's own.
     return canonical(quaternion) if any(quaternion) else (1.0, 0.0, 0.0, 0.0)

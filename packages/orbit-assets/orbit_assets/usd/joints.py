@@ -1,34 +1,150 @@
-"""The joints of one articulation in a USD stage: those of its tree, and those that close loops in it."""
+"""Joints of one articulation in a USD stage: those of its tree, those that close loops, and their actuators."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from orbit_assets.compound_joints import chain
-from orbit_assets.usd.actuators import Actuators
-from orbit_assets.usd.dynamics import drive_gains, mimic, mujoco_angle, with_dynamics
-from orbit_assets.usd.freedoms import Direction, coordinates, directions
-from orbit_assets.usd.stage import Reading, authored, label, number
+from orbit_assets.joint_models import ActuatorLaw, Range, chain
+from orbit_assets.usd.dynamics import (
+    Direction,
+    coordinates,
+    directions,
+    drive_gains,
+    mimic,
+    mujoco_angle,
+    with_dynamics,
+)
+from orbit_assets.usd.stage import Reading, array, attribute, authored, label, number, targets
 from orbit_assets.usd.tree import Edge, Tree
 from orbit_core.scene import DriveGains, Joint, JointType, Link, LoopJoint, LoopType, Mimic, Pose
 from orbit_core.scene.pose import Vector3
 
+# Effort range of a joint without a limit.
+_NONE = (-math.inf, math.inf)
+# Most names that a note lists; it counts the rest.
+_SHOWN = 8
+
+
+class Actuators:
+    """The ``MjcActuator`` prims of a stage, by the joint prim that each drives.
+
+    Args:
+        prims: the actuators.
+        joints: the stage's joints.
+        reading: the file; actuators that drive no joint are noted.
+
+    Raises:
+        AssetError: a number of an actuator is none.
+    """
+
+    def __init__(self, prims: Sequence[Any], joints: Collection[Any], reading: Reading) -> None:
+        paths = {str(joint.GetPath()) for joint in joints}
+        self._laws: dict[str, list[tuple[str, ActuatorLaw]]] = {}
+        left: list[str] = []
+        for prim in prims:
+            (target, *_) = targets(prim, "mjc:target") or [""]
+            if target in paths:
+                self._laws.setdefault(target, []).append((label(prim), _law(prim)))
+            else:
+                left.append(label(prim))
+        if left:
+            reading.note(f"actuators that drive no joint are left out: {_some(left)}")
+
+    def limited(self, joint: Joint, prim: Any, reading: Reading) -> Joint:
+        """Return the joint with the effort limit that its own range and all its actuators together leave it."""
+        path = str(prim.GetPath())
+        low, high = _sum(law for _, law in self._laws[path]) if path in self._laws else _NONE
+        # Several actuators act on one joint together: their ranges add up.
+        own = _range(prim, "actuatorfrclimited", "actuatorfrcrange") or _NONE
+        low, high = max(low, own[0]), min(high, own[1])
+        most = max(-low, high)
+        if not math.isclose(-low, high, rel_tol=1e-6):
+            reading.note(
+                f"the effort limit of joint '{joint.name}' differs by direction, {low:.4g} to {high:.4g}: "
+                f"{most:.4g} holds in both"
+            )
+        return replace(joint, effort_limit=min(most, joint.effort_limit))
+
+    def drives(self, names: Mapping[str, str], driven: Collection[str], reading: Reading) -> list[DriveGains]:
+        """Return the gains of joints that have actuators; those of several actuators add up.
+
+        Args:
+            names: names of an articulation's joints with one position, by the paths of their prims.
+            driven: joints that have a drive of UsdPhysics, which counts.
+            reading: the file, for notes on what is left out.
+        """
+        found: list[DriveGains] = []
+        left: list[str] = []
+        for path in names:
+            laws = self._laws.get(path, [])
+            if laws and names[path] in driven:
+                reading.note(f"joint '{names[path]}' has a drive of UsdPhysics, which counts, and an actuator")
+                continue
+            left += [called for called, law in laws if law.gains() is None]
+            known = [(law, gains) for _, law in laws if (gains := law.gains()) is not None]
+            if known:
+                low, high = _sum(law for law, _ in known)
+                stiffness, damping = (sum(values) for values in zip(*(gains for _, gains in known), strict=True))
+                found.append(DriveGains(names[path], stiffness, damping, max(-low, high)))
+        if left:
+            reading.note(f"actuators that are no spring and damper on one joint are left out: {_some(left)}")
+        return found
+
+
+def _law(prim: Any) -> ActuatorLaw:
+    gear = array(prim, "mjc:gear", 1, float)
+    return ActuatorLaw(
+        gain_type=str(attribute(prim, "mjc:gainType", "fixed")),
+        bias_type=str(attribute(prim, "mjc:biasType", "none")),
+        dynamics=str(attribute(prim, "mjc:dynType", "none")),
+        gain=_parameters(prim, "mjc:gainPrm", 1.0),
+        bias=_parameters(prim, "mjc:biasPrm", 0.0),
+        gear=float(gear[0]) if len(gear) else 1.0,
+        force_range=_range(prim, "forceLimited", "forceRange"),
+        command_range=_range(prim, "ctrlLimited", "ctrlRange"),
+    )
+
+
+def _parameters(prim: Any, name: str, first: float) -> tuple[float, ...]:
+    """Return the first three of an actuator's parameters, the schema's where the file gives none."""
+    given = [float(value) for value in array(prim, name, 1, float)[:3]] or [first]
+    return (*given, *(0.0,) * (3 - len(given)))
+
+
+def _range(prim: Any, limited: str, name: str) -> Range | None:
+    """Return a range of MuJoCo's schema if it is active; ``auto`` means active where both ends differ."""
+    word = str(attribute(prim, f"mjc:{limited}", "auto"))
+    low, high = (number(prim, f"mjc:{name}:{end}") for end in ("min", "max"))
+    return (low, high) if word == "true" or (word == "auto" and low != high) else None
+
+
+def _sum(laws: Iterable[ActuatorLaw]) -> Range:
+    """Return the least and the largest effort of actuators that act together."""
+    lows, highs = zip(*(law.effort_range() for law in laws), strict=True)
+    return sum(lows), sum(highs)
+
+
+def _some(names: Sequence[str]) -> str:
+    shown = ", ".join(f"'{name}'" for name in names[:_SHOWN])
+    return shown + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+
+
+# Metres and radians by which the stage's poses may differ from those that the joint can reach; beyond, it is noted.
 _APART = 1e-3
-"""Metres and radians by which bodies may stand beside where their joint can bring them; beyond, it is told."""
+# Metres or radians from zero at which a joint counts as not at zero.
 _MOVED = 1e-6
-"""Metres or radians from zero at which a joint counts as standing elsewhere."""
+# Metres from the middle of a hinge that closes a loop to either of the two balls that replace it.
 _HINGE = 0.05
-"""Metres from the middle of a hinge that closes a loop to either of the two balls that it becomes."""
 
 
 @dataclass(eq=False)
 class Joints:
-    """Joints, and the links without mass between those that one prim stands for, gathered over a tree."""
+    """Joints of a tree, and the massless links between those that come from one prim."""
 
     reading: Reading
     names: Mapping[str, str]
@@ -36,9 +152,9 @@ class Joints:
     joint_names: Mapping[str, str]
     """Names of joints by their prims' paths."""
     root_pose: Callable[[str], Pose]
-    """Where the link of a body's path stands in the world."""
+    """Returns the pose in the world of the link with a body's path."""
     actuators: Actuators
-    """MuJoCo's, of the whole stage."""
+    """Actuators of MuJoCo's schema in the whole stage."""
     links: list[Link] = field(default_factory=list)
     joints: list[Joint] = field(default_factory=list)
     drives: list[DriveGains] = field(default_factory=list)
@@ -53,6 +169,7 @@ class Joints:
         Raises:
             AssetError: a joint moves as no chain of simple joints can, or mimics what is missing.
         """
+        # Directions first: a follower needs the type of its leader, which may come later in the tree.
         parts = [part for edge, _ in tree.parent_edges.values() for part in edge.parts]
         ways: dict[str, tuple[Direction, ...]] = {
             str(part.prim.GetPath()): directions(part.prim, self.reading) or () for part in parts
@@ -69,6 +186,7 @@ class Joints:
                         part, backwards, ways[str(part.prim.GetPath())], leaders, stacked=stacked
                     )
                 ]
+                # A chain runs from the parent: the order reverses where the prim names the bodies the other way round.
                 links, joints = chain(simple[::-1] if backwards else simple)
                 self.links += links
                 self.joints += joints
@@ -78,6 +196,7 @@ class Joints:
                 self.reading.lack(f"joints {names} together close a loop")
             else:
                 self._close(edge)
+        # Last: mimics must be complete before references shift their positions.
         self.joints = [self._counted(joint) for joint in self.joints]
         names = {path: name for path, (name, _) in leaders.items()}
         self.drives += self.actuators.drives(names, {drive.joint for drive in self.drives}, self.reading)
@@ -91,7 +210,7 @@ class Joints:
         *,
         stacked: bool,
     ) -> list[Joint]:
-        """The joints that one prim stands for, in the prim's order, each as if it were alone between its bodies."""
+        """Return the joints of one prim, in the prim's order, each as if it were the only one between its bodies."""
         (parent, child), (parent_pose, child_pose) = edge.bodies, edge.frames
         if backwards:
             parent, child, parent_pose, child_pose = child, parent, child_pose, parent_pose
@@ -124,7 +243,7 @@ class Joints:
         return joint if several else self.actuators.limited(joint, prim, self.reading)
 
     def _counted(self, joint: Joint) -> Joint:
-        """The joint in positions of MuJoCo's, which has its reference where the joint's frames coincide."""
+        """Shift a joint's zero to MuJoCo's reference, which the joint has where its frames coincide."""
         reference = self.references.get(joint.name, 0.0)
         if joint.mimic is not None:
             leader = self.references.get(joint.mimic.joint, 0.0)
@@ -140,19 +259,20 @@ class Joints:
         return replace(joint, parent_pose=joint.parent_pose @ back)
 
     def _stand(self, edge: Edge, ways: tuple[Direction, ...], joints: list[Joint], *, stacked: bool) -> None:
-        """Take over where the stage's bodies stand, or where a joint's own state says that it does.
+        """Record home positions from the poses of the stage's bodies, or from a joint's own state.
 
-        Where bodies stand says nothing of each of several joints between them: those are at zero without a state.
+        Poses do not determine each of several joints between two bodies: without a state those are at zero.
         """
         first, second = (self.root_pose(path) @ frame for path, frame in zip(edge.bodies, edge.frames, strict=True))
         relative = first.inverse() @ second
         states = [authored(edge.prim, f"state:{way.instance}:physics:position") for way in ways]
         found, rest = coordinates(() if stacked else ways, relative)
         angle = 2.0 * math.acos(min(1.0, rest.orientation[0]))
+        # Nothing is guessed from poses that the joint cannot reach.
         if max(math.hypot(*rest.position), angle) > _APART and not (stacked and any(states)):
             self.reading.note(
                 f"the bodies of joint '{label(edge.prim)}' stand {math.hypot(*rest.position):.3g} m and "
-                f"{angle:.3g} rad beside where {'zero brings' if stacked else 'it can bring'} them"
+                f"{angle:.3g} rad from where {'zero brings' if stacked else 'it can bring'} them"
             )
             return
         for way, joint, state, implied in zip(ways, joints, states, found or [0.0] * len(ways), strict=True):
@@ -163,7 +283,7 @@ class Joints:
                 self.home.append((joint.name, min(max(position, joint.lower_limit), joint.upper_limit)))
 
     def _close(self, edge: Edge) -> None:
-        """A joint that closes a loop, as balls and welds."""
+        """Convert a joint that closes a loop into balls and welds."""
         ways = directions(edge.prim, self.reading)
         if ways is None:
             return
@@ -176,8 +296,9 @@ class Joints:
             kind = LoopType.WELD
         elif len(ways) == 1 and ways[0].angular:
             x, y, z = ways[0].axis
+            # Two balls on the axis leave only the turn about it.
             ends = [(side * x, side * y, side * z) for side in (-_HINGE, _HINGE)]
-            self.reading.note(f"joint '{name}' closes a loop: two balls on its axis {2 * _HINGE} m apart stand for it")
+            self.reading.note(f"joint '{name}' closes a loop: two balls on its axis {2 * _HINGE} m apart replace it")
             self._note_unheld(edge.prim, ways[0], name)
         elif not (len(ways) == 3 and all(way.angular for way in ways)):
             self.reading.lack(f"{edge.prim.GetPath()} closes a loop and is neither hinge, ball nor fixed")

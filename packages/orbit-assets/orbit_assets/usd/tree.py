@@ -9,8 +9,8 @@ from typing import Any
 from orbit_assets.usd.contents import STAGE
 from orbit_core.scene import Pose
 
+# Types of joints that close a loop in preference to joints with one position.
 _LAST = ("PhysicsSphericalJoint", "PhysicsJoint", "PhysicsFixedJoint")
-"""Types of joints that close a loop rather than one with a position of its own, where either may."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +24,9 @@ class Edge:
     bodies: tuple[str, str]
     frames: tuple[Pose, Pose]
     closing: bool = False
-    """Whether the file itself says that the joint is none of the tree's."""
+    """True if the file excludes the joint from the tree."""
     flipped: bool = False
-    """Whether the prim itself names the two bodies the other way round."""
+    """True if the prim names the two bodies the other way round."""
     following: tuple[Edge, ...] = ()
     """The joints that act after this one, between the same bodies in the same order."""
 
@@ -38,9 +38,9 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One articulation: its bodies by path in the stage's order, :data:`STAGE` first where joints hang from the world.
+    """One articulation: its bodies by path in the stage's order, :data:`STAGE` first where joints are attached to it.
 
-    ``parent_edges`` gives for each body but the root its joint, and whether that joint runs from child to parent.
+    ``parent_edges`` gives for each body but the root its joint, and True if that joint runs from child to parent.
     """
 
     bodies: tuple[str, ...]
@@ -59,6 +59,7 @@ def stacked(edges: Iterable[Edge], adds: Callable[[Edge], bool]) -> list[Edge]:
     """
     found: dict[tuple[str, ...], list[Edge]] = {}
     for number, edge in enumerate(edges):
+        # A closing joint constrains its bodies and never adds a motion.
         stacks = adds(edge) and not edge.closing
         found.setdefault(tuple(sorted(edge.bodies)) if stacks else (str(number),), []).append(edge)
     return [_stack(group) for group in found.values()]
@@ -85,19 +86,20 @@ class _Sets:
         top = path
         while (parent := self._parents.get(top, top)) != top:
             top = parent
+        # Path compression keeps look-ups short.
         while path != top:
             self._parents[path], path = top, self._parents.get(path, path)
         return top
 
     def join(self, first: str, second: str) -> bool:
-        """Whether they were apart."""
+        """Join the sets of two paths; return False if they were one set already."""
         one, other = self.find(first), self.find(second)
         self._parents[one] = other
         return one != other
 
 
 def grow(bodies: Sequence[str], edges: Sequence[Edge], marked: Iterable[str]) -> list[Tree]:
-    """The trees that joints make of bodies, in the order of their first bodies.
+    """Group bodies into trees along their joints, in the order of their first bodies.
 
     Args:
         bodies: paths in the stage's order.
@@ -114,6 +116,7 @@ def grow(bodies: Sequence[str], edges: Sequence[Edge], marked: Iterable[str]) ->
     joints: dict[str, list[Edge]] = {}
     for edge in edges:
         own = edge.bodies[0] if edge.bodies[0] != STAGE else edge.bodies[1]
+        # Joints to the stage do not connect trees: two robots on one floor are two articulations.
         joints.setdefault(groups.find(own), []).append(edge)
     roots = set(marked)
     return [_tree(paths, joints.get(group, []), roots) for group, paths in members.items()]
@@ -122,6 +125,7 @@ def grow(bodies: Sequence[str], edges: Sequence[Edge], marked: Iterable[str]) ->
 def _tree(bodies: list[str], edges: list[Edge], marked: set[str]) -> Tree:
     grounded = [edge for edge in edges if STAGE in edge.bodies]
     fixed = [edge for edge in grounded if edge.prim.GetTypeName() == "PhysicsFixedJoint" and not edge.closing]
+    # One fixed joint to the world only fixes the base, and is no joint of the articulation.
     if len(grounded) == 1 and fixed:
         (base,) = (path for path in fixed[0].bodies if path != STAGE)
         edges = [edge for edge in edges if edge is not fixed[0]]
@@ -132,7 +136,7 @@ def _tree(bodies: list[str], edges: list[Edge], marked: set[str]) -> Tree:
 
 
 def _spanning(bodies: list[str], edges: list[Edge], root: str | None, marked: set[str], *, fixed_base: bool) -> Tree:
-    """A tree of all bodies, by joints with a position where they reach (Kruskal's algorithm); the rest close loops."""
+    """Build a tree of all bodies, preferring joints with a position (Kruskal's algorithm); the rest close loops."""
     sets = _Sets()
     tree: set[int] = set()
     for edge in sorted(edges, key=_rank):
@@ -155,13 +159,14 @@ def _rank(edge: Edge) -> tuple[bool, bool]:
 
 def _root(bodies: list[str], edges: list[Edge], marked: set[str]) -> str:
     children = {edge.bodies[1] for edge in edges}
+    # By preference the body that the file marks, then one that is no joint's second body.
     named = (path for path in bodies if path in marked)
     parentless = (path for path in bodies if path not in children)
     return next(named, None) or next(parentless, bodies[0])
 
 
 def _rooted(root: str, edges: list[Edge]) -> dict[str, tuple[Edge, bool]]:
-    """For each body but the root the joint that leads to it, and whether that runs backwards."""
+    """Return for each body but the root the joint that leads to it, and True if that runs from child to parent."""
     neighbours: dict[str, list[Edge]] = {}
     for edge in edges:
         for path in edge.bodies:

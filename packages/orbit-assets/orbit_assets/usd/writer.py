@@ -1,4 +1,4 @@
-"""Writes an articulation to USD, in SI units with z up, such that :func:`orbit_assets.usd.read_usd` gives it back.
+"""Writer of USD files, in SI units with z up, which :func:`orbit_assets.usd.read_usd` reads back unchanged.
 
 Bodies stand side by side below one root prim, where the joints are at home. A shape that only collides has the purpose
 "guide". Springs, higher powers of mimics and shapes without names are attributes ``orbit:...``, which no schema has.
@@ -7,8 +7,10 @@ Numbers that UsdPhysics holds in single precision come back rounded to it.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +18,9 @@ import numpy as np
 
 from orbit_assets.losses import raised_inertias
 from orbit_assets.usd.contents import FRAME, MASSLESS
+from orbit_assets.usd.dynamics import HIGHER_POWERS, SPRING, SPRING_REST
 from orbit_assets.usd.geometry import APPROXIMATIONS, UNNAMED
-from orbit_assets.usd.joint_writer import JointWriter
-from orbit_assets.usd.library import pxr
-from orbit_assets.usd.prims import assign, assign_custom, define, place, quatf
+from orbit_assets.usd.library import assign, assign_custom, define, place, pxr, quatf
 from orbit_core.files import written_whole
 from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.scene import (
@@ -27,8 +28,12 @@ from orbit_core.scene import (
     Box,
     Capsule,
     Cylinder,
+    DriveGains,
+    Joint,
     JointType,
     Link,
+    LoopJoint,
+    LoopType,
     Mesh,
     PhysicsMaterial,
     Plane,
@@ -37,13 +42,145 @@ from orbit_core.scene import (
     Sphere,
 )
 from orbit_core.scene.inertias import SINGLE, solid_moments
+from orbit_core.scene.pose import Vector3
 
+
+@dataclass(eq=False)
+class JointWriter:
+    """Writer of the joints of one articulation, whose links have prims already."""
+
+    articulation: Articulation
+    stage: Any
+    links: Mapping[str, Any]
+    """Prims of links by name."""
+    joints: dict[str, Any] = field(default_factory=dict)
+
+    def write(self, top: Any) -> None:
+        """Write all joints below a scope ``joints`` of the prim ``top``."""
+        if not self.articulation.joints and not self.articulation.loops:
+            return
+        scope = define(self.stage, top, "joints", "Scope")
+        drives = {drive.joint: drive for drive in self.articulation.drives}
+        home = dict(self.articulation.home)
+        for joint in self.articulation.joints:
+            prim = self._joint(scope, joint)
+            self.joints[joint.name] = prim
+            if joint.movable:
+                _set_dynamics(prim, joint)
+                _set_drive(prim, joint, drives.get(joint.name))
+            if joint.name in home:
+                assign_custom(prim, {f"state:{_instance(joint)}:physics:position": home[joint.name] * _unit(joint)})
+        # After all joints: a follower may come before its leader.
+        for joint in self.articulation.joints:
+            self._mimic(joint)
+        for loop in self.articulation.loops:
+            self._loop(scope, loop)
+
+    def _joint(self, scope: Any, joint: Joint) -> Any:
+        kind = "Revolute" if _angular(joint) else "Prismatic" if joint.movable else "Fixed"
+        # USD has the axes X, Y and Z only: another one is reached by turning both frames.
+        prim = define(self.stage, scope, joint.name, f"Physics{kind}Joint")
+        axis, turn = _usd_axis(joint.axis)
+        self._connect(prim, (joint.parent, joint.child), (joint.parent_pose @ turn, joint.child_pose @ turn))
+        if joint.movable:
+            assign(prim, None, {"physics:axis": axis})
+        return prim
+
+    def _connect(self, prim: Any, links: tuple[str, str], frames: tuple[Pose, Pose]) -> None:
+        for side, link, frame in zip("01", links, frames, strict=True):
+            prim.GetRelationship(f"physics:body{side}").SetTargets([self.links[link].GetPath()])
+            prim.GetAttribute(f"physics:localPos{side}").Set(frame.position)
+            prim.GetAttribute(f"physics:localRot{side}").Set(quatf(frame))
+
+    def _mimic(self, joint: Joint) -> None:
+        if joint.mimic is None:
+            return
+        leader = next(other for other in self.articulation.joints if other.name == joint.mimic.joint)
+        own, other = _unit(joint), _unit(leader)
+        prim = self.joints[joint.name]
+        coefficients = {
+            "newton:mimicCoef0": joint.mimic.offset * own,
+            "newton:mimicCoef1": joint.mimic.multiplier * own / other,
+        }
+        assign(prim, "NewtonMimicAPI", coefficients)
+        prim.GetRelationship("newton:mimicJoint").SetTargets([self.joints[leader.name].GetPath()])
+        if not joint.mimic.linear:
+            powers = enumerate(joint.mimic.higher_powers, start=2)
+            assign_custom(prim, {HIGHER_POWERS: [value * own / other**power for power, value in powers]})
+
+    def _loop(self, scope: Any, loop: LoopJoint) -> None:
+        weld = loop.type is LoopType.WELD
+        prim = define(self.stage, scope, loop.name, f"Physics{'Fixed' if weld else 'Spherical'}Joint")
+        turned = Pose(orientation=loop.orientation) if weld else Pose()
+        self._connect(
+            prim,
+            (loop.first, loop.second),
+            (Pose(loop.first_point, turned.orientation), Pose(loop.second_point)),
+        )
+        # Marks the joint as no part of the tree, as UsdPhysics has it.
+        assign(prim, None, {"physics:excludeFromArticulation": True})
+
+
+def _set_dynamics(prim: Any, joint: Joint) -> None:
+    position = _unit(joint)
+    if joint.type is not JointType.CONTINUOUS:
+        limits = {"physics:lowerLimit": joint.lower_limit, "physics:upperLimit": joint.upper_limit}
+        assign(prim, None, {name: value * position for name, value in limits.items() if math.isfinite(value)})
+    dynamics = {
+        "newton:armature": joint.armature,
+        "newton:damping": joint.damping / position,
+        "newton:friction": joint.friction,
+        "newton:velocityLimit": joint.velocity_limit * position,
+    }
+    assign(prim, "NewtonJointAPI", dynamics)
+    if joint.stiffness:
+        assign_custom(prim, {SPRING: joint.stiffness / position, SPRING_REST: joint.rest_position * position})
+
+
+def _set_drive(prim: Any, joint: Joint, drive: DriveGains | None) -> None:
+    """Write the drive of a joint and its effort limit, for which USD has one attribute."""
+    instance, position = _instance(joint), _unit(joint)
+    attributes: dict[str, Any] = {}
+    if math.isfinite(joint.effort_limit):
+        attributes["maxForce"] = joint.effort_limit
+    if drive is not None:
+        attributes |= {"stiffness": drive.stiffness / position, "damping": drive.damping / position}
+    if attributes:
+        named = {f"drive:{instance}:physics:{name}": value for name, value in attributes.items()}
+        assign(prim, f"PhysicsDriveAPI:{instance}", named)
+
+
+def _angular(joint: Joint) -> bool:
+    return joint.type in (JointType.REVOLUTE, JointType.CONTINUOUS)
+
+
+def _instance(joint: Joint) -> str:
+    return "angular" if _angular(joint) else "linear"
+
+
+def _unit(joint: Joint) -> float:
+    """Return USD's units of position per radian or metre: degrees, and the stage's metres."""
+    return math.degrees(1.0) if _angular(joint) else 1.0
+
+
+def _usd_axis(axis: Vector3) -> tuple[str, Pose]:
+    """Return the name of a joint axis, and the rotation of the joint's frames that takes that axis to the one given."""
+    for name, basis in zip("XYZ", np.eye(3), strict=True):
+        if np.array_equal(axis, basis):
+            return name, Pose()
+    z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    # Any vector that is not parallel serves: the smallest component is farthest from it.
+    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+    x /= np.linalg.norm(x)
+    return "Z", Pose.from_matrix(np.stack((x, np.cross(z, x), z), axis=1))
+
+
+# The reason in USD's errors, which follows the place in its source code.
 _REASON = re.compile(r" : '(.*)'")
-"""What USD's errors say went wrong, behind where."""
 
 
 def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
-    """Write one articulation to a ``.usda``, ``.usdc`` or ``.usd`` file, and give what it cannot hold, a sentence each.
+    """Write one articulation to a ``.usda``, ``.usdc`` or ``.usd`` file; return what it cannot hold, a sentence each.
 
     The file is overwritten. Bodies stand at the home positions that the articulation names.
 
@@ -55,6 +192,7 @@ def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
     if path.suffix not in (".usda", ".usdc", ".usd"):
         raise AssetError(f"{path} is to be a USD file: name it *.usda, *.usdc or *.usd")
     with pxr().Tf.DiagnosticTrap() as trap:
+        # In memory first: an error leaves the old file as it is.
         writer = _Writer(articulation)
         writer.write()
         with written_whole(path) as written:
@@ -111,11 +249,13 @@ class _Writer:
         place(prim, pose)
         pxr().UsdPhysics.RigidBodyAPI.Apply(prim)
         if link.mass > 0:
+            # Single precision breaks the triangle inequality of thin bodies: moments are raised before rounding.
             moments, axes = solid_moments(link.inertia, SINGLE)
             diagonal = pxr().Gf.Vec3f(*(float(moment) for moment in moments))
             attributes = {"mass": link.mass, "centerOfMass": link.center_of_mass, "diagonalInertia": diagonal}
             assign(prim, "PhysicsMassAPI", {f"physics:{name}": value for name, value in attributes.items()})
             prim.GetAttribute("physics:principalAxes").Set(quatf(axes))
+        # Readers compute a mass from colliders: the mark keeps ours from it.
         elif link.collisions:
             assign_custom(prim, {MASSLESS: True})
         if link.semantic_label:
@@ -168,6 +308,7 @@ class _Writer:
         )
 
     def _material(self, material: PhysicsMaterial) -> Any:
+        # Equal materials are one prim: scenes of many shapes have few.
         if material in self.materials:
             return self.materials[material]
         top = self.stage.GetDefaultPrim()
@@ -202,7 +343,8 @@ def _paint(prim: Any, shape: Shape) -> None:
 
 
 def _interleaved(link: Link) -> list[tuple[Shape, bool, bool]]:
-    """All shapes of a link with whether each collides and is drawn, in an order that keeps both of the link's orders.
+    """Return all shapes of a link, with flags for colliding and drawn, in an order that keeps both of the link's
+    orders.
 
     Where no order keeps both, or a shape stands in one of them twice, what is drawn is written apart from the rest.
     """
@@ -221,8 +363,9 @@ def _interleaved(link: Link) -> list[tuple[Shape, bool, bool]]:
 
 
 def _home_poses(articulation: Articulation) -> dict[str, Pose]:
-    """Each link's pose in the root's frame at home: zero, where the articulation names nothing else."""
+    """Return each link's pose in the root's frame at home; joints without a home position are at zero."""
     home = dict(articulation.home)
+    # Followers first: the chain below needs their positions.
     for joint in articulation.joints:
         if joint.mimic is not None:
             home[joint.name] = float(joint.mimic.position(home.get(joint.mimic.joint, 0.0)))

@@ -1,4 +1,4 @@
-"""Xacro files to URDF, in a process with limits and by expressions that are not Python."""
+"""Expansion of xacro files to URDF, in a process with limits, by expressions that are not Python."""
 
 from orbit_assets.xacro.expansion import ExpandedXml, expand_xacro, read_expanded
 

@@ -19,21 +19,21 @@ from orbit_assets.xacro.order import Expansion, Order
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 
+# Seconds for one file: macros may call themselves forever.
 _SECONDS = 15
-"""For one file; macros may call themselves."""
+# Bytes of address space of the process, Python's own included.
 _MEMORY = 2**30
-"""Bytes of address space of the process, Python's own included."""
+# Most characters of the URDF.
 _CHARACTERS = 16 * 2**20
-"""Most characters of the URDF."""
+# Most bytes that are read from the process: a character has up to four.
 _BYTES = 4 * _CHARACTERS
-"""Most bytes that are taken from the process."""
+# Substitutions of ROS in attributes, which files without a macro have too.
 _SUBSTITUTION = re.compile(r"\$\((optenv|env|arg|eval)\s")
-"""Substitutions of ROS in attributes, which files without a macro have too."""
 
 
 @dataclass(frozen=True)
 class ExpandedXml:
-    """Root element of a URDF file without macros, and notes on how they were expanded; none where it held none."""
+    """Root element of a URDF file without macros, and notes on how they were expanded; without macros, no notes."""
 
     root: Element
     notes: tuple[str, ...] = ()
@@ -43,6 +43,7 @@ def is_xacro(root: Element) -> bool:
     """Return True if a document holds xacro's macros, or substitutions in attributes that describe the robot."""
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         return True
+    # Only elements that describe the robot count: simulators' own elements use the same syntax for other purposes.
     described = (element for tag in ("link", "joint") for part in root.findall(tag) for element in part.iter())
     return any(_SUBSTITUTION.search(value) for element in described for value in element.attrib.values())
 
@@ -92,6 +93,7 @@ def expand_xacro(path: Path, options: ReadOptions) -> ExpandedXml:
         )
     expansion = Expansion.decoded(said)
     notes = ["the file's xacro macros are expanded"]
+    # A default may surprise a user who has set the variable.
     if held := sorted(set(os.environ) & set(expansion.unnamed)):
         notes.append(
             f"$(optenv ...) has its default for {', '.join(held)}, which are set: name them in "
@@ -101,7 +103,7 @@ def expand_xacro(path: Path, options: ReadOptions) -> ExpandedXml:
 
 
 def _answer(order: Order) -> tuple[int | None, str]:
-    """Return the process's exit code, ``None`` if its time ran out, and what it wrote."""
+    """Return the process's exit code, None if its time ran out, and its output."""
     process = subprocess.Popen(
         # -P keeps the working folder, which may be the model's, from where Python finds modules.
         [sys.executable, "-P", "-m", f"{__package__}.process"],
@@ -111,6 +113,7 @@ def _answer(order: Order) -> tuple[int | None, str]:
         env=os.environ
         | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONUTF8": "1", "PYTHONHASHSEED": "0"},
     )
+    # The event distinguishes a timeout from a crash by a signal.
     late = threading.Event()
 
     def stop() -> None:
@@ -126,6 +129,7 @@ def _answer(order: Order) -> tuple[int | None, str]:
             assert process.stdout is not None
             with contextlib.suppress(BrokenPipeError), process.stdin as orders:
                 orders.write(order.encoded().encode())
+            # Output is limited here too: the process could write without end.
             while len(said) <= _BYTES and (read := os.read(process.stdout.fileno(), 2**20)):
                 said += read
             if len(said) > _BYTES:

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from orbit_assets.xacro.formatting import format_value, percent_text
 from orbit_assets.xacro.values import (
     LARGEST,
     NUMBERS,
@@ -23,14 +22,16 @@ from orbit_assets.xacro.values import (
     check_integer,
     check_power,
     check_value,
+    format_value,
     is_namespace,
     items_of,
     known,
     methods_of,
+    percent_text,
 )
 
+# Most characters of one expression.
 _LONGEST = 20_000
-"""Characters of one expression."""
 _NUMERIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -62,8 +63,8 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.In: lambda item, container: item in container,
     ast.NotIn: lambda item, container: item not in container,
 }
+# Types that ``+`` joins and ``*`` repeats.
 _JOINED = (str, list, tuple)
-"""Types that ``+`` joins and ``*`` repeats."""
 
 
 def evaluate(text: str, names: Mapping[str, Any]) -> Any:
@@ -142,9 +143,11 @@ class _Scope:
         return self._combined(type(node.op), self.value(node.left), self.value(node.right))
 
     def _combined(self, kind: type[ast.operator], left: Any, right: Any) -> Any:
+        # All nodes, operators and types are looked up in tables: what is not listed does not exist.
         if kind not in _NUMERIC:
             raise ExpressionError(f"operator {kind.__name__} is not allowed in expressions")
         if type(left) in NUMBERS and type(right) in NUMBERS:
+            # Before the computation: 9**9**9 would take all memory.
             if kind in (ast.Pow, ast.LShift):
                 check_power(left, right, shift=kind is ast.LShift)
             return check_integer(_NUMERIC[kind](left, right))
@@ -170,6 +173,7 @@ class _Scope:
             raise TypeError(f"a sign before {type(value).__name__}")
         return _SIGNS[type(node.op)](value)
 
+    # Stops at the first value that decides, as Python does.
     def _boolean(self, node: ast.BoolOp) -> Any:
         value: Any = None
         for part in node.values:
@@ -257,7 +261,7 @@ class _Scope:
         return check_value(made)
 
     def _loop(self, generators: list[ast.comprehension]) -> Iterator[_Scope]:
-        """Scopes in which a comprehension's element is evaluated."""
+        """Yield the scopes in which a comprehension's element is evaluated."""
         if not generators:
             yield self
             return
@@ -282,7 +286,7 @@ def _check_count(made: list[Any] | dict[Any, Any]) -> None:
 
 
 def _assigned(target: ast.expr, value: Any) -> dict[str, Any]:
-    """Names that a comprehension's target gives to a value."""
+    """Return the names that a comprehension's target assigns to a value."""
     if isinstance(target, ast.Name):
         return {target.id: value}
     if not isinstance(target, ast.Tuple | ast.List):

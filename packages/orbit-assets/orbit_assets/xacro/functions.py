@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from orbit_assets.xacro.formatting import format_text
 from orbit_assets.xacro.values import (
     DATA,
     LARGEST,
@@ -17,22 +16,24 @@ from orbit_assets.xacro.values import (
     Function,
     Namespace,
     check_integer,
+    format_text,
     items_of,
 )
 
+# Functions of ``math`` whose results are no larger than their arguments; factorials and products are not.
+# Listed one by one, for a version of Python may add functions with larger results.
 _MATH = (
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign", "cos", "cosh", "degrees",
     "dist", "erf", "erfc", "exp", "exp2", "expm1", "fabs", "floor", "fmod", "frexp", "fsum", "gamma", "gcd", "hypot",
     "isclose", "isfinite", "isinf", "isnan", "isqrt", "ldexp", "lgamma", "log", "log10", "log1p", "log2", "modf",
     "nextafter", "pow", "radians", "remainder", "sin", "sinh", "sqrt", "tan", "tanh", "trunc", "ulp",
 )  # fmt: skip
-"""Functions of ``math`` whose results are no larger than their arguments; factorials and products are not."""
 _CONSTANTS = ("e", "inf", "nan", "pi", "tau")
+# Functions of the namespace ``python`` that xacro has without the namespace too, in addition to ``_GLOBAL``.
 _DEPRECATED = ("sorted", "range")
-"""Functions of the namespace ``python`` that xacro has without the namespace too, besides those of ``_GLOBAL``."""
 _GLOBAL = ("list", "dict", "map", "len", "str", "float", "int", "bool", "True", "False", "min", "max", "round")
+# Most digits to round to: a float has no more.
 _DIGITS = 400
-"""Most digits to round to."""
 
 
 def global_symbols(xacro: Namespace) -> Namespace:
@@ -62,7 +63,7 @@ def tokenize(text: Any, sep: Any = ",; ", skip_empty: Any = True) -> list[str]:
 
 
 def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of numbers, or of lists of numbers, that accepts nothing else."""
+    """Wrap a function of numbers, or of lists of numbers, so that it rejects all other arguments."""
 
     def call(*arguments: Any, **options: Any) -> Any:
         for value in (*arguments, *options.values()):
@@ -86,7 +87,7 @@ def _called(function: Any) -> Callable[..., Any]:
 
 
 def _key(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of functions that compare, of which ``key`` must be a function of expressions."""
+    """Check options of functions that compare: ``key`` must be a function of expressions."""
     if options.get("key") is not None:
         _called(options["key"])
     return options
@@ -96,6 +97,7 @@ def _range(*ends: int) -> list[int]:
     for end in ends:
         if type(end) not in (int, bool):
             raise TypeError("range takes integers")
+    # Slicing a range allocates nothing.
     numbers = range(*ends)
     if numbers[LARGEST:]:
         raise ExpressionError(f"range makes more than {LARGEST} numbers")
@@ -123,6 +125,7 @@ def _dict(pairs: Any = (), **options: Any) -> dict[Any, Any]:
     return dict(pairs if type(pairs) is dict else [tuple(items_of(pair)) for pair in items_of(pairs)], **options)
 
 
+# Types are passed as functions of expressions, never as Python's classes.
 def _isinstance(value: Any, kinds: Any) -> bool:
     accepted = [each.kind for each in (kinds if type(kinds) is tuple else (kinds,)) if isinstance(each, Function)]
     if not accepted or None in accepted:
@@ -215,13 +218,13 @@ _NUMERIC = Namespace(
     {name: Function(name, _checked(getattr(math, name))) for name in _MATH if hasattr(math, name)}
     | {name: getattr(math, name) for name in _CONSTANTS}
 )
+# Methods of text whose results are no larger than their arguments.
 _PLAIN = (
     "capitalize", "count", "endswith", "find", "index", "isalnum", "isalpha", "isdecimal", "isdigit", "islower",
     "isnumeric", "isspace", "isupper", "lower", "lstrip", "partition", "removeprefix", "removesuffix", "rfind",
     "rindex", "rpartition", "rsplit", "rstrip", "split", "splitlines", "startswith", "strip", "swapcase", "title",
     "upper",
 )  # fmt: skip
-"""Methods of text whose results are no larger than their arguments."""
 _TEXT: dict[str, Callable[..., Any]] = {name: getattr(str, name) for name in _PLAIN} | {
     name: _padded(getattr(str, name)) for name in ("center", "ljust", "rjust", "zfill")
 }

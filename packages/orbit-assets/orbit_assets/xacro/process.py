@@ -1,7 +1,8 @@
-"""Process that expands one xacro file: reads an :class:`Order` and writes an :class:`Expansion`, or why there is none.
+"""Process that expands one xacro file: reads an :class:`Order` and writes an :class:`Expansion`, or the error.
 
     python -P -m orbit_assets.xacro.process < order > result
 
+The package xacro handles macros, conditions and blocks, with its ways to evaluate, open and look up replaced by ours.
 The file's expressions are not Python (:mod:`orbit_assets.xacro.expressions`). The limits here hold even if a
 fault is found in their evaluator: the process may read the files that the model may name and Python's own, and can
 write no file, start no other process, use no network and run no code that is made from text.
@@ -9,28 +10,240 @@ write no file, start no other process, use no network and run no code that is ma
 
 from __future__ import annotations
 
+import datetime
+import importlib
 import os
 import resource
 import sys
 import sysconfig
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
+from xml.dom import expatbuilder
 
-from orbit_assets.outside import allowed_folders
-from orbit_assets.xacro.markup import Markup
-from orbit_assets.xacro.order import Order
+from orbit_assets.options import ReadOptions
+from orbit_assets.outside import allowed_folders, allowed_path, package_folders
+from orbit_assets.source_text import parse_xml, plain_document, read_text
+from orbit_assets.xacro.expressions import evaluate
+from orbit_assets.xacro.functions import global_symbols, launch_symbols, tokenize
+from orbit_assets.xacro.order import Expansion, Order
+from orbit_assets.xacro.values import LARGEST, ExpressionError, Function, Namespace, check_value
+
+# Most levels of lists and dictionaries in a YAML file, and of files that include one another.
+_DEEPEST = 100
+
+
+class Markup:
+    """Expansion of one file.
+
+    ``folders`` are those of packages that ``$(find NAME)`` has found: files there may be read as well.
+    """
+
+    def __init__(self, order: Order) -> None:
+        self.order = order
+        self.folders: list[str] = []
+        self.unnamed: list[str] = []
+        self.characters = 0
+        # yaml and the decoders load here, before files of Python's library are all that may be executed.
+        self.xacro, self.yaml = (importlib.import_module(name) for name in ("xacro", "yaml"))
+        self._replace()
+
+    def expanded(self) -> Expansion:
+        """Return the URDF.
+
+        Raises:
+            Exception: the file cannot be expanded.
+        """
+        self.xacro.init_stacks(self.order.path)
+        document = self._parse(None, self.order.path)
+        self.xacro.process_doc(document, verbosity=0)
+        pieces = _Pieces(self.order.characters)
+        document.writexml(pieces)
+        return Expansion("".join(pieces.made), tuple(self.unnamed))
+
+    def _replace(self) -> None:
+        own: dict[str, Any] = {
+            "safe_eval": lambda text, names, local=None: evaluate(text, names),
+            "eval_extension": self._substitution,
+            "parse": self._parse,
+            "load_yaml": self._load_yaml,
+            "_global_symbols": global_symbols(self._namespace()),
+        }
+        # Private functions of the package are replaced: another version may lack them, and would then evaluate Python.
+        if missing := [name for name in own if name not in vars(self.xacro)]:
+            raise ExpressionError(
+                f'the package xacro is of a version without {", ".join(missing)}: pip install "xacro==2.1.*"'
+            )
+        vars(self.xacro).update(own)
+
+    def _namespace(self) -> Namespace:
+        """Return xacro's own functions."""
+        silent = {name: lambda *words, **options: "" for name in ("message", "warning", "error", "print_location")}
+        functions: dict[str, Callable[..., Any]] = silent | {
+            "abs_filename": lambda name: self.xacro.abs_filename_spec(str(name)),
+            "arg": self._argument,
+            "dotify": lambda value: value,
+            "fatal": _fatal,
+            "load_yaml": self._load_yaml,
+            "tokenize": tokenize,
+        }
+        return Namespace({name: Function(name, function) for name, function in functions.items()})
+
+    def _arguments(self) -> Mapping[str, str]:
+        return self.xacro.substitution_args_context["arg"]
+
+    def _argument(self, name: Any) -> str:
+        if name not in self._arguments():
+            raise ExpressionError(f"argument '{name}' is not defined: give it a default by <xacro:arg>")
+        return self._arguments()[name]
+
+    def _substitution(self, text: str) -> str:
+        """Return the value of ``$(...)``."""
+        command, rest = (*text[2:-1].split(None, 1), "", "")[:2]
+        words = rest.split()
+        if command == "eval":
+            values = {name: _converted(value) for name, value in self._arguments().items()}
+            functions = {
+                "arg": lambda name: _converted(self._argument(name)),
+                "env": self._variable,
+                "optenv": self._optional_variable,
+                "find": self._found,
+            }
+            made = {name: Function(name, function) for name, function in functions.items()}
+            return str(evaluate(rest, {**values, **launch_symbols(), **made}))
+        if command == "cwd" and not words:
+            return os.getcwd()
+        if command == "optenv" and words:
+            return self._optional_variable(words[0], " ".join(words[1:]))
+        commands = {"arg": self._argument, "env": self._variable, "find": self._found}
+        if command not in commands or len(words) != 1:
+            raise ExpressionError(f"'{text}' is no substitution: give arg, cwd, env, eval, find or optenv")
+        return commands[command](words[0])
+
+    def _variable(self, name: Any) -> str:
+        if name not in self.order.environment:
+            raise ExpressionError(
+                f"the environment variable '{name}' is not set, or not among ReadOptions(environment=...): name it "
+                "there, and set it"
+            )
+        return self.order.environment[name]
+
+    def _optional_variable(self, name: Any, default: Any = "") -> str:
+        if name not in self.order.environment:
+            self.unnamed.append(str(name))
+            return default
+        return self.order.environment[name]
+
+    def _found(self, package: Any) -> str:
+        """Return a package's folder, as for ``package://``; from then on its files may be read."""
+        folder = next(package_folders(str(package), Path(self.order.path), self._options()), None)
+        if folder is None:
+            raise FileNotFoundError(f"package '{package}' is unknown, give its folder by ReadOptions(packages=...)")
+        self.folders.append(str(folder.resolve()))
+        return str(folder)
+
+    def _options(self) -> ReadOptions:
+        options = self.order.options()
+        if options.allow_outside is True:
+            return options
+        return replace(options, allow_outside=(*map(Path, self.order.outside), *map(Path, self.folders)))
+
+    def _text(self, name: str) -> str:
+        """Return the text of a file that the model may name."""
+        path = allowed_path(name, self.order.path, self._options())
+        if not path.exists():
+            raise self.xacro.XacroException(exc=FileNotFoundError(f"no such file: {name}"))  # some are optional
+        return read_text(path, self._options())
+
+    def _parse(self, source: Any, filename: str) -> Any:
+        """Parse a file to a DOM document, under the limits of all XML files."""
+        if len(self.xacro.filestack) > _DEEPEST:
+            raise ExpressionError(f"{_DEEPEST} files include one another: an include may lead back to its own file")
+        text = self._text(filename)
+        self._count(len(text))
+        # Parsed twice: the first parser enforces the limits and rejects entities, the second builds the DOM.
+        parse_xml(text, filename, self.order.limits)
+        return expatbuilder.parseString(plain_document(text), namespaces=False)
+
+    def _load_yaml(self, filename: Any) -> Any:
+        """Return the contents of a YAML file; ``!degrees`` and the like convert to radians and metres."""
+        text = self._text(self.xacro.abs_filename_spec(str(filename)))
+        self._count(len(text))
+
+        class Loader(self.yaml.SafeLoader):
+            pass
+
+        for unit in self.xacro.ConstructUnits:
+            Loader.add_constructor(unit.value.tag, unit.constructor)
+        return check_value(_Plain().value(self.yaml.load(text, Loader), _DEEPEST))
+
+    def _count(self, characters: int) -> None:
+        """Include a file's length in the total; a file may include another many times."""
+        self.characters += characters
+        if self.characters > self.order.limits.file_bytes:
+            raise ExpressionError(
+                f"it includes more than {self.order.limits.file_bytes} characters: raise ReadLimits.file_bytes"
+            )
+
+
+class _Pieces:
+    """Text written piece by piece, up to a limit."""
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self.made: list[str] = []
+
+    def write(self, text: str) -> None:
+        self.most -= len(text)
+        if self.most < 0:
+            raise ExpressionError("it expands to more text than one model may have")
+        self.made.append(text)
+
+
+def _fatal(*words: Any) -> None:
+    raise ExpressionError(" ".join(map(str, words)))
+
+
+def _converted(text: str) -> Any:
+    """Return an argument's value as roslaunch converts it: a number, a truth value or text."""
+    try:
+        return float(text) if "." in text else int(text)
+    except ValueError:
+        return {"true": True, "false": False}.get(text.lower(), text)
+
+
+class _Plain:
+    """Copier of YAML's values to those of expressions: a date is its text, and an alias is written out."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def value(self, value: Any, depth: int) -> Any:
+        """Return the copy of a value, of at most so many lists and dictionaries within each other."""
+        self.count += 1
+        if depth == 0:
+            raise ExpressionError(f"a YAML file nests its lists deeper than {_DEEPEST}, or in themselves")
+        if self.count > LARGEST:
+            raise ExpressionError(f"a YAML file has more than {LARGEST} values, its aliases written out")
+        if isinstance(value, dict):
+            return {self.value(key, depth - 1): self.value(each, depth - 1) for key, each in value.items()}
+        if isinstance(value, list):
+            return [self.value(each, depth - 1) for each in value]
+        return str(value) if isinstance(value, datetime.date) else value
+
 
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+# Operations that no xacro file needs, by prefixes of the interpreter's audit events.
 _REFUSED = (
     "subprocess.", "os.", "socket.", "shutil.", "ctypes.", "pty.", "gc.", "code.", "mmap.", "fcntl.", "sys._",
     "resource.", "signal.", "tempfile.", "_thread.", "syslog.", "webbrowser.", "urllib.", "http.", "ftplib.",
 )  # fmt: skip
-"""Operations that no xacro file needs, by how the interpreter's audit events begin."""
 _PATHS = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+# Folders of Python's own files, from which modules may still load.
 _LIBRARY = [*_PATHS, *map(os.path.realpath, _PATHS)]
-"""Folders of Python's own files, from which modules may still load."""
+# Events of includes by pattern; the files found are opened, or not, as any file.
 _LISTING = ("os.listdir", "os.scandir")
-"""Events of includes by pattern; the files found are opened, or not, as any file."""
 
 
 def main() -> int:
@@ -39,6 +252,7 @@ def main() -> int:
     for name in set(os.environ) - {"HOME"}:  # the user's home, above which no packages are looked for
         del os.environ[name]
     markup = Markup(order)
+    # Before the file is read: from here on the process cannot do anything else.
     restrict(order, markup.folders)
     try:
         said = markup.expanded().encoded()
@@ -63,7 +277,7 @@ def _for_memory(error: BaseException | None) -> bool:
 
 
 def restrict(order: Order, folders: list[str]) -> None:
-    """Take away from this process what expanding needs not; there is no way back.
+    """Restrict this process to the operations that expansion needs, irreversibly.
 
     Args:
         order: limits of memory and processor time, and the folders that may be read.
@@ -80,6 +294,7 @@ def restrict(order: Order, folders: list[str]) -> None:
     sys.addaudithook(_guard(given, folders))
 
 
+# Audit hooks see every open, import and exec of the interpreter, and cannot be removed.
 def _guard(given: list[str], later: list[str]) -> Callable[[str, tuple[Any, ...]], None]:
     def check(event: str, arguments: tuple[Any, ...]) -> None:
         if event == "open":

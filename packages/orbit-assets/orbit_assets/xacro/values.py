@@ -1,15 +1,17 @@
-"""Values of xacro expressions, and the bounds that they keep."""
+"""Values of xacro expressions, the limits on their size, and text formatted from them."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from string import Formatter
 from typing import Any
 
 LARGEST = 1_000_000
 """Characters and items of one value, those of its parts included."""
+# Most bits of an integer: larger ones take long to multiply and print.
 _BITS = 4096
-"""Most bits of an integer."""
 NUMBERS = (int, float, bool)
 _CONTAINERS = (list, tuple, set, dict)
 DATA = (*NUMBERS, str, type(None), *_CONTAINERS)
@@ -60,12 +62,12 @@ def methods_of(value: Any) -> Mapping[str, Function]:
 
 
 def is_namespace(value: Any) -> bool:
-    """Return True for named functions or properties: a dictionary of a class of its own, as xacro's tables are."""
+    """Return True for named functions or properties: a subclass of dict, as xacro's tables are."""
     return isinstance(value, dict) and type(value) is not dict
 
 
 def known(value: Any, name: str) -> Any:
-    """Return what a name stands for, if it is a value, a function or a namespace.
+    """Return the value of a name, if it is a value, a function or a namespace.
 
     Raises:
         ExpressionError: it is something else, such as an XML element.
@@ -136,3 +138,73 @@ def check_value(value: Any) -> Any:
         if size > LARGEST:
             raise ExpressionError(f"a value has more than {LARGEST} characters and items")
     return value
+
+
+# Most characters of width and precision of one formatted value.
+_WIDEST = 1000
+_COUNT = re.compile(r"\d+")
+_PERCENT = re.compile(r"%(?:\((?P<name>[^()]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?P<precision>\*|\d*))?")
+_CONVERSIONS = {"r": repr, "s": str, "a": ascii}
+
+
+def format_value(value: Any, spec: str, conversion: str | None = None) -> str:
+    """Return a value as text, as an f-string does.
+
+    Raises:
+        ExpressionError: the width or precision is too large.
+    """
+    _check_widths(_COUNT.findall(spec))
+    if conversion:
+        value = _CONVERSIONS[conversion](value)
+    return format(value, spec)
+
+
+def format_text(template: str, arguments: tuple[Any, ...], options: dict[str, Any], depth: int = 2) -> str:
+    """Return a template filled in as ``str.format`` does, by fields that are plain names or numbers.
+
+    Raises:
+        ExpressionError: a field asks for an attribute or an item, or the text is too long.
+    """
+    if depth == 0:
+        raise ExpressionError("a format nests fields too deeply")
+    made: list[str] = []
+    size = automatic = 0
+    for literal, field, spec, conversion in Formatter().parse(template):
+        made.append(literal)
+        size += len(literal)
+        if field is None:
+            continue
+        if field == "":
+            field, automatic = str(automatic), automatic + 1
+        if not (field.isdecimal() or field.isidentifier()):
+            raise ExpressionError(f"a format has the field '{field}': give plain names and numbers")
+        value = arguments[int(field)] if field.isdecimal() else options[field]
+        if spec and "{" in spec:
+            spec = format_text(spec, arguments, options, depth - 1)
+        made.append(format_value(value, spec or "", conversion))
+        size += len(made[-1])
+        if size > LARGEST:
+            raise ExpressionError(f"a formatted text has more than {LARGEST} characters")
+    return "".join(made)
+
+
+def percent_text(template: str, values: Any) -> str:
+    """Return a template filled in as ``%`` does.
+
+    Raises:
+        ExpressionError: a width or the text is too large.
+    """
+    fields = list(_PERCENT.finditer(template))
+    widths = [width for field in fields for width in field.group("width", "precision") if width]
+    if "*" in widths:
+        raise ExpressionError("a format takes its width from an argument: write the width out")
+    _check_widths(widths)
+    check_value(values)
+    if type(values) is dict and len(fields) * max(len(str(each)) for each in (*values.values(), "")) > LARGEST:
+        raise ExpressionError(f"a formatted text has more than {LARGEST} characters")
+    return check_value(template % values)
+
+
+def _check_widths(widths: list[str]) -> None:
+    if any(len(width) > 4 or int(width) > _WIDEST for width in widths):
+        raise ExpressionError(f"a format has the width {max(widths, key=len)[:20]}: give at most {_WIDEST}")

@@ -9,14 +9,12 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, progress_bar
-from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.read_budget import ReadSettings
-from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name
+from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name, check_output, check_positive, parse_words
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_data.cli.read_budget import ReadSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +51,9 @@ def main(words: Sequence[str]) -> None:
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
-    from orbit_core.manifest.compare import check_manifest
     from orbit_data.augmentation import augment, cut
     from orbit_data.formats import opened
+    from orbit_data.manifest.compare import check_manifest
     from orbit_data.recording import RecordingFile
     from orbit_data.replay import fields_of
 

@@ -9,12 +9,9 @@ from typing import Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from orbit_core.cli.acting import check_actor, make_actor
-from orbit_core.cli.checks import check_output, check_positive, make_folder
-from orbit_core.cli.making import make_environment
+from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.cli.settings import EnvironmentSettings, check_output, check_positive, make_folder, parse_settings
 from orbit_core.interfaces.errors import OrbitError
 
 SUFFIX = ".hdf5"
@@ -54,7 +51,7 @@ def record(settings: RecordSettings) -> None:
     from orbit_data import recording
     from orbit_data.card import facts
     from orbit_data.hdf5 import Hdf5Dataset
-    from orbit_data.recorder import check_groups
+    from orbit_data.recording import check_groups
 
     check_actor(settings.agent)
     check_positive("episodes", settings.episodes)

@@ -11,11 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from orbit_core.cli.checks import check_output, check_port, check_steps, make_folder
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.cli.settings import (
+    EnvironmentSettings,
+    check_output,
+    check_port,
+    check_steps,
+    make_folder,
+    parse_settings,
+)
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -113,7 +118,7 @@ def teleop(settings: TeleopSettings) -> None:
 
 def _show(settings: TeleopSettings, session: Session, device: Device, driver: Driver) -> None:
     from orbit_data.teleoperation.leader import Leader
-    from orbit_data.teleoperation.views import Views
+    from orbit_data.teleoperation.session import Views
     from orbit_viewer.viewer import Viewer
 
     attach, pages = getattr(device, "attach", None), getattr(device, "pages", ())

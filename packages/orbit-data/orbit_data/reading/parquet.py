@@ -13,12 +13,12 @@ from typing import Any
 
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.reading.budget import ReadAccount
+from orbit_data.reading.budget import ReadAccount
 
+# Bytes of a number of each type; columns of others, such as texts, are not read.
 _SIZES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
-"""Bytes of a number of each type; columns of others, such as texts, are not read."""
+# Structures of a page's header within each other.
 _DEEPEST = 8
-"""Structures of a page's header within each other."""
 _MOST_COLUMNS = 10_000
 
 
@@ -114,7 +114,7 @@ def _pages(data: mmap.mmap, column: Any) -> Iterator[_Page]:
 
 
 def _structure(data: mmap.mmap, place: int, depth: int) -> tuple[dict[int, Any], int]:
-    """The fields of a structure, by number, and the place after it."""
+    """Return the fields of a structure, by number, and the place after it."""
     if depth > _DEEPEST:
         raise ValueError("a page's header nests too deeply")
     found: dict[int, Any] = {}

@@ -23,17 +23,17 @@ from zarr.core.buffer import Buffer, BufferPrototype
 from zarr.storage import LocalStore, WrapperStore, ZipStore
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.reading.budget import DENSEST, MAX_DOCUMENT, SMALL, ReadAccount
+from orbit_data.reading.budget import DENSEST, MAX_DOCUMENT, SMALL, ReadAccount
 
 _DESCRIPTIONS = (".zarray", ".zgroup", ".zattrs", ".zmetadata", "zarr.json")
 _NUMBERS = re.compile(r"[<>|]?(b1|[iu][1248]|f[248])|bool|u?int(8|16|32|64)|float(16|32|64)")
 _HARMLESS = ("bytes", "transpose", "shuffle", "crc32c")
+# Bytes of checksums within a chunk.
 _MARGIN = 64
-"""Bytes of checksums within a chunk."""
+# Most chunks of an array that may be missing, each of which takes the library some 60 microseconds.
 _MOST_MISSING = 100_000
-"""Most chunks of an array that may be missing, each of which takes the library some 60 microseconds."""
+# First bytes of a frame of Zstandard, and the most bytes of a block.
 _ZSTD_FRAME, _ZSTD_BLOCK = b"\x28\xb5\x2f\xfd", 1 << 17
-"""First bytes of a frame of Zstandard, and the most bytes of a block."""
 
 
 @dataclass(frozen=True)
@@ -258,6 +258,7 @@ def _zstd_size(data: bytes, most: int) -> int:
     return size
 
 
+# Counts of the bytes that each packing unpacks to, from what is stored.
 _UNPACKED: dict[str, Callable[[bytes, int], int]] = {
     "blosc": lambda data, most: int.from_bytes(data[4:8], "little"),
     "lz4": lambda data, most: int.from_bytes(data[:4], "little"),
@@ -267,7 +268,6 @@ _UNPACKED: dict[str, Callable[[bytes, int], int]] = {
     "bz2": _unpacked_by(bz2.BZ2Decompressor, 1 << 20),
     "lzma": _unpacked_by(lambda: lzma.LZMADecompressor(memlimit=1 << 28), 1 << 20),
 }
-"""Counts of the bytes that each packing unpacks to, from what is stored."""
 
 
 def _unpacked(packing: str, data: bytes, most: int) -> int:

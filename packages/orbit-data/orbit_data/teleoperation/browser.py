@@ -1,31 +1,112 @@
-"""The viewer's page as a device: a gizmo for the hand, sliders for joints, a gamepad, buttons to hold, and keys."""
+"""The viewer's page as a device: a gizmo for the hand, sliders for joints, keys, and a second page with sticks."""
 
 from __future__ import annotations
 
+import asyncio
+import math
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orbit_data.teleoperation.body import Hand
+import msgspec
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
 from orbit_data.teleoperation.device import Device, Event, EventQueue, Reading, Speeds, within_reach
-from orbit_data.teleoperation.driver import Driver
-from orbit_data.teleoperation.pad import PATH, Pad
+from orbit_data.teleoperation.driver import Driver, Hand
+from orbit_viewer.guard import Page
 from orbit_viewer.scene_view import SceneView
 
 if TYPE_CHECKING:
     from viser import ViserServer
     from viser._messages import HotkeyKey
 
+PATH = "/pad"
+# s that sticks count as held after they were last heard of; a held pad is heard of 20 times a second.
+_PAD_HELD = 0.25
+# s from one telling of how things stand to the next.
+_TOLD = 0.2
+# Bytes of a frame; who sends more is no pad.
+_LONGEST = 1024
+_REST = (0.0,) * 6, (0.0,) * 3
+
+
+class PadFrame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What a pad says: shares in [-1, 1] of the hand's twist and of the base's (forward, left, turn), and a wish."""
+
+    hand: tuple[float, float, float, float, float, float]
+    base: tuple[float, float, float]
+    event: Event | None = None
+
+
+class Pad:
+    """The pad's page, and what was last heard of its sticks.
+
+    Args:
+        heard: called, in the web server's thread, with what a frame asks for, after it was taken over.
+    """
+
+    def __init__(self, heard: Callable[[Event | None], None]) -> None:
+        self._heard = heard
+        self._lock = threading.Lock()
+        self._shares: tuple[tuple[float, ...], tuple[float, ...]] = _REST
+        self._time = -math.inf
+        self.rows: Mapping[str, str] = {}
+        """How things stand, for the person."""
+        html = Path(__file__).with_name("pad.html").read_bytes()
+        self.page = Page(PATH, html, self._listen)
+
+    @property
+    def shares(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Six of the hand's twist and three of the base's speeds; zeros where nobody holds a stick."""
+        with self._lock:
+            return self._shares if time.perf_counter() - self._time < _PAD_HELD else _REST
+
+    async def _listen(self, connection: ServerConnection) -> None:
+        telling = asyncio.create_task(self._tell(connection))
+        try:
+            async for message in connection:
+                if fault := self._take(message):
+                    await connection.send(msgspec.json.encode({"error": fault}).decode())
+        except ConnectionClosed:
+            pass
+        finally:
+            telling.cancel()
+
+    async def _tell(self, connection: ServerConnection) -> None:
+        with suppress(ConnectionClosed):
+            while True:
+                await connection.send(msgspec.json.encode(dict(self.rows)).decode())
+                await asyncio.sleep(_TOLD)
+
+    def _take(self, message: str | bytes) -> str:
+        """Take over what a frame says; why not, if it cannot be."""
+        if len(message) > _LONGEST:
+            return f"a frame has {_LONGEST} bytes at most"
+        try:
+            frame = msgspec.json.decode(message, type=PadFrame)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            return f"no frame: {error}"
+        if not all(abs(share) <= 1.0 for share in (*frame.hand, *frame.base)):
+            return "shares lie in [-1, 1]"
+        with self._lock:
+            self._shares, self._time = (frame.hand, frame.base), time.perf_counter()
+        self._heard(frame.event)
+        return ""
+
+
+# s that a button counts as held after it was last heard of; it is heard of 30 times a second.
 _HELD = 0.12
-"""s that a button counts as held after it was last heard of; it is heard of 30 times a second."""
+# s after a person's last move of gizmo or sliders from which on they follow the robot again.
 _RESTS = 0.4
-"""s after a person's last move of gizmo or sliders from which on they follow the robot again."""
+# s from one time that sliders follow the robot to the next: each is a message to the page.
 _SHOWN = 0.1
-"""s from one time that sliders follow the robot to the next: each is a message to the page."""
 _PAD = f'<iframe src="{PATH}" title="gamepad" style="width:100%;height:22em;border:0;border-radius:6px"></iframe>'
+# rad: a joint without limits is moved by a turn either way.
 _TURN = 6.28
-"""rad: a joint without limits is moved by a turn either way."""
 _HAND_BUTTONS = (
     ("Forward", 0, 1.0), ("Back", 0, -1.0), ("Left", 1, 1.0), ("Right", 1, -1.0), ("Up", 2, 1.0), ("Down", 2, -1.0),
     ("Turn left", 5, 1.0), ("Turn right", 5, -1.0), ("Tilt down", 4, 1.0), ("Tilt up", 4, -1.0), ("Roll left", 3, -1.0),
@@ -194,7 +275,7 @@ class Browser(Device):
                 button.on_hold(lambda _, which=(kind, axis, sign): self._hold(which), callback_hz=30.0)
 
     def _add_sliders(self, gui: Any, hand: Hand) -> dict[str, Any]:
-        """A slider for each joint of the arm, and of a hand with fingers of its own."""
+        """Return a slider for each joint of the arm, and of a hand with fingers of its own."""
         fingers = hand.fingers if hand.effector.finger_tips or not hand.arm else []
         sliders: dict[str, Any] = {}
         for joint in (*hand.arm, *fingers):

@@ -108,7 +108,7 @@ class Speeds:
     """rad/s"""
 
     def twist(self, shares: Sequence[float]) -> tuple[float, ...]:
-        """The twist of six shares in [-1, 1]."""
+        """Return the twist of six shares in [-1, 1]."""
         scales = (self.linear,) * 3 + (self.angular,) * 3
         return tuple(share * scale for share, scale in zip(shares, scales, strict=True))
 

@@ -16,12 +16,12 @@ import msgspec
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.teleoperation.device import FARTHEST, Device, DeviceLostError, Event, EventQueue, Reading, within_reach
 
+# Bytes of a line; who sends more is no leader.
 _LONGEST = 65536
-"""Bytes of a line; who sends more is no leader."""
+# s that a connection has to send the token.
 _PATIENCE = 5.0
-"""s that a connection has to send the token."""
+# Connections that may be without the token at a time; one more pushes the oldest out.
 _STRANGERS = 16
-"""Connections that may be without the token at a time; one more pushes the oldest out."""
 
 
 class LeaderToken(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

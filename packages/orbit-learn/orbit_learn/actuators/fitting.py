@@ -14,14 +14,14 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_learn.actuators.networks import ActuatorModule, NetworkDescription
 from orbit_learn.actuators.recordings import Recording, common_rate
 
+# Part of each recording, its end, that is not learned from.
 _HELD_OUT = 0.2
-"""Part of each recording, its end, that is not learned from."""
+# Steps of a recording that are learned from at a time, and of these, at the beginning, that do not count.
 _WINDOW, _WARM_UP = 100, 20
-"""Steps of a recording that are learned from at a time, and of these, at the beginning, that do not count."""
+# Highest learning rate; none above one is of use.
 _FASTEST = 10.0
-"""Highest learning rate; none above one is of use."""
+# Windows.
 _BATCH = 64
-"""Windows."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from orbit_core.actuators.model import ActuatorContext, ActuatorModel
+from orbit_core.actuators.models import ActuatorContext, ActuatorModel
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import ActuatorNetwork, JointType
 from orbit_learn.actuators.networks import check_rate, read_network

@@ -23,13 +23,13 @@ import torch
 from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.tensor_file import read_tensors, write_tensors
+from orbit_data.tensor_file import read_tensors, write_tensors
 
 _MOST_UNITS, _MOST_LAYERS, _MOST_HISTORY = 1024, 8, 64
+# Error of position and velocity.
 _INPUTS = 2
-"""Error of position and velocity."""
+# Part of the rate.
 _RATE_TOLERANCE = 1e-4
-"""Part of the rate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ class NetworkDescription:
             raise ConfigurationError(f"rate {self.rate:g} Hz and scales {self.scales} must be above zero and finite")
 
     def build(self) -> ActuatorModule:
-        """The network, with weights of its own."""
+        """Return the network, with weights of its own."""
         return MlpActuator(self) if self.kind == "mlp" else LstmActuator(self)
 
 
@@ -90,11 +90,11 @@ class ActuatorModule(nn.Module, ABC):
 
     @abstractmethod
     def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
-        """Efforts (B,) from errors and velocities (B, 2), and the past that comes of it."""
+        """Return efforts (B,) from errors and velocities (B, 2), and the past that comes of it."""
 
     @abstractmethod
     def sequence(self, inputs: Tensor) -> Tensor:
-        """Efforts (T, B) of B joints over T steps (T, B, 2) that begin without a past."""
+        """Return efforts (T, B) of B joints over T steps (T, B, 2) that begin without a past."""
 
 
 class MlpActuator(ActuatorModule):
@@ -173,7 +173,7 @@ def write_network(path: Path | str, network: ActuatorModule) -> None:
 
 
 def read_network(path: Path | str) -> ActuatorModule:
-    """A network from its file.
+    """Return a network from its file.
 
     Raises:
         ConfigurationError: there is no such file, it holds no actuator network, or its weights are not of the sizes

@@ -21,22 +21,22 @@ from torch import Tensor
 
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
-from orbit_core.reading.budget import ReadAccount, ReadBudget, check_name
-from orbit_core.reading.hdf5 import Hdf5File
-from orbit_core.reading.npz import FAULTS, read_npz
+from orbit_data.reading.budget import ReadAccount, ReadBudget, check_name
+from orbit_data.reading.hdf5 import Hdf5File
+from orbit_data.reading.npz import FAULTS, read_npz
 
 QUANTITIES = ("position_target", "position", "velocity", "effort")
 _LEAST_STEPS = 50
+# Largest number, whose square a network can still be fitted to.
 _LARGEST = 1e12
-"""Largest number, whose square a network can still be fitted to."""
+# Most joints, and most characters of their names.
 _MOST_NAMES = 1000
-"""Most joints, and most characters of their names."""
+# Most characters of a line of a table.
 _LONGEST_LINE = 1 << 20
-"""Most characters of a line of a table."""
+# Rows of a table that are read at a time, after which the clock is looked at.
 _ROWS = 1000
-"""Rows of a table that are read at a time, after which the clock is looked at."""
+# Part of a step by which steps may differ in length.
 _UNEVEN = 0.02
-"""Part of a step by which steps may differ in length."""
 
 
 @dataclass(frozen=True)

@@ -14,22 +14,20 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from orbit_core.backends import backend_names
-from orbit_core.cli.checks import check_output, make_folder
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
-from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.cli.settings import EnvironmentSettings, check_output, make_folder, parse_words
 from orbit_core.files import check_apart, written_whole
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
-from orbit_core.pretrained import policy_fields, policy_path
 from orbit_learn.cli.trained import training_record
+from orbit_learn.pretrained import policy_fields, policy_path
 
 if TYPE_CHECKING:
-    from orbit_core.manifest.manifest import Manifest
+    from orbit_data.manifest.manifest import Manifest
     from orbit_learn.policy import Policy
 
+# Settings of a training that make its environment's numbers, beside what the policy itself tells.
 _OF_A_TRAINING = ("robot", "action", "fields", "set", "settings", "setting")
-"""Settings of a training that make its environment's numbers, beside what the policy itself tells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +80,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def _amend(policy: Policy, path: Path) -> None:
-    from orbit_core.tensor_file import read_tensors, write_tensors
+    from orbit_data.tensor_file import read_tensors, write_tensors
     from orbit_learn.policy_file import manifest_document, newest_file
 
     file = newest_file(path, "policy") if path.is_dir() else path
@@ -97,9 +95,11 @@ def _amend(policy: Policy, path: Path) -> None:
 
 
 def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
-    """The manifest of a file that is older than what manifests say of their numbers, with that of the environment as it
-    is today, where this has the same joints, home positions and terms; else as it was, with a warning."""
-    from orbit_core.manifest.compare import Kind, differences
+    """Return the manifest of a file that is older than what manifests say of their numbers, with that of the
+    environment as it is today, where this has the same joints, home positions and terms; else as it was, with a
+    warning.
+    """
+    from orbit_data.manifest.compare import Kind, differences
 
     group = policy.description.group
     try:
@@ -118,14 +118,14 @@ def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
 
 
 def _present(policy: Policy, path: Path) -> Manifest:
-    """The manifest of the environment that a policy fits today, for files of before there were manifests. What
+    """Return the manifest of the environment that a policy fits today, for files of before there were manifests. What
     the training's record beside the file tells, it tells too.
 
     Raises:
         OrbitError: there is no such environment here.
     """
-    from orbit_core.manifest.compare import renamed_group
-    from orbit_core.manifest.manifest import Manifest
+    from orbit_data.manifest.compare import renamed_group
+    from orbit_data.manifest.manifest import Manifest
 
     learned, training = policy.description, training_record(path)
     installed = learned.backend in backend_names()

@@ -6,11 +6,10 @@ import dataclasses
 from collections.abc import Sequence
 
 from orbit_core.cli.output import console
-from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.run import show_run
-from orbit_core.cli.settings import PlaySettings
-from orbit_core.pretrained import is_kept, policy_fields, policy_path
-from orbit_learn.cli.trained import Restored, restore, training_record
+from orbit_core.cli.settings import parse_settings
+from orbit_learn.cli.trained import PlaySettings, Restored, restore, training_record
+from orbit_learn.pretrained import is_kept, policy_fields, policy_path
 
 
 def main(words: Sequence[str]) -> None:
@@ -22,7 +21,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def played(settings: PlaySettings) -> PlaySettings:
-    """The settings with all that the policy was learned for in the place of what they leave open.
+    """Return the settings with all that the policy was learned for in the place of what they leave open.
 
     Raises:
         UnknownNameError: there is no such file, folder or kept policy.

@@ -15,11 +15,9 @@ from rich.table import Table
 from tyro.conf import arg
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.checks import check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, progress_bar
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
+from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues, check_positive, parse_settings
 from orbit_core.configuration import assignments, configured
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces.errors import ConfigurationError
@@ -141,7 +139,7 @@ def _processes() -> int:
 
 
 def _algorithm(settings: TrainSettings, kind: type[Any], ppo: PpoSettings) -> Any:
-    """The settings that the library takes: the task's own, or its class's, with the user's over them."""
+    """Return the settings that the library takes: the task's own, or its class's, with the user's over them."""
     learned = isinstance(ppo, kind)
     defaults, given = (ppo, settings.ppo) if learned else (kind(), settings.distillation)
     what, refused = ("PPO", "--distillation and --teacher") if learned else ("distillation", "--ppo")
@@ -169,7 +167,7 @@ def _words(settings: TrainSettings, progress: Progress) -> str:
 
 
 def _success(progress: Progress) -> str:
-    """The rate with its interval of 95 %."""
+    """Return the rate with its interval of 95 %."""
     from orbit_core.rollout.estimates import proportion
 
     return proportion(round(progress.success_rate * progress.episodes), progress.episodes).percent()

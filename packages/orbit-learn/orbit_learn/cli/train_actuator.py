@@ -10,10 +10,9 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.output import console, new_table, progress_bar
-from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.read_budget import ReadSettings
+from orbit_core.cli.settings import check_output, check_positive, make_folder, parse_words
+from orbit_data.cli.read_budget import ReadSettings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,22 +5,37 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from tyro.conf import Positional, Suppress, arg
 
 from orbit_core.backends import backend_names, renderer_names
-from orbit_core.cli.settings import PlaySettings
+from orbit_core.cli.settings import Name, RunSettings
 from orbit_core.configuration import Text, assignments
 from orbit_core.envs.registry import task_entry
 from orbit_core.files import read_bytes
 from orbit_core.interfaces.errors import ConfigurationError
-from orbit_core.reading.budget import MAX_DOCUMENT
-from orbit_core.tensor_file import parse_json
+from orbit_data.reading.budget import MAX_DOCUMENT
+from orbit_data.tensor_file import parse_json
 
 OF_TRAINING_ALONE = ("curriculum_enabled", "expert_starts")
 """Fields of a task that only learning is for: a curriculum begins with the easiest episodes again, and an expert's way
 is no start that a policy is measured from. So are those that a task sets in training by itself."""
 _TASKS = "the task's own"
 _RECORD = "training.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaySettings(RunSettings):
+    """Run a learned policy's task with it, on any backend, and report success, metrics, return and speed."""
+
+    policy: Annotated[Positional[Path], arg(metavar="POLICY")]
+    """File policy_<iteration>.safetensors or .onnx, the folder of a training, which stands for its last, or a kept
+    policy's name ('orbit list policies')."""
+    task: Name = None
+    """Another task than the one it was learned for."""
+    agent: Suppress[str] = ""
+    """The policy."""
 
 
 def training_record(path: Path) -> Mapping[str, Any]:

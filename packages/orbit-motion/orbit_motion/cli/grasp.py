@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
 
-from orbit_core.cli.checks import check_steps
+from tyro.conf import arg
+
 from orbit_core.cli.making import make_environment
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import GraspSettings
+from orbit_core.cli.settings import EnvironmentSettings, check_steps, parse_settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspSettings(EnvironmentSettings):
+    """Have an arm grasp what you choose, in the browser."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines take part."""
+    port: int = 8080
+    """Port to listen on."""
+    max_steps: Annotated[int | None, arg(metavar="INT")] = None
+    """Stop after that many steps; run until interrupted if left out."""
 
 
 def main(words: Sequence[str]) -> None:

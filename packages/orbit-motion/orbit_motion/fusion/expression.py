@@ -78,7 +78,7 @@ class Builder:
         self._sums: dict[tuple[Expression, ...], Expression] = {}
 
     def constant(self, value: Number) -> Expression:
-        """A known number; a bool stays one."""
+        """Return a known number; a bool stays one."""
         if isinstance(value, bool):
             return self._made("constant", value=value, is_bool=True)
         return self._made("constant", value=float(value) + 0.0)
@@ -88,7 +88,7 @@ class Builder:
         return self._made("element", place=(row, place))
 
     def apply(self, operation: str, *operands: Expression) -> Expression:
-        """An operation of :data:`FOLDED`."""
+        """Return an operation of :data:`FOLDED`."""
         if all(operand.constant for operand in operands):
             return self.constant(FOLDED[operation](*(operand.value for operand in operands)))
         if operation == "where":
@@ -100,7 +100,7 @@ class Builder:
         return self._made(operation, operands, is_bool=operation in _BOOLEAN)
 
     def number(self, value: Expression) -> Expression:
-        """A bool as zero or one."""
+        """Return a bool as zero or one."""
         return self.apply("where", value, self.constant(1.0), self.constant(0.0)) if value.is_bool else value
 
     def add(self, a: Expression, b: Expression) -> Expression:
@@ -116,7 +116,8 @@ class Builder:
         return self.apply("add", *self._ordered(a, b))
 
     def total(self, numbers: Sequence[Expression]) -> Expression:
-        """A sum as a balanced tree, which makes short chains of additions, but of one that is there with an end added.
+        """Return a sum as a balanced tree, which makes short chains of additions, but of one that is there with an end
+        added.
 
         So sums along a robot's branch, of which each has one link more than another, cost an addition each.
         """
@@ -168,7 +169,7 @@ class Builder:
 
     @staticmethod
     def _ordered(a: Expression, b: Expression) -> tuple[Expression, Expression]:
-        """The same for ``a b`` and ``b a``, and in every run, so that what was compiled is found again."""
+        """Return the same for ``a b`` and ``b a``, and in every run, so that what was compiled is found again."""
         return (a, b) if a.number <= b.number else (b, a)
 
     def _made(

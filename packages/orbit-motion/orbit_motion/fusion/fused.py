@@ -1,8 +1,21 @@
-"""A function of a few numbers for each environment, made one kernel where a step is compiled."""
+"""Functions of a few numbers per environment as one kernel, built where a step is compiled.
+
+Expressions become source text for a C++ compiler and for a GPU's, which share the arithmetic. On a CPU each variable
+holds the numbers of several environments, next to each other in one register (GCC's and Clang's vector extensions); on
+a GPU each thread has one environment. Results are row-major on a CPU, and column-major on a GPU, where neighbouring
+threads write at once.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
+import os
+import subprocess
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -10,9 +23,247 @@ from torch.utils._python_dispatch import _disable_current_modes
 
 from orbit_core.capture.kernels import kernels_wanted
 from orbit_core.interfaces.capture import Watched, changes
-from orbit_motion.fusion.interpreter import Unfusable, expressions
-from orbit_motion.fusion.kernel import Launch, launcher
-from orbit_motion.fusion.source import Program
+from orbit_core.plugin_kit.scratch import ScratchFolder
+from orbit_motion.fusion.expression import Expression
+from orbit_motion.fusion.operations import Unfusable, expressions
+
+LANES = 8
+"""Environments in one register of a CPU."""
+ROWS = {"own": "({0})", "env": "({0}) / {1}", "part": "({0}) % {1}"}
+"""Rows of inputs: of each environment's each part, of each environment, and of each part in all environments."""
+_READ_ON_CPU = (
+    "    auto {row} = [&](int place) {{ V r; "
+    "for (int i = 0; i < lanes; i++) r[i] = in_{row}[{which} * {width} + place]; return r; }};"
+)
+_READ_ON_GPU = "  auto {row} = [&](int place) {{ return in_{row}[{which} * {width} + place]; }};"
+_FORMS = {
+    "add": "{} + {}",
+    "sub": "{} - {}",
+    "mul": "{} * {}",
+    "neg": "-{}",
+    "reciprocal": "K(1.0f) / {}",
+    "sqrt": "root({})",
+    "sin": "sine({})",
+    "cos": "cosine({})",
+    "atan2": "angle({}, {})",
+    "abs": "size({})",
+    "min": "lesser({}, {})",
+    "max": "greater({}, {})",
+    "lt": "{} < {}",
+    "le": "{} <= {}",
+    "eq": "{} == {}",
+    "and": "{} & {}",
+    "or": "{} | {}",
+    "not": "{} == 0",
+    "where": "{} ? {} : {}",
+}
+_ON_CPU = """
+#include <cmath>
+typedef float V __attribute__((vector_size({bytes}), aligned(4)));
+typedef int M __attribute__((vector_size({bytes}), aligned(4)));
+static const int lanes = {lanes};
+static inline V K(float x) {{ V r; for (int i = 0; i < lanes; i++) r[i] = x; return r; }}
+#define EACH(name, call, ...) static inline V name(__VA_ARGS__) {{ \\
+    V r; for (int i = 0; i < lanes; i++) r[i] = call; return r; }}
+EACH(root, std::sqrt(x[i]), V x)
+EACH(sine, std::sin(x[i]), V x)
+EACH(cosine, std::cos(x[i]), V x)
+EACH(angle, std::atan2(y[i], x[i]), V y, V x)
+static inline V size(V x) {{ return x < 0.0f ? -x : x; }}
+static inline V lesser(V a, V b) {{ return b < a ? b : a; }}
+static inline V greater(V a, V b) {{ return a < b ? b : a; }}
+extern "C" void fused({parameters}float* out, int count) {{
+  for (int begin = 0; begin < count; begin += lanes) {{
+    int at[lanes];
+    for (int i = 0; i < lanes; i++) at[i] = begin + i < count ? begin + i : count - 1;
+{rows}
+    auto put = [&](int place, V x) {{ for (int i = 0; i < lanes; i++) out[at[i] * {given} + place] = x[i]; }};
+{body}
+  }}
+}}
+"""
+_ON_GPU = """
+typedef float V;
+typedef int M;
+__device__ inline V K(float x) {{ return x; }}
+__device__ inline V root(V x) {{ return sqrtf(x); }}
+__device__ inline V sine(V x) {{ return sinf(x); }}
+__device__ inline V cosine(V x) {{ return cosf(x); }}
+__device__ inline V angle(V y, V x) {{ return atan2f(y, x); }}
+__device__ inline V size(V x) {{ return fabsf(x); }}
+__device__ inline V lesser(V a, V b) {{ return b < a ? b : a; }}
+__device__ inline V greater(V a, V b) {{ return a < b ? b : a; }}
+extern "C" __global__ void fused({parameters}float* out, int count) {{
+  int at = blockIdx.x * blockDim.x + threadIdx.x;
+  if (at >= count) return;
+{rows}
+  auto put = [&](int place, V x) {{ out[place * count + at] = x; }};
+{body}
+}}
+"""
+
+
+@dataclass(frozen=True)
+class Program:
+    """What the numbers of one environment, or of one part of it, become.
+
+    Attributes:
+        widths: numbers in each row of inputs, by the row's name, one of :data:`ROWS`.
+        outputs: of the row that comes of them.
+        parts: of an environment that have rows of their own, 1 or more.
+        device: where it is to run.
+    """
+
+    widths: Mapping[str, int]
+    outputs: Sequence[Expression]
+    parts: int
+    device: torch.device
+
+    @property
+    def on_cpu(self) -> bool:
+        """Whether it is for a CPU."""
+        return self.device.type == "cpu"
+
+    def room(self, sizes: torch.Size) -> torch.Tensor:
+        """Memory (*sizes, W) for the rows of W numbers that come of so many environments and parts."""
+        if self.on_cpu:
+            return torch.empty(*sizes, len(self.outputs))
+        return torch.empty(len(self.outputs), *sizes, device=self.device).movedim(0, -1)
+
+    def source(self) -> str:
+        """Return text with a function ``fused`` of pointers to rows, to what becomes of them, and how many come of
+        them.
+        """
+        on_cpu = self.on_cpu
+        parameters = "".join(f"const float* in_{row}, " for row in self.widths)
+        reads = [
+            (_READ_ON_CPU if on_cpu else _READ_ON_GPU).format(
+                row=row, width=width, which=ROWS[row].format("at[i]" if on_cpu else "at", self.parts)
+            )
+            for row, width in self.widths.items()
+        ]
+        sizes = {"given": len(self.outputs), "lanes": LANES, "bytes": 4 * LANES, "rows": "\n".join(reads)}
+        frame = _ON_CPU if on_cpu else _ON_GPU
+        return frame.format(body="\n".join(self._body()), parameters=parameters, **sizes)
+
+    def operations(self) -> int:
+        """How many there are for one environment."""
+        return sum(bool(expression.operands) for expression in _in_order(self.outputs))
+
+    def _body(self) -> list[str]:
+        names: dict[int, str] = {}
+        lines: list[str] = []
+        for expression in _in_order(self.outputs):
+            if expression.constant:
+                names[id(expression)] = _literal(expression)
+                continue
+            name = names[id(expression)] = f"t{len(names)}"
+            kind = "M" if expression.is_bool else "V"
+            lines.append(f"const {kind} {name} = {_text(expression, names)};")
+        return lines + [f"put({place}, {names[id(x)]});" for place, x in enumerate(self.outputs)]
+
+
+def _text(expression: Expression, names: dict[int, str]) -> str:
+    if expression.operation == "element":
+        row, place = expression.place
+        return f"{row}({place})"
+    return _FORMS[expression.operation].format(*(names[id(operand)] for operand in expression.operands))
+
+
+def _literal(expression: Expression) -> str:
+    if expression.is_bool:
+        return "1" if expression.value else "0"
+    text = {"inf": "1.0e39f", "-inf": "-1.0e39f"}.get(repr(expression.value))
+    return f"K({text or f'{expression.value!r}f'})"
+
+
+def _in_order(outputs: Sequence[Expression]) -> list[Expression]:
+    """Return all that outputs are made of, each after what it is made of itself."""
+    done: set[int] = set()
+    order: list[Expression] = []
+    waiting = list(reversed(outputs))
+    while waiting:
+        expression = waiting[-1]
+        missing = [operand for operand in expression.operands if id(operand) not in done]
+        if missing and id(expression) not in done:
+            waiting += reversed(missing)
+            continue
+        waiting.pop()
+        if id(expression) not in done:
+            done.add(id(expression))
+            order.append(expression)
+    return order
+
+
+# Of a block on a GPU: few, so that a few thousand environments fill all multiprocessors.
+_THREADS = 32
+GPU_FLAGS = ["--prec-div=false", "--prec-sqrt=false"]
+"""Quotients and roots to two units in the last place, as in what inductor compiles, and without calls for them."""
+_FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-w")
+
+
+Launch = Callable[[Sequence[Tensor], Tensor], None]
+"""Of rows of inputs, and memory for the rows that come of them."""
+
+
+def launcher(source: str, inputs: int, device: torch.device) -> Launch:
+    """Runs a program that has so many inputs.
+
+    Raises:
+        Unfusable: the compiler refuses it, or there is none.
+    """
+    return _of_library(_compiled(source), inputs) if device.type == "cpu" else _of_gpu(source)
+
+
+def _compiled(source: str) -> Path:
+    """Return a library of the source, from the cache beside that of torch's compiler if it was made before."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.runtime.cache_dir_utils import cache_dir
+
+    compiler = get_cpp_compiler()
+    name = hashlib.sha256("\n".join((source, compiler, *_FLAGS, _processor())).encode()).hexdigest()[:32]
+    folder = Path(cache_dir()) / "orbit_fusion"
+    library = folder / f"{name}.so"
+    if library.is_file():
+        return library
+    folder.mkdir(parents=True, exist_ok=True)
+    with ScratchFolder("orbit-kernel-", folder) as work:
+        text, made = work / "fused.cpp", work / "fused.so"
+        text.write_text(source)
+        run = subprocess.run([compiler, *_FLAGS, "-o", str(made), str(text)], capture_output=True, text=True)
+        if run.returncode:
+            raise Unfusable(f"{compiler} refuses it: {next(iter(run.stderr.splitlines()), '')}")
+        os.replace(made, library)  # at once, for other processes may be looking
+    return library
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return ""
+    return next((line for line in lines if line.startswith(("flags", "Features"))), "")
+
+
+def _of_library(library: Path, inputs: int) -> Launch:
+    function: Any = ctypes.CDLL(str(library)).fused
+    function.argtypes, function.restype = [*[ctypes.c_void_p] * (inputs + 1), ctypes.c_int], None
+    return lambda rows, outputs: function(*(r.data_ptr() for r in rows), outputs.data_ptr(), outputs.shape[0])
+
+
+def _of_gpu(source: str) -> Launch:
+    try:
+        compile_kernel = torch.cuda._compile_kernel  # pyright: ignore[reportPrivateUsage]
+        kernel: Any = compile_kernel(source, "fused", nvcc_options=GPU_FLAGS)
+    except Exception as error:  # torch's release has none, there is no NVRTC, or it refuses the source
+        what = " ".join(str(error).splitlines()[:3])
+        raise Unfusable(f"no kernel on the GPU, for {type(error).__name__}: {what}") from error
+
+    def launch(rows: Sequence[Tensor], outputs: Tensor) -> None:
+        count = outputs.shape[0]
+        kernel(grid=(-(-count // _THREADS), 1, 1), block=(_THREADS, 1, 1), args=[*rows, outputs, count])
+
+    return launch
 
 
 class Fused(Watched):
@@ -97,7 +348,7 @@ class Fused(Watched):
 
 
 def _row_of(shape: torch.Size, sizes: torch.Size) -> str:
-    """Which of :data:`~orbit_motion.fusion.source.ROWS` an input lies in."""
+    """Which of :data:`ROWS` an input lies in."""
     if shape == sizes:
         return "own" if len(sizes) > 1 else "env"
     return "env" if shape[0] == sizes[0] else "part"

@@ -3,31 +3,149 @@
 Two fingers with friction hold a thing in all directions where the line between them is within both friction cones:
 Nguyen, Constructing Force-Closure Grasps (International Journal of Robotics Research 7(3), 1988). Candidates are drawn
 and the patch between the fingers judged as ten Pas et al. do, Grasp Pose Detection in Point Clouds (International
-Journal of Robotics Research 36(13), 2017).
+Journal of Robotics Research 36(13), 2017). Surfaces are points with normals, of collision shapes or of a depth camera's
+cloud; the gripper is a set of boxes around its links, wide open.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from orbit_assets.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
 from orbit_core.dynamics.transforms import quat_from_matrix, quat_rotate_inverse, quat_to_matrix
-from orbit_core.interfaces import ArgumentError
-from orbit_motion.grasping.hand_boxes import HandBoxes
-from orbit_motion.grasping.surface import Surface
+from orbit_core.interfaces import ArgumentError, ConfigurationError
+from orbit_core.plugin_kit.meshes import triangles
+from orbit_core.scene import Gripper, HeightField, Link, Plane, RobotSpec
 
+# m along the approach from the frame, within which fingers limit the opening.
+_NEAR = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class HandBoxes:
+    """Boxes (B, 2, 3), least and largest corner in m, and the opening (m) between fingers along the frame's y."""
+
+    boxes: Tensor
+    opening: float
+    points: Tensor
+    """(P, 3) m on the shapes themselves."""
+
+    @staticmethod
+    def of(spec: RobotSpec) -> HandBoxes:
+        """Of a robot's first end effector.
+
+        Raises:
+            ConfigurationError: it has no gripper, or nothing of it is on both sides of its frame.
+        """
+        effector = spec.end_effectors[0] if spec.end_effectors else None
+        if effector is None or effector.gripper is None:
+            raise ConfigurationError(f"robot '{spec.name}' has no gripper to grasp with")
+        posture = gripper_posture(spec, effector.gripper, effector.gripper.open_position)
+        clouds = shapes_in_frame(spec, effector.frame, _hand_links(spec, effector.gripper), posture)
+        boxes = [torch.tensor(np.stack((cloud.min(0), cloud.max(0))), dtype=torch.float32) for cloud in clouds]
+        stacked = torch.stack(boxes) if boxes else torch.zeros(0, 2, 3)
+        points = torch.tensor(np.concatenate(clouds or [np.zeros((0, 3))]), dtype=torch.float32)
+        return HandBoxes(stacked, _opening(stacked, spec.name), points)
+
+    def touches(self, points: Tensor, margin: float = 0.0) -> Tensor:
+        """(...,) whether any of points (..., M, 3) in the end effector's frame is within ``margin`` m of a box."""
+        low, high = self.boxes[:, 0] - margin, self.boxes[:, 1] + margin
+        inside = (points[..., None, :] > low.to(points)) & (points[..., None, :] < high.to(points))
+        return inside.all(-1).any(-1).any(-1)
+
+
+def _hand_links(spec: RobotSpec, gripper: Gripper) -> list[Link]:
+    """Those that the gripper moves, and those that carry them."""
+    moving = {link.name for link in gripping_links(spec, gripper)}
+    carriers = {joint.parent for joint in spec.articulation.joints if joint.child in moving}
+    return [link for link in spec.articulation.links if link.name in moving | carriers]
+
+
+def _opening(boxes: Tensor, name: str) -> float:
+    near = (boxes[:, 0, 2] < _NEAR) & (boxes[:, 1, 2] > -_NEAR)
+    left, right = near & (boxes[:, 0, 1] > 0.0), near & (boxes[:, 1, 1] < 0.0)
+    if not left.any() or not right.any():
+        raise ConfigurationError(f"the gripper of '{name}' has no finger on each side of its frame: it is not parallel")
+    return float(boxes[left, 0, 1].min() - boxes[right, 1, 1].max())
+
+
+_NEIGHBOURS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Points (M, 3) in metres and unit normals (M, 3) out of the thing, in one frame."""
+
+    points: Tensor
+    normals: Tensor
+
+    def __post_init__(self) -> None:
+        if self.points.shape != self.normals.shape or self.points.ndim != 2 or self.points.shape[1] != 3:
+            raise ArgumentError(
+                f"a surface has points {tuple(self.points.shape)} and normals {tuple(self.normals.shape)}: "
+                "give (M, 3) each"
+            )
+
+
+def surface_of(link: Link, count: int = 2000, seed: int = 0) -> Surface:
+    """``count`` points drawn evenly from a link's collision shapes, in the link's frame.
+
+    Raises:
+        ArgumentError: the link has no collision shape of finite size.
+    """
+    import trimesh
+
+    shapes = [shape for shape in link.collisions if not isinstance(shape.geometry, Plane | HeightField)]
+    if not shapes:
+        raise ArgumentError(f"link '{link.name}' has no collision shapes of finite size: there is nothing to grasp")
+    meshes = []
+    for shape in shapes:
+        mesh = triangles(shape.geometry)
+        mesh.apply_transform(shape.pose.matrix())
+        meshes.append(mesh)
+    joined: Any = trimesh.util.concatenate(meshes)
+    points, faces, *_ = trimesh.sample.sample_surface(joined, count, seed=seed)
+    return Surface(
+        torch.as_tensor(np.asarray(points), dtype=torch.float32),
+        torch.as_tensor(np.asarray(joined.face_normals[faces]), dtype=torch.float32),
+    )
+
+
+def surface_of_cloud(points: Tensor, eye: Tensor) -> Surface:
+    """Return points (M, 3) that a camera at ``eye`` (3,) saw, with normals towards it.
+
+    A normal is the direction in which a point's 16 nearest vary least: Hoppe et al., Surface Reconstruction from
+    Unorganized Points (SIGGRAPH 1992).
+
+    Raises:
+        ArgumentError: there are fewer points than a neighbourhood has.
+    """
+    if len(points) < _NEIGHBOURS:
+        raise ArgumentError(f"a cloud of {len(points)} points has no normals: give {_NEIGHBOURS} or more")
+    nearest = torch.cdist(points, points).topk(_NEIGHBOURS, largest=False).indices
+    around = points[nearest]
+    spread = around - around.mean(1, keepdim=True)
+    _, axes = torch.linalg.eigh(spread.transpose(1, 2) @ spread)
+    normals = axes[:, :, 0]
+    away = ((points - eye) * normals).sum(1, keepdim=True) > 0.0
+    return Surface(points, torch.where(away, -normals, normals))
+
+
+# m between an open finger and the thing, at least.
 _CLEARANCE = 0.002
-"""m between an open finger and the thing, at least."""
+# m around the line between the fingers, within which the surface is judged.
 _PATCH = 0.01
-"""m around the line between the fingers, within which the surface is judged."""
+# Points of the surface that are looked for in the hand and between its fingers.
 _CHECKED = 400
-"""Points of the surface that are looked for in the hand and between its fingers."""
+# m that two points of a grasp are apart at least.
 _SPARSE = 1e-3
-"""m that two points of a grasp are apart at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +252,7 @@ def _pairs(surface: Surface, opening: float, config: GraspConfig) -> Tensor:
 
 
 def _around(ends: Tensor, directions: int) -> tuple[Tensor, Tensor]:
-    """Poses (K D, 7) between points (K, 2, 3), and those points for each."""
+    """Return poses (K D, 7) between points (K, 2, 3), and those points for each."""
     y = normalize(ends[:, 1] - ends[:, 0], dim=1)
     least = torch.nn.functional.one_hot(y.abs().argmin(1), 3).to(y)
     side = normalize(torch.linalg.cross(y, least), dim=1)

@@ -1,28 +1,39 @@
-"""From candidates to motion: to before the thing, straight to it, and straight up with it."""
+"""Motion to a grasp: in front of the thing, straight to it, and straight up with it.
+
+:class:`GraspSearch` computes the timed motion of each candidate in a copy of the world.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from orbit_core.actions.full_ik import FullIk, FullIkConfig
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_rotate
+from orbit_core.dynamics.transforms import (
+    pose_inverse,
+    pose_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    transform_points,
+)
 from orbit_core.interfaces import PlanningError
-from orbit_motion.grasping.antipodal import GraspCandidates
-from orbit_motion.grasping.hand_boxes import HandBoxes
-from orbit_motion.planning import JointPlanner, PlannerConfig
+from orbit_core.interfaces.layout import joint_limits
+from orbit_motion.grasping.antipodal import GraspCandidates, GraspConfig, HandBoxes, grasp_candidates, surface_of
+from orbit_motion.obstacles import TERRAIN
+from orbit_motion.planning import JointPlanner, JointTrajectory, PlannerConfig, StillWorld, time_optimal
 from orbit_motion.still import PlacedRobot, PlacedWorld
 
+# Postures along a straight part.
 _STRAIGHT = 8
-"""Postures along a straight part."""
+# Candidates whose inverse kinematics are solved together, so that the first plan does not wait for all.
 _AT_ONCE = 8
-"""Candidates whose inverse kinematics are solved together, so that the first plan does not wait for all."""
+# rad or m from one posture to the next on a straight part, beyond which the arm is on another branch.
 _JUMP = 0.5
-"""rad or m from one posture to the next on a straight part, beyond which the arm is on another branch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +86,7 @@ class GraspPlanner:
         )
 
     def plan(self, pose: Tensor, env: int = 0) -> GraspPlan:
-        """The plan for a pose (7,) of the end effector, in the environment, in which the gripper closes.
+        """Return the plan for a pose (7,) of the end effector, in the environment, in which the gripper closes.
 
         Raises:
             PlanningError: the pose cannot be reached, by how much; or something is in the way, what and how far.
@@ -83,7 +94,7 @@ class GraspPlanner:
         return self._plan(self._straight_parts(pose[None], env), 0, None, env)
 
     def plans(self, candidates: GraspCandidates, thing: Tensor, env: int = 0) -> Iterator[GraspPlan]:
-        """A plan for each candidate that has one, the best first.
+        """Yield a plan for each candidate that has one, the best first.
 
         Args:
             candidates: in the thing's frame.
@@ -132,7 +143,7 @@ class GraspPlanner:
         raise _Touching(f"the open hand would be {depth:.3f} m inside '{name}'")
 
     def _straight_parts(self, poses: Tensor, env: int) -> _StraightWays:
-        """Joint positions through approach and lift for poses (K, 7) at the thing."""
+        """Return joint positions through approach and lift for poses (K, 7) at the thing."""
         start = self._robot.joint_positions[env].expand(len(poses), -1)
         ways = torch.linspace(-self._before, 0.0, _STRAIGHT, device=poses.device)
         rises = torch.linspace(0.0, self._lift, _STRAIGHT, device=poses.device)[1:]
@@ -190,3 +201,91 @@ def _check_reached(ways: _StraightWays, row: int) -> None:
         )
     if float(ways.jumps[row].max()) >= _JUMP:
         raise _Unreached("the arm would have to turn over on the straight way: take the thing from another side")
+
+
+# Share of the joints' velocity limits that is used.
+_SPEED = 0.5
+# 1/s: accelerations over velocity limits.
+_SPEED_UP = 2.0
+# m around the line between the fingers, within which they must meet the thing.
+_BETWEEN = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class GraspMotion:
+    """What the arm does for one grasp."""
+
+    pose: Tensor
+    """(7,) of the hand in the environment when the gripper closes."""
+    score: float | None
+    """From 0 to 1; None for a pose that a person gave."""
+    reach: JointTrajectory
+    approach: JointTrajectory
+    lift: JointTrajectory
+
+
+class GraspSearch:
+    """Candidates for a thing of a copied world and motions to them.
+
+    Args:
+        world: the copy.
+        joints: indices of the arm's joints.
+        thing: name of the object.
+        dt: s between samples of the motions.
+
+    Raises:
+        ArgumentError: the thing cannot be grasped: it is too wide, or has no shape.
+        ConfigurationError: the robot has no parallel gripper; or a library is missing.
+    """
+
+    def __init__(self, world: StillWorld, joints: list[int], thing: str, dt: float) -> None:
+        self._robot, self._joints, self._thing, self._dt = world.robot, joints, thing, dt
+        self._pose = world.objects[thing].root_pose[0]
+        self._hand = HandBoxes.of(world.robot.spec)
+        self.opening = self._hand.opening
+        """m between the fingers."""
+        self._surface = surface_of(world.objects[thing].spec.articulation.links[0])
+        up = quat_rotate_inverse(self._pose[None, 3:], self._pose.new_tensor([[0.0, 0.0, 1.0]]))[0]
+        self.candidates = grasp_candidates(self._surface, self._hand, GraspConfig(most=32), up.cpu())
+        self.poses = pose_multiply(self._pose.expand(len(self.candidates), 7), self.candidates.poses.to(self._pose))
+        """(K, 7) of the candidates in the environment, the best first."""
+        self.place = self._pose[:3]
+        """(3,) m, where the thing was."""
+        others = tuple(name for name in world.objects if name != thing)
+        config = PlannerConfig(obstacles=(TERRAIN, *others), time_limit=5.0)
+        self._planner = GraspPlanner(world, world.robot, joints, config=config)
+
+    def motions(self) -> Iterator[GraspMotion]:
+        """Yield a motion for each candidate that has one, the best first.
+
+        Raises:
+            PlanningError: no candidate has one, and why.
+        """
+        for plan in self._planner.plans(self.candidates, self._pose):
+            assert plan.candidate is not None  # they are of candidates
+            score = float(self.candidates.scores[plan.candidate])
+            yield self._timed(plan, self.poses[plan.candidate], score)
+
+    def motion_to(self, pose: Tensor) -> GraspMotion:
+        """Return the motion for a pose (7,) of the hand that a person gave.
+
+        Raises:
+            PlanningError: there is none, and why.
+        """
+        points = transform_points(self._pose[None], self._surface.points.to(pose)[None])[0]
+        local = quat_rotate_inverse(pose[None, 3:], points - pose[:3])
+        if bool(self._hand.touches(local)):
+            raise PlanningError(f"the open hand would be inside '{self._thing}'")
+        near = (local[:, 0].abs() < _BETWEEN) & (local[:, 2].abs() < _BETWEEN)
+        if not bool((near & (local[:, 1].abs() < 0.5 * self._hand.opening)).any()):
+            raise PlanningError(f"nothing of '{self._thing}' is between the fingers: they would close on air")
+        return self._timed(self._planner.plan(pose), pose, None)
+
+    def _timed(self, plan: GraspPlan, pose: Tensor, score: float | None) -> GraspMotion:
+        limits = joint_limits(self._robot.spec, "velocity_limit")[self._joints]
+        limits = np.where(np.isfinite(limits), limits, 1.0)
+        parts = (
+            time_optimal(part.cpu().numpy(), _SPEED * limits, _SPEED_UP * limits, self._dt)
+            for part in (plan.reach, plan.approach, plan.lift)
+        )
+        return GraspMotion(pose.clone(), score, *parts)

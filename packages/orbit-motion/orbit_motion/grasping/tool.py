@@ -13,15 +13,14 @@ from torch import Tensor
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
 from orbit_motion.grasping import GraspMotion, GraspWorkflow, Stage
-from orbit_viewer.ghost import Ghost
-from orbit_viewer.scene_view import SceneView
+from orbit_viewer.scene_view import Ghost, SceneView
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 _NOTHING = "(none)"
+# s that the ghost stays at the end of its motion.
 _PAUSE = 0.5
-"""s that the ghost stays at the end of its motion."""
 
 
 class GraspedEnvironment:
@@ -176,7 +175,7 @@ class GraspTool:
 
 
 def _fork(opening: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
-    """Two fingers, the bar between them and a stem, in the hand's frame: z along the approach."""
+    """Return two fingers, the bar between them and a stem, in the hand's frame: z along the approach."""
     import trimesh
 
     half, thin, deep = 0.5 * opening, 0.004, 0.04

@@ -16,8 +16,7 @@ from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_constants
 from orbit_core.scene import RobotSpec
 from orbit_motion.mpc.model import libraries, reduced_model
-from orbit_motion.mpc.plan import Array, Plan
-from orbit_motion.mpc.predictive import Predictive, PredictiveConfig
+from orbit_motion.mpc.predictive import Array, Plan, Predictive, PredictiveConfig
 
 
 @dataclass(frozen=True, kw_only=True)

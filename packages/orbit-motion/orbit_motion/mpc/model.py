@@ -17,7 +17,7 @@ ROOT_JOINT = "root_joint"
 
 
 def libraries() -> tuple[Any, Any]:
-    """The modules pinocchio and crocoddyl.
+    """Return the modules pinocchio and crocoddyl.
 
     Raises:
         ConfigurationError: they are not installed; says what to install.
@@ -32,7 +32,7 @@ def libraries() -> tuple[Any, Any]:
 
 
 def pinocchio_model(articulation: Articulation, floating: bool = False) -> tuple[Any, dict[str, int]]:
-    """The model, and pinocchio's number of each movable joint; joints that follow others count as free.
+    """Return the model, and pinocchio's number of each movable joint; joints that follow others count as free.
 
     Every link and named frame is a frame of the model. A floating base has the joint :data:`ROOT_JOINT` at the root
     link's frame.
@@ -88,7 +88,7 @@ def reduced_model(
     gravity: Sequence[float],
     floating: bool,
 ) -> tuple[Any, list[int]]:
-    """The model of some joints, and the place of each among its joints.
+    """Return the model of some joints, and the place of each among its joints.
 
     Args:
         articulation: the description.

@@ -1,10 +1,10 @@
-"""A trunk that goes to its goal over standing feet, or feet that step by a contact sequence, as a plan ahead says."""
+"""Model-predictive control of a trunk over standing feet, or feet that step by a periodic contact sequence."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -16,11 +16,252 @@ from orbit_core.actions.modes import CommandMode
 from orbit_core.actions.pose_command import displaced
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse, quat_yaw
 from orbit_core.interfaces import ConfigurationError, Robot, World
+from orbit_core.interfaces.layout import joint_constants
 from orbit_core.scene import RobotSpec
-from orbit_motion.mpc.model import libraries
-from orbit_motion.mpc.plan import Array, Plan
-from orbit_motion.mpc.predictive import Predictive
-from orbit_motion.mpc.trunk_problem import TrunkProblem, TrunkSettings
+from orbit_motion.mpc.model import libraries, reduced_model
+from orbit_motion.mpc.predictive import Array, Limits, Plan, Predictive, PredictiveConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gait:
+    """Phases that follow each other and begin anew after the last.
+
+    Each is its length in s and the feet that are in the air, by their places in the robot's ``feet``.
+    """
+
+    phases: Sequence[tuple[float, tuple[int, ...]]] = ((1.0, ()),)
+    step_height: float = 0.05
+    """m by which a foot is lifted in the middle of its swing."""
+
+    def check(self, term: str, feet: int) -> None:
+        """Refuse what no robot with so many feet can do.
+
+        Raises:
+            ConfigurationError: a phase has no length, or names a foot that the robot has not, or no foot would stand.
+        """
+        if not self.phases:
+            raise ConfigurationError(f"action term '{term}': its gait has no phases: give one")
+        for length, lifted in self.phases:
+            if not length > 0.0:
+                raise ConfigurationError(f"action term '{term}': a phase of its gait takes {length:g} s: give more")
+            if any(not 0 <= foot < feet for foot in lifted) or len(set(lifted)) >= feet:
+                raise ConfigurationError(
+                    f"action term '{term}': its gait lifts feet {list(lifted)} of {feet}, numbered from 0: name feet "
+                    "that the robot has, and leave one on the ground"
+                )
+
+
+def stance_at(gait: Gait, time: float) -> tuple[tuple[int, ...], float]:
+    """Return the feet in the air at a time in s, and the share of their swing that is over."""
+    time %= sum(length for length, _ in gait.phases)
+    for length, lifted in gait.phases:
+        if time < length:
+            return lifted, time / length
+        time -= length
+    return gait.phases[-1][1], 1.0
+
+
+# Gradient's square over which the solver goes on.
+_ENOUGH = 1e-5
+# Times the friction coefficient that a planned force may need at a foot: the cone is a cost, and yields a little.
+_SLIDING = 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrunkSettings(PredictiveConfig):
+    """What a trunk's plans are made with."""
+
+    above_zero: ClassVar[tuple[str, ...]] = (*PredictiveConfig.above_zero, "friction", "speed", "turn_speed")
+    none_below_zero: ClassVar[tuple[str, ...]] = (*PredictiveConfig.none_below_zero, "sway_weight")
+
+    mode: CommandMode = CommandMode.ABSOLUTE
+    position_scale: float = 0.1
+    rotation_scale: float = 0.3
+    rate: float = 50.0
+    nodes: int = 20
+    node_time: float = 0.02
+    iterations: int = 20
+    posture_weight: float = 0.05
+    velocity_weight: float = 0.05
+    sway_weight: float = 1.0
+    """Of the trunk's velocities."""
+    speed: float = 0.1
+    """m/s at which what the trunk is drawn to goes to where the command wants it."""
+    turn_speed: float = 0.4
+    """rad/s"""
+    gait: Gait = field(default_factory=Gait)
+    """Which feet stand when; all of them, always, unless given."""
+    friction: float = 0.5
+    """Coefficient that forces on the feet are planned with; less than the ground's."""
+
+
+class TrunkProblem:
+    """Plans of a legged robot's joints, each beginning with the last solution.
+
+    Args:
+        robot: on feet.
+        joints: indices of those that move.
+        frame: whose pose is the goal.
+        limits: of the joints.
+        config: weights, gait and horizon.
+        gravity: m/s^2, world axes.
+    """
+
+    def __init__(
+        self, robot: Robot, joints: Sequence[int], frame: str, limits: Limits, config: TrunkSettings,
+        gravity: tuple[float, ...],
+    ) -> None:  # fmt: skip
+        self._pinocchio, self._croc = libraries()
+        spec = robot.spec
+        positions = dict(zip(robot.joint_names, robot.home_positions.tolist(), strict=True))
+        self._model, places = reduced_model(spec.articulation, list(limits.names), positions, gravity, True)
+        self._config, self._limits, self._places = config, limits, np.asarray(places)
+        home = np.array([positions[name] for name in limits.names])
+        self._home = np.empty_like(home)
+        self._home[self._places] = home
+        kind = self._pinocchio.FrameType.OP_FRAME
+        self._frame = self._model.getFrameId(frame, kind)
+        self._feet = [self._model.getFrameId(foot, kind) for foot in spec.feet]
+        self._state = self._croc.StateMultibody(self._model)
+        self._actuation = self._croc.ActuationModelFloatingBase(self._state)
+        self._count = len(home)
+        self._armature = np.zeros(6 + self._count)
+        self._armature[6 + self._places] = joint_constants(spec, "armature")[list(joints)]
+        self._effort = np.empty_like(home)
+        self._effort[self._places] = limits.effort
+        self._weight = float(np.linalg.norm(gravity)) * sum(link.mass for link in spec.articulation.links)
+        self._below = self._feet_from_trunk()
+        self._warm: tuple[list[Array], list[Array]] | None = None
+
+    def solve(self, measured: Array, goal: Array, time: float) -> Plan:
+        """Return a plan from pose, velocity, positions and velocities (13 + 2 k,) to a pose (7,) of the frame."""
+        pinocchio, config, count = self._pinocchio, self._config, self._count
+        state = self._state_of(measured)
+        target = _placement(pinocchio, goal)
+        nodes = config.nodes
+        times = [time + node * config.node_time for node in range(nodes + 1)]
+        data = self._model.createData()
+        pinocchio.framesForwardKinematics(self._model, data, state[: 7 + count])
+        ground = float(np.mean(sorted(data.oMf[foot].translation[2] for foot in self._feet)[:2]))
+        steps = [self._step(target, t, ground, t is times[-1]) for t in times]
+        problem = self._croc.ShootingProblem(state, steps[:-1], steps[-1])
+        solver = self._croc.SolverBoxFDDP(problem)
+        solver.th_stop = _ENOUGH
+        states, efforts = self._begin_with(problem, state, nodes)
+        solver.solve([state, *states[1:]], efforts, config.iterations, False)
+        path, used = np.array(list(solver.xs)), np.array(list(solver.us))
+        positions, velocities = path[:, 7 : 7 + count][:, self._places], path[:, 13 + count :][:, self._places]
+        efforts = used[:, self._places]
+        problem_found = self._limits.problem(positions[1:], velocities[1:], efforts) or self._sliding(problem)
+        self._warm = None if problem_found else (list(solver.xs), list(solver.us))
+        pinocchio.framesForwardKinematics(self._model, data, path[-1, : 7 + count])
+        miss = data.oMf[self._frame].actInv(target)
+        far = float(np.linalg.norm(miss.translation)), float(np.linalg.norm(pinocchio.log3(miss.rotation)))
+        return Plan(positions, velocities, efforts, config.node_time, far, problem_found)
+
+    def _state_of(self, measured: Array) -> Array:
+        """Convert to the model: base position, quaternion (x, y, z, w), joints; velocities, the base's in its axes."""
+        count = self._count
+        turn = _placement(self._pinocchio, measured[:7]).rotation
+        joints = np.empty((2, count))
+        joints[:, self._places] = measured[13:].reshape(2, count)
+        quaternion = self._pinocchio.Quaternion(turn).coeffs()
+        return np.concatenate(
+            (measured[:3], quaternion, joints[0], turn.T @ measured[7:10], turn.T @ measured[10:13], joints[1])
+        )
+
+    def _begin_with(self, problem: Any, state: Array, nodes: int) -> tuple[list[Array], list[Array]]:
+        """Return the last solution, as much later as this plan is; or efforts that hold the robot where it is."""
+        if self._warm is None:
+            return [state] * (nodes + 1), list(problem.quasiStatic([state] * nodes))
+        shift = min(round(1.0 / (self._config.rate * self._config.node_time)), nodes)
+        states, efforts = self._warm
+        return states[shift:] + states[-1:] * shift, efforts[shift:] + efforts[-1:] * shift
+
+    def _step(self, target: Any, time: float, ground: float, last: bool) -> Any:
+        """Return the model of one node, whose contacts are those of its time."""
+        croc, state, config = self._croc, self._state, self._config
+        size = self._actuation.nu
+        lifted, share = stance_at(config.gait, time)
+        contacts = croc.ContactModelMultiple(state, size)
+        costs = croc.CostModelSum(state, size)
+        for number, foot in enumerate(self._feet):
+            if number in lifted:
+                place = (target * self._pinocchio.SE3(np.eye(3), self._below[number])).translation.copy()
+                place[2] = ground + config.gait.step_height * np.sin(np.pi * share)
+                swing = croc.ResidualModelFrameTranslation(state, foot, place, size)
+                costs.addCost(f"swing {number}", croc.CostModelResidual(state, swing), 10.0 * config.goal_weight)
+                continue
+            axes = self._pinocchio.LOCAL_WORLD_ALIGNED
+            contact = croc.ContactModel3D(state, foot, np.zeros(3), axes, size, np.array([0.0, 40.0]))
+            contacts.addContact(f"foot {number}", contact)
+            if not last:
+                cone = croc.FrictionCone(np.eye(3), config.friction, 4, True)
+                forces = croc.ResidualModelContactFrictionCone(state, foot, cone, size)
+                inside = croc.ActivationModelQuadraticBarrier(croc.ActivationBounds(cone.lb, cone.ub))
+                costs.addCost(f"cone {number}", croc.CostModelResidual(state, inside, forces), 10.0)
+        self._add_costs(costs, target, last)
+        dynamics = croc.DifferentialActionModelContactFwdDynamics(state, self._actuation, contacts, costs, 0.0, True)
+        dynamics.armature = self._armature
+        step = croc.IntegratedActionModelEuler(dynamics, 0.0 if last else config.node_time)
+        step.u_lb, step.u_ub = -self._effort, self._effort
+        return step
+
+    def _add_costs(self, costs: Any, target: Any, last: bool) -> None:
+        """Goal, rest, limits and efforts."""
+        croc, state, config, count = self._croc, self._state, self._config, self._count
+        size = self._actuation.nu
+        goal = croc.ResidualModelFramePlacement(state, self._frame, target, size)
+        reaching = croc.CostModelResidual(state, goal)
+        costs.addCost("goal", reaching, config.goal_weight * (5.0 if last else 1.0))
+        rest = np.concatenate((np.zeros(3), [0.0, 0.0, 0.0, 1.0], self._home, np.zeros(6 + count)))
+        weights = np.concatenate(
+            (
+                np.zeros(6),
+                np.full(count, config.posture_weight),
+                np.full(6, config.sway_weight),
+                np.full(count, config.velocity_weight),
+            )
+        )
+        resting = croc.ResidualModelState(state, rest, size)
+        costs.addCost("rest", croc.CostModelResidual(state, croc.ActivationModelWeightedQuad(weights), resting), 1.0)
+        low, high, fast = np.empty((3, count))
+        limits = self._limits
+        low[self._places], high[self._places], fast[self._places] = limits.lowest, limits.highest, limits.velocity
+        free = np.full(6, 1e4)
+        below = np.concatenate((-free, low - self._home, -free, -fast))
+        above = np.concatenate((free, high - self._home, free, fast))
+        barrier = croc.ActivationModelQuadraticBarrier(croc.ActivationBounds(below, above))
+        costs.addCost("limits", croc.CostModelResidual(state, barrier, resting), 1e3)
+        if not last:
+            share = croc.ActivationModelWeightedQuad(config.effort_weight / self._effort**2)
+            efforts = croc.CostModelResidual(state, share, croc.ResidualModelControl(state, size))
+            costs.addCost("efforts", efforts, 1.0)
+
+    def _sliding(self, problem: Any) -> str:
+        """Return the contact that a plan cannot have; empty if none."""
+        friction = self._config.friction
+        for data in problem.runningDatas:
+            for name, contact in data.differential.multibody.contacts.contacts.todict().items():
+                x, y, z = contact.f.linear
+                if z < -0.1 * self._weight:
+                    return f"{name} would have to pull at the ground with {-z:.3g} N"
+                if np.hypot(x, y) > _SLIDING * friction * max(z, 0.0) + 0.1 * self._weight:
+                    return f"{name} would slide: it needs {np.hypot(x, y):.3g} N along the ground under {z:.3g} N"
+        return ""
+
+    def _feet_from_trunk(self) -> list[Array]:
+        """Where the feet are at home, in the frame whose pose is the goal."""
+        model, pinocchio = self._model, self._pinocchio
+        data = model.createData()
+        pinocchio.framesForwardKinematics(model, data, np.concatenate((np.zeros(6), [1.0], self._home)))
+        trunk = data.oMf[self._frame]
+        return [trunk.actInv(data.oMf[foot]).translation for foot in self._feet]
+
+
+def _placement(pinocchio: Any, pose: Array) -> Any:
+    w, x, y, z = pose[3:]
+    return pinocchio.SE3(pinocchio.Quaternion(w, x, y, z).normalized().toRotationMatrix(), pose[:3])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +354,6 @@ class TrunkMpc(Predictive):
         return self._origin
 
     def _turned(self, local: Tensor) -> Tensor:
-        """A displacement (1, 6) in the origin's axes, in the world's."""
+        """Return a displacement (1, 6) in the origin's axes, in the world's."""
         inverse = self._began()[:, None, 3:] * torch.tensor([1.0, -1.0, -1.0, -1.0], device=self.device)
         return quat_rotate_inverse(inverse.expand(-1, 2, 4), local.unflatten(1, (2, 3))).flatten(1)

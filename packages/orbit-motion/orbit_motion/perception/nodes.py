@@ -12,7 +12,7 @@ from orbit_core.dynamics.random import RandomStreams
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
 from orbit_core.interfaces import Node, Port
 from orbit_core.scene import CameraSpec
-from orbit_core.sensors.points import intrinsic_matrix, point_cloud
+from orbit_core.sensors.camera import intrinsic_matrix, point_cloud
 from orbit_motion.perception.clouds import PointCloudConfig, sample_point_cloud
 from orbit_motion.perception.tsdf import TsdfConfig, TsdfVolume
 

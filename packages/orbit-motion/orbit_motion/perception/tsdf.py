@@ -21,10 +21,10 @@ from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_inverse, transform_points
 from orbit_core.interfaces import ConfigurationError, ShapeError
 from orbit_core.scene.pose import Vector3
-from orbit_core.sensors.points import point_cloud, project
+from orbit_core.sensors.camera import point_cloud, project
 
+# Metres: where a picture sees nothing, it sees that far.
 _FREE = 1e4
-"""Metres: where a picture sees nothing, it sees that far."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,8 @@ class TsdfVolume:
         return distance.clamp(-self.config.band, self.config.band), torch.where(told, facing[..., 0], 0.0)
 
     def sample(self, points: Tensor) -> DistanceSample:
-        """Distances and their gradients at points (N, P, 3) of the environment's frame, by trilinear interpolation.
+        """Return distances and their gradients at points (N, P, 3) of the environment's frame, by trilinear
+        interpolation.
 
         Raises:
             ShapeError: points of another shape.
@@ -205,7 +206,7 @@ def surface_facets(depth: Tensor, intrinsics: Tensor) -> Tensor:
 
 
 def _trilinear(values: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
-    """Value (N, P) and its derivative (N, P, 3) within cubes of corners (N, P, 2, 2, 2), at shares (N, P, 3)."""
+    """Return value (N, P) and its derivative (N, P, 3) within cubes of corners (N, P, 2, 2, 2), at shares (N, P, 3)."""
     x, y, z = share.unbind(-1)
     along_x = torch.lerp(values[..., 0, :, :], values[..., 1, :, :], x[..., None, None])
     along_y = torch.lerp(along_x[..., 0, :], along_x[..., 1, :], y[..., None])

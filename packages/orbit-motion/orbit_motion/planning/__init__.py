@@ -1,8 +1,7 @@
 """Plans: paths around obstacles, their timing within limits, and a node that follows them."""
 
-from orbit_motion.planning.base_follower import BasePathFollower
 from orbit_motion.planning.base_path import BasePlanner, BasePlannerConfig
-from orbit_motion.planning.follower import TrajectoryFollower
+from orbit_motion.planning.follower import BasePathFollower, TrajectoryFollower
 from orbit_motion.planning.joint_planner import JointPlanner, PlannerConfig
 from orbit_motion.planning.trajectory import JointTrajectory, jerk_limited, time_optimal
 from orbit_motion.still import StillWorld

@@ -1,13 +1,16 @@
-"""A node that plays trajectories of joints."""
+"""Nodes that follow plans: trajectories of joints, and paths of a base."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
 from orbit_core.actions.base import JointTarget
+from orbit_core.actions.base_velocity import PURSUIT_RATE, BaseVelocityConfig, command_towards
+from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
 from orbit_motion.planning.trajectory import JointTrajectory
 
@@ -93,3 +96,124 @@ def longer(part: Tensor, length: int) -> Tensor:
     grown = part.new_zeros(part.shape[0], length, part.shape[2])
     grown[:, : part.shape[1]] = part
     return grown
+
+
+# Metres from the end of its path within which a base turns to its heading there.
+_ARRIVING = 0.5
+# Cosine of the angle to where it goes within which a base that faces its way goes on.
+_AHEAD = 0.9
+# Metres within which a base on two wheels backs up to a place behind it.
+_CLOSE = 0.3
+# Tolerances from its place at which a base on two wheels that has arrived drives there again.
+_STRAYED = 3.0
+
+
+class BasePathFollower(Node):
+    """Gives commands of :class:`~orbit_core.actions.BaseVelocityConfig` that lead each base along a path of its own.
+
+    The base goes from place to place, the heading to that of the end; an environment without a path stands still. One
+    on two wheels (whose limit to the left is zero) turns to each place, drives there, and turns to its heading at the
+    end.
+
+    Args:
+        name: of the node.
+        robot: that drives or walks.
+        config: of the generator that takes the commands; or that generator's
+            :attr:`~orbit_core.actions.MotionGenerator.base_limits`, where another than a planar base moves.
+        tolerance: metres from a place at which the next one is headed for.
+        face_way: whether the base turns to where it goes first, and to the end's heading once it is within half a metre
+            of the end; else it turns to that on the way.
+
+    Raises:
+        ConfigurationError: the robot has no planar base.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        robot: Robot,
+        config: BaseVelocityConfig | Tensor,
+        tolerance: float = 0.05,
+        face_way: bool = False,
+    ) -> None:
+        if isinstance(config, BaseVelocityConfig):
+            config.default_joints(robot.spec)  # raises where there is no such base
+            config = torch.tensor(config.limits)
+        self.name = name
+        self.outputs = (Port("command", (3,)),)
+        self._robot, self._tolerance, self._face_way = robot, tolerance, face_way
+        self._link = robot.link_names.index(robot.spec.base_link)
+        pose = self._pose()
+        self._limits = config.to(pose.device)
+        self._sideways = bool(config[1] > 0.0)
+        self._rows = torch.arange(len(pose), device=pose.device)
+        self._places = pose[:, None, :2].clone()
+        self._heading = pose[:, 2].clone()
+        self._last, self._next = torch.zeros(2, len(pose), dtype=torch.int64, device=pose.device).unbind()
+        self._drives, self._arrived = torch.zeros(2, len(pose), dtype=torch.bool, device=pose.device).unbind()
+
+    def load(self, paths: Mapping[int, Tensor], headings: Mapping[int, float]) -> None:
+        """Begin paths (P, 2), in the environments' frames, in some environments, each to end at its heading (rad).
+
+        Raises:
+            ConfigurationError: a path is not of finite places (P, 2), or has no heading.
+        """
+        for env, path in paths.items():
+            if path.ndim != 2 or path.shape[1] != 2 or not len(path) or not bool(path.isfinite().all()):
+                raise ConfigurationError(f"node '{self.name}': the path of environment {env} is not of finite (P, 2)")
+            if env not in headings:
+                raise ConfigurationError(f"node '{self.name}': the path of environment {env} has no heading at its end")
+        longest = max([self._places.shape[1], *(len(path) for path in paths.values())])
+        self._places = longer(self._places, longest)
+        for env, path in paths.items():
+            self._places[env, : len(path)] = path
+            self._heading[env], self._last[env], self._next[env] = headings[env], len(path) - 1, 0
+            self._drives[env], self._arrived[env] = True, False
+
+    @property
+    def finished(self) -> Tensor:
+        """(N,) bool, where the base is at its path's end, or has no path."""
+        away = torch.linalg.vector_norm(self._places[self._rows, self._last] - self._pose()[:, :2], dim=1)
+        return ~self._drives | ((self._next == self._last) & (away < self._tolerance))
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        pose = self._pose()
+        way = self._places[self._rows, self._next] - pose[:, :2]
+        near = torch.linalg.vector_norm(way, dim=1) < self._tolerance
+        self._next.copy_(torch.minimum(self._next + near, self._last))
+        way = self._places[self._rows, self._next] - pose[:, :2]
+        left = self._heading - pose[:, 2]
+        if not self._sideways:
+            return {"command": self._on_wheels(way, pose[:, 2], left) * self._drives[:, None]}
+        if self._face_way:
+            far = (self._next < self._last) | (torch.linalg.vector_norm(way, dim=1) > _ARRIVING)
+            left = torch.where(far, torch.atan2(way[:, 1], way[:, 0]) - pose[:, 2], left)
+            way = way * (~far | (left.cos() > _AHEAD))[:, None]
+        displacement = torch.cat((way, torch.atan2(left.sin(), left.cos())[:, None]), 1)
+        return {"command": command_towards(displacement, pose[:, 2], self._limits) * self._drives[:, None]}
+
+    def _on_wheels(self, way: Tensor, heading: Tensor, left: Tensor) -> Tensor:
+        """(N, 3) for a base that cannot move sideways, from the way (N, 2) to its place and what its last heading lacks
+        (N,)."""
+        away = torch.linalg.vector_norm(way, dim=1)
+        there = (self._next == self._last) & (away < self._tolerance)
+        self._arrived.copy_(there | (self._arrived & (away < _STRAYED * self._tolerance)))
+        bearing = torch.atan2(way[:, 1], way[:, 0]) - heading
+        backs = (away < _CLOSE) & (bearing.cos() < 0.0)
+        bearing = torch.where(self._arrived, left, bearing + math.pi * backs)
+        ahead = torch.where(self._arrived | (bearing.cos() < _AHEAD), 0.0, away * (1.0 - 2.0 * backs.float()))
+        turn = torch.atan2(bearing.sin(), bearing.cos())
+        command = torch.stack((ahead / self._limits[0], torch.zeros_like(ahead), turn / self._limits[2]), 1)
+        return (PURSUIT_RATE * command).clamp(-1.0, 1.0)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self._drives[slice(None) if env_ids is None else env_ids] = False
+
+    def memory(self) -> Mapping[str, Tensor]:
+        own = {"next": self._next, "last": self._last, "drives": self._drives, "heading": self._heading}
+        return own | {"arrived": self._arrived}
+
+    def _pose(self) -> Tensor:
+        """(N, 3) x, y and heading of the base."""
+        pose = self._robot.link_poses[:, self._link]
+        return torch.cat((pose[:, :2], yaw_angle(pose[:, 3:])[:, None]), 1)

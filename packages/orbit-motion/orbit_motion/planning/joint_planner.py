@@ -173,7 +173,7 @@ class JointPlanner:
         return f"'{self._clearance.obstacles.names[obstacle]}', from link '{link}'"
 
     def _own_pairs(self) -> tuple[Tensor, Tensor]:
-        """Indices of balls that may touch: of links that no joint connects, and free of each other at home."""
+        """Return indices of balls that may touch: of links that no joint connects, and free of each other at home."""
         articulation = self._robot.spec.articulation
         names = articulation.link_names
         joined = {frozenset(pair) for pair in (*articulation.joined_links, *articulation.collision_exclusions)}

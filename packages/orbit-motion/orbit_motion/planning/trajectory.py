@@ -36,7 +36,7 @@ def time_optimal(
     dt: float,
     spacing: float = 0.05,
 ) -> JointTrajectory:
-    """The fastest motion along a path, from rest to rest, within limits of velocity and acceleration.
+    """Return the fastest motion along a path, from rest to rest, within limits of velocity and acceleration.
 
     Pham and Pham, A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis, IEEE
     Transactions on Robotics 34(3), 2018, by toppra. The path is a spline through points on the straight
@@ -80,7 +80,8 @@ def jerk_limited(
     jerk_limits: npt.ArrayLike,
     dt: float,
 ) -> JointTrajectory:
-    """The straight lines between waypoints, each from rest to rest, within limits of velocity, acceleration and jerk.
+    """Return the straight lines between waypoints, each from rest to rest, within limits of velocity, acceleration and
+    jerk.
 
     Berscheid and Kroeger, Jerk-limited Real-time Trajectory Generation with Arbitrary Target States, RSS 2021, by
     ruckig; all joints keep to one line.

@@ -40,7 +40,7 @@ from orbit_core.scene import (
     Scene,
     look_at,
 )
-from orbit_core.sensors.patterns import grid_pattern
+from orbit_core.sensors.rays import grid_pattern
 from orbit_tasks.lift import Lift
 from orbit_tasks.velocity_flat import VelocityFlat
 from orbit_warp.native_baseline import raw_steppers

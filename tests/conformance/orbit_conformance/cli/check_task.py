@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import check_output, check_positive, parse_words
 from orbit_core.envs.registry import task_entries, task_entry
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.checks import check_positive
 from orbit_core.cli.output import console, new_table, progress_bar
-from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.settings import KeyValues
+from orbit_core.cli.settings import KeyValues, check_positive, parse_words
 from orbit_core.configuration import assignments, configured
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ConfigurationError

@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_assets.compound_joints import BALL, compound
+from orbit_assets.joint_models import BALL, compound
 from orbit_conformance.bodies import WEIGHTLESS, G, ball, cube, fixed, index, scene
 from orbit_conformance.contract.fixtures import MakeEngine, Needs
 from orbit_conformance.contract.truth import assert_near

@@ -63,7 +63,7 @@ def _section(plugin: Backend, result: Result) -> str:
     capabilities = plugin.capabilities()
     short = [c for c in Capability if capabilities[c].level is not Level.EXACT]
     lines = [
-        f"## {plugin.name}\n",
+        f"## What {plugin.name} does not do exactly\n",
         "| capability | | why |",
         "|---|---|---|",
         *(f"| {c.value} | {_LEVELS[capabilities[c].level]} | {capabilities[c].reason} |" for c in short),

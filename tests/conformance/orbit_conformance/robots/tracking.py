@@ -11,10 +11,10 @@ import torch
 
 from orbit_assets.audit.robots.postures import with_followers
 from orbit_conformance.bodies import WEIGHTLESS, scene
+from orbit_conformance.drive_response import LinearJoints, drive_response
 from orbit_conformance.robots.bench import clamped, drive_gains, frictionless, held_joints, travel
 from orbit_conformance.robots.check import Measures, RobotCheck
 from orbit_conformance.scenario import Metric, Trial
-from orbit_core.dynamics.drive_response import LinearJoints, drive_response
 from orbit_core.interfaces import Robot, SceneLayout, World
 from orbit_core.scene import Joint, JointType, RobotSpec
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 
-from orbit_assets.compound_joints import BALL, FLOATING, PLANAR, Freedom, compound
+from orbit_assets.joint_models import BALL, FLOATING, PLANAR, Freedom, compound
 from orbit_conformance.bodies import G, scene
 from orbit_conformance.scenario import FIRST_ORDER, SINGLE, Metric, Scenario, Trial
 from orbit_core.dynamics.rigid_body import RigidBodyModel

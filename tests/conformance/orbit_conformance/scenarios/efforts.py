@@ -14,7 +14,7 @@ from orbit_conformance.scenario import SINGLE, Metric, Scenario, Trial
 from orbit_conformance.scenarios.joints import named
 from orbit_core.interfaces import Capability, World
 from orbit_core.scene import ForceTorqueSpec, ImplicitPd, RobotSpec
-from orbit_core.sensors.force_torque import ForceTorqueSensor
+from orbit_core.sensors.proprioception import ForceTorqueSensor
 
 
 @dataclass(frozen=True)

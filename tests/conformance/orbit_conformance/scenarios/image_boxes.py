@@ -16,6 +16,7 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import Box, CameraSpec, Channel, MeshCollision, Plane, Pose, look_at
 from orbit_core.scene.shapes import Geometry
 from orbit_core.sensors.camera import CameraSensor
+from orbit_data.bounding_boxes import CameraBoxes
 
 _CAMERA = CameraSpec(
     name="eye", width=96, height=72, vertical_fov=0.8, channels=(Channel.INSTANCE,),
@@ -75,7 +76,7 @@ def _measure(trial: Trial) -> Mapping[str, float]:
         world = trial.world(scene(*objects, sensors=(_CAMERA,)), num_envs=2)
         sensor = world.sensors["eye"]
         assert isinstance(sensor, CameraSensor)
-        boxes = sensor.bounding_boxes_2d()
+        boxes = CameraBoxes(sensor).in_pictures()
         errors[case] = float((boxes.tight.double().cpu() - torch.as_tensor(truth[case])).abs().max())
         loose = max(loose, float((boxes.loose[:, : len(free)].double().cpu() - whole).abs().max()))
     return {"tight": errors["free"], "hidden": errors["hidden"], "loose": loose}

@@ -25,7 +25,7 @@ from orbit_core.scene import (
     Pose,
     RobotSpec,
 )
-from orbit_core.sensors.force_torque import ForceTorqueSensor
+from orbit_core.sensors.proprioception import ForceTorqueSensor
 
 # Mimic joints --------------------------------------------------------------------------------------------------------
 

@@ -29,10 +29,7 @@ from orbit_core.scene import (
     RobotSpec,
     SensorSpec,
 )
-from orbit_core.sensors.force_torque import ForceTorqueSensor
-from orbit_core.sensors.frame import FrameSensor
-from orbit_core.sensors.imu import ImuSensor
-from orbit_core.sensors.joint import JointSensor
+from orbit_core.sensors.proprioception import ForceTorqueSensor, FrameSensor, ImuSensor, JointSensor
 
 _Kind = TypeVar("_Kind", bound=Sensor)
 

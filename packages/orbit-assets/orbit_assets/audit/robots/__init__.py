@@ -1,1 +1,1 @@
-"""Whether a catalogue entry is whole and plausible, found before the first run."""
+"""Audit of a catalogue entry: checks that it is complete and plausible, before the first run."""

@@ -1,4 +1,4 @@
-"""Where a robot's links and collision shapes are in a posture, and how its gripper stands in it."""
+"""Poses of a robot's links and collision shapes in a posture, and postures of its gripper."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy.typing as npt
 from orbit_assets.audit.geometry import shape_points
 from orbit_assets.convex import Convex, convex_shape
 from orbit_core.interfaces.layout import gripper_positions, home_positions
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Articulation, EndEffector, Gripper, Link, Pose, RobotSpec
 
 FloatArray = npt.NDArray[np.float64]
 
 
 def with_followers(articulation: Articulation, positions: FloatArray) -> FloatArray:
-    """The positions (..., J) with each follower where its leader puts it."""
+    """Return the positions (..., J) with each follower where its leader puts it."""
     placed = positions.copy()
     for index, joint in enumerate(articulation.movable_joints):
         if joint.mimic is not None:
@@ -27,17 +27,17 @@ def with_followers(articulation: Articulation, positions: FloatArray) -> FloatAr
 
 
 def home_posture(spec: RobotSpec) -> dict[str, float]:
-    """Positions of all movable joints at home, by name.
+    """Return the positions of all movable joints at home, by name.
 
     Raises:
-        ConfigurationError: one lies outside its joint's limits.
+        ConfigurationError: one is outside its joint's limits.
         UnknownNameError: the home names a joint that the robot lacks.
     """
     return dict(zip(spec.articulation.joint_names, home_positions(spec).tolist(), strict=True))
 
 
 def gripper_posture(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> dict[str, float]:
-    """Positions of all movable joints by name: home, but for a gripper's own, and what follows them."""
+    """Return positions of all movable joints by name: home, but for a gripper's own, and what follows them."""
     positions = home_positions(spec).copy()
     for joint, position in gripper_positions(spec, gripper, value).items():
         positions[joint] = position
@@ -46,13 +46,13 @@ def gripper_posture(spec: RobotSpec, gripper: Gripper, value: float | tuple[floa
 
 
 def frame_pose(spec: RobotSpec, name: str, positions: Mapping[str, float]) -> Pose:
-    """The pose of a link or named frame in the world, at joint positions (rad, m) by name."""
+    """Return the pose of a link or named frame in the world, at joint positions (rad, m) by name."""
     frame = spec.articulation.frame(name)
     return spec.pose @ link_poses(spec.articulation, positions)[frame.link] @ frame.pose
 
 
 def gripping_links(spec: RobotSpec, gripper: Gripper) -> list[Link]:
-    """The links that are elsewhere with the gripper open than with it closed, those of followers among them."""
+    """Return the links that are elsewhere with the gripper open than with it closed, those of followers among them."""
     values = (gripper.open_position, gripper.closed_position)
     before, after = (link_poses(spec.articulation, gripper_posture(spec, gripper, value)) for value in values)
     return [link for link in spec.articulation.links if before[link.name] != after[link.name]]
@@ -61,7 +61,9 @@ def gripping_links(spec: RobotSpec, gripper: Gripper) -> list[Link]:
 def shapes_in_frame(
     spec: RobotSpec, frame: str, links: Iterable[Link], positions: Mapping[str, float]
 ) -> list[FloatArray]:
-    """Points (P, 3) of each collision shape of links, in a link or named frame, at joint positions (rad, m) by name."""
+    """Return points (P, 3) of each collision shape of links, in a link or named frame, at joint positions (rad, m) by
+    name.
+    """
     into, poses = frame_pose(spec, frame, positions).inverse() @ spec.pose, link_poses(spec.articulation, positions)
     clouds = ((link, shape_points(shape)) for link in links for shape in link.collisions)
     return [(into @ poses[link.name]).transform(cloud) for link, cloud in clouds if len(cloud)]
@@ -83,10 +85,12 @@ def all_shapes(spec: RobotSpec, positions: Mapping[str, float]) -> list[Convex]:
 
 
 def lowest_point(spec: RobotSpec) -> float | None:
-    """Height (m) of the lowest point of all collision shapes at home, in the world; ``None`` where there is none."""
+    """Return height (m) of the lowest point of all collision shapes at home, in the world; ``None`` where there is
+    none.
+    """
     return min((float(shape.bounds()[0][2]) for shape in all_shapes(spec, home_posture(spec))), default=None)
 
 
 def gripping(spec: RobotSpec) -> list[tuple[EndEffector, Gripper]]:
-    """The end effectors that have a gripper."""
+    """Return the end effectors that have a gripper."""
     return [(effector, effector.gripper) for effector in spec.end_effectors if effector.gripper is not None]

@@ -1,1 +1,0 @@
-"""Readers of data files that may come from anyone, held to one budget of bytes, pictures and seconds."""

@@ -1,0 +1,321 @@
+"""Bounding boxes of entities, in pictures and in space."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_rotate, transform_points
+from orbit_core.interfaces import match_names
+from orbit_core.scene import CameraSpec, Channel
+from orbit_core.sensors import CameraSensor
+from orbit_data.shape_bounds import bounded_links, shape_bounds
+
+
+@dataclass(frozen=True)
+class BoundingBoxes2d:
+    """Boxes of E entities in the pictures of N environments.
+
+    A box is (left, top, right, bottom) in pixels from the image's top left corner, where the pixel in column c and row
+    r reaches from c to c + 1 and from r to r + 1. What is not in the picture has a box of zeros.
+    """
+
+    names: tuple[str, ...]
+    """(E,) of the entities."""
+    semantic_labels: tuple[str, ...]
+    """(E,) of each entity's root link."""
+    tight: Tensor
+    """(N, E, 4) around the pixels that show the entity: what hides it, and the image's edge, make the box smaller."""
+    visible: Tensor
+    """(N, E) bool: whether any pixel shows the entity."""
+    pixels: Tensor
+    """(N, E) int64: how many pixels show it."""
+    loose: Tensor
+    """(N, E, 4) around the projection of the whole entity, as if nothing hid it, cut off at the image's edge.
+
+    Exact for boxes, balls, capsules, cylinders and meshes in front of the camera's near plane; of a shape that reaches
+    through that plane, the part in front of it of the box around the shape.
+    """
+    in_view: Tensor
+    """(N, E) bool: whether the loose box and the image overlap."""
+    visible_share: Tensor
+    """(N, E) in [0, 1]: the tight box's area over that of the loose box before the image's edge cuts it.
+
+    It is 1, but for the rounding to whole pixels, where the entity's outline is wholly seen. It compares boxes and not
+    outlines: what covers the middle of an entity, and leaves its ends free, goes unnoticed.
+    """
+
+
+@dataclass(frozen=True)
+class BoundingBoxes3d:
+    """Oriented boxes of B entities, or links, in N environments."""
+
+    names: tuple[str, ...]
+    """(B,) of the entities, or "entity/link" of links."""
+    semantic_labels: tuple[str, ...]
+    """(B,)"""
+    poses: Tensor
+    """(N, B, 7): the box's centre, and the orientation of the entity's root link, or of the link."""
+    half_extents: Tensor
+    """(N, B, 3) in metres along the box's own axes."""
+
+    @property
+    def corners(self) -> Tensor:
+        """(N, B, 8, 3): from (-, -, -) to (+, +, +), z changing fastest."""
+        number, place = (torch.arange(n, device=self.poses.device) for n in (8, 3))
+        signs = ((number[:, None] >> (2 - place)) & 1) * 2.0 - 1.0
+        return transform_points(self.poses[..., None, :], signs * self.half_extents[..., None, :])
+
+
+def least(values: Tensor, groups: Tensor, count: int) -> Tensor:
+    """The least of ``values`` (N, P, k) in each of ``count`` groups (N, P): (N, count, k), infinite in empty groups.
+
+    Waits for nothing, and sizes depend on no values.
+    """
+    found = torch.full((len(values), count, values.shape[-1]), torch.inf, device=values.device)
+    return found.scatter_reduce_(1, groups[..., None].expand_as(values), values, "amin")
+
+
+def pixel_boxes(instances: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Boxes (N, count, 4) around the pixels of each instance 0 to count - 1, and how many pixels there are (N, count).
+
+    Args:
+        instances: (N, H, W, 1) which instance each pixel shows; negative for none.
+        count: how many instances there are.
+    """
+    height, width = instances.shape[1:3]
+    column = torch.arange(width, device=instances.device, dtype=torch.float32).repeat(height)
+    row = torch.arange(height, device=instances.device, dtype=torch.float32).repeat_interleave(width)
+    sides = torch.stack((column, row, -(column + 1), -(row + 1)), -1).expand(len(instances), -1, -1)
+    shown = instances.flatten(1).to(torch.int64)
+    shown = torch.where(shown < 0, count, shown)  # what is no instance goes to a group of its own, dropped below
+    boxes = _upright(least(sides, shown, count + 1)[:, :count])
+    pixels = torch.zeros(len(shown), count + 1, dtype=torch.int64, device=shown.device)
+    return boxes, pixels.scatter_add_(1, shown, torch.ones_like(shown))[:, :count]
+
+
+def projected_boxes(slopes: Tensor, groups: Tensor, count: int, intrinsics: Tensor) -> Tensor:
+    """Boxes (N, count, 4) in pixels, not cut off, of what spans ``slopes``; zeros for groups of which nothing is seen.
+
+    Args:
+        slopes: (N, P, 4) left, top, right and bottom as x / depth and y / depth, y downwards; left and top infinite,
+            and right and bottom minus infinite, where nothing is seen.
+        groups: (N, P) int64.
+        count: how many groups there are.
+        intrinsics: (3, 3) of the camera.
+    """
+    scale = torch.stack((intrinsics[0, 0], intrinsics[1, 1])).repeat(2)
+    offset = torch.stack((intrinsics[0, 2], intrinsics[1, 2])).repeat(2)
+    sides = slopes * scale + offset
+    return _upright(least(torch.cat((sides[..., :2], -sides[..., 2:]), -1), groups, count))
+
+
+def cut_off(boxes: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Boxes (N, E, 4) cut off at the image's edge, zero beyond it, and whether anything is left (N, E)."""
+    cut = torch.stack((boxes[..., 0::2].clamp(0.0, width), boxes[..., 1::2].clamp(0.0, height)), -1).flatten(-2)
+    in_view = area(cut) > 0.0
+    return torch.where(in_view[..., None], cut, 0.0), in_view
+
+
+def area(boxes: Tensor) -> Tensor:
+    """(N, E) of boxes (N, E, 4)."""
+    return (boxes[..., 2] - boxes[..., 0]) * (boxes[..., 3] - boxes[..., 1])
+
+
+def _upright(sides: Tensor) -> Tensor:
+    """Boxes of (left, top, -right, -bottom), zeros where these are infinite."""
+    boxes = torch.cat((sides[..., :2], -sides[..., 2:]), -1)
+    return torch.where(sides.isfinite().all(-1, keepdim=True), boxes, 0.0)
+
+
+def round_slopes(centres: Tensor, radii: Tensor, axes: Tensor) -> Tensor:
+    """Left, top, right and bottom (..., 4) of points, discs and balls as x / depth and y / depth, y downwards.
+
+    A plane through the camera that touches an ellipsoid ``c + A u, |u| <= 1`` has a normal m with ``(m c)^2 =
+    |m A|^2``, a quadratic in the plane's slope: the dual quadric of Hartley and Zisserman, Multiple View Geometry, 2nd
+    ed., section 8.3. Holds for what lies in front of the camera's centre.
+
+    Args:
+        centres: (..., 3) in the camera's frame, -z forward and y up.
+        radii: (...,) zero for points.
+        axes: (..., 3) unit normals of discs, zero for balls and points.
+    """
+    depth, normal = -centres[..., 2:], -axes[..., 2:]
+    across = torch.stack((centres[..., 0], -centres[..., 1]), -1)
+    tilt = torch.stack((axes[..., 0], -axes[..., 1]), -1)
+    square = (radii * radii)[..., None]
+    leading = depth**2 - square * (1.0 - normal**2)
+    middle = across * depth + square * tilt * normal
+    # The discriminant is written so that a point has exactly none: rounding would widen it by the root of 1e-7.
+    turned = (depth * tilt - across * normal) ** 2
+    spread = square * (depth**2 + across**2 - turned) - square**2 * (1.0 - tilt**2 - normal**2)
+    root = spread.clamp_min(0.0).sqrt()
+    return torch.cat((middle - root, middle + root), -1) / leading
+
+
+def clipped_slopes(corners: Tensor, near: float) -> Tensor:
+    """As :func:`round_slopes`, of the parts of boxes that lie in front of a plane: (..., 24, 4), infinite where none.
+
+    Args:
+        corners: (..., 8, 3) of the boxes in the camera's frame, z changing fastest.
+        near: the plane's depth in metres.
+    """
+    first, second = _edges(corners)
+    low, high = -first[..., 2:] - near, -second[..., 2:] - near
+    share = low / torch.where(low == high, 1.0, low - high)
+    crossing = first + share * (second - first)
+    ends = torch.cat((torch.where(low < 0.0, crossing, first), torch.where(high < 0.0, crossing, second)), -2)
+    seen = (low >= 0.0) | (high >= 0.0)
+    seen = torch.cat((seen, seen), -2)
+    slopes = torch.stack((ends[..., 0], -ends[..., 1]), -1) / (-ends[..., 2:]).clamp_min(0.5 * near)
+    return torch.cat((torch.where(seen, slopes, torch.inf), torch.where(seen, slopes, -torch.inf)), -1)
+
+
+def _edges(corners: Tensor) -> tuple[Tensor, Tensor]:
+    """Both ends (..., 12, 3) of a box's edges."""
+    x, y, z = (corners.unflatten(-2, (2, 2, 2)).unbind(axis) for axis in (-4, -3, -2))
+    first, second = (torch.cat([along[end].flatten(-3, -2) for along in (x, y, z)], -2) for end in (0, 1))
+    return first, second
+
+
+@dataclass(frozen=True)
+class _Subjects:
+    """What boxes are asked for: B entities or links."""
+
+    names: tuple[str, ...]
+    semantic_labels: tuple[str, ...]
+    frames: Tensor
+    """(B,) int64: the link in whose frame each stands, an entity's root link or the link itself."""
+    entities: Tensor
+    """(B,) int64"""
+
+
+class CameraBoxes:
+    """Bounding boxes of entities and links as a camera saw them, in all environments at once.
+
+    Only what is drawn counts: visual shapes, or collision shapes of a link that has no visual ones; planes, which have
+    no bounds, do not.
+
+    Args:
+        camera: whose pictures are annotated.
+    """
+
+    def __init__(self, camera: CameraSensor) -> None:
+        layout, device = camera.layout, camera.device
+        bounds = shape_bounds(layout, device)
+        kind = torch.arange(camera.num_envs, device=device) % len(layout.variants)
+        self._centres, self._radii, self._axes = bounds.centres[kind], bounds.radii[kind], bounds.axes[kind]
+        self._links, self._shapes = bounds.links[kind], bounds.shapes[kind]
+        self._corners, self._shape_links = bounds.corners[kind], bounds.shape_links[kind]
+        roots = [layout.entities[entity].root_link for entity in layout.entity_of_link]
+        self._root_of_link = torch.tensor(roots, dtype=torch.int64, device=device)
+        self._each_link = torch.arange(len(roots), device=device)
+        self._camera = camera
+        self._chosen: dict[tuple[tuple[str, ...], bool], _Subjects] = {}
+
+    def in_pictures(self, entities: Sequence[str] = (".*",)) -> BoundingBoxes2d:
+        """Return boxes in the pictures: tight around the pixels that show an entity, and loose around all of it.
+
+        Args:
+            entities: regular expressions over the names of entities (full match).
+
+        Raises:
+            ConfigurationError: the camera has no instance channel.
+            UnknownNameError: one of ``entities`` matches no entity that has a shape.
+        """
+        camera, spec = self._camera, self._camera.spec
+        assert isinstance(spec, CameraSpec)
+        instances = camera.image(Channel.INSTANCE)
+        subjects = self._subjects(tuple(entities), of_links=False)
+        tight, pixels = pixel_boxes(instances, len(camera.layout.entities))
+        tight, pixels = tight.index_select(1, subjects.entities), pixels.index_select(1, subjects.entities)
+        slopes, owners = self._outlines(camera.pose, camera.link_poses, spec.near)
+        whole = projected_boxes(slopes, owners, len(self._each_link), camera.intrinsics)
+        whole = whole.index_select(1, subjects.frames)
+        loose, in_view = cut_off(whole, spec.width, spec.height)
+        share = (area(tight) / area(whole).clamp_min(1e-6)).clamp_max(1.0)
+        names = subjects.names, subjects.semantic_labels
+        return BoundingBoxes2d(*names, tight, pixels > 0, pixels, loose, in_view, share)
+
+    def in_space(
+        self, entities: Sequence[str] = (".*",), *, of_links: bool = False, in_camera_frame: bool = False
+    ) -> BoundingBoxes3d:
+        """Return oriented boxes around entities at the time of the pictures, whether the camera saw them or not.
+
+        Args:
+            entities: regular expressions over the names of entities (full match).
+            of_links: a box for each link that has a shape, instead of one for each entity.
+            in_camera_frame: in the camera's frame (-z forward, y up), instead of the environment's.
+
+        Raises:
+            UnknownNameError: one of ``entities`` matches no entity that has a shape.
+        """
+        link_poses = self._camera.link_poses
+        if in_camera_frame:
+            link_poses = pose_multiply(pose_inverse(self._camera.pose)[:, None], link_poses)
+        subjects = self._subjects(tuple(entities), of_links)
+        frame_of_link = self._each_link if of_links else self._root_of_link
+        local = pose_multiply(pose_inverse(link_poses.index_select(1, frame_of_link)), link_poses)
+        low, high = self._reach(local, frame_of_link[self._links])
+        low, high = low.index_select(1, subjects.frames), high.index_select(1, subjects.frames)
+        frames = link_poses.index_select(1, subjects.frames)
+        poses = torch.cat((transform_points(frames, 0.5 * (low + high)), frames[..., 3:]), -1)
+        return BoundingBoxes3d(subjects.names, subjects.semantic_labels, poses, 0.5 * (high - low))
+
+    def _reach(self, link_poses: Tensor, groups: Tensor) -> tuple[Tensor, Tensor]:
+        """Least and greatest coordinates (N, L, 3) of each group of points, discs and balls."""
+        poses = _rows(link_poses, self._links)
+        centres, axes = transform_points(poses, self._centres), quat_rotate(poses[..., 3:], self._axes)
+        reach = self._radii[..., None] * (1.0 - axes**2).clamp_min(0.0).sqrt()
+        count = len(self._each_link)
+        return least(centres - reach, groups, count), -least(-centres - reach, groups, count)
+
+    def _outlines(self, camera_pose: Tensor, link_poses: Tensor, near: float) -> tuple[Tensor, Tensor]:
+        """Slopes (N, P + 24 S, 4) of all that bounds the shapes, and the root link (N, P + 24 S) above each."""
+        seen = pose_multiply(pose_inverse(camera_pose)[:, None], link_poses)
+        corners = transform_points(_rows(seen, self._shape_links)[:, :, None], self._corners)
+        in_front = (-corners[..., 2] >= near).all(-1)
+        poses = _rows(seen, self._links)
+        centres, axes = transform_points(poses, self._centres), quat_rotate(poses[..., 3:], self._axes)
+        whole = _kept(round_slopes(centres, self._radii, axes), in_front.gather(1, self._shapes))
+        cut = _kept(clipped_slopes(corners, near), ~in_front[..., None]).flatten(1, 2)
+        ends = self._root_of_link[self._shape_links].repeat_interleave(24, 1)
+        return torch.cat((whole, cut), 1), torch.cat((self._root_of_link[self._links], ends), 1)
+
+    def _subjects(self, entities: tuple[str, ...], of_links: bool) -> _Subjects:
+        key = (entities, of_links)
+        if key not in self._chosen:
+            self._chosen[key] = self._choose(*key)
+        return self._chosen[key]
+
+    def _choose(self, patterns: tuple[str, ...], of_links: bool) -> _Subjects:
+        layout, device = self._camera.layout, self._each_link.device
+        shaped = bounded_links(layout)
+        owners = list(dict.fromkeys(layout.entities[layout.entity_of_link[link]] for link in shaped))
+        chosen = [owners[n] for n in match_names(patterns, [owner.name for owner in owners], "entity", "the picture")]
+        if of_links:
+            frames = [link for owner in chosen for link in range(owner.links.start, owner.links.stop) if link in shaped]
+        else:
+            frames = [owner.root_link for owner in chosen]
+        entities = [int(layout.entity_of_link[link]) for link in frames]
+        names = (
+            f"{layout.entities[entity].name}/{layout.links[link].name}" if of_links else layout.entities[entity].name
+            for link, entity in zip(frames, entities, strict=True)
+        )
+        labels = (layout.semantic_labels[layout.semantic_of_link[link]] for link in frames)
+        indices = (torch.tensor(rows, dtype=torch.int64, device=device) for rows in (frames, entities))
+        return _Subjects(tuple(names), tuple(labels), *indices)
+
+
+def _rows(poses: Tensor, links: Tensor) -> Tensor:
+    """Poses (N, P, 7) of links (N, P)."""
+    return poses.gather(1, links[..., None].expand(-1, -1, 7))
+
+
+def _kept(slopes: Tensor, seen: Tensor) -> Tensor:
+    """Slopes (..., 4) that bound nothing where not ``seen`` (...)."""
+    low = torch.where(seen[..., None], slopes[..., :2], torch.inf)
+    return torch.cat((low, torch.where(seen[..., None], slopes[..., 2:], -torch.inf)), -1)

@@ -1,0 +1,28 @@
+"""Options of the commands that read datasets and recordings, which may come from anyone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orbit_data.reading.budget import ReadBudget
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadSettings:
+    """Limits on what reading files of data may take."""
+
+    read_bytes: int = 2**30
+    """Most bytes of an episode's arrays, or of a recording, once unpacked; raise it for data that you trust."""
+    read_pixels: int = 2**24
+    """Most pixels of a picture of a video."""
+    read_seconds: float = 10.0
+    """Longest time that opening a dataset, or reading an episode or a recording, may take."""
+
+    @property
+    def budget(self) -> ReadBudget:
+        """The limits as readers take them."""
+        from orbit_data.reading.budget import ReadBudget
+
+        return ReadBudget(self.read_bytes, self.read_pixels, self.read_seconds)

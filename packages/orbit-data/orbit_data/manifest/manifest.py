@@ -1,0 +1,367 @@
+"""The manifest: what a dataset, a policy or an export was made with, as typed data that describes itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
+
+from orbit_core.actions.term import ActionTerm
+from orbit_core.backends import renderer_names, versions_of
+from orbit_core.envs.observation_groups import groups_of, terms_of_group
+from orbit_core.envs.terms import POSE, ObservationGroup, ObservationTerm, meaning_of, unit_of
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces.layout import actuator_of_joint, joint_limits
+from orbit_data.manifest.plain import as_plain, digest
+from orbit_data.reading.budget import MAX_DOCUMENT
+
+if TYPE_CHECKING:
+    from orbit_core.actions import MotionGenerator
+    from orbit_core.envs.environment import Environment
+    from orbit_core.envs.observation_layout import GroupLayout, TermLayout
+    from orbit_core.interfaces import Object, Robot
+    from orbit_core.scene import Scene
+
+FORMAT = 1
+"""Version of the manifest; another is refused."""
+_LEAST = 1e-9
+"""Shortest time in seconds, and the reciprocal of the longest."""
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+Limits = tuple[float | None, ...]
+"""Numbers of which those that are infinite are None, for JSON has no infinity."""
+
+
+@dataclass(frozen=True)
+class RobotManifest:
+    """A robot that is in the scene; all lists are in the order of its joints."""
+
+    model: str
+    joint_names: tuple[str, ...]
+    home_positions: tuple[float, ...]
+    """rad or m: the default pose."""
+    lower_limits: Limits
+    """rad or m"""
+    upper_limits: Limits
+    velocity_limits: Limits
+    """rad/s or m/s"""
+    effort_limits: Limits
+    """N m or N"""
+    stiffness: tuple[float, ...]
+    """N m/rad or N/m of the joint's actuator; 0 where it has none."""
+    damping: tuple[float, ...]
+    """N m s/rad or N s/m"""
+    actuators: tuple[str, ...]
+    """Kind of each joint's actuator; empty where it has none."""
+    agent: bool
+    """Whether it acts in the task."""
+
+
+@dataclass(frozen=True)
+class ObservationTermManifest:
+    """A term of an observation group, as it is seen."""
+
+    shape: tuple[int, ...]
+    """Of one environment's value, the history included."""
+    dtype: str
+    unit: str
+    """Before ``scale``; empty where the task does not say."""
+    scale: float
+    history: int
+    """Steps that are seen, the oldest first."""
+    low: float | None
+    """Least that it shows; None where nothing bounds it."""
+    high: float | None
+    formula: str = ""
+    """The quantity, in a sentence; what is seen is ``scale * (measured - offset)``."""
+    frame: str = ""
+    """Frame that it is expressed in; empty where it has none, as joints have, and where the task does not say."""
+    components: tuple[str, ...] = ()
+    """Name of each number of one step, in order; none of pictures, whose order is row, column, channel."""
+    offset: tuple[float, ...] = ()
+    """What is subtracted from each of these numbers as it is measured, in ``unit``."""
+    order: str = ""
+    """Order of the numbers where several steps are seen."""
+
+
+@dataclass(frozen=True)
+class GroupManifest:
+    """An observation group: its terms by name, in order."""
+
+    concatenated: bool
+    """Whether the terms stand side by side in one vector, or in a dictionary."""
+    terms: dict[str, ObservationTermManifest]
+
+
+@dataclass(frozen=True)
+class ActionTermManifest:
+    """A part of the action; its components are in [-1, 1]."""
+
+    generator: str
+    """Name of the motion generator."""
+    robot: str
+    joints: tuple[str, ...]
+    """The joints that it moves."""
+    components: tuple[str, ...]
+    """What each component is called."""
+    offset: tuple[float, ...] | None
+    """rad or m: where targets of joints are ``offset + scale * command``; None where they are anything else."""
+    scale: tuple[float, ...] | None
+    lower_limits: Limits
+    """rad or m: least that a command may ask of each joint."""
+    upper_limits: Limits
+    settings: dict[str, Any]
+    """All fields of the term's configuration."""
+    decoding: str = ""
+    """What a command does, with the formulas; names in it are those of ``settings``."""
+    frame: str = ""
+    """Frame that the components are expressed in."""
+    leads: Limits = ()
+    """rad or m by which the target of each joint may lead its measured position; empty or None: by any."""
+    clip: tuple[float, float] = (-1.0, 1.0)
+    """Bounds that each component is clipped to before it is decoded."""
+    rate: float = 0.0
+    """Hz at which commands are taken."""
+
+
+_Term = TypeVar("_Term", ObservationTermManifest, ActionTermManifest)
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """All that a reader must know to use what was made with an environment, and all that made it."""
+
+    task: str
+    configuration: dict[str, Any]
+    """The task's fields, as :func:`~orbit_data.manifest.plain.as_plain` writes them."""
+    robots: dict[str, RobotManifest]
+    observations: dict[str, GroupManifest]
+    action_terms: dict[str, ActionTermManifest]
+    """In the order of the action's components."""
+    step_dt: float
+    """Seconds between two actions."""
+    physics_dt: float
+    decimation: int
+    episode_length: float
+    gravity: tuple[float, float, float]
+    backend: str
+    settings: dict[str, Any]
+    """Of the backend."""
+    matter: str
+    """The matter solver; empty where there is none."""
+    versions: dict[str, str]
+    device: str
+    num_envs: int
+    seed: int
+    assets: dict[str, str]
+    """Digests of everything that is simulated, by its name in the scene: links, masses, shapes, joints, meshes."""
+    input_device: str = ""
+    """What a person moved, where one acted."""
+    made_later: str = ""
+    """When and of what it was made, where that was not when it says: of what was made before there were manifests."""
+    format: int = field(default=FORMAT)
+
+    @staticmethod
+    def of(environment: Environment, task: str, seed: int) -> Manifest:
+        """The manifest of an environment.
+
+        Args:
+            environment: that data is made with.
+            task: the name that it was made by.
+            seed: that its random streams were started from.
+        """
+        own, world = environment.task, environment.world
+        scene, groups = world.scene, groups_of(own)
+        configuration = as_plain(own)
+        terms = zip(environment.actions.terms.items(), environment.actions.generators, strict=True)
+        simulated = not (world.backend in renderer_names() or world.settings is None)
+        return Manifest(
+            task=task,
+            configuration=configuration,
+            robots={name: _robot(robot, name in own.agents) for name, robot in world.robots.items()},
+            observations={n: _group(environment, groups[n], layout) for n, layout in environment.observation.items()},
+            action_terms={
+                name: _action(name, term, generator, environment.step_dt) for (name, term), generator in terms
+            },
+            step_dt=environment.step_dt,
+            physics_dt=own.physics_dt,
+            decimation=own.decimation,
+            episode_length=own.episode_length,
+            gravity=scene.gravity,
+            backend=world.backend,
+            settings={} if world.settings is None else as_plain(world.settings),
+            matter=world.matter,
+            versions=versions_of(world.backend if simulated else None, matter=world.matter),
+            device=str(environment.device),
+            num_envs=environment.num_envs,
+            seed=seed,
+            assets=_assets(scene),
+        )
+
+    @property
+    def explains(self) -> bool:
+        """True if every term says what its numbers mean, which manifests did not from the beginning."""
+        seen = [term for group in self.observations.values() for term in group.terms.values()]
+        return all(term.formula for term in seen) and all(term.decoding for term in self.action_terms.values())
+
+    def explained_by(self, present: Manifest) -> Manifest:
+        """The manifest with what it does not say of its terms' numbers taken from another one of the same terms."""
+        groups = {
+            name: dataclasses.replace(
+                group,
+                terms={n: _explained(term, present.observations[name].terms[n]) for n, term in group.terms.items()},
+            )
+            for name, group in self.observations.items()
+        }
+        actions = {name: _explained(term, present.action_terms[name]) for name, term in self.action_terms.items()}
+        return dataclasses.replace(self, observations=groups, action_terms=actions)
+
+    def encode(self) -> bytes:
+        """As JSON."""
+        return msgspec.json.encode(self)
+
+    def document(self) -> dict[str, Any]:
+        """As plain data."""
+        return msgspec.to_builtins(self)
+
+    @staticmethod
+    def decode(data: bytes | str | Mapping[str, Any], where: str) -> Manifest:
+        """What :meth:`encode` or :meth:`document` gave.
+
+        Args:
+            data: that was read.
+            where: the file, for messages.
+
+        Raises:
+            ConfigurationError: it is no manifest, or of another format; says where in it.
+        """
+        try:
+            if isinstance(data, str | bytes) and len(data) > MAX_DOCUMENT:
+                raise ConfigurationError(f"{where} holds no manifest: it would have {len(data):,} bytes")
+            values = msgspec.json.decode(data) if isinstance(data, str | bytes) else data
+            if not isinstance(values, Mapping) or values.get("format") != FORMAT:
+                found = values.get("format") if isinstance(values, Mapping) else None
+                raise ConfigurationError(
+                    f"{where} holds a manifest of format {found!r:.40}, and {FORMAT} is the one that is read: make it "
+                    "again, or read it with the version of ORBIT that wrote it"
+                )
+            manifest = msgspec.convert(values, Manifest)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            raise ConfigurationError(f"{where} holds no manifest: {error}") from None
+        for name in ("step_dt", "physics_dt", "decimation", "episode_length"):
+            if not _LEAST <= getattr(manifest, name) <= 1.0 / _LEAST:
+                raise ConfigurationError(f"{where} holds no manifest: its {name} is not from {_LEAST} to {1 / _LEAST}")
+        return manifest
+
+
+def _assets(scene: Scene) -> dict[str, str]:
+    """Digests by name; what a reader noted on the way, such as the file's place, is no part of an asset."""
+    bodies = {e.name: [dataclasses.replace(a, notes=()) for a in e.alternatives] for e in scene.entities}
+    return {name: digest(body) for name, body in {**bodies, **{d.name: d for d in scene.deformables}}.items()}
+
+
+def _robot(robot: Robot | Object, agent: bool) -> RobotManifest:
+    spec = robot.spec
+    actuators = actuator_of_joint(spec)
+    driven = [actuators.get(joint) for joint in range(len(robot.joint_names))]
+    lower, upper = robot.position_limits.cpu().unbind(-1)
+    return RobotManifest(
+        model=spec.articulation.name,
+        joint_names=robot.joint_names,
+        home_positions=tuple(robot.home_positions.tolist()),
+        lower_limits=_limits(lower.tolist()),
+        upper_limits=_limits(upper.tolist()),
+        velocity_limits=_limits(joint_limits(spec, "velocity_limit").tolist()),
+        effort_limits=_limits(joint_limits(spec, "effort_limit").tolist()),
+        stiffness=tuple(float(group.stiffness) if group else 0.0 for group in driven),
+        damping=tuple(float(group.damping) if group else 0.0 for group in driven),
+        actuators=tuple(type(group).__name__ if group else "" for group in driven),
+        agent=agent,
+    )
+
+
+def _group(environment: Environment, group: ObservationGroup, layout: GroupLayout) -> GroupManifest:
+    terms = terms_of_group(group)
+    return GroupManifest(
+        concatenated=layout.concatenated,
+        terms={name: _term(environment, group, terms[name], shown) for name, shown in layout.terms.items()},
+    )
+
+
+def _term(
+    environment: Environment, group: ObservationGroup, term: ObservationTerm, shown: TermLayout
+) -> ObservationTermManifest:
+    history = group.history if term.history is None else term.history
+    meaning, size = meaning_of(term), math.prod(shown.shape) // history
+    given = (environment.world, environment.task, *(() if term.agent is None else (term.agent,)))
+    picture = len(shown.shape) - (history > 1 and not group.concatenate) >= 3
+    components = meaning.components(*given) if callable(meaning.components) else meaning.components
+    offset = [0.0] * size if meaning.offset is None else meaning.offset(*given).flatten().tolist()
+    return ObservationTermManifest(
+        shape=tuple(shown.shape),
+        dtype=str(shown.dtype).removeprefix("torch."),
+        unit=unit_of(term),
+        scale=term.scale,
+        history=history,
+        low=_limit(shown.low),
+        high=_limit(shown.high),
+        formula=meaning.formula,
+        frame=meaning.frame,
+        components=() if picture else tuple(components) or _named(size, unit_of(term)),
+        offset=() if picture else tuple(offset),
+        order="oldest step first, the numbers of a step together" if history > 1 else "",
+    )
+
+
+def _named(size: int, unit: str) -> tuple[str, ...]:
+    """Return names for numbers whose task gives none: those of a pose or a vector, or else their places."""
+    for names, units in ((_POSE, (POSE,)), (_POSE[:3], ("m", "m/s", "rad/s", "m/s^2", "N"))):
+        if unit in units and size % len(names) == 0:
+            several = size > len(names)
+            return tuple(f"{row} {n}" if several else n for row in range(size // len(names)) for n in names)
+    return tuple(map(str, range(size)))
+
+
+def _action(name: str, term: ActionTerm, generator: MotionGenerator, step_dt: float) -> ActionTermManifest:
+    spec = generator.robot.spec
+    offset, scale = generator.affine or (None, None)
+    lower, upper = generator.position_range.cpu().unbind(1)
+    return ActionTermManifest(
+        generator=term.name,
+        robot=term.robot,
+        joints=tuple(generator.robot.joint_names[joint] for joint in generator.joints),
+        components=term.components(spec, name),
+        offset=None if offset is None else tuple(offset.tolist()),
+        scale=None if scale is None else tuple(scale.tolist()),
+        lower_limits=_limits(lower.tolist()),
+        upper_limits=_limits(upper.tolist()),
+        settings={field.name: as_plain(getattr(term, field.name)) for field in dataclasses.fields(term)},
+        decoding=_decoding(type(term)),
+        frame=term.reference,
+        leads=() if generator.lead is None else _limits(generator.lead.tolist()),
+        rate=1.0 / step_dt,
+    )
+
+
+def _decoding(kind: type[ActionTerm]) -> str:
+    """Return what the docstrings of an action term's classes say of its command."""
+    own = [base for base in kind.__mro__[: kind.__mro__.index(ActionTerm)] if base.__doc__]
+    return " ".join(" ".join(base.__doc__.split()) for base in own if base.__doc__)
+
+
+def _explained(term: _Term, present: _Term) -> _Term:
+    """Return a term whose fields that are empty, as those are that were added later, hold what another's hold."""
+    own = {field.name: getattr(term, field.name) for field in dataclasses.fields(term)}
+    missing = {name: getattr(present, name) for name, value in own.items() if value in ("", (), 0.0)}
+    return dataclasses.replace(term, **missing)
+
+
+def _limits(values: Sequence[float]) -> Limits:
+    return tuple(_limit(value) for value in values)
+
+
+def _limit(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
