@@ -162,7 +162,7 @@ def choose_matter(backend: Backend, scene: Scene, name: str | None) -> MatterSol
         UnknownNameError: no installed solver has that name.
         UnsupportedCapabilityError: the solver that is named lacks what the scene needs; says what has it.
     """
-    # Scenes bring NumPy, which the names and declarations of plugins do without.
+    # Names and declarations of plugins are read without scenes, which take longer to load.
     from orbit_core.interfaces.requirements import required_capabilities
 
     needs = {need: culprit for need, culprit in required_capabilities(scene).items() if need in MATTER}

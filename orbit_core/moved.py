@@ -28,7 +28,7 @@ _MERGED = {
     "orbit_core.cli.run": ("runner",),
     "orbit_core.cli.settings": ("checks", "parsing"),
     "orbit_core.dynamics.kinematics": ("tree",),
-    "orbit_core.interfaces.capabilities": ("gaps", "requirements"),
+    "orbit_core.interfaces.capabilities": ("gaps",),
     "orbit_core.interfaces.engine": ("rays",),
     "orbit_core.interfaces.errors": ("divergence",),
     "orbit_core.interfaces.layout": ("built",),

@@ -1,6 +1,6 @@
 """Capabilities that a scene needs, so that a backend without one refuses it before anything is built.
 
-Apart from the capabilities, so that a plugin's declaration is read without scenes, which load NumPy.
+Apart from the capabilities, so that a plugin's declaration is read without scenes.
 """
 
 from __future__ import annotations
