@@ -23,10 +23,10 @@ if TYPE_CHECKING:
         Level,
         Support,
         approximate,
-        required_capabilities,
         unsupported,
     )
     from orbit_core.interfaces.capture import CaptureFacet
+    from orbit_core.interfaces.contract import CONTRACT
     from orbit_core.interfaces.engine import Engine, RayHits
     from orbit_core.interfaces.entities import Deformable, JointTarget, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
@@ -72,9 +72,10 @@ _MODULES = {
     "backend": ("Backend",),
     "capabilities": (
         "EXACT", "IMAGES", "MATTER", "Capabilities", "Capability", "DriveIntegration", "Gap", "Level", "Support",
-        "approximate", "required_capabilities", "unsupported",
+        "approximate", "unsupported",
     ),
     "capture": ("CaptureFacet",),
+    "contract": ("CONTRACT",),
     "engine": ("Engine", "RayHits"),
     "entities": ("Deformable", "JointTarget", "Marker", "Object", "Robot"),
     "errors": (
@@ -95,6 +96,7 @@ _MODULES = {
 }  # fmt: skip
 __all__ = [
     "BACKGROUND",
+    "CONTRACT",
     "EXACT",
     "IMAGES",
     "MATTER",
