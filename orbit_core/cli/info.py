@@ -115,7 +115,7 @@ def main(words: Sequence[str]) -> None:
 def _show_task(console: Console, name: str) -> None:
     from orbit_core.envs.configuration import DEFAULT_PRESET, configure
     from orbit_core.envs.observation_layout import groups_of, terms_of_group
-    from orbit_core.interfaces.capabilities import required_capabilities
+    from orbit_core.interfaces.requirements import required_capabilities
 
     entry = task_entries()[name]
     task = configure(entry.task_type(), {})

@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.names import NamedThings, find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
+    from orbit_core.interfaces.requirements import required_capabilities
     from orbit_core.interfaces.world import Sensor, World, WorldClock, WorldRandom, WorldSelector
 
 _MODULES = {
@@ -92,6 +93,7 @@ _MODULES = {
     "names": ("NamedThings", "find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
+    "requirements": ("required_capabilities",),
     "world": ("Sensor", "World", "WorldClock", "WorldSelector", "WorldRandom"),
 }  # fmt: skip
 __all__ = [
