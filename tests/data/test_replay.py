@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.cli import main
@@ -18,6 +19,7 @@ from orbit_data.formats import opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset
 from orbit_data.recording import RecordingFile, record
 from orbit_data.replay import fields_of, replay
+from orbit_data.states import TaskMemory
 
 BACKEND = default_backend()
 OTHER = next(name for name in backend_names() if name != BACKEND)
@@ -84,3 +86,21 @@ def test_what_cannot_be_replayed_is_refused(dataset: Hdf5Dataset, environment: E
     write_dataset(tmp_path / "lerobot", [dataset.read(0)], dataset.known())
     with opened(tmp_path / "lerobot") as lossy, pytest.raises(ConfigurationError, match="has no 'initial/'"):
         replay(environment, lossy, [0])
+
+
+@pytest.mark.parametrize(
+    ("task", "name", "old", "command"),
+    [
+        ("Velocity-Flat", "VelocityFlat.command", torch.tensor([[0.3, 0.1, -0.2]]), "velocity"),
+        ("Cabinet", "Cabinet.goal", torch.tensor([0.2]), "goal"),
+    ],
+)
+def test_goals_of_recordings_from_before_commands_were_terms_are_set(
+    task: str, name: str, old: torch.Tensor, command: str
+) -> None:
+    environment = make(task, 2, BACKEND)
+    before = environment.commands[command].clone()
+    TaskMemory(environment).write({name: old}, torch.tensor([1]))
+    torch.testing.assert_close(environment.commands[command][1], old.flatten())
+    torch.testing.assert_close(environment.commands[command][0], before[0])
+    environment.close()
