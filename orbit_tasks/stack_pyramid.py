@@ -305,8 +305,9 @@ class StackPyramid(tabletop.TabletopTask):
         return {"distance_m": distances(env).sum(1)}
 
     def __post_init__(self) -> None:
-        parts = tuple(part for index in range(len(self.moved)) for part in _parts(index))
-        self.metadata = replace(self.metadata, subtasks=parts)  # their number follows from the fields
+        # Their number follows from the fields, which are checked when the scene is made.
+        parts = tuple(part for index in range(self.pyramids * (self.blocks - 1)) for part in _parts(index))
+        self.metadata = replace(self.metadata, subtasks=parts)
 
     def expert(self, env: Environment) -> Expert:
         phases = [phase for index in range(len(self.moved)) for phase in _moving(env.world, index)]

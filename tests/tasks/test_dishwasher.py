@@ -28,7 +28,7 @@ def test_the_expert_of_another_arm_opens_the_door_and_pulls_the_rack() -> None:
 def test_the_rack_counts_only_once_the_door_is_open() -> None:
     environment = make("Dishwasher", 3, "mujoco", seed=0)
     world, task = environment.world, environment.task
-    goal = environment.commands["goal"]  # pyright: ignore[reportAttributeAccessIssue]
+    goal = environment.commands["goal"][:, 0]
     joints = torch.tensor([[0.5, 0.0], [1.4, 0.0], [1.4, 0.0]])
     joints[:, 1] = goal
     joints[2, 1] += 0.03
