@@ -370,7 +370,7 @@ class Environment(Generic[TaskT, StateT]):
         self.actions.apply()
         self.world.step(task.decimation)
         state = self.state
-        state.episode_step += 1
+        state.episode_step.add_(1)
         state.update(self)
         reward = self._reward()
         terminated = self._terminated()
