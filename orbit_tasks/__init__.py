@@ -174,6 +174,9 @@ def register(registry: TaskRegistry) -> None:
     registry.add(
         "Cloth-Folding", "Fold a cloth along its diagonal, corner on corner", "orbit_tasks.cloth_folding:ClothFolding"
     )
+    registry.add(
+        "Soft-Lifting", "Lift a soft block from the table to a sampled position", "orbit_tasks.soft_lifting:SoftLifting"
+    )
     registry.add("Cartpole-Balance", "Keep a pole standing on a cart", "orbit_tasks.cartpole:CartpoleBalance")
     registry.add("Cartpole-Swing-Up", "Swing a hanging pole up on a cart", "orbit_tasks.cartpole:CartpoleSwingUp")
     registry.add("Ant", "A robot of four legs runs as fast as it can", "orbit_tasks.running:Ant")

@@ -124,7 +124,7 @@ def _leading(spec: RobotSpec, name: str) -> ActionTerm:
     generators = motion_generators()
     known = {*ACTION_PRESETS, *generators.names}
     if name not in known:
-        raise UnknownNameError("action space", name, known, note="; ".join(generators.faults))
+        raise UnknownNameError("action space", name, known, note=generators.note)
     try:
         return generators.get(name)()
     except TypeError as error:

@@ -46,6 +46,8 @@ _FLAT = 1e-6
 _UNIT = 1e-3
 # Least area of a triangle, over the mean of its mesh.
 _LEAST_AREA = 1e-6
+# Least volume of a solid, over that of the box around it.
+_LEAST_VOLUME = 1e-4
 _MOST_PARTICLES = 1_000_000
 # Largest coefficient of a material or a deformable, stiffness of a contact in N/m, and damping, friction or armature of
 # a joint in their units.
@@ -114,7 +116,10 @@ _RANGES: Mapping[type, Mapping[str, _Range]] = {
         **dict.fromkeys(("linear_density", "axial_stiffness", "radius"), _POSITIVE),
         **dict.fromkeys(("bending_stiffness", "damping", "friction"), _NOT_NEGATIVE),
     },
-    SoftBody: {"density": _POSITIVE, "youngs_modulus": _POSITIVE, "friction": _NOT_NEGATIVE},
+    SoftBody: {
+        **dict.fromkeys(("density", "youngs_modulus"), _POSITIVE),
+        **dict.fromkeys(("damping", "friction"), _NOT_NEGATIVE),
+    },
     Fluid: {"density": _POSITIVE, "spacing": _POSITIVE, "viscosity": _NOT_NEGATIVE},
     Scene: {"gravity": _Range(-MAX_SPEED, MAX_SPEED, "m/s^2"), "physics_dt": _Range(1e-7, 1.0, "s")},
 }
@@ -311,6 +316,8 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
         _check_triangles(spec, where)
     if isinstance(spec, SoftBody) and extents(spec.mesh.vertices) < 3:
         raise ArgumentError(f"{where}.mesh is flat and has no volume: give it a closed surface, or make it a Cloth")
+    if isinstance(spec, SoftBody):
+        _check_solid(spec, where)
     _check_particles(spec, count)
 
 
@@ -367,6 +374,30 @@ def _check_triangles(thing: Cloth | SoftBody, where: str) -> None:
     held[faces] = True
     if not held.all():
         raise ArgumentError(f"particle {int(held.argmin())} of {where}.mesh is in no triangle: leave it out")
+
+
+def _check_solid(solid: SoftBody, where: str) -> None:
+    """Check that a solid's surface is closed and faces outwards, and that its elements have a size."""
+    if solid.resolution is not None:
+        _LENGTH.check(solid.resolution, f"{where}.resolution")
+    faces = np.asarray(solid.mesh.faces)
+    if not _closed(solid.mesh):
+        edges = np.stack((faces, np.roll(faces, -1, axis=1)), -1).reshape(-1, 2)
+        directed, counts = np.unique(edges, axis=0, return_counts=True)
+        single = {(a, b) for a, b in directed[counts == 1].tolist()}
+        a, b = next(
+            edge for edge in edges.tolist() if (edge[0], edge[1]) not in single or (edge[1], edge[0]) not in single
+        )
+        raise ArgumentError(
+            f"{where}.mesh is not closed at the edge of vertices {a} and {b}, which is not that of two triangles that "
+            "wind the same way: close the surface, merge vertices at one place, or turn triangles over"
+        )
+    share = solid.volume / float(np.prod(np.ptp(solid.rest_positions, axis=0)))
+    if share < _LEAST_VOLUME:
+        fault = "is inside out" if share < -_LEAST_VOLUME else "encloses hardly any volume"
+        raise ArgumentError(
+            f"{where}.mesh {fault}: have its triangles wind counter-clockwise as seen from outside, or make it a Cloth"
+        )
 
 
 def _check_extent(spec: Cloth | Rope, where: str) -> None:

@@ -144,7 +144,12 @@ class SoftBody:
     youngs_modulus: float = 1e5
     """Pa."""
     poissons_ratio: float = 0.4
+    damping: float = 0.002
+    """Seconds by which its strain lags behind its stress: of a material that resists strain ``e`` and its rate with
+    ``E (e + damping de/dt)``."""
     friction: float = 0.5
+    resolution: float | None = None
+    """Metres of the largest element that a solver may compute it with; None takes what the solver thinks fit."""
     color: Color = (0.3, 0.8, 0.4, 1.0)
     semantic_label: str = "soft"
     attachments: tuple[Attachment, ...] = ()
@@ -154,6 +159,18 @@ class SoftBody:
     def rest_positions(self) -> npt.NDArray[np.float64]:
         """Rest positions (P, 3) m, in the frame of ``pose``."""
         return np.asarray(self.mesh.vertices, dtype=np.float64)
+
+    @property
+    def volume(self) -> float:
+        """Cubic metres within the surface."""
+        points = self.rest_positions - self.rest_positions.mean(axis=0)
+        a, b, c = (points[np.asarray(self.mesh.faces)[:, k]] for k in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+    @property
+    def mass(self) -> float:
+        """Kilograms."""
+        return self.density * self.volume
 
 
 @dataclass(frozen=True)

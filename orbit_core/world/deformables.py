@@ -15,7 +15,7 @@ from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Object, find_name
 from orbit_core.interfaces.matter import PARAMETERS
 from orbit_core.preparation.scene_data import check_data
-from orbit_core.scene import Cloth, DeformableSpec, Region
+from orbit_core.scene import Cloth, DeformableSpec, Region, SoftBody
 from orbit_core.world.state import WorldParts
 
 # Cells of the grid along a triangle's longest edge
@@ -177,6 +177,8 @@ class SimulatedDeformable(Deformable):
 
     def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
         find_name(name, PARAMETERS, "parameter", f"'{self.name}'")
+        if name == "bending" and isinstance(self.spec, SoftBody):
+            raise ArgumentError(f"soft body '{self.name}' bends as its stiffness says: set its 'stiffness'")
         chosen = self._selector.select(env_ids)
         bounds = FRICTIONS if name == "friction" else _SCALES
         values = chosen.values(values, (), f"{name} of '{self.name}'", bounds)

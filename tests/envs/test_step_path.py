@@ -82,7 +82,7 @@ def test_a_step_of_lift_makes_few_python_calls() -> None:
 
 def test_a_generator_with_a_rate_of_its_own_holds_its_targets_between_turns() -> None:
     environment = slow(2)
-    targets = environment.world.actuators.position_targets
+    targets = environment.world.engine.position_targets
     held = []
     for value in (0.3, -0.3, -0.3):
         environment.step(torch.full((2, environment.action_size), value))

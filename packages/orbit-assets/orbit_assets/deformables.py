@@ -1,4 +1,4 @@
-"""Cloths and ropes of plain shape."""
+"""Cloths, ropes and soft bodies of plain shape."""
 
 from __future__ import annotations
 
@@ -58,6 +58,80 @@ def line(length: float, count: int) -> np.ndarray:
     points = np.zeros((count, 3))
     points[:, 0] = np.linspace(-0.5 * length, 0.5 * length, count)
     return points
+
+
+def cuboid(size: Vector3, counts: tuple[int, int, int] = (2, 2, 2)) -> Mesh:
+    """Return the closed surface of a box around the origin, for a soft body.
+
+    Args:
+        size: edges along x, y and z, in metres.
+        counts: squares along each edge, of two triangles each.
+
+    Raises:
+        ArgumentError: a length is not above 0 m, or a count not a whole number of one or more.
+    """
+    _check("a cuboid", size, [count + 1 if isinstance(count, Integral) else count for count in counts])
+    lattice = np.stack(np.meshgrid(*(np.arange(count + 1) for count in counts), indexing="ij"), axis=-1)
+    numbers = np.arange(lattice[..., 0].size).reshape(lattice.shape[:3])
+    faces = []
+    for axis in range(3):
+        for side in (0, -1):
+            face = np.take(numbers, side, axis=axis)
+            a, b, c, d = face[:-1, :-1], face[1:, :-1], face[1:, 1:], face[:-1, 1:]
+            squares = np.stack((np.stack((a, b, c), -1), np.stack((a, c, d), -1))).reshape(-1, 3)
+            # Seen along y, the two other axes come in the other order.
+            inwards = (side == 0) != (axis == 1)
+            faces.append(squares[:, ::-1] if inwards else squares)
+    triangles = np.concatenate(faces)
+    used, triangles = np.unique(triangles, return_inverse=True)
+    vertices = (lattice.reshape(-1, 3)[used] / np.array(counts) - 0.5) * np.array(size)
+    return Mesh(vertices, triangles.reshape(-1, 3))
+
+
+def ball(radius: float, divisions: int = 3) -> Mesh:
+    """Return the closed surface of a ball around the origin, for a soft body: a divided icosahedron.
+
+    Args:
+        radius: in metres, of the vertices.
+        divisions: how often each triangle is divided into four.
+
+    Raises:
+        ArgumentError: the radius is not above 0 m, or there are no or more than 6 divisions.
+    """
+    _check("a ball", (radius,), ())
+    if not isinstance(divisions, Integral) or not 1 <= divisions <= 6:
+        raise ArgumentError(f"a ball is divided {divisions} times: give 1 to 6")
+    import trimesh
+
+    solid = trimesh.creation.icosphere(subdivisions=int(divisions), radius=radius)
+    return Mesh(np.asarray(solid.vertices, np.float64), np.asarray(solid.faces, np.int64))
+
+
+def ring(radius: float, thickness: float, counts: tuple[int, int] = (24, 12)) -> Mesh:
+    """Return the closed surface of a ring that lies around the z axis, for a soft body.
+
+    Args:
+        radius: of the circle in its middle, in metres.
+        thickness: radius of its section, in metres.
+        counts: squares around the axis, and around the section.
+
+    Raises:
+        ArgumentError: the section is as wide as the circle, a length is not above 0 m, or a count is below 3.
+    """
+    _check("a ring", (radius, thickness), [count - 1 if isinstance(count, Integral) else count for count in counts])
+    if thickness >= radius:
+        raise ArgumentError(f"a ring of radius {radius} m has no hole with a section of {thickness} m: give it less")
+    u, v = (2.0 * math.pi * np.arange(count) / count for count in counts)
+    out = radius + thickness * np.cos(v)
+    vertices = np.stack(
+        (np.cos(u)[:, None] * out, np.sin(u)[:, None] * out, np.broadcast_to(thickness * np.sin(v), (len(u), len(v)))),
+        axis=-1,
+    ).reshape(-1, 3)
+    i, j = np.divmod(np.arange(len(vertices)), counts[1])
+    after, above = (i + 1) % counts[0] * counts[1], (j + 1) % counts[1]
+    here = i * counts[1]
+    a, b, c, d = here + j, after + j, after + above, here + above
+    return Mesh(vertices, np.concatenate((np.stack((a, b, c), -1), np.stack((a, c, d), -1))))
 
 
 def _check(what: str, lengths: Sequence[float], counts: Sequence[int]) -> None:

@@ -1,4 +1,4 @@
-"""Cloth and rope by small-step XPBD, for any physics engine. Importing this package does not import Warp."""
+"""Cloth, rope and elastic solids for any physics engine. Importing this package does not import Warp."""
 
 from __future__ import annotations
 

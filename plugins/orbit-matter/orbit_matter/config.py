@@ -24,6 +24,8 @@ class MatterConfig:
     1.25 ms, or 0.84 ms where there is cloth to be grasped."""
     contact_stiffness: float = 1000.0
     """N/m with which one particle resists being pressed into a surface."""
+    solid_iterations: int = 6
+    """Of conjugate gradients in a step of solids; more of them where solids are much stiffer in some environments."""
     threads: int = 0
     """Of a CPU, each with some of the environments; 0 takes every core."""
     capture: bool = True
@@ -37,6 +39,10 @@ class MatterConfig:
         if self.substep is not None and self.substep < SHORTEST_SUBSTEP:
             raise ConfigurationError(
                 f"setting 'substep' of orbit-matter is {self.substep:g} s: give {SHORTEST_SUBSTEP:g} s or more"
+            )
+        if self.solid_iterations < 1:
+            raise ConfigurationError(
+                f"setting 'solid_iterations' of orbit-matter is {self.solid_iterations}: give 1 or more"
             )
         if self.threads < 0:
             raise ConfigurationError(

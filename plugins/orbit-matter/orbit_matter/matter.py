@@ -1,4 +1,4 @@
-"""The deformables of N environments as particles in Warp, with tensors as their memory."""
+"""The deformables of N environments as particles and solids in Warp, with tensors as their memory."""
 
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
 # Warp's arrays and structs carry their types at run time.
@@ -23,6 +23,11 @@ from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.model import build
 from orbit_matter.part import Part, Stepping
+from orbit_matter.solids import kernels as solid_kernels
+from orbit_matter.solids import launches as solid_launches
+from orbit_matter.solids import limits
+from orbit_matter.solids import rows as solid_rows
+from orbit_matter.solids.solids import Solids
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.loading import load_kernels
 from orbit_warpkit.start import start
@@ -49,10 +54,19 @@ class ParticleMatter(Matter):
         self._model = build(layout.scene)
         longest, sweeps = substeps.chosen(layout.scene, config.substep)
         count = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))
-        self._stepping = Stepping(layout.scene.physics_dt, count, sweeps, config.contact_stiffness)
+        solid = substeps.of_solids(layout.scene, config.substep)
+        count = max(1, math.ceil(count / solid)) * solid if len(self._model.rest) else solid
+        self._stepping = Stepping(
+            layout.scene.physics_dt, count, sweeps, config.contact_stiffness, solid, config.solid_iterations
+        )
+        limits.check_stiffness(layout, solid)
+        self._solids = Solids(layout, num_envs, device, layout.scene.physics_dt / solid)
         self._graphs = Graphs(device, config.capture)
         by_rows = (rows,) if device.type == "cpu" else ()
         load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
+        if self._solids.model.deformables:
+            by_rows = (solid_rows,) if device.type == "cpu" else ()
+            load_kernels("orbit-matter", (solid_kernels, solid_launches, *by_rows), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
@@ -89,6 +103,7 @@ class ParticleMatter(Matter):
             "center": torch.as_tensor(center, **make)[kinds].contiguous(),
             "known": torch.zeros(n, mass.shape[1], dtype=torch.int32, device=self._device),
         }
+        self._tensors |= self._solids.tensors
         for name, width in (("seen", 13), ("given", 6), ("body_x", 3), ("body_q", 4), ("body_v", 3), ("body_w", 3)):
             self._tensors[name] = torch.zeros(n, mass.shape[1], width, **make)
         self._start = torch.zeros(n, max(links, 1), 7, **make)
@@ -108,6 +123,10 @@ class ParticleMatter(Matter):
         if attachment.entity is not None and attachment.link is not None:
             entity = self._layout.entity(attachment.entity)
             link = entity.links.start + entity.spec.articulation.link_names.index(attachment.link)
+        if self._solids.has(deformable):
+            held = torch.tensor(attachment.particles, dtype=torch.int64, device=self._device)
+            self._solids.set_anchors(deformable, held, link, None)
+            return
         first = self._model.slices[deformable].start
         self._tensors["anchor"][:, [first + particle for particle in attachment.particles]] = link
 
@@ -122,7 +141,8 @@ class ParticleMatter(Matter):
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}
         with wp.ScopedDevice(self._graphs.device):
             return tuple(
-                Part(slice(a, b), memory, self._model, self._colliders, self._stepping) for a, b in pairwise(bounds)
+                Part(slice(a, b), memory, self._model, self._colliders, self._stepping, self._solids)
+                for a, b in pairwise(bounds)
             )
 
     # Time ------------------------------------------------------------------------------------------------------------
@@ -151,12 +171,20 @@ class ParticleMatter(Matter):
     # State -----------------------------------------------------------------------------------------------------------
 
     def positions(self, deformable: int) -> Tensor:
+        if self._solids.has(deformable):
+            return self._solids.positions(deformable)
         return self._tensors["x"][:, self._model.slices[deformable]]
 
     def velocities(self, deformable: int) -> Tensor:
+        if self._solids.has(deformable):
+            return self._solids.velocities(deformable)
         return self._tensors["v"][:, self._model.slices[deformable]]
 
     def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None) -> None:
+        if self._solids.has(deformable):
+            self._solids.write(deformable, positions, velocities, env_ids)
+            self._orient(env_ids)
+            return
         columns = self._model.slices[deformable]
         write_rows(self._tensors["x"][:, columns], positions, env_ids)
         write_rows(self._tensors["v"][:, columns], velocities, env_ids)
@@ -165,32 +193,48 @@ class ParticleMatter(Matter):
     def anchor(
         self, deformable: int, particles: Tensor, link: int | None, link_poses: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        columns = self._model.slices[deformable].start + particles
-        self._set_anchors(columns, _WORLD if link is None else link, env_ids)
+        self._set_anchors(deformable, particles, _WORLD if link is None else link, env_ids)
         self._hold(link_poses, env_ids)
 
     def release(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
-        self._set_anchors(self._model.slices[deformable].start + particles, _FREE, env_ids)
+        self._set_anchors(deformable, particles, _FREE, env_ids)
 
-    def _set_anchors(self, columns: Tensor, link: int, env_ids: Tensor | None) -> None:
+    def _set_anchors(self, deformable: int, particles: Tensor, link: int, env_ids: Tensor | None) -> None:
+        if self._solids.has(deformable):
+            self._solids.set_anchors(deformable, particles, link, env_ids)
+            return
+        columns = self._model.slices[deformable].start + particles
         shape = (len(take_rows(self._tensors["anchor"], env_ids)), len(columns))
         links = torch.full(shape, link, dtype=torch.int32, device=self._device)
         write_columns(self._tensors["anchor"], columns, links, env_ids)
 
     def _hold(self, link_poses: Tensor, env_ids: Tensor | None) -> None:
         """What is held is from now on held where it is."""
-        chosen = torch.zeros(self._num_envs, dtype=torch.bool, device=self._device)
-        write_rows(chosen, True, env_ids)
+        chosen = self._chosen(env_ids)
         self._end[:, : link_poses.shape[1]].copy_(link_poses)
         with self._graphs.stream():
             for part in self._parts:
                 part.hold(chosen)
+
+    def _orient(self, env_ids: Tensor | None) -> None:
+        """Find the rotations of solids from scratch."""
+        chosen = self._chosen(env_ids)
+        with self._graphs.stream():
+            for part in self._parts:
+                part.orient(chosen)
+
+    def _chosen(self, env_ids: Tensor | None) -> Tensor:
+        """(N,) bool mask of environments."""
+        chosen = torch.zeros(self._num_envs, dtype=torch.bool, device=self._device)
+        write_rows(chosen, True, env_ids)
+        return chosen
 
     def reset(self, link_poses: Tensor, env_ids: Tensor | None = None) -> None:
         rest = self._rest.expand(self._num_envs, -1, -1)
         write_rows(self._tensors["x"], take_rows(rest, env_ids), env_ids)
         write_rows(self._tensors["v"], torch.zeros_like(take_rows(rest, env_ids)), env_ids)
         write_rows(self._tensors["searched"], _NOWHERE, env_ids)
+        self._solids.reset(env_ids)
         self._hold(link_poses, env_ids)
         for name in ("forces", "torques", "known"):
             write_rows(self._tensors[name], torch.zeros_like(take_rows(self._tensors[name], env_ids)), env_ids)
@@ -235,7 +279,9 @@ class ParticleMatter(Matter):
     def build_report(self) -> tuple[Approximation, ...]:
         of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
-        return of_substeps + of_contacts + stability.late_links(self._layout) + stability.folding(self._layout)
+        of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
+        of_solids = limits.light_bodies(self._layout) + limits.apart(self._layout)
+        return of_substeps + of_contacts + of_ropes + of_solids
 
     @property
     def wrenches(self) -> Tensor:
@@ -250,7 +296,11 @@ class ParticleMatter(Matter):
         near = (self._tensors["x"].abs() <= MAX_DISTANCE).all(-1)
         slow = (self._tensors["v"].abs() <= MAX_SPEED).all(-1)
         sound = near & slow
-        return torch.stack([~sound[:, columns].all(1) for columns in self._model.slices], dim=1)
+        found = [
+            self._solids.diverged(number) if self._solids.has(number) else ~sound[:, columns].all(1)
+            for number, columns in enumerate(self._model.slices)
+        ]
+        return torch.stack(found, dim=1)
 
     def save_state(self) -> MatterState:
         saved = {name: tensor.clone() for name, tensor in self._tensors.items()}

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.scene import Cloth, Rope, Scene
+from orbit_core.scene import Cloth, DeformableSpec, Rope, Scene
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int32]
@@ -67,7 +67,7 @@ class Model:
     @property
     def meets(self) -> bool:
         """Whether any two particles may touch."""
-        return bool(self.touches.any()) or len(self.slices) > 1
+        return bool(self.touches.any()) or len(set(self.owners.tolist())) > 1
 
 
 def build(scene: Scene) -> Model:
@@ -76,7 +76,7 @@ def build(scene: Scene) -> Model:
     Raises:
         ConfigurationError: a cloth is not flat at rest.
     """
-    parts = [_cloth(spec, n) if isinstance(spec, Cloth) else _rope(spec, n) for n, spec in _solved(scene)]
+    parts = [_particles_of(spec, n) for n, spec in enumerate(scene.deformables)]
     starts = np.cumsum([0, *(len(part.rest) for part in parts)])
     slices = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
     return Model(
@@ -96,8 +96,18 @@ def build(scene: Scene) -> Model:
     )
 
 
-def _solved(scene: Scene) -> list[tuple[int, Cloth | Rope]]:
-    return [(n, spec) for n, spec in enumerate(scene.deformables) if isinstance(spec, Cloth | Rope)]
+def _particles_of(spec: DeformableSpec, owner: int) -> Model:
+    """Return the particles of a cloth or rope; of anything else, which other modules compute, none."""
+    if isinstance(spec, Cloth):
+        return _cloth(spec, owner)
+    if isinstance(spec, Rope):
+        return _rope(spec, owner)
+    none = np.zeros(0, np.float32)
+    kinds = {"triangles": (3, 6), "edges": (2, 2), "bends": (4, 5)}
+    return Model(
+        (), np.zeros((0, 3), np.float32), none, none, none, none.astype(np.int32), none.astype(np.int32), none,
+        np.zeros((0, 2), np.int32), **{name: _constraints([], [], owner, *shape) for name, shape in kinds.items()},
+    )  # fmt: skip
 
 
 def _joined(parts: list[Constraints], starts: npt.NDArray[np.int64], columns: int, width: int) -> Constraints:

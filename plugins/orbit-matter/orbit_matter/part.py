@@ -16,6 +16,8 @@ from torch import Tensor
 from orbit_matter import attached, bodies, contact, kernels, rows, self_contact
 from orbit_matter.colliders import Colliders
 from orbit_matter.model import Constraints, Model
+from orbit_matter.solids.part import SolidPart
+from orbit_matter.solids.solids import Solids
 
 MARGIN = 0.004
 """Metres that two particles may come nearer before pairs are searched again."""
@@ -32,6 +34,10 @@ class Stepping:
     """Over the triangles of cloth in each."""
     contact_stiffness: float
     """N/m of one particle."""
+    solid_steps: int
+    """Of solids in a physics step; substeps are a multiple of it."""
+    solid_iterations: int
+    """Of conjugate gradients in each."""
 
     @property
     def h(self) -> float:
@@ -48,10 +54,17 @@ class Part:
         model: of every environment.
         colliders: what they meet; ``rows`` begin with the first kind of environment.
         stepping: how long a substep is.
+        solids: of every environment.
     """
 
     def __init__(
-        self, rows: slice, memory: Mapping[str, Tensor], model: Model, colliders: Colliders, stepping: Stepping
+        self,
+        rows: slice,
+        memory: Mapping[str, Tensor],
+        model: Model,
+        colliders: Colliders,
+        stepping: Stepping,
+        solids: Solids,
     ) -> None:
         self._rows, memory = rows, {name: tensor[rows] for name, tensor in memory.items()}
         self._model, self._colliders, self._stepping = model, colliders, stepping
@@ -71,6 +84,14 @@ class Part:
         self._triangles = _struct(kernels.Triangles(), model.triangles)
         self._triangles.multiplier = wp.zeros((self._n, len(model.triangles.particles)), dtype=wp.vec3)
         self._bends = _struct(kernels.Bends(), model.bends)
+        self._solids = self._make_solids(memory, solids)
+
+    def _make_solids(self, memory: Mapping[str, Tensor], solids: Solids) -> SolidPart | None:
+        if not solids.model.deformables:
+            return None
+        damping = np.array(solids.damping, np.float32)
+        iterations = self._stepping.solid_iterations
+        return SolidPart(memory, solids.model, self._felt, self._bodies, damping, solids.h, iterations)
 
     def _make_particles(self, memory: Mapping[str, Tensor]) -> Any:
         made, model, shape = kernels.Particles(), self._model, (self._n, self._p)
@@ -165,6 +186,13 @@ class Part:
         wp.launch(contact.find_holders, (self._n, len(self._model.slices)), inputs=[self._particles, self._felt, mine])
         inputs = [self._particles, self._links, self._colliders.shapes, self._felt, mine]
         wp.launch(contact.exempt_inside, shape, inputs=inputs)
+        if self._solids is not None:
+            self._solids.hold(self._links, self._colliders.shapes, mine)
+
+    def orient(self, chosen: Tensor) -> None:
+        """Find the rotations of solids from scratch in chosen environments, of all (N,) bool."""
+        if self._solids is not None:
+            self._solids.orient(wp.from_torch(chosen[self._rows]))
 
     def search_again(self) -> None:
         """Find the pairs that the last search found, from where particles then were."""
@@ -188,7 +216,10 @@ class Part:
         self._place(1.0, 0)
         wp.launch(contact.bound, (self._n, self._colliders.count), inputs=[self._links, self._colliders.shapes])
         near = [self._particles, self._links, self._colliders.shapes, self._felt, self._stepping.physics_dt]
-        if self.takes_rows:
+        if self._solids is not None:
+            dt = self._stepping.physics_dt
+            self._solids.launch_near(self._links, self._colliders.shapes, self._gravity, dt)
+        if self.takes_rows and self._p:
             wp.launch(rows.find_near, self._n, inputs=near)
         else:
             wp.launch(contact.find_near, (self._n, self._p), inputs=near)
@@ -199,15 +230,16 @@ class Part:
             wp.launch(self_contact.doubt, (self._n, self._p), inputs=doubted)
             self._launch_search(self._neighbours, renewed=1)
         for number in range(self._stepping.substeps):
-            self._launch_substep((number + 1) / self._stepping.substeps)
+            self._launch_substep(number + 1)
         if self._free:
             inputs = [self._attached, self._bodies, self._felt, self._gravity, self._stepping.physics_dt]
             wp.launch(attached.conclude, (self._n, self._free), inputs=inputs)
 
-    def _place(self, share: float, first: int, moving: bool = False) -> None:
+    def _place(self, share: float, first: int, moving: bool = False, pushed: bool = False) -> None:
         """Put links and shapes where they are after a share of the step, the first time or again.
 
-        Free bodies respond to what they felt, where they are ``moving``.
+        Free bodies respond to what they felt, where they are ``moving``; where they are ``pushed``, to solids as well,
+        which are taken to do what they did last.
         """
         wp.launch(kernels.place_links, (self._n, self._count + 1), inputs=[self._links, self._count, share])
         if self._free and moving:
@@ -216,6 +248,8 @@ class Part:
             wp.launch(bodies.respond, shape, inputs=inputs)
             inputs = [self._attached, self._bodies, self._links, self._particles, self._felt, dt, h]
             wp.launch(attached.predict, shape, inputs=inputs)
+            if pushed and self._solids is not None:
+                self._solids.launch_push(self._links, lasting=False)
         shapes = [self._links, self._colliders.shapes, first]
         wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=shapes)
 
@@ -225,8 +259,16 @@ class Part:
         wp.launch(self_contact.insert, shape, inputs=[self._particles, near, renewed])
         wp.launch(self_contact.find, shape, inputs=[self._particles, near, MARGIN])
 
-    def _launch_substep(self, share: float) -> None:
-        self._place(share, 0, moving=True)
+    def _launch_substep(self, number: int) -> None:
+        steps = self._stepping.solid_steps
+        due = number * steps % self._stepping.substeps == 0
+        self._place(number / self._stepping.substeps, 0, moving=True, pushed=due)
+        if self._solids is not None and due:
+            self._solids.launch_step(self._links, self._colliders.shapes, self._gravity, 1.0 / steps)
+            if self._free:
+                self._solids.launch_push(self._links, lasting=True)
+        if not self._p:
+            return
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
         numbers = [self._stepping.contact_stiffness, self._stepping.h, 1.0 / self._stepping.substeps]
         if self.takes_rows:

@@ -1,4 +1,4 @@
-"""Tasks of cloth and rope: grips, other arms, folds that are none, crumpled starts."""
+"""Tasks of cloth, rope and solids: grips, other arms, folds that are none, crumpled starts."""
 
 from __future__ import annotations
 
@@ -29,6 +29,19 @@ def test_an_arm_whose_fingers_close_on_arcs_lifts_cloth() -> None:
     for _ in range(150):
         environment.step(expert.compute({})["action"])
     assert environment.task.success(environment).all()
+    environment.close()
+
+
+def test_a_hand_lifts_a_soft_block_by_friction_and_hardly_squeezes_it() -> None:
+    environment = make("Soft-Lifting", 1, "mujoco", seed=0)
+    task = environment.task
+    expert = task.expert(environment)
+    environment.reset(seed=0)
+    assert task.metrics(environment)["squeeze"].abs().max() < 0.01
+    for _ in range(140):
+        environment.step(expert.compute({})["action"])
+    assert task.success(environment).all()
+    assert 0.0 < task.metrics(environment)["squeeze"] < 0.08
     environment.close()
 
 

@@ -27,6 +27,8 @@ from orbit_conformance.scenarios import (
     ropes,
     seals,
     sensing,
+    solid_contact,
+    solids,
     springs,
     terrain,
     turning_friction,
@@ -59,4 +61,6 @@ SCENARIOS: tuple[Scenario, ...] = (
     *ropes.SCENARIOS,
     *cloths.SCENARIOS,
     *matter_contact.SCENARIOS,
+    *solids.SCENARIOS,
+    *solid_contact.SCENARIOS,
 )

@@ -1,0 +1,292 @@
+"""Launches on any device: of single cells, sites and nodes, each gathering what the others have done to it."""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportInvalidTypeForm=false
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+from orbit_matter.bodies import Bodies
+from orbit_matter.contact import Felt
+from orbit_matter.kernels import Links, Particles
+from orbit_matter.solids import kernels as k
+from orbit_matter.solids.kernels import MIDDLE, NODES, Sites, Solids, Solve
+from orbit_matter.surfaces import Shapes
+
+
+@wp.struct
+class Gather:
+    """Cells that act on each node, the number of the node in each, and the sites in each cell."""
+
+    first: wp.array[int]
+    """(n + 1,) of each node in ``cell`` and ``local``."""
+    cell: wp.array[int]
+    local: wp.array[int]
+    first_site: wp.array[int]
+    """(C + 1,) of each cell in ``site``."""
+    site: wp.array[int]
+    pull: wp.array2d[wp.vec3]
+    """(N, 27 C) what each cell does to each of its nodes."""
+
+
+@wp.kernel(enable_backward=False)
+def orient(s: Solids, chosen: wp.array[bool]):
+    """Find rotations from scratch, in chosen environments."""
+    env, b = wp.tid()
+    if chosen[env]:
+        s.body_turn[env, b] = k.first_rotation(k.mean_stretch(s, env, b, 0.0))
+        for c in range(s.first_cell[b], s.first_cell[b + 1]):
+            s.turn[env, c] = k.first_rotation(k.stretched(s, env, c, 0.0))
+
+
+@wp.kernel(enable_backward=False)
+def show(s: Solids, t: Sites):
+    """Put sites where their nodes are."""
+    env, site = wp.tid()
+    k.show(s, t, env, site)
+
+
+@wp.kernel(enable_backward=False)
+def turn(s: Solids):
+    """Update the rotations of cells."""
+    env, c = wp.tid()
+    k.turn_cell(s, env, c)
+
+
+@wp.kernel(enable_backward=False)
+def turn_bodies(s: Solids):
+    """Update the mean rotations of solids."""
+    env, b = wp.tid()
+    k.turn_body(s, env, b)
+
+
+@wp.kernel(enable_backward=False)
+def strain(s: Solids, g: Gather, h: float):
+    """Compute the forces of cells on their nodes at the point of linearisation."""
+    env, number = wp.tid()
+    c, i = number / NODES, number % NODES
+    axes, found, kind = wp.quat_to_matrix(s.turn[env, c]), wp.vec3(), s.kind[c]
+    for j in range(NODES):
+        off = k.strain_node(s, env, c, j, axes, h)
+        for row in range(3):
+            for column in range(3):
+                found[row] = found[row] + s.flat[kind, 3 * j + column, 3 * i + row] * off[column]
+    g.pull[env, number] = axes * found * -k.stiffness_of(s, env, s.cell_body[c])
+
+
+@wp.kernel(enable_backward=False)
+def bend(s: Solids, solve: Solve, g: Gather, h: float):
+    """Multiply the stiffness of cells and the direction p."""
+    env, number = wp.tid()
+    c, i = number / NODES, number % NODES
+    axes, found, kind = wp.quat_to_matrix(s.turn[env, c]), wp.vec3(), s.kind[c]
+    middle, b = solve.p[env, s.cells[c, MIDDLE]], s.cell_body[c]
+    for j in range(NODES):
+        moved = (solve.p[env, s.cells[c, j]] - middle) @ axes
+        for row in range(3):
+            for column in range(3):
+                found[row] = found[row] + s.flat[kind, 3 * j + column, 3 * i + row] * moved[column]
+    g.pull[env, number] = axes * found * (k.stiffness_of(s, env, b) * k.damped(s, env, b, h))
+
+
+@wp.kernel(enable_backward=False)
+def meet(s: Solids, t: Sites, held: Particles, links: Links, shapes: Shapes, felt: Felt):
+    """Linearise contacts and attachments."""
+    env, site = wp.tid()
+    if site < t.contacts:
+        k.touch(s, t, links, shapes, felt, s.parameters, env, site)
+    else:
+        k.grip(s, t, held, links, env, site)
+
+
+@wp.kernel(enable_backward=False)
+def block(t: Sites, b: Bodies, gravity: wp.array[wp.vec3]):
+    """Find how far the engine holds free bodies."""
+    env, i = wp.tid()
+    t.blocked[env, i] = k.blocked(b, gravity[env], env, i)
+
+
+@wp.kernel(enable_backward=False)
+def push(t: Sites, b: Bodies, links: Links, way: float, lasting: int):
+    """Move free bodies by what solids did to them, in ``way`` s^2: ``lasting`` beyond this substep or not."""
+    env, i = wp.tid()
+    # All sites are searched: no list of those on a body is kept, for bodies are few and lists would need sorting.
+    link = b.link[env, i]
+    origin = wp.transform_point(links.link[env, link], b.center[env, i])
+    force, torque = wp.vec3(), wp.vec3()
+    for site in range(t.x.shape[1]):
+        if t.link[env, site] == link:
+            force -= t.force[env, site]
+            torque -= wp.cross(t.x[env, site] - origin, t.force[env, site])
+    if lasting == 1:
+        b.shift[env, i] = b.shift[env, i] + force * (way / b.mass[env, i])
+        b.turned[env, i] = b.turned[env, i] + b.turning[env, i] * torque * way
+    else:
+        # What the engine holds stays where the engine has it: what held it in the last step is not known beforehand.
+        free = 1.0 - t.blocked[env, i]
+        shift = force * (way * free / b.mass[env, i]) - b.shift[env, i] * (1.0 - free)
+        turn = b.turning[env, i] * torque * (way * free) - b.turned[env, i] * (1.0 - free)
+        k.moved_by(b, links, env, i, shift, turn)
+
+
+@wp.kernel(enable_backward=False)
+def soften(t: Sites, b: Bodies, links: Links, h: float):
+    """Let free bodies give way to what presses on them."""
+    env, i = wp.tid()
+    firm = float(0.0)
+    for site in range(t.x.shape[1]):
+        if t.link[env, site] == b.link[env, i]:
+            firm += t.whole[env, site]
+    for site in range(t.x.shape[1]):
+        if t.link[env, site] == b.link[env, i]:
+            k.soften(t, b, links, env, i, site, firm, h)
+
+
+@wp.kernel(enable_backward=False)
+def choose(s: Solids, t: Sites, solve: Solve, held: Particles):
+    """Choose the preconditioner of each solid."""
+    env, b = wp.tid()
+    solve.preset[env, b] = k.is_preset(t, held, s, env, b)
+
+
+@wp.kernel(enable_backward=False)
+def resist(s: Solids, t: Sites, solve: Solve):
+    """Compute the forces of sites against the direction p."""
+    env, site = wp.tid()
+    if t.link[env, site] != k.NONE:
+        t.pull[env, site] = k.resist(t, env, site, k.of_nodes(s, t, solve.p, env, site))
+
+
+@wp.func
+def gathered(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: int) -> wp.vec3:
+    """Return the force of cells and sites on a node."""
+    found = wp.vec3()
+    for n in range(g.first[node], g.first[node + 1]):
+        c, i = g.cell[n], g.local[n]
+        found += g.pull[env, c * NODES + i]
+    return found + of_sites(g, t, forces, env, node)
+
+
+@wp.func
+def of_sites(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: int) -> wp.vec3:
+    """Return the force of sites on a node."""
+    found = wp.vec3()
+    # A site is in one cell, of which the node is one corner at most: none is counted twice.
+    for n in range(g.first[node], g.first[node + 1]):
+        c, i = g.cell[n], g.local[n]
+        for m in range(g.first_site[c], g.first_site[c + 1]):
+            site = g.site[m]
+            if t.link[env, site] != k.NONE:
+                found += forces[env, site] * t.weights[site, i]
+    return found
+
+
+@wp.kernel(enable_backward=False)
+def begin(s: Solids, t: Sites, solve: Solve, g: Gather, gravity: wp.array[wp.vec3], h: float):
+    """Compute the residual at the point of linearisation."""
+    env, i = wp.tid()
+    solve.r[env, i] = k.own_force(s, gravity, env, i, h) + gathered(g, t, t.force, env, i)
+    solve.delta[env, i] = wp.vec3()
+    k.to_rows(s, solve, env, i)
+
+
+@wp.kernel(enable_backward=False)
+def apply(s: Solids, t: Sites, solve: Solve, g: Gather, h: float):
+    """Multiply the matrix and the direction p, as q."""
+    env, i = wp.tid()
+    solve.q[env, i] = solve.p[env, i] * k.inertia_of(s, env, i, h) + gathered(g, t, t.pull, env, i)
+
+
+@wp.kernel(enable_backward=False)
+def precondition(s: Solids, solve: Solve):
+    """Apply one row of the preconditioner."""
+    env, row = wp.tid()
+    b = int(0)
+    while row >= s.first_row[b + 1]:
+        b += 1
+    first = s.first_row[b]
+    # Neighbouring threads read neighbouring numbers: those of a block of rows in one column.
+    count = 3 * (s.first_node[b + 1] - s.first_node[b])
+    at = s.inverse_at[b, solve.preset[env, b]] + (row - first) / k.LANES * count
+    found, lane = float(0.0), (row - first) % k.LANES
+    for j in range(count):
+        found += s.flat_inverse[at + j, lane] * solve.rows[env, first + j]
+    solve.out[env, row] = found
+
+
+@wp.kernel(enable_backward=False)
+def aim(s: Solids, solve: Solve, first: int):
+    """Compute the product of residual and direction, and how much of the last direction the new one keeps."""
+    env, b = wp.tid()
+    rz, old = float(0.0), float(solve.rz[env, b])
+    for i in range(s.first_node[b], s.first_node[b + 1]):
+        k.from_rows(s, solve, env, i)
+        rz += wp.dot(solve.r[env, i], solve.z[env, i])
+    solve.rz[env, b] = rz
+    solve.turned[env, b] = wp.where(first == 1, 0.0, k.quotient(rz, old))
+
+
+@wp.kernel(enable_backward=False)
+def direct(s: Solids, solve: Solve):
+    """Compute the new direction of search."""
+    env, i = wp.tid()
+    found, turned = wp.vec3(solve.z[env, i]), solve.turned[env, s.body[i]]
+    if turned != 0.0:  # the first one takes nothing of the step before, not even if it was not finite
+        found += solve.p[env, i] * turned
+    solve.p[env, i] = found
+
+
+@wp.kernel(enable_backward=False)
+def measure(s: Solids, solve: Solve):
+    """Compute how far to go along the direction."""
+    env, b = wp.tid()
+    pq = float(0.0)
+    for i in range(s.first_node[b], s.first_node[b + 1]):
+        pq += wp.dot(solve.p[env, i], solve.q[env, i])
+    solve.step[env, b] = k.quotient(solve.rz[env, b], pq)
+
+
+@wp.kernel(enable_backward=False)
+def advance(s: Solids, solve: Solve):
+    """Step along the direction."""
+    env, i = wp.tid()
+    step = solve.step[env, s.body[i]]
+    solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
+    solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
+    k.to_rows(s, solve, env, i)
+
+
+@wp.kernel(enable_backward=False)
+def let_slip(s: Solids, t: Sites, links: Links, solve: Solve):
+    """Compute the forces at the end of the step."""
+    env, site = wp.tid()
+    if t.link[env, site] != k.NONE:
+        k.let_slip(s, t, links, solve, env, site)
+
+
+@wp.kernel(enable_backward=False)
+def conclude(s: Solids, solve: Solve, h: float):
+    """Take nodes to the end of the step."""
+    env, i = wp.tid()
+    k.conclude_node(s, solve, env, i, h)
+
+
+@wp.kernel(enable_backward=False)
+def age(s: Solids):
+    """Note that a step has been made."""
+    env, b = wp.tid()
+    s.fresh[env, b] = 0
+
+
+@wp.kernel(enable_backward=False)
+def press(t: Sites, felt: Felt, links: Links, share: float):
+    """Add up the forces on each link, one site after another, so that sums repeat."""
+    env, link = wp.tid()
+    # Each thread owns a link, so that no two add to one sum at a time and its order is that of the sites.
+    for site in range(t.x.shape[1]):
+        if t.link[env, site] == link:
+            k.press(t, felt, links, env, site, share)

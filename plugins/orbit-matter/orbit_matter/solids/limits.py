@@ -1,0 +1,78 @@
+"""Limits of the solids' solver, found before anything runs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
+from orbit_core.scene import SoftBody
+from orbit_matter.solids.grid import cell_counts
+
+_STIFFEST = 5e5
+"""``E h^2 / (rho l^2)`` of a cell of edge l: a block of 5 cm kept its weight within 1e-6 and its shape within 1e-6 up
+to 1.2e6, and diverged at 1.2e7, where single precision no longer resolves its strains."""
+_LIGHTEST = 0.3
+"""Part of a solid's mass that a free body should have: one of half of it and more came to rest on a block within
+1 cm/s, one of a tenth hopped at up to 2 cm/s."""
+
+
+def check_stiffness(layout: SceneLayout, steps: int) -> None:
+    """Refuse solids that are too stiff for their step.
+
+    Args:
+        layout: of the scene.
+        steps: of solids in a physics step.
+
+    Raises:
+        ConfigurationError: names the solid, and the ``physics_dt`` that would do.
+    """
+    # Only the shortest edge counts: along it waves cross a cell soonest.
+    h = layout.scene.physics_dt / steps
+    for spec in _solids(layout):
+        extent = np.ptp(spec.rest_positions, axis=0)
+        edge = float((extent / cell_counts(extent, spec.resolution)).min())
+        most = math.sqrt(_STIFFEST * spec.density / spec.youngs_modulus) * edge
+        if h > most:
+            raise ConfigurationError(
+                f"soft body '{spec.name}' is too stiff for steps of {h:.2g} s at {spec.youngs_modulus:.3g} Pa and "
+                f"elements of {edge:.2g} m: a physics_dt of {most:.2g} s would do, larger elements (resolution), or a "
+                "rigid object"
+            )
+
+
+def light_bodies(layout: SceneLayout) -> tuple[Approximation, ...]:
+    """Report free bodies that are so light that they may hop on a solid of the scene."""
+    found: list[Approximation] = []
+    for entity in layout.entities:
+        if not entity.spec.is_free_body:
+            continue
+        mass = min(articulation.links[0].mass for articulation in entity.spec.alternatives)
+        for spec in _solids(layout):
+            if mass < _LIGHTEST * spec.mass:
+                would = f"{_LIGHTEST * spec.mass:.2g} kg would do"
+                why = f"it weighs {mass:.2g} kg and '{spec.name}' {spec.mass:.2g} kg: {would}"
+                asked = f"resting on '{spec.name}'"
+                found.append(Approximation(f"'{entity.name}'", asked, "hops by up to some cm/s", why))
+    return tuple(found)
+
+
+def apart(layout: SceneLayout) -> tuple[Approximation, ...]:
+    """Report deformables that solids of the scene pass through."""
+    names = [f"'{spec.name}'" for spec in layout.scene.deformables]
+    if len(names) < 2:
+        return ()
+    return tuple(
+        Approximation(
+            f"'{spec.name}'",
+            f"contact with {', '.join(name for name in names if name != repr(spec.name))}",
+            "none: they pass through each other",
+            "solids meet links and terrain, and no other deformables",
+        )
+        for spec in _solids(layout)
+    )
+
+
+def _solids(layout: SceneLayout) -> tuple[SoftBody, ...]:
+    return tuple(spec for spec in layout.scene.deformables if isinstance(spec, SoftBody))

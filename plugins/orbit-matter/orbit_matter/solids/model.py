@@ -1,0 +1,231 @@
+"""The solids of a scene, one after another, as arrays: one description for all environments."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.scene import Scene, SoftBody
+from orbit_matter.solids.element import FloatArray
+from orbit_matter.solids.grid import Embedding, IntArray, embed
+from orbit_matter.solids.kernels import LANES
+
+CONTACT_SHARE = 15.0
+"""Inertias ``m / h^2`` of what moves with it that a contact is firm. Up to this share one linearisation of the contacts
+is enough; at 61 they flicker, and a grasped block weighs 6 to 26 % too much."""
+HOLD = 20.0
+"""Times the stiffness of a cell, ``E`` times its edge, that a held vertex is held with: a beam clamped by 25 vertices
+bends 0.1 % more."""
+
+
+@dataclass(frozen=True, eq=False)
+class SolidModel:
+    """B solids with n nodes, C cells and S sites."""
+
+    deformables: tuple[int, ...]
+    """Index of each solid among the scene's deformables."""
+    embeddings: tuple[Embedding, ...]
+    vertices: tuple[slice, ...]
+    """Sites that are the vertices of each solid's mesh."""
+    contacts: int
+    """Sites of contact, which come before all vertices."""
+    nodes: npt.NDArray[np.float32]
+    """(n, 3) m at rest, in the environment's frame."""
+    first_node: IntArray
+    """(B + 1,)"""
+    first_cell: IntArray
+    first_row: IntArray
+    """(B + 1,) rows of each solid's preconditioner, filled up to multiples of LANES."""
+    masses: npt.NDArray[np.float32]
+    cells: IntArray
+    """(C, 27)"""
+    kinds: IntArray
+    """(C,)"""
+    stiffness: npt.NDArray[np.float32]
+    """(K, 81, 81)"""
+    site_cells: IntArray
+    weights: npt.NDArray[np.float32]
+    """(S, 27)"""
+    firmness: npt.NDArray[np.float32]
+    """(contacts, 3, 3) N/m of contacts: ``n^T firmness n`` along a normal n."""
+    holds: npt.NDArray[np.float32]
+    """(V,) N/m of what holds vertices."""
+    attached: IntArray
+    """(S,) 1 for vertices that the scene attaches."""
+    inverses: npt.NDArray[np.float32]
+    """(blocks of columns, LANES)"""
+    inverse_at: IntArray
+    """(B, 2) where the preconditioner of the free and of the attached solid begins."""
+    fits: tuple[npt.NDArray[np.float32], ...]
+    """(n, V) of each solid: nodes that put vertices where they are written."""
+
+
+def build(scene: Scene, h: float) -> SolidModel:
+    """Assemble the solids of a scene for steps of ``h`` seconds.
+
+    Raises:
+        ConfigurationError: the grid of a solid is too fine.
+    """
+    found = [(n, spec) for n, spec in enumerate(scene.deformables) if isinstance(spec, SoftBody)]
+    parts = [_embedded(_Key(spec)) for _, spec in found]
+    counts = {name: _starts([len(getattr(part, name)) for part in parts]) for name in ("nodes", "cells", "stiffness")}
+    rows = _starts([-(-3 * len(part.nodes) // LANES) * LANES for part in parts])
+    sites = [part.contacts for part in parts] + [part.vertices for part in parts]
+    site_starts = _starts([len(each.cells) for each in sites])
+    owners = [*range(len(parts)), *range(len(parts))]
+    firm = [_contact_firmness(spec, part, h) for (_, spec), part in zip(found, parts, strict=True)]
+    holds = [np.full(len(part.vertices.cells), _hold(spec, part)) for (_, spec), part in zip(found, parts, strict=True)]
+    contacts = int(site_starts[len(parts)]) if parts else 0
+    attached = np.zeros(int(site_starts[-1]), np.int32)
+    for number, (_, spec) in enumerate(found):
+        for held in spec.attachments:
+            attached[site_starts[len(parts) + number] + np.array(held.particles, np.int64)] = 1
+    inverses, places = _preconditioners([spec for _, spec in found], h)
+    return SolidModel(
+        deformables=tuple(n for n, _ in found),
+        embeddings=tuple(parts),
+        vertices=tuple(slice(int(a), int(b)) for a, b in pairwise(site_starts[len(parts) :])),
+        contacts=contacts,
+        nodes=_joined([spec.pose.transform(part.nodes) for (_, spec), part in zip(found, parts, strict=True)], (3,)),
+        first_node=counts["nodes"],
+        first_cell=counts["cells"],
+        first_row=rows,
+        masses=_joined([part.masses for part in parts], ()),
+        cells=_shifted([part.cells for part in parts], counts["nodes"], (27,)),
+        kinds=_shifted([part.kinds for part in parts], counts["stiffness"], ()),
+        stiffness=_joined([part.stiffness for part in parts], (81, 81)),
+        site_cells=_shifted([each.cells for each in sites], counts["cells"][owners] if parts else rows, ()),
+        weights=_joined([each.weights for each in sites], (27,)),
+        firmness=_joined(firm, (3, 3)),
+        holds=_joined(holds, ()),
+        attached=attached,
+        inverses=inverses,
+        inverse_at=places,
+        fits=tuple(_fit(part).astype(np.float32) for part in parts),
+    )
+
+
+class _Key:
+    """A solid by what its embedding depends on."""
+
+    def __init__(self, spec: SoftBody) -> None:
+        self.spec = spec
+        numbers = (spec.density, spec.youngs_modulus, spec.poissons_ratio, spec.resolution or 0.0)
+        mesh = (np.asarray(spec.mesh.vertices, np.float64).tobytes(), np.asarray(spec.mesh.faces, np.int64).tobytes())
+        self.key = (spec.name, numbers, mesh)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and self.key == other.key
+
+
+@functools.lru_cache(maxsize=32)
+def _embedded(key: _Key) -> Embedding:
+    """Embed a solid, once in a process."""
+    return embed(key.spec)
+
+
+def _starts(counts: list[int]) -> IntArray:
+    return np.cumsum([0, *counts]).astype(np.int32)
+
+
+def _joined(parts: list[FloatArray], shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    return np.concatenate([np.zeros((0, *shape)), *parts]).astype(np.float32)
+
+
+def _shifted(parts: list[IntArray], starts: IntArray, shape: tuple[int, ...]) -> IntArray:
+    """Join indices of each solid as indices of all."""
+    moved = [part + start for part, start in zip(parts, starts, strict=False)]
+    return np.concatenate([np.zeros((0, *shape), np.int32), *moved]).astype(np.int32)
+
+
+def _contact_firmness(spec: SoftBody, part: Embedding, h: float) -> FloatArray:
+    areas = part.contacts.areas
+    return CONTACT_SHARE * spec.mass / (h * h) * areas / np.einsum("pii->", areas)
+
+
+def _hold(spec: SoftBody, part: Embedding) -> float:
+    return HOLD * spec.youngs_modulus * float(part.size.min())
+
+
+# Preconditioners -----------------------------------------------------------------------------------------------------
+
+
+def _preconditioners(specs: list[SoftBody], h: float) -> tuple[npt.NDArray[np.float32], IntArray]:
+    """Return the inverses of all solids' matrices at rest without contacts, and where each begins."""
+    blocks, places, begin = [np.zeros((0, LANES), np.float32)], np.zeros((len(specs), 2), np.int32), 0
+    for number, spec in enumerate(specs):
+        held = sorted({particle for attachment in spec.attachments for particle in attachment.particles})
+        for kind, particles in enumerate(([], held)):
+            if kind and not particles:
+                places[number, 1] = places[number, 0]
+                continue
+            packed = _packed(_inverse(_Key(spec), spec.damping, h, tuple(particles)))
+            blocks.append(packed)
+            places[number, kind] = begin
+            begin += len(packed)
+    return np.concatenate(blocks), places
+
+
+@functools.lru_cache(maxsize=8)
+def _inverse(key: _Key, damping: float, h: float, held: tuple[int, ...]) -> FloatArray:
+    """Invert the matrix of a step for a solid at rest, with some of its vertices held; once in a process."""
+    spec, part = key.spec, _embedded(key)
+    matrix = part.assembled() * (1.0 + 1.5 * damping / h)
+    matrix[np.diag_indices(len(matrix))] += np.repeat(2.25 / (h * h) * part.masses, 3)
+    # Held vertices resist alike in all directions, so that the matrix may be turned with the body.
+    if held:
+        weights = part.weights_of(part.vertices)[list(held)]
+        firm = _hold(spec, part) * weights.T @ weights
+        for axis in range(3):
+            matrix[axis::3, axis::3] += firm
+    return np.asarray(np.linalg.inv(matrix), np.float64)
+
+
+def _packed(matrix: FloatArray) -> npt.NDArray[np.float32]:
+    """Return blocks of LANES rows, column after column, (blocks x columns, LANES)."""
+    count = len(matrix)
+    blocks = -(-count // LANES)
+    # Rows beyond the last are zero, and so is what they give.
+    padded = np.zeros((blocks * LANES, count))
+    padded[:count] = matrix
+    return padded.reshape(blocks, LANES, count).transpose(0, 2, 1).reshape(-1, LANES).astype(np.float32)
+
+
+# Writing -------------------------------------------------------------------------------------------------------------
+
+_SMOOTH = 1e-4
+"""Weight of the smoothness of the nodes between vertices, against that of vertices being where they are written."""
+
+
+def _fit(part: Embedding) -> FloatArray:
+    """Return the matrix (n, V) that turns vertices into nodes.
+
+    It is exact for what moves, turns or stretches as a whole; the rest is fitted to the vertices by least squares,
+    as smooth as it can be in between.
+    """
+    weights = part.weights_of(part.vertices)
+    vertices = weights @ part.nodes
+    # What is uniform goes through the mean deformation, and only the rest through the smooth fit.
+    even = np.column_stack((np.ones(len(vertices)), vertices))
+    whole = np.linalg.pinv(even)
+    rough = np.zeros((len(part.nodes), len(part.nodes)))
+    for nodes in part.cells:
+        grid = nodes.reshape(3, 3, 3)
+        for axis in range(3):
+            lines = np.moveaxis(grid, axis, 0)
+            for low, high in ((0, 1), (1, 2)):
+                a, b = lines[low].ravel(), lines[high].ravel()
+                rough[a, a] += 1.0
+                rough[b, b] += 1.0
+                rough[a, b] -= 1.0
+                rough[b, a] -= 1.0
+    matrix = weights.T @ weights + _SMOOTH * rough
+    rest = np.linalg.solve(matrix, weights.T) @ (np.eye(len(vertices)) - even @ whole)
+    return np.column_stack((np.ones(len(part.nodes)), part.nodes)) @ whole + rest

@@ -1,0 +1,180 @@
+"""Launches for a CPU: one thread takes all cells, sites and nodes of an environment in turn."""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportInvalidTypeForm=false
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+from orbit_matter.bodies import Bodies
+from orbit_matter.contact import Felt
+from orbit_matter.kernels import Links, Particles
+from orbit_matter.solids import kernels as k
+from orbit_matter.solids.kernels import MIDDLE, NODES, Column, Lanes, Sites, Solids, Solve
+from orbit_matter.surfaces import Shapes
+
+
+@wp.func
+def pull(s: Solids, c: int, local: Column) -> Column:
+    """Multiply the stiffness of a cell and what its nodes moved, in its axes."""
+    # Whole columns at a time, which the compiler turns into vector instructions: 3.5 multiply-adds a nanosecond.
+    found, kind = Column(), s.kind[c]
+    for j in range(81):
+        found += s.stiffness[kind, j] * local[j]
+    return found
+
+
+@wp.func
+def scatter(s: Solids, to: wp.array2d[wp.vec3], env: int, c: int, axes: wp.mat33, local: Column, scale: float):
+    """Add what a cell does to its nodes, given in its axes."""
+    for i in range(NODES):
+        node = s.cells[c, i]
+        to[env, node] = to[env, node] + axes * wp.vec3(local[3 * i], local[3 * i + 1], local[3 * i + 2]) * scale
+
+
+@wp.func
+def scatter_site(s: Solids, t: Sites, to: wp.array2d[wp.vec3], env: int, site: int, force: wp.vec3):
+    """Add a force at a site to its nodes."""
+    c = t.cell[site]
+    for i in range(NODES):
+        node = s.cells[c, i]
+        to[env, node] = to[env, node] + force * t.weights[site, i]
+
+
+@wp.kernel(enable_backward=False)
+def begin(s: Solids, solve: Solve, gravity: wp.array[wp.vec3], h: float):
+    """Update rotations, and compute the residual at the point of linearisation without what sites add."""
+    env = wp.tid()
+    for b in range(s.owner.shape[0]):
+        k.turn_body(s, env, b)
+    for i in range(s.x.shape[1]):
+        solve.r[env, i] = k.own_force(s, gravity, env, i, h)
+        solve.delta[env, i] = wp.vec3()
+    for c in range(s.cells.shape[0]):
+        k.turn_cell(s, env, c)
+        axes, local = wp.quat_to_matrix(s.turn[env, c]), Column()
+        for i in range(NODES):
+            strain = k.strain_node(s, env, c, i, axes, h)
+            for axis in range(3):
+                local[3 * i + axis] = strain[axis]
+        scatter(s, solve.r, env, c, axes, pull(s, c, local), -k.stiffness_of(s, env, s.cell_body[c]))
+
+
+@wp.kernel(enable_backward=False)
+def meet(
+    s: Solids, t: Sites, solve: Solve, held: Particles, links: Links, shapes: Shapes, felt: Felt, b: Bodies, h: float
+):
+    """Linearise contacts and attachments, and add their forces to the residual."""
+    env = wp.tid()
+    count = int(0)
+    for site in range(t.x.shape[1]):
+        found = bool(False)
+        if site < t.contacts:
+            found = k.touch(s, t, links, shapes, felt, s.parameters, env, site)
+        else:
+            found = k.grip(s, t, held, links, env, site)
+        if found:
+            t.active[env, count] = site
+            count += 1
+    t.count[env] = count
+    # Shares of a body are known only when all sites on it are.
+    for i in range(b.link.shape[1]):
+        firm = float(0.0)
+        for n in range(count):
+            if t.link[env, t.active[env, n]] == b.link[env, i]:
+                firm += t.whole[env, t.active[env, n]]
+        for n in range(count):
+            if t.link[env, t.active[env, n]] == b.link[env, i]:
+                k.soften(t, b, links, env, i, t.active[env, n], firm, h)
+    for n in range(count):
+        scatter_site(s, t, solve.r, env, t.active[env, n], t.force[env, t.active[env, n]])
+    for solid in range(s.owner.shape[0]):
+        solve.preset[env, solid] = k.is_preset(t, held, s, env, solid)
+
+
+@wp.func
+def precondition(s: Solids, solve: Solve, env: int, b: int) -> float:
+    """Turn the residual r of a solid into a direction z; their product."""
+    begin, end, first = s.first_node[b], s.first_node[b + 1], s.first_row[b]
+    for i in range(begin, end):
+        k.to_rows(s, solve, env, i)
+    # LANES rows together, for each number of the residual: a row at a time takes 15 times as long.
+    begun, count = s.inverse_at[b, solve.preset[env, b]], 3 * (end - begin)
+    for block in range((s.first_row[b + 1] - first) / k.LANES):
+        found, at = Lanes(), begun + block * count
+        for j in range(count):
+            found += s.inverse[at + j] * solve.rows[env, first + j]
+        solve.out_lanes[env, first / k.LANES + block] = found
+    rz = float(0.0)
+    for i in range(begin, end):
+        k.from_rows(s, solve, env, i)
+        rz += wp.dot(solve.r[env, i], solve.z[env, i])
+    return rz
+
+
+@wp.func
+def apply(s: Solids, t: Sites, solve: Solve, h: float, env: int):
+    """Multiply the matrix and the direction p, as q."""
+    for i in range(s.x.shape[1]):
+        solve.q[env, i] = solve.p[env, i] * k.inertia_of(s, env, i, h)
+    for c in range(s.cells.shape[0]):
+        axes, local, middle = wp.quat_to_matrix(s.turn[env, c]), Column(), solve.p[env, s.cells[c, MIDDLE]]
+        for i in range(NODES):
+            moved = (solve.p[env, s.cells[c, i]] - middle) @ axes
+            for axis in range(3):
+                local[3 * i + axis] = moved[axis]
+        b = s.cell_body[c]
+        scatter(s, solve.q, env, c, axes, pull(s, c, local), k.stiffness_of(s, env, b) * k.damped(s, env, b, h))
+    for n in range(t.count[env]):
+        site = t.active[env, n]
+        moved = k.of_nodes(s, t, solve.p, env, site)
+        scatter_site(s, t, solve.q, env, site, k.resist(t, env, site, moved))
+
+
+@wp.kernel(enable_backward=False)
+def solve_all(s: Solids, t: Sites, solve: Solve, h: float, iterations: int):
+    """Solve by conjugate gradients, in as many iterations as are given."""
+    env = wp.tid()
+    solids = s.owner.shape[0]
+    for b in range(solids):
+        solve.rz[env, b] = precondition(s, solve, env, b)
+        for i in range(s.first_node[b], s.first_node[b + 1]):
+            solve.p[env, i] = solve.z[env, i]
+    for iteration in range(iterations):
+        apply(s, t, solve, h, env)
+        for b in range(solids):
+            begin, end, old = s.first_node[b], s.first_node[b + 1], solve.rz[env, b]
+            pq = float(0.0)
+            for i in range(begin, end):
+                pq += wp.dot(solve.p[env, i], solve.q[env, i])
+            step = k.quotient(old, pq)
+            for i in range(begin, end):
+                solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
+                solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
+            # The last direction would not be used.
+            if iteration + 1 < iterations:
+                rz = precondition(s, solve, env, b)
+                turned = k.quotient(rz, old)
+                solve.rz[env, b] = rz
+                for i in range(begin, end):
+                    solve.p[env, i] = solve.z[env, i] + solve.p[env, i] * turned
+
+
+@wp.kernel(enable_backward=False)
+def conclude(s: Solids, t: Sites, solve: Solve, links: Links, felt: Felt, h: float, share: float):
+    """Move nodes and sites to the end of the step, and add up the forces on links."""
+    env = wp.tid()
+    for n in range(t.count[env]):
+        k.let_slip(s, t, links, solve, env, t.active[env, n])
+    for i in range(s.x.shape[1]):
+        k.conclude_node(s, solve, env, i, h)
+    for b in range(s.owner.shape[0]):
+        s.fresh[env, b] = 0
+    for site in range(t.x.shape[1]):
+        k.show(s, t, env, site)
+    for n in range(t.count[env]):
+        k.press(t, felt, links, env, t.active[env, n], share)

@@ -1,0 +1,294 @@
+"""Elastic solids: their elements, how a surface is embedded, and how worlds hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from orbit_assets.deformables import ball, cuboid, ring
+from orbit_assets.objects import box
+from orbit_core.interfaces import ArgumentError, ConfigurationError, SimulationError, World
+from orbit_core.scene import Attachment, CameraSpec, Channel, Mesh, Pose, Scene, SoftBody, look_at
+from orbit_core.world import simulate
+from orbit_matter.solids import element, grid, skin
+from orbit_matter.solids.model import build
+from orbit_matter.solids.part import SolidPart
+
+MESH = cuboid((0.05, 0.05, 0.05), (2, 2, 2))
+BLOCK = SoftBody("block", MESH, 800.0, Pose((0.0, 0.0, 0.026)), 2e5, 0.3)
+END = tuple(np.flatnonzero(MESH.vertices[:, 0] < -0.024).tolist())
+HELD = replace(BLOCK, name="held", pose=Pose((0.0, 0.2, 0.1)), attachments=(Attachment(END),))
+PLATE = box("plate", size=(0.1, 0.1, 0.02), mass=1.0, pose=Pose((0.0, 0.0, 0.01)))
+ABOVE = replace(BLOCK, pose=Pose((0.0, 0.0, 0.0455)))
+CAMERA = CameraSpec(
+    name="eye",
+    width=20,
+    height=20,
+    vertical_fov=0.4,
+    pose=look_at(eye=(0.0, -1e-3, 0.5), target=(0.0, 0.0, 0.0)),
+    channels=(Channel.DEPTH, Channel.INSTANCE),
+)
+SCENE = Scene(objects=(PLATE,), deformables=(ABOVE, HELD), sensors=(CAMERA,), physics_dt=0.0025)
+
+
+# Elements ------------------------------------------------------------------------------------------------------------
+
+
+def test_an_element_has_exactly_the_six_modes_of_a_rigid_body_without_energy() -> None:
+    for fills in (None, np.array([1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5])):
+        points, weights = element.quadrature(fills)
+        matrix = element.stiffness(np.array([0.05, 0.02, 0.02]), element.elasticity(1e5, 0.3), points, weights)
+        energies = np.linalg.eigvalsh(matrix)
+        assert (energies < 1e-9 * energies[-1]).sum() == 6
+        assert energies[6] > 1e-5 * energies[-1]
+
+
+def test_a_uniform_strain_leaves_no_force_on_inner_nodes() -> None:
+    part = grid.embed(BLOCK)
+    stretch = np.array([[0.01, 0.003, 0.0], [0.0, -0.004, 0.002], [0.001, 0.0, 0.02]])
+    forces = (part.assembled() @ (part.nodes @ stretch.T).ravel()).reshape(-1, 3)
+    inner = (np.abs(part.nodes) < 0.024).all(axis=1)
+    assert inner.sum() == 27
+    assert np.abs(forces[inner]).max() < 1e-9 * np.abs(forces).max()
+
+
+def test_a_bar_has_the_stiffness_of_its_modulus_and_section() -> None:
+    part = grid.embed(replace(BLOCK, poissons_ratio=0.0))
+    strain = 0.01
+    forces = (part.assembled() @ (part.nodes * [strain, 0.0, 0.0]).ravel()).reshape(-1, 3)
+    end = part.nodes[:, 0] > 0.0249
+    assert forces[end, 0].sum() == pytest.approx(2e5 * strain * 0.05**2)
+
+
+# Embedding -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("mesh", "cells"), [(MESH, 8), (ball(0.05, 3), 8), (cuboid((0.2, 0.02, 0.02)), 4), (ring(0.03, 0.01), 16)]
+)
+def test_a_surface_is_embedded_with_its_mass_and_its_vertices_in_few_cells(mesh: Mesh, cells: int) -> None:
+    part = grid.embed(replace(BLOCK, mesh=mesh))
+    assert len(part.cells) == cells
+    assert part.masses.sum() == pytest.approx(replace(BLOCK, mesh=mesh).mass)
+    assert part.masses.min() > 0.0
+    np.testing.assert_allclose(part.weights_of(part.vertices) @ part.nodes, mesh.vertices, atol=1e-12)
+
+
+def test_a_ring_keeps_its_hole_in_finer_cells() -> None:
+    part = grid.embed(replace(BLOCK, mesh=ring(0.03, 0.01), resolution=0.0135))
+    assert len(part.cells) == 64
+    assert np.hypot(*part.nodes[:, :2].T).min() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("mesh", "volume"),
+    [
+        (cuboid((0.1, 0.2, 0.3), (1, 2, 3)), 0.006),
+        (ball(0.05, 4), 4.0 / 3.0 * np.pi * 0.05**3),
+        (ring(0.03, 0.01, (64, 32)), 2.0 * np.pi**2 * 0.03 * 0.01**2),
+    ],
+)
+def test_plain_surfaces_enclose_their_volume(mesh: Mesh, volume: float) -> None:
+    assert SoftBody("solid", mesh, 1.0).mass == pytest.approx(volume, rel=0.01)
+
+
+def test_surfaces_that_are_none_are_refused() -> None:
+    with pytest.raises(ArgumentError, match=r"a cuboid is 0\.0 m"):
+        cuboid((0.1, 0.0, 0.1))
+    with pytest.raises(ArgumentError, match="has 1 particles"):
+        cuboid((0.1, 0.1, 0.1), (0, 1, 1))
+    with pytest.raises(ArgumentError, match="divided 9 times"):
+        ball(0.1, 9)
+    with pytest.raises(ArgumentError, match="no hole"):
+        ring(0.01, 0.01)
+
+
+def test_points_of_contact_share_the_area_of_the_surface() -> None:
+    found = skin.sampled(MESH.vertices, np.asarray(MESH.faces), 0.00625)
+    assert len(found.points) == 386
+    assert np.einsum("pii->", found.areas) == pytest.approx(6 * 0.05**2)
+    top = found.points[:, 2] > 0.0249
+    assert found.areas[top, 2, 2].sum() == pytest.approx(0.05**2), "edges count with one of their sides"
+    fine = ball(0.05, 5)
+    thinned = skin.sampled(fine.vertices, np.asarray(fine.faces), 0.02)
+    assert len(thinned.points) < 0.2 * len(fine.vertices)
+    assert np.einsum("pii->", thinned.areas) == pytest.approx(4 * np.pi * 0.05**2, rel=0.01)
+
+
+def test_written_vertices_turn_and_stretch_all_nodes_exactly() -> None:
+    model = build(Scene(deformables=(replace(BLOCK, mesh=ball(0.05, 2)),)), 0.0025)
+    part = model.embeddings[0]
+    matrix = np.array([[0.0, -1.1, 0.0], [1.0, 0.0, 0.1], [0.0, 0.0, 0.9]])
+    written = part.weights_of(part.vertices) @ part.nodes @ matrix.T + 0.3
+    np.testing.assert_allclose(model.fits[0] @ written, part.nodes @ matrix.T + 0.3, atol=1e-5)
+
+
+# Worlds --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    made = simulate(SCENE, 2, "mujoco", matter="orbit-matter")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def fresh(world: World) -> World:
+    world.reset()
+    return world
+
+
+def test_a_run_repeats_bit_for_bit_after_a_reset_a_snapshot_and_in_every_environment(fresh: World) -> None:
+    block, held = fresh.deformables["block"], fresh.deformables["held"]
+    fresh.step(15)
+    saved, middle = fresh.save_state(), block.positions.clone()
+    fresh.step(15)
+    ends = block.positions.clone(), held.positions.clone()
+    assert torch.equal(ends[0][0], ends[0][1])
+    fresh.load_state(saved)
+    assert torch.equal(block.positions, middle)
+    fresh.step(15)
+    assert torch.equal(block.positions, ends[0])
+    fresh.reset()
+    fresh.step(30)
+    assert torch.equal(block.positions, ends[0])
+    assert torch.equal(held.positions, ends[1])
+
+
+def test_a_block_rests_on_what_feels_its_weight_and_is_seen(fresh: World) -> None:
+    block = fresh.deformables["block"]
+    fresh.step(150)
+    felt = torch.zeros(3)
+    for _ in range(20):
+        fresh.step(1)
+        felt += block.contact_force("plate", "plate")[0] / 20
+    assert felt[2].item() == pytest.approx(-9.81 * BLOCK.mass, rel=0.01)
+    assert block.positions[0, :, 2].min().item() == pytest.approx(0.02, abs=3e-4)
+    assert block.velocities.abs().max() < 5e-3
+    eye = fresh.sensors["eye"]
+    assert eye.image(Channel.DEPTH)[0, 10, 10, 0].item() == pytest.approx(0.43, abs=2e-3)
+    assert eye.image(Channel.INSTANCE)[0, 10, 10, 0] == 1, "after the plate"
+
+
+def test_a_side_that_the_world_holds_stays_until_it_is_released(fresh: World) -> None:
+    held, rest = fresh.deformables["held"], torch.as_tensor(HELD.pose.transform(MESH.vertices), dtype=torch.float32)
+    fresh.step(40)
+    torch.testing.assert_close(held.positions[0, list(END)], rest[list(END)], rtol=0.0, atol=1e-4)
+    assert held.positions[0, :, 2].min() < rest[:, 2].min() - 1e-4, "the other side droops"
+    held.release(env_ids=torch.tensor([1]))
+    fresh.step(20)
+    assert held.positions[1, :, 2].mean() < 0.095
+    assert held.positions[0, :, 2].mean() > 0.099
+
+
+def test_a_block_follows_the_link_that_it_is_held_by(fresh: World) -> None:
+    block = fresh.deformables["block"]
+    bottom = np.flatnonzero(MESH.vertices[:, 2] < -0.024).tolist()
+    plate = fresh.objects["plate"]
+    start, before = block.positions[:, bottom].mean(1), plate.root_pose[:, :3].clone()
+    block.anchor(bottom, to=("plate", "plate"))
+    plate.set_root_velocity(torch.tensor([[0.3, 0.0, 1.0, 0.0, 0.0, 0.0]]).repeat(2, 1))
+    fresh.step(40)
+    carried, way = block.positions[:, bottom].mean(1) - start, plate.root_pose[:, :3] - before
+    block.release()
+    assert way[0, 2] > 0.03
+    torch.testing.assert_close(carried, way, rtol=0.0, atol=2e-3)
+
+
+def test_density_and_stiffness_differ_between_environments(fresh: World) -> None:
+    held = fresh.deformables["held"]
+    rest = held.positions[0, :, 2].mean().item()
+    held.set_parameter("stiffness", torch.tensor([0.25]), torch.tensor([1]))
+    fresh.step(60)
+    droop = [rest - held.positions[env, :, 2].mean().item() for env in (0, 1)]
+    held.set_parameter("stiffness", torch.ones(2))
+    assert droop[1] / droop[0] > 2.0
+    with pytest.raises(ArgumentError, match="'held' bends as its stiffness says"):
+        held.set_parameter("bending", torch.ones(2))
+
+
+def test_a_mirrored_block_finds_its_shape_again(fresh: World) -> None:
+    block = fresh.deformables["block"]
+    points = block.positions.clone()
+    points[0, :, 0] *= -1.0  # inside out
+    points[1, :, :2] *= -1.0  # half a turn
+    points[..., 2] += 1.0
+    block.set_state(points)
+    fresh.step(120)
+    x = block.positions.double()
+    rest = torch.as_tensor(MESH.vertices)
+    assert (torch.cdist(x, x) - torch.cdist(rest, rest)).abs().max() < 1e-5
+
+
+def test_divergence_names_environment_and_solid_and_the_others_go_on() -> None:
+    own = simulate(Scene(deformables=(BLOCK,)), 2, "mujoco", matter="orbit-matter")
+    body = own.deformables["block"]
+    far = body.positions[1:].clone() + 9.9999e5
+    fast = torch.zeros_like(far)
+    fast[..., 0] = 9.9e3
+    body.set_state(far, fast, torch.tensor([1]))
+    with pytest.raises(SimulationError, match="environments 1 diverged in 'block'"):
+        own.step(10)
+    assert body.positions[0].abs().max() < 1.0
+    own.reset(torch.tensor([1]))
+    own.step(5)
+    assert torch.equal(body.velocities.isfinite().all(), torch.tensor(True))
+    own.close()
+
+
+def test_kernels_of_a_gpu_compute_what_those_of_a_cpu_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def after() -> torch.Tensor:
+        own = simulate(replace(SCENE, sensors=()), 2, "mujoco", matter="orbit-matter")
+        own.step(40)
+        found = torch.cat([body.positions for body in own.deformables.values()], dim=1).clone()
+        own.close()
+        return found
+
+    in_rows = after()
+    monkeypatch.setattr(SolidPart, "takes_rows", property(lambda part: False))
+    torch.testing.assert_close(after(), in_rows, rtol=0.0, atol=1e-5)
+
+
+# Mistakes ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("thing", "what"),
+    [
+        (replace(BLOCK, mesh=Mesh(MESH.vertices, MESH.faces[1:])), "not closed at the edge of vertices"),
+        (replace(BLOCK, mesh=Mesh(MESH.vertices, MESH.faces[:, ::-1])), "inside out"),
+        (replace(BLOCK, mesh=Mesh(MESH.vertices * [1, 1, 0], MESH.faces)), "no area|plane"),
+        (replace(BLOCK, resolution=0.0), "resolution"),
+        (replace(BLOCK, damping=-1.0), "damping"),
+        (replace(BLOCK, poissons_ratio=0.5), "poissons_ratio"),
+    ],
+)
+def test_a_solid_that_cannot_be_is_refused(thing: SoftBody, what: str) -> None:
+    with pytest.raises(ArgumentError, match=what):
+        simulate(Scene(deformables=(thing,)), 1, "mujoco", matter="orbit-matter")
+
+
+@pytest.mark.parametrize(
+    ("thing", "what"),
+    [
+        (replace(BLOCK, youngs_modulus=1e12), "'block' is too stiff .* a physics_dt of 0.0005 s would do"),
+        (replace(BLOCK, resolution=0.004), "a resolution of 0.01 m would do"),
+    ],
+)
+def test_a_solid_that_cannot_be_computed_is_refused_with_what_would_do(thing: SoftBody, what: str) -> None:
+    with pytest.raises(ConfigurationError, match=what):
+        simulate(Scene(deformables=(thing,)), 1, "mujoco", matter="orbit-matter")
+
+
+def test_the_build_report_names_light_bodies_and_what_solids_pass_through() -> None:
+    light = replace(SCENE, objects=(box("plate", (0.1, 0.1, 0.02), mass=0.01, pose=PLATE.pose),), sensors=())
+    own = simulate(light, 1, "mujoco", matter="orbit-matter")
+    said = [str(each) for each in own.build_report]
+    own.close()
+    assert any("'plate'" in each and "hops" in each and "0.03 kg would do" in each for each in said)
+    assert any("'block'" in each and "contact with 'held'" in each for each in said)
