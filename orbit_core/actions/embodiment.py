@@ -30,10 +30,12 @@ def joint_commands(spec: RobotSpec) -> JointCommands:
     """
     if spec.joint_commands is not None:
         return spec.joint_commands
+    # A walker with an arm is moved by its legs as well, so it takes the general rule below.
     if spec.has_arm and not spec.feet:
         return JointCommands(joints=spec.end_effector.arm_joints, position_scale=_ARM_SCALE, limit_speed=True)
     carrying = base_joints(spec)
     names = [spec.articulation.joint_names[joint] for joint in driven_joints(spec)]
+    # Bases have commands of their own kind: velocities.
     joints = tuple(re.escape(name) for name in names if name not in carrying)
     return JointCommands(joints=joints, position_scale=_LEG_SCALE if spec.feet else None)
 
@@ -61,6 +63,7 @@ def joints_above(spec: RobotSpec, frame: str) -> set[str]:
     above = {joint.child: joint for joint in articulation.joints}
     link = frame if frame in articulation.link_names else articulation.frame(frame).link
     found: set[str] = set()
+    # Towards the root: every joint on the way moves the frame.
     while link in above:
         found.add(above[link].name)
         link = above[link].parent

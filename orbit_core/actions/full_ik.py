@@ -72,9 +72,11 @@ class FullIk:
         self._joints = torch.tensor(list(joints), device=home.device)
         self._home = home[self._joints]
         low, high = limits[self._joints].unbind(1)
+        # A joint without limits is searched over a full turn around home.
         finite = low.isfinite() & high.isfinite()
         self._low = torch.where(finite, low, self._home - torch.pi)
         self._high = torch.where(finite, high, self._home + torch.pi)
+        # A fixed seed: the same pose gives the same solution in every run.
         generator = torch.Generator().manual_seed(0)
         drawn = torch.rand(max(config.seeds - 2, 0), len(self._home), generator=generator).to(self._low.device)
         self._drawn = self._low + drawn * (self._high - self._low)
@@ -90,6 +92,7 @@ class FullIk:
         """
         count = pose.shape[0]
         current = positions[:, self._joints]
+        # The present posture first, so that a near solution wins over a far one.
         starts = (current[:, None], self._home.expand(count, 1, -1), self._drawn.expand(count, -1, -1))
         seeds = torch.cat(starts, 1)[:, : self.config.seeds]
         width = seeds.shape[1]
@@ -114,8 +117,10 @@ class FullIk:
             error = pose_error(self._tree.frame_pose(links, self._frame), target)
             jacobian = self._tree.jacobian(links, self._frame)[:, :, self._joints]
             damping = (0.5 * error.square().sum(1).clamp(max=0.1) + _BIAS)[:, None, None]
+            # Blocked joints get no step, or they would take it from the others.
             at_limit = self._blocked(full[:, self._joints], jacobian, error)
             step = _damped_step(jacobian.masked_fill(at_limit[:, None], 0.0), error, damping)
+            # The linear model holds for small angles only.
             step = step.clamp(-_LARGEST_STEP, _LARGEST_STEP)
             full[:, self._joints] = torch.clamp(full[:, self._joints] + step, self._low, self._high)
         links = self._tree.forward(root, full)

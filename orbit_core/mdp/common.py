@@ -128,11 +128,11 @@ def workspace_of(spec: RobotSpec) -> Workspace:
 
 
 def _joint_names(env: Environment, agent: str = ROBOT) -> Sequence[str]:
-    return robot_of(env.world, agent).joint_names
+    return env.world.robots[agent].joint_names
 
 
 def _home_positions(env: Environment, agent: str = ROBOT) -> Tensor:
-    return robot_of(env.world, agent).home_positions
+    return env.world.robots[agent].home_positions
 
 
 def _action_components(env: Environment, agent: str | None = None) -> Sequence[str]:
@@ -143,7 +143,7 @@ def _action_components(env: Environment, agent: str | None = None) -> Sequence[s
 @measured_in("rad or m")
 def joint_positions(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N, J) relative to the home pose."""
-    body = robot_of(env.world, agent)
+    body = env.world.robots[agent]
     return body.joint_positions - body.home_positions
 
 
@@ -151,14 +151,14 @@ def joint_positions(env: Environment, agent: str = ROBOT) -> Tensor:
 @measured_in("rad/s or m/s")
 def joint_velocities(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N, J)"""
-    return robot_of(env.world, agent).joint_velocities
+    return env.world.robots[agent].joint_velocities
 
 
 @means("temperature of each joint's motor windings, 25 where they are not described", components=_joint_names)
 @measured_in("degrees Celsius")
 def motor_temperatures(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N, J) of the windings, 25 where a motor's are not described."""
-    return robot_of(env.world, agent).motor_temperatures
+    return env.world.robots[agent].motor_temperatures
 
 
 @means(
@@ -176,7 +176,7 @@ def last_action(env: Environment, agent: str | None = None) -> Tensor:
 @once_per_state
 def hand_pose(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N, 7) of the end effector, in the environment's frame."""
-    robot = robot_of(env.world, agent)
+    robot = env.world.robots[agent]
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
@@ -246,12 +246,12 @@ def action_size(env: Environment) -> Tensor:
 
 def joint_effort(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N,) sum of squared joint efforts."""
-    return squared_norm(robot_of(env.world, agent).joint_efforts)
+    return squared_norm(env.world.robots[agent].joint_efforts)
 
 
 def joint_speed(env: Environment, agent: str = ROBOT) -> Tensor:
     """(N,) sum of squared joint velocities."""
-    return squared_norm(robot_of(env.world, agent).joint_velocities)
+    return squared_norm(env.world.robots[agent].joint_velocities)
 
 
 def add_noise(group: ObservationGroup, **deviations: float) -> None:
@@ -310,7 +310,7 @@ def randomize_robot_start(spread: float, agent: str = ROBOT):
     """Event: joint positions around the home pose, uniform within ``spread`` (rad or m), inside the limits."""
 
     def randomize(env: Environment, env_ids: Tensor) -> None:
-        robot = robot_of(env.world, agent)
+        robot = env.world.robots[agent]
         count = len(robot.joint_names)
         offset = env.world.random.uniform((count,), -spread, spread, env_ids)
         limits = robot.position_limits

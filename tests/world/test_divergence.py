@@ -26,5 +26,5 @@ def test_velocities_beyond_the_bounds_are_found_and_what_has_no_joints_is_fine()
 
 def test_the_error_names_the_environments_and_the_remedy() -> None:
     assert "environments 3, 5 diverged" in str(divergence_error([3, 5]))
-    assert "environments that have begun anew since diverged" in str(divergence_error([]))
+    assert "environments that were reset since diverged" in str(divergence_error([]))
     assert "0, 1, 2, 3, 4, 5, 6, 7, ..." in str(divergence_error(range(20)))

@@ -18,11 +18,13 @@ from typing import Any
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from orbit_core.envs import make
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import CaptureFacet
+from orbit_core.interfaces.capture import EngineCall, Traceable, traced_by
 
 
 def main() -> None:
@@ -114,13 +116,22 @@ def compiled_whole(arguments: argparse.Namespace, mode: str | None) -> Callable[
 
     def play() -> object:
         environment.observe()
-        environment.world.selector.traced = True
-        try:
+        with traced_by(_PassThrough()):
             return whole()
-        finally:
-            environment.world.selector.traced = False
 
     return torch.compile(play, mode=mode)
+
+
+class _PassThrough:
+    """Tracer that notes nothing: code then looks at no numbers, as in a traced step."""
+
+    incomplete = False
+
+    def read(self, owner: Traceable, name: str, function: Callable[[], Tensor]) -> Tensor:
+        return function()
+
+    def call(self, call: EngineCall) -> Any:
+        return call.function(**call.arguments)
 
 
 class _Unrecorded(CaptureFacet):
