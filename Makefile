@@ -32,7 +32,7 @@ PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
 UNITS := --ignore tests/conformance/test_scenarios.py
 
 .PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
-	slow-list docs docs-view wheels check-wheels report-archive clean
+	slow-list docs docs-view wheels check-wheels report-archive release clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -130,9 +130,12 @@ $(VENV)/.builders: $(VENV)/bin/python
 	$(PIP) hatchling editables setuptools wheel
 	touch $@
 
+# What the demonstrations need and no more: OpenUSD and the suite's packages would take a third of the time.
+DEMO := assets learn motion policies viewer
+
 $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
-	sh tools/system_packages.sh graphics & $(PIP) -r checkout.txt --editable plugins/orbit-mjmodel \
-		--editable plugins/orbit-mujoco --editable ".[robots,usd,mjcf,viewer,video]" && wait $$!
+	sh tools/system_packages.sh graphics & $(PIP) --editable . $(DEMO:%=--editable packages/orbit-%) --editable ./orbit_tasks \
+		--editable plugins/orbit-mjmodel --editable plugins/orbit-mujoco --editable ".[robots,viewer,video]" && wait $$!
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
@@ -143,11 +146,16 @@ $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
 	$(PIP) --no-deps crocoddyl libcrocoddyl
 	touch $(VENV)/.ready $@
 
+$(VENV)/.ready-release: $(VENV)/.builders
+	$(PIP) twine
+	touch $@
+
 # Wheels and source archives of every distribution, and a check that they install and run without this checkout.
-wheels: $(VENV)/.ready-dev
+wheels: $(VENV)/.ready-release
 	rm -rf dist && mkdir -p dist
 	for folder in $(OWN) $(PLUGINS:%=plugins/orbit-%); do \
 		(cd $$folder && $(abspath $(BIN))/hatchling build -d $(CURDIR)/dist >/dev/null) || exit 1; done
+	$(BIN)/twine check --strict dist/*
 
 check-wheels: wheels
 	PYTHON=$(PYTHON) sh tools/check_wheels.sh dist examples/orbit-torch
@@ -157,6 +165,10 @@ check-wheels: wheels
 report-archive: $(VENV)/.ready-dev
 	$(BIN)/orbit conformance publish $(RUNS) --output docs/conformance --archive out/release \
 		--benchmarks docs/figures/gpu_rates.json
+
+# What a release would upload and tag, after checks of version, changes and archives; uploads nothing.
+release: wheels
+	$(BIN)/python tools/release.py check dist
 
 clean:
 	rm -rf $(VENV) out

@@ -13,15 +13,16 @@ import os
 import platform
 import re
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import importlib_metadata
 
 from orbit_core import __version__
 from orbit_core.configuration import configured, settings_table
-from orbit_core.installing import install_extra
+from orbit_core.installing import install_extra, upgrade_command
 from orbit_core.interfaces.backend import Backend
-from orbit_core.interfaces.capabilities import IMAGES, MATTER, Capability, required_capabilities
+from orbit_core.interfaces.capabilities import IMAGES, MATTER, Capability
+from orbit_core.interfaces.contract import CONTRACT, contract_text
 from orbit_core.interfaces.errors import (
     BackendNotInstalledError,
     ConfigurationError,
@@ -31,8 +32,11 @@ from orbit_core.interfaces.errors import (
 )
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
 from orbit_core.registry import Registry, faults_named
-from orbit_core.scene import Scene
 
+if TYPE_CHECKING:
+    from orbit_core.scene import Scene
+
+_Plugin = TypeVar("_Plugin", Backend, MatterSolver)
 GROUP = "orbit.backends"
 RENDERERS = "orbit.renderers"
 MATTER_SOLVERS = "orbit.matter"
@@ -138,7 +142,10 @@ def matter_solver(name: str) -> MatterSolver:
         ConfigurationError: its plugin fails to import, or is no matter solver.
     """
     if name not in matter_names():
-        raise UnknownNameError("matter solver", name, {NATIVE, *matter_names()})
+        note = installable_matter().get(name, "") if isinstance(name, str) else ""
+        raise UnknownNameError(
+            "matter solver", name, {NATIVE, *matter_names()}, note=note and f"it is not installed: {note}"
+        )
     return _kept_matter(name)
 
 
@@ -155,6 +162,9 @@ def choose_matter(backend: Backend, scene: Scene, name: str | None) -> MatterSol
         UnknownNameError: no installed solver has that name.
         UnsupportedCapabilityError: the solver that is named lacks what the scene needs; says what has it.
     """
+    # Names and declarations of plugins are read without scenes, which take longer to load.
+    from orbit_core.interfaces.requirements import required_capabilities
+
     needs = {need: culprit for need, culprit in required_capabilities(scene).items() if need in MATTER}
     named = None if name is None or name == NATIVE else matter_solver(name)
     if not needs or name == NATIVE:
@@ -194,6 +204,8 @@ def check_scene(
     Raises:
         UnsupportedCapabilityError: names each capability, what needs it, why it is missing and what has it.
     """
+    from orbit_core.interfaces.requirements import required_capabilities
+
     needs = required_capabilities(scene)
     others = IMAGES if matter is None else (*IMAGES, *MATTER)
     physics = {need: culprit for need, culprit in needs.items() if need not in others}
@@ -274,13 +286,7 @@ def _matter_solvers() -> Registry[Callable[[], MatterSolver]]:
 
 @functools.cache
 def _kept_matter(name: str) -> MatterSolver:
-    registry = _matter_solvers()
-    plugin = f"matter solver '{name}', {registry.origin(name)}"
-    with faults_named(plugin):
-        made = registry.get(name)()
-    if not isinstance(made, MatterSolver):
-        raise ConfigurationError(f"{plugin}, makes a {type(made).__name__}, not an orbit_core.interfaces MatterSolver")
-    return made
+    return _loaded(_matter_solvers(), name, MatterSolver)
 
 
 def _made(registry: Registry[Callable[[], Backend]], name: str) -> Backend:
@@ -290,12 +296,51 @@ def _made(registry: Registry[Callable[[], Backend]], name: str) -> Backend:
 
 @functools.cache
 def _kept(registry: Registry[Callable[[], Backend]], name: str) -> Backend:
+    return _loaded(registry, name, Backend)
+
+
+def _loaded(registry: Registry[Callable[[], Any]], name: str, kind: type[_Plugin]) -> _Plugin:
+    """Load and create a plugin, after checking the version of the contract that it was written for.
+
+    Raises:
+        ConfigurationError: It cannot be loaded, was written for another version, or is not of that kind.
+    """
+    factory, distribution = registry.get(name), registry.distribution(name)
     plugin = f"{registry.kind} '{name}', {registry.origin(name)}"
-    with faults_named(plugin):
-        made = registry.get(name)()
-    if not isinstance(made, Backend):
-        raise ConfigurationError(f"{plugin}, makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
+    if isinstance(factory, type) and issubclass(factory, kind):
+        # Before it is created: a class of another contract may lack methods that this one requires.
+        _check_contract(plugin, distribution, factory)
+    with faults_named(plugin, distribution):
+        made = factory()
+    if not isinstance(made, kind):
+        raise ConfigurationError(
+            f"{plugin}, makes a {type(made).__name__}, not an orbit_core.interfaces.{kind.__name__}"
+        )
+    _check_contract(plugin, distribution, type(made))
     return made
+
+
+def _check_contract(plugin: str, distribution: str, kind: type[Backend | MatterSolver]) -> None:
+    stated = getattr(kind, "contract", None)
+    own = contract_text(CONTRACT)
+    upgrade = f"{upgrade_command(distribution)}" if distribution else "install another version of it"
+    if stated is None:
+        raise ConfigurationError(
+            f"{plugin}, does not state the version of the contract that it was written for, and orbit-core "
+            f"{__version__} has {own}: {upgrade}, or, if it is your own, say contract = {CONTRACT} in {kind.__name__} "
+            "(docs/write-a-backend.md)"
+        )
+    if not (isinstance(stated, tuple) and len(stated) == 2 and all(type(number) is int for number in stated)):
+        raise ConfigurationError(
+            f"{plugin}, states contract = {stated!r}, which is no pair of whole numbers such as {CONTRACT}"
+        )
+    major, minor = stated
+    if major != CONTRACT[0] or minor > CONTRACT[1]:
+        remedy = upgrade_command("orbit-core") if stated > CONTRACT else upgrade
+        raise ConfigurationError(
+            f"{plugin}, was written for version {contract_text(stated)} of the contract, and orbit-core {__version__} "
+            f"has {own}: {remedy}"
+        )
 
 
 def versions_of(*backends: str | None, matter: str = "") -> dict[str, str]:

@@ -56,7 +56,7 @@ _MERGED = {
     "orbit_core.cli.settings": ("checks", "parsing"),
     "orbit_core.dynamics.kinematics": ("tree",),
     "orbit_core.envs.captured_step": ("step_parts",),
-    "orbit_core.interfaces.capabilities": ("gaps", "requirements"),
+    "orbit_core.interfaces.capabilities": ("gaps",),
     "orbit_core.interfaces.engine": ("rays",),
     "orbit_core.interfaces.errors": ("divergence",),
     "orbit_core.interfaces.layout": ("built",),

@@ -91,6 +91,7 @@ class PretrainedPolicy:
 @cache
 def _installed() -> Registry[PretrainedPolicy]:
     def read(package: ModuleType) -> None:
+        # A namespace package can have several folders.
         for folder in package.__path__:
             for about in sorted(Path(folder).glob(f"*/{ABOUT}")):
                 registry.add(about.parent.name, _read(about))
@@ -121,6 +122,7 @@ def policy_path(name: str | Path) -> Path:
         UnknownNameError: neither exists.
     """
     path = as_path(name)
+    # Files win over names: a person's own policy may have the name of a kept one.
     return path if path.exists() else pretrained_policy(str(name)).folder
 
 
@@ -149,7 +151,7 @@ def _read(about: Path) -> PretrainedPolicy:
         values = read_toml(about, "description")
         gaps = tuple(TransferGap(**gap) for gap in values.pop("gaps", ()))
         policy = PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
-        TypeChecker().check(policy, "it")
+        TypeChecker().check(policy, "it")  # TOML has types, but any of them in any field
         return policy
     except (ValueError, TypeError, RecursionError, ConfigurationError) as error:
         raise ConfigurationError(f"{about} describes no policy: {error}") from error

@@ -148,7 +148,7 @@ class RobotCatalogue:
                 )
             if name not in self._registry.names:
                 parts = [other for other, entry in self.entries.items() if entry.part]
-                raise UnknownNameError("part", name, parts, f"robot '{names}'", "; ".join(self._registry.faults))
+                raise UnknownNameError("part", name, parts, f"robot '{names}'", self._registry.note)
             found.append(self._registry.get(name))
         return found
 

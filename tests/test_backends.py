@@ -14,6 +14,7 @@ import pytest
 
 from orbit_core import backends, installing
 from orbit_core.interfaces import (
+    CONTRACT,
     EXACT,
     Backend,
     BackendNotInstalledError,
@@ -43,6 +44,7 @@ class PlainBackend(Backend):
     """Everything but triangle meshes."""
 
     name = "plain"
+    contract = CONTRACT
     config_type = PlainConfig
 
     def capabilities(self) -> Capabilities:

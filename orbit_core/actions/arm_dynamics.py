@@ -100,6 +100,7 @@ class ArmDynamics:
         """Return the state of link poses (N, L, 7), and positions and velocities (N, J) of all joints."""
         joints = self._joints
         moving = velocities.index_select(1, joints)
+        # The base counts as fixed: its motion is not in the joints' equation.
         at_rest = velocities.new_zeros((velocities.shape[0], 6))
         mass, bias = self.model.equation_of_motion(poses, at_rest, velocities)
         mass, bias = mass.index_select(1, joints).index_select(2, joints), bias.index_select(1, joints)

@@ -40,7 +40,9 @@ class MotionGenerator(Node):
         self.outputs = tuple(Port(target.value, (len(self.joints),)) for target in targets)
         self.num_envs = robot.joint_positions.shape[0]
         self.device = robot.joint_positions.device
+        # Split once, because clamping takes them as two tensors in every step.
         self.lower_limits, self.upper_limits = robot.position_limits[self.joints].unbind(-1)
+        # A slice where joints are adjacent: a view costs less than a gather.
         self._columns = columns_of(self.joints, self.device)
 
     def enter(self, world: World, step_dt: float) -> None:
@@ -128,6 +130,7 @@ def speed_limited_lead(robot: Robot, joints: Sequence[int]) -> Tensor:
     for group in robot.spec.actuators:
         for joint in robot.find_joints(*group.joints):
             if group.stiffness > 0.0:
+                # A drive without damping has no speed at which its effort is zero.
                 braking = fastest[joint] * group.damping if group.damping > 0.0 else 0.0
                 leads[joint] = max(braking, strongest[joint]) / group.stiffness
     return leads[list(joints)]
@@ -144,6 +147,7 @@ class CommandMode(Enum):
     """What was asked for last, from what is measured at the beginning of an episode: nothing creeps."""
 
 
+# Apart from the generators, since those of joints and of poses both integrate commands.
 class LastTargets:
     """Return the last targets (N, *shape); the measured values in environments that have just begun.
 
@@ -188,6 +192,7 @@ class Actuate(Node):
         self.name = f"actuate_{generator.name}"
         self.inputs = generator.outputs
         self.robot = robot
+        # Looked up once, so that a turn of the node only writes.
         self._writers = [
             (port.name, robot.target_writer(JointTarget(port.name), generator.joints)) for port in self.inputs
         ]

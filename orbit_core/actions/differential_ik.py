@@ -131,6 +131,7 @@ class DifferentialIk(PoseFollower):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         displacement = self._pose.displacement(inputs["command"])
         jacobian = self.robot.jacobian(self.frame, self.joints)
+        # Only goals that stay can make a stretched arm swing; relative commands move with the hand.
         if self._settles:
             delta = damped_least_squares(jacobian, displacement, self.config.damping, steadying(displacement))
         else:
@@ -152,6 +153,7 @@ def bounded_targets(generator: MotionGenerator, delta: Tensor, max_joint_step: f
 
     They are clipped to the joints' limits.
     """
+    # Scaled as a whole, so that the hand keeps its direction.
     largest = torch.linalg.vector_norm(delta, math.inf, dim=-1, keepdim=True)
     shrink = (largest.reciprocal() * max_joint_step).clamp(max=1.0)
     targets = torch.addcmul(generator.positions, delta, shrink)

@@ -20,6 +20,7 @@ def driven_joints(spec: RobotSpec) -> list[int]:
     return [joint for joint in joints if articulation.movable_joints[joint].mimic is None]
 
 
+# A robot's description decides scales, so that one task runs with robots of different sizes.
 def joint_commands(spec: RobotSpec) -> JointCommands:
     """The robot's own, or else what its parts suggest.
 

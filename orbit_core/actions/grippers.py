@@ -75,6 +75,7 @@ class BinaryGripper(MotionGenerator):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
+        # Zero opens: a policy that outputs nothing must not grip.
         targets = torch.where(command < 0.0, self._closed, self._open)
         # Where a command is not a number the targets are none either, and refused by the robot.
         return {JointTarget.POSITION: torch.where(command.isnan(), command, targets)}
@@ -99,6 +100,7 @@ def gripper_positions(
             "each, or one number for all"
         )
     by_pattern = dict(zip(patterns, value, strict=True))
+    # Positions are given per pattern, and joints may match in another order.
     by_joint = match_values(by_pattern, spec.articulation.joint_names, "joint", f"action term '{term}'")
     return [by_joint[joint] for joint in joints]
 

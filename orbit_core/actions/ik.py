@@ -68,6 +68,7 @@ def damped_least_squares(jacobian: Tensor, error: Tensor, damping: float, more: 
     regular = _scaled_identity(jacobian.shape[1], damping**2, jacobian.device)
     if more is not None:
         regular = regular + more[:, None, None] * _scaled_identity(jacobian.shape[1], 1.0, jacobian.device)
+    # The 6 x 6 form: joints outnumber the twist's components, and its factors are cheaper.
     square = torch.baddbmm(regular, jacobian, transposed)
     return torch.bmm(transposed, solve_spd(square, error.unsqueeze(-1))).squeeze(-1)
 
@@ -99,6 +100,7 @@ def _pseudo_inverse(jacobian: Tensor, error: Tensor, _: float, __: float) -> Ten
 def _transpose(jacobian: Tensor, error: Tensor, _: float, __: float) -> Tensor:
     gradient = (jacobian.transpose(1, 2) @ error.unsqueeze(-1)).squeeze(-1)
     effect = (jacobian @ gradient.unsqueeze(-1)).squeeze(-1)
+    # The step that minimises the remaining error along the gradient.
     length = (error * effect).sum(-1, keepdim=True) / effect.square().sum(-1, keepdim=True).clamp_min(1e-12)
     return length * gradient
 
@@ -155,6 +157,7 @@ class PoseCommand:
         device = robot.joint_positions.device
         self._robot, self._frame, self._mode = robot, frame, mode
         self._scale = torch.tensor([scales[0]] * 3 + [scales[1]] * 3, device=device)
+        # Shaped to divide position and rotation parts in one operation.
         self._leads = torch.tensor(leads, device=device).view(2, 1)
         self._home = _pose_at_home(robot, frame)
         self._last = LastTargets(robot.joint_positions.shape[0], (7,), device)
@@ -168,6 +171,7 @@ class PoseCommand:
         what is asked for.
         """
         offset = command * self._scale
+        # Kept for `asked`, which an expert reads between two commands.
         if self._mode is CommandMode.RELATIVE:
             self._offset.copy_(offset)
             return offset
@@ -177,6 +181,7 @@ class PoseCommand:
             error = _projected(kept, pose_error(measured, wanted))
             self._last.keep(wanted if kept is None else displaced(measured, error))
             return self._led(error)
+        # The wanted pose is held near the measured one, so that a blocked hand does not wind up.
         led = self._led(_projected(kept, pose_error(measured, displaced(self._last.read(measured), offset))))
         self._last.keep(displaced(measured, led))
         return led

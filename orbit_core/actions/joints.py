@@ -60,11 +60,13 @@ class JointPosition(MotionGenerator):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
         span = torch.where(command < 0.0, self._below, self._above) if self.config.scale is None else self._above
+        # The common mode reads no state, which saves the call and the gather.
         origin = self._home if self.config.mode is CommandMode.ABSOLUTE else self._origin()
         targets = torch.addcmul(origin, command, span)
         if self._lead is not None:
             positions = self.positions
             targets = torch.clamp(targets, positions - self._lead, positions + self._lead)
+        # Limits last: a lead must not carry a target beyond them.
         targets = torch.clamp(targets, self.lower_limits, self.upper_limits)
         if self.config.mode is CommandMode.INTEGRATED:
             self._last.keep(targets)
@@ -93,6 +95,7 @@ class JointPosition(MotionGenerator):
 
     @property
     def affine(self) -> tuple[Tensor, Tensor] | None:
+        # Only equal spans on both sides of home make the map affine.
         straight = torch.allclose(self._above, self._below)
         return (self._home, self._above) if straight and self.config.mode is CommandMode.ABSOLUTE else None
 
@@ -103,6 +106,7 @@ class JointPosition(MotionGenerator):
         """The command (N, k) whose targets are nearest to ``positions`` (N, k)."""
         offset = positions - self._origin()
         span = torch.where(offset < 0.0, self._below, self._above)
+        # A joint whose home is at its limit has no span on that side.
         return (offset / span.clamp_min(1e-6)).clamp(-1.0, 1.0)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
@@ -169,6 +173,7 @@ class JointVelocity(MotionGenerator):
         targets = torch.clamp(targets, -self._fastest, self._fastest)
         if self.config.mode is CommandMode.INTEGRATED:
             self._last.keep(targets)
+        # The position target follows the joint, so that stiffness does not work against the velocity.
         return {JointTarget.POSITION: self.positions, JointTarget.VELOCITY: targets}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
@@ -275,7 +280,9 @@ class JointEffort(MotionGenerator):
 
     def _pursuing(self, displacement: Tensor) -> Tensor:
         frequency = _PURSUIT_FREQUENCY
+        # Critically damped, so that the motion of an expert does not overshoot.
         acceleration = frequency**2 * displacement - 2.0 * frequency * self.velocities
+        # Built on first use: only experts need the model, and it costs some milliseconds.
         if self._dynamics is None:
             self._dynamics = ArmDynamics(self.robot, self.joints)
         state = self._dynamics.state()

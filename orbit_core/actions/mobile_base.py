@@ -63,6 +63,7 @@ class BaseVelocityConfig(ActionTerm):
     def joint_indices(self, spec: RobotSpec, name: str) -> list[int]:
         """Indices of the joints of x, y and yaw, in this order."""
         joints = super().joint_indices(spec, name)
+        # Regular expressions lose the order, and here it says which joint is x, y and yaw.
         names = list(self.default_joints(spec) if self.joints is None else self.joints)
         if sorted(names) != sorted(spec.articulation.joint_names[joint] for joint in joints) or len(names) != 3:
             raise ConfigurationError(
@@ -90,9 +91,11 @@ class BaseVelocity(MotionGenerator):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
+        # The limit holds for the speed as a whole: a base is no faster along a diagonal.
         speed = torch.linalg.vector_norm(command[:, :2], dim=1, keepdim=True)
         planar, turn = command[:, :2] / speed.clamp_min(1.0), command[:, 2:].clamp(-1.0, 1.0)
         most = torch.maximum(speed, command[:, 2:].abs()).squeeze(1)
+        # Counted for reports: clamping in silence would hide a wrongly scaled policy.
         self.clamped += most > 1.0 + ROUNDING
         positions = self.positions
         velocities = torch.cat((_turned(planar, positions[:, 2]), turn), dim=1) * self._limits
@@ -123,6 +126,7 @@ def command_towards(displacement: Tensor, heading: Tensor, limits: Tensor) -> Te
         limits: (3,) :attr:`BaseVelocityConfig.limits`.
     """
     velocities = PURSUIT_RATE * displacement / limits
+    # Commands are in the base's axes, displacements in those of the plane.
     planar = _turned(velocities[:, :2], -heading)
     excess = torch.linalg.vector_norm(planar, dim=1, keepdim=True).clamp_min(1.0)
     return torch.cat((planar / excess, velocities[:, 2:].clamp(-1.0, 1.0)), dim=1)
@@ -235,6 +239,7 @@ class DifferentialDrive(MotionGenerator):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
+        # Counted for reports, as of a planar base.
         self.clamped += command.abs().amax(1) > 1.0 + ROUNDING
         speeds = self._wheels.speeds(command.clamp(-1.0, 1.0) * self._limits)
         return {JointTarget.POSITION: self.positions, JointTarget.VELOCITY: speeds}

@@ -56,6 +56,7 @@ def with_drives_for(spec: RobotSpec, terms: Mapping[str, ActionTerm]) -> RobotSp
         if term.unwanted_gains
         for joint in term.joint_indices(spec, name)
     }
+    # The same object, so that scenes without such terms compare equal.
     if not unwanted:
         return spec
     groups = [part for group in spec.actuators for part in _split(group, spec, unwanted)]
@@ -67,6 +68,7 @@ def _split(group: ActuatorConfig, spec: RobotSpec, unwanted: Mapping[str, tuple[
     names = spec.articulation.joint_names
     parts: dict[tuple[str, ...], list[str]] = {}
     for joint in match_names(group.joints, names, "joint", f"'{spec.name}'"):
+        # Escaped, because a joint's name may hold characters of regular expressions.
         parts.setdefault(unwanted.get(names[joint], ()), []).append(re.escape(names[joint]))
     return [replace(group, joints=tuple(part), **dict.fromkeys(gains, 0.0)) for gains, part in parts.items()]
 
@@ -105,6 +107,7 @@ def preset_terms(spec: RobotSpec, name: str, prefix: str = "") -> dict[str, Acti
         more["base"] = BaseVelocityConfig()
     elif spec.differential_base:
         more["base"] = DifferentialDriveConfig()
+    # Each joint belongs to one term at most.
     terms |= {key: term for key, term in more.items() if moved.isdisjoint(term.joint_indices(spec, key))}
     return {prefix + key: replace(term, robot=spec.name) for key, term in terms.items()}
 
@@ -121,7 +124,7 @@ def _leading(spec: RobotSpec, name: str) -> ActionTerm:
     generators = motion_generators()
     known = {*ACTION_PRESETS, *generators.names}
     if name not in known:
-        raise UnknownNameError("action space", name, known, note="; ".join(generators.faults))
+        raise UnknownNameError("action space", name, known, note=generators.note)
     try:
         return generators.get(name)()
     except TypeError as error:

@@ -48,6 +48,7 @@ class ActionTerm(ABC):
         _CHECKER.check(self, type(self).__name__)
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
+            # Fields with one number per joint are checked element by element.
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, numbers.Real):
                     self._check_number(field.name, float(number))
@@ -108,9 +109,11 @@ class ActionTerm(ABC):
         where = f"robot '{spec.name}', for action term '{name}'"
         articulation = spec.articulation
         matched = match_names(patterns, articulation.joint_names, "joint", where)
+        # A mimic joint has no command of its own; the engine moves it with its leader.
         joints = [joint for joint in matched if articulation.movable_joints[joint].mimic is None]
         if not joints:
             raise ConfigurationError(f"no joint moves freely in {where}: name joints that follow no other")
+        # A term on a passive joint would move nothing, without an error.
         for joint in {*joints}.difference(driven_joints(spec)):
             raise ConfigurationError(
                 f"joint '{articulation.joint_names[joint]}' of {where}, has no actuator that could move it: leave it "
@@ -130,5 +133,6 @@ class ActionTerms:
     def __new__(cls, **terms: ActionTerm | None) -> Any:
         if cls is ActionTerms:
             fields = [(name, type(term) | None, dataclasses.field(default=None)) for name, term in terms.items()]
+            # A class per set of terms, so that paths such as `actions.arm.scale` are checked like any field.
             cls = dataclasses.make_dataclass(cls.__name__, fields, bases=(cls,), frozen=True)
         return object.__new__(cls)

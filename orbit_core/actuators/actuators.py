@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.actuators.models import REFERENCE, ActuatorContext, ActuatorModel, DcMotorModel, PdModel
+from orbit_core.distributions import missing_note
 from orbit_core.dynamics.indexing import write_block, write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, UnknownNameError
@@ -126,7 +127,8 @@ def model_of(group: ActuatorConfig, entity: str) -> type[ActuatorModel] | None:
             kind.__name__,
             [ImplicitPd.__name__, *names],
             f"actuators of '{entity}'",
-            f"nothing computes the efforts of a {kind.__name__}: add its model, "
+            missing_note(GROUP)
+            or f"nothing computes the efforts of a {kind.__name__}: add its model, "
             f'orbit_core.actuators.actuator_models().add("{kind.__name__}", ...), see docs/actuators.md',
         )
     if found is ImplicitPd:

@@ -61,6 +61,7 @@ class NodeRunner:
         self._values = values
         self._ports_checked = False
 
+    # The common case has no branch for resets: all environments take the new outputs.
     def turn(self, step: int) -> None:
         """Run the node for all environments."""
         outputs = self._compute()
@@ -71,6 +72,7 @@ class NodeRunner:
 
     def renew(self) -> None:
         """Run the node, but keep its outputs and memory of all environments other than those reset."""
+        # Copied before the node runs, since it may write its outputs and memory in place.
         held = {slot: value.clone() for _, slot in self._targets if (value := self._values[slot]) is not None}
         remembered = {name: tensor.clone() for name, tensor in self.node.memory().items()}
         outputs = self._compute()
@@ -81,6 +83,7 @@ class NodeRunner:
         self._none_waits()
 
     def _make_room(self, value: Tensor) -> None:
+        # Made at the first turn, which shows the number of environments and the device.
         if self._waiting is None:
             self._waiting = torch.zeros(len(value), dtype=torch.bool, device=value.device)
 
@@ -157,6 +160,7 @@ class NodeRunner:
         # Every source comes before its targets, so each slot holds a tensor by now.
         inputs: dict[str, Tensor] = {name: values[slot] for name, slot in self._sources}  # pyright: ignore
         outputs = self.node.compute(inputs)
+        # Shapes do not change, so only the first outputs are checked.
         if not self._ports_checked:
             for port in self.node.outputs:
                 checked(outputs, port, f"output of node '{self.node.name}'")
@@ -226,6 +230,7 @@ class AgentGraph:
         self.nodes: Mapping[str, Node] = {node.name: node for node in self.wiring.order}
         self.step_count = 0
         """Steps done since the last reset of all environments."""
+        # Values are kept in a list by number: a lookup by names would cost a tuple and a hash per port and step.
         slots = {endpoint: slot for slot, endpoint in enumerate(self.wiring.ports)}
         self.values: list[Tensor | None] = [None] * len(slots)
         """The last value of each port of ``wiring.ports``, in its order."""
@@ -287,6 +292,7 @@ class AgentGraph:
     def load_state(self, state: GraphState) -> None:
         """Return to a saved state."""
         self.step_count = state.step_count
+        # Written in place where possible, for a captured step reads the same memory.
         for slot, saved in enumerate(state.values):
             own = self.values[slot]
             if own is None or saved is None:
@@ -350,6 +356,7 @@ class _GraphSchedule(Schedule):
     def move(self, key: Any, steps: int) -> None:
         self._graph.step_count += steps
         for runner, (_, pending) in zip(self._graph.runners, key, strict=True):
+            # The last multiple of the period before the next step.
             runner.last_turn = (self._graph.step_count - 1) // runner.period * runner.period
             runner.pending = pending
 
@@ -377,6 +384,8 @@ class Cut:
         self._upstream = [runner for runner in graph.runners if runner.node.name in before]
         self._downstream = [runner for runner in graph.runners if runner.node.name not in (*before, name)]
         (self._replaced,) = (runner for runner in graph.runners if runner.node is self.node)
+        # Nodes before the cut run in another call than those after it, so their outputs are held like those of slow
+        # nodes.
         for runner in self._upstream:  # what was observed in one step is acted on in the next
             runner.carries |= any(
                 source[0] == runner.node.name and target[0] not in before

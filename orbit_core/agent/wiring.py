@@ -64,10 +64,12 @@ def wire(
     takers = _ports("", outputs, "output") | _all_ports(nodes, "inputs")
     sources = _sources(edges, givers, takers, by_name)
     for taker, port in takers.items():
+        # Listing the outputs of the right shape finds most mistakes of naming.
         if taker not in sources:
             fitting = [label(giver) for giver, given in givers.items() if given.shape == port.shape]
             hint = f"connect one of the outputs of its shape {port.shape}: {', '.join(fitting) or 'there is none'}"
             raise ConfigurationError(f"{_kind(taker, 'input')} '{label(taker)}' has no source: {hint}")
+    # Rates are turned into whole periods here, so that a step compares integers only.
     periods = {node.name: _period(node, rate) for node in nodes}
     return Wiring(_order(by_name, sources), periods, sources, givers)
 
@@ -95,6 +97,7 @@ def _all_ports(nodes: Sequence[Node], side: str) -> dict[Endpoint, Port]:
 
 def _ports(node: str, ports: Sequence[Port], kind: str) -> dict[Endpoint, Port]:
     named = {(node, port.name): port for port in ports}
+    # A dictionary drops repeated names, which its length shows.
     if len(named) < len(ports):
         owner = f"node '{node}'" if node else "the graph"
         raise ConfigurationError(f"two {kind} ports of {owner} share a name: {[port.name for port in ports]}")
@@ -144,6 +147,7 @@ def _predecessors(name: str, sources: Mapping[Endpoint, Endpoint]) -> list[str]:
 
 
 def _order(nodes: Mapping[str, Node], sources: Mapping[Endpoint, Endpoint]) -> tuple[Node, ...]:
+    # The sorter keeps the order of insertion among independent nodes, so runs are repeatable.
     sorter = TopologicalSorter({name: _predecessors(name, sources) for name in nodes})
     try:
         return tuple(nodes[name] for name in sorter.static_order())
@@ -159,6 +163,7 @@ def _period(node: Node, rate: float) -> int:
         raise ConfigurationError(f"the rate of node '{node.name}' must be above zero, not {node.rate:g} Hz")
     ratio = rate / node.rate
     period = max(1, round(ratio))
+    # Rates such as 100/3 Hz are not exact in floating point.
     if abs(period - ratio) > 1e-6 * ratio:
         nearest = dict.fromkeys(f"{rate / max(1, whole):g} Hz" for whole in (int(ratio) + 1, int(ratio)))
         raise ConfigurationError(
@@ -199,5 +204,6 @@ class Concatenate(Node):
         self.rate = rate
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        # Flattened, so that pictures and vectors fit into one input.
         parts = [inputs[port.name].flatten(1) for port in self.inputs]
         return {self.outputs[0].name: torch.cat(parts, dim=1)}

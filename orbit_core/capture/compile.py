@@ -84,6 +84,7 @@ def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callabl
     pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*inputs)
     # Threads cost more than they save on a step's small tensors, and the engine needs the cores. Sizes never change.
     with config.patch({"cpp.threads": 1, "size_asserts": False}):
+        # The inner entry point: the outer one wraps the code in guards that cost more than the kernels.
         code: Any = compile_fx_inner(pure, list(inputs))
     call = code.current_callable
     return (_launches(call, inputs) if fixed else None) or (lambda *tensors: call(list(tensors)))
@@ -133,6 +134,7 @@ def _spell_out_products(graph: fx.GraphModule) -> None:
         if node.target not in (aten.mm.default, aten.addmm.default) or node.kwargs:
             continue
         left, right = node.args[-2:]
+        # Large products stay: BLAS is faster than a fused loop there.
         if min(math.prod(side.meta["shape"]) for side in (left, right)) > _FEW_NUMBERS:
             continue
         with graph.graph.inserting_before(node):

@@ -77,6 +77,7 @@ class Values:
     def unchanged(self) -> bool:
         """Return True if every value is the very object that it was."""
         try:
+            # Identity, because comparing values would cost more than the step saves.
             return all(map(operator.is_, self._now(), self._known))
         except (KeyError, ValueError):  # a variable was deleted
             return False
@@ -208,6 +209,7 @@ class PythonState:
             self._visit_object(path, value)
 
     def _is_walked(self, value: object) -> bool:
+        # Worlds and engines report their changes to the tracer.
         if isinstance(value, World | Traceable):
             return False
         return isinstance(value, self._configuration) or _package(type(value)) not in _OTHERS

@@ -70,6 +70,7 @@ class CapturedFunction:
         tracer = Tracer(world.engine)
         if world.schedule is not None:
             world.schedule.move(world.schedule.key, 0)  # what was derived before must not be taken for part of the step
+        # Without gradients, for a replay writes into the tensors that it read.
         with torch.no_grad(), fusing(self._compiles), tracer.tracing():
             outputs = self._operations()
         frozen, set_up = frozen_by_trace(python)
@@ -97,6 +98,7 @@ def _recorded(
         nonlocal outputs
         outputs = operations()
 
+    # The engine may run the operations once while it records them.
     recording = record(run)
     if recording is run:
         return operations
@@ -148,6 +150,7 @@ class ScheduledFunction:
 
     def __call__(self) -> tuple[Tensor, ...]:
         key = self._key()
+        # Keyed by all that Python decides, so that a replay never runs a branch that Python would not take.
         known = self._known.get(key)
         if known is not None:
             function, following, steps = known

@@ -112,6 +112,7 @@ class Tracer(TorchDispatchMode):
         keywords = kwargs or {}
         if self.paused:
             return func(*args, **keywords)
+        # Python would branch on the value, and a replay could not.
         if _decides(func, args):
             self.refusal = f"{func} looks at a tensor's values"
         result = func(*args, **keywords)
@@ -127,6 +128,7 @@ class Tracer(TorchDispatchMode):
         if owner is not self._engine:
             self.refusal = f"the state of another engine, its {name}, is read"
         reads, expressed = self.stages[-1].reads, self.stages[-1].expressed
+        # One read per stage suffices: the state changes only with the call that ends it.
         if name in reads or name in expressed:
             return reads[name] if name in reads else expressed[name]
         with self._silence():
@@ -145,6 +147,7 @@ class Tracer(TorchDispatchMode):
             on_host = by_index(call)
             if on_host and self._engine.device.type != "cpu":
                 self.refusal = f"{type(call.owner).__name__}'s {call.name} takes no mask"
+            # Measurements of a traced step keep their memory, which later stages read in every replay.
             if call.kind.measures:
                 result = call.function(**{**call.arguments, **({"env_ids": None} if on_host else {})})
                 result = _kept(result)
@@ -152,6 +155,7 @@ class Tracer(TorchDispatchMode):
             else:
                 result, noted = None, NotedCall(call, [])
                 noted.repeat(call.arguments)
+        # The stage ends here: what follows sees the state after the call.
         self.stages[-1].call = noted
         self.stages.append(Stage())
         return result
@@ -254,6 +258,7 @@ class CapturedTrace:
         build: Build,
     ) -> None:
         self._engine = engine
+        # Memory that existed before the step is read again in each replay; the rest is passed by slots.
         memory = _Memory(stages)
         # Tensors hash by identity, and the stages hold them, so that none is taken for another.
         maker = {tensor: number for number, stage in enumerate(stages) for tensor in _results(stage)}
@@ -340,6 +345,7 @@ class _BuiltStage:
 
     def run(self, engine: Engine, values: list[Tensor]) -> None:
         """Run the stage, and its call."""
+        # Expressions read the engine's memory directly, so it must be current before the operations run.
         if self._settles:
             engine.capture.settle()
         for name, taken in self._reads:
@@ -406,6 +412,7 @@ class _StageGraph:
         placeholders = [self._graph.placeholder(f"memory_{i}") for i in range(len(groups))]
         for node, group in zip(placeholders, groups.values(), strict=True):
             first = next(iter(group))
+            # The usual case: no other tensor shares the memory, so it is an input as it is.
             if len(group) == 1:
                 self._nodes[first] = node
                 node.meta["shape"] = first.shape

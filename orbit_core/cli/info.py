@@ -17,6 +17,7 @@ from orbit_core.backends import backend, backend_names, installable_backends, re
 from orbit_core.cli.output import console as make_console
 from orbit_core.cli.output import new_table, print_heading, print_line, print_rows
 from orbit_core.cli.settings import parse_words
+from orbit_core.distributions import missing_note
 from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces.capabilities import IMAGES, Capability
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
@@ -107,13 +108,14 @@ def main(words: Sequence[str]) -> None:
     else:
         things = [*task_entries(), *robot_names(), *object_kinds().names, *sensor_types().names]
         known = [*things, *backend_names(), *installable_backends(), *renderer_names()]
-        raise UnknownNameError("task, robot, object, sensor, backend or renderer", name, known)
+        note = "; ".join(filter(None, map(missing_note, ("orbit.tasks", "orbit.robots"))))
+        raise UnknownNameError("task, robot, object, sensor, backend or renderer", name, known, note=note)
 
 
 def _show_task(console: Console, name: str) -> None:
     from orbit_core.envs.configuration import DEFAULT_PRESET, configure
     from orbit_core.envs.observation_layout import groups_of, terms_of_group
-    from orbit_core.interfaces.capabilities import required_capabilities
+    from orbit_core.interfaces.requirements import required_capabilities
 
     entry = task_entries()[name]
     task = configure(entry.task_type(), {})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,6 +12,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from orbit_core.cli.settings import parse_words
+from orbit_core.distributions import missing_note
 from orbit_core.interfaces.errors import OrbitError
 from orbit_core.registry import Registry
 
@@ -26,17 +28,20 @@ class ListSettings:
     learning libraries.
     """
 
-    kind: Annotated[Positional[str], arg(metavar="KIND")]
-    """What to list."""
+    kind: Annotated[Positional[str], arg(metavar="KIND")] = ""
+    """What to list; all kinds if left out."""
 
 
 def main(words: Sequence[str]) -> None:
     """Print the names of one kind."""
-    rows = lists().get(parse_words(ListSettings, words, "orbit list").kind)()
+    kind = parse_words(ListSettings, words, "orbit list").kind
+    rows = lists().get(kind)() if kind else [(name, "") for name in lists().names]
     # Plain print and not a table: the output is meant for grep and cut.
     width = max((len(name) for name, _ in rows), default=0)
     for name, description in rows:
-        print(f"{name:<{width}}  {description}")
+        print(f"{name:<{width}}  {description}".rstrip())
+    if note := missing_note(f"orbit.{kind}"):
+        print(f"note: {note}", file=sys.stderr)
 
 
 @functools.cache
@@ -94,7 +99,7 @@ def _renderers() -> list[tuple[str, str]]:
 
 def _matter() -> list[tuple[str, str]]:
     from orbit_core.backends import installable_matter, matter_names, matter_solver
-    from orbit_core.interfaces import MATTER
+    from orbit_core.interfaces.capabilities import MATTER
 
     rows: list[tuple[str, str]] = []
     for name in matter_names():

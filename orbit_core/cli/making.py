@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from orbit_core.backends import backend, default_backend, renderer
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.configuration import assignments
+from orbit_core.distributions import missing_note
 from orbit_core.envs.actors import ACTORS, scripted_actor
 from orbit_core.envs.registry import task_entries, task_entry
-from orbit_core.installing import install_command
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry
 
@@ -68,15 +67,13 @@ def _sources() -> Registry[ActorSource]:
 
 def _source(name: str) -> ActorSource:
     """Return the package's source that has an actor of that name."""
-    sources = _sources().values.values()
+    registry = _sources()
+    sources = registry.values.values()
     for source in sources:
         if source.has(name):
             return source
     names = {*ACTORS, *(other for source in sources for other in source.names())}
-    lacking = ""
-    if not sources and Path(name).exists():
-        lacking = f"policies are played by the distribution orbit-learn: {install_command('orbit-learn')}"
-    raise UnknownNameError("actor or policy", name, names, note=lacking)
+    raise UnknownNameError("actor or policy", name, names, note=registry.note)
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverged: bool = False) -> Environment:
@@ -91,7 +88,8 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
         OrbitError: of many kinds; each names the setting.
     """
     if settings.task is None:
-        raise ConfigurationError(f"name a task: {', '.join(sorted(task_entries()))}")
+        names = ", ".join(sorted(task_entries())) or f"none is installed; {missing_note('orbit.tasks')}"
+        raise ConfigurationError(f"name a task: {names}")
     entry = task_entry(settings.task)
     name = settings.backend or default_backend()
     backend(name)  # an unknown name is worth knowing before the task is built

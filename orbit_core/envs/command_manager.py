@@ -32,6 +32,9 @@ class CommandManager(Mapping[str, Tensor]):
         self._env = env
         self.terms = terms_of(env.task.commands, CommandTerm)
         self._commands = {name: _Command(name, term, env) for name, term in self.terms.items()}
+        self.changing: list[_Command] = []
+        """Commands that may change within an episode; the others cost a step nothing."""
+        self._find_changing()
 
     def __getitem__(self, name: str) -> Tensor:
         if name not in self._commands:
@@ -66,6 +69,10 @@ class CommandManager(Mapping[str, Tensor]):
         self.terms.update(now)
         for name, command in self._commands.items():
             command.read(self.terms[name])
+        self._find_changing()
+
+    def _find_changing(self) -> None:
+        self.changing = [command for command in self._commands.values() if command.changes]
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Sample every command for episodes that begin, by index, by mask, or in all environments if None."""
@@ -76,7 +83,7 @@ class CommandManager(Mapping[str, Tensor]):
 
     def update(self) -> None:
         """Count the step, adjust commands that follow the world, and sample those whose time is over."""
-        changed = [command.update() for command in self._commands.values()]
+        changed = [command.update() for command in self.changing]
         if any(changed):
             self._env.world.clock.touch()
 
@@ -107,6 +114,13 @@ class _Command:
         self._low.copy_(torch.tensor(low))
         self._high.copy_(torch.tensor(high))
         self._steps = _steps(self._name, term, self._env.step_dt)
+
+    @property
+    def changes(self) -> bool:
+        """True if the command may change within an episode."""
+        kind = type(self.term)
+        own = kind.expired is not CommandTerm.expired or kind.follow is not CommandTerm.follow
+        return own or self._steps is not None
 
     def sample(self, env_ids: Tensor | None) -> None:
         """Draw another command in some environments."""

@@ -163,6 +163,7 @@ class Environment(Generic[TaskT, StateT]):
         self._action = self.actions.action
         self.state: StateT = cast(StateT, task.state_type(self))
         """Memory of the run, of the class that :attr:`Task.state_type` names."""
+        self._state_updates = type(self.state).update is not TaskState.update
         self.actions.attach(self.state)
         self.state.start(self)
         self.commands = CommandManager(self)
@@ -370,15 +371,17 @@ class Environment(Generic[TaskT, StateT]):
         self.actions.apply()
         self.world.step(task.decimation)
         state = self.state
-        state.episode_step += 1
-        state.update(self)
+        state.episode_step.add_(1)
+        if self._state_updates:
+            state.update(self)
         reward = self._reward()
         terminated = self._terminated()
         late = state.episode_step >= self.max_episode_steps
         if self.lost is not None:
             reward, terminated, late = self.lost.end(reward, terminated, late)
         torch.logical_or(late, terminated, out=self.done)
-        self.commands.update()  # after rewards, which judge the step by the command that it was taken under
+        if self.commands.changing:
+            self.commands.update()  # after rewards, which judge the step by the command that it was taken under
         return reward, terminated, late & ~terminated
 
     def success(self) -> Tensor:

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
         Level,
         Support,
         approximate,
-        required_capabilities,
         unsupported,
     )
     from orbit_core.interfaces.capture import CaptureFacet
+    from orbit_core.interfaces.contract import CONTRACT
     from orbit_core.interfaces.engine import Engine, RayHits
     from orbit_core.interfaces.entities import Deformable, JointTarget, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
@@ -66,15 +66,17 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.names import NamedThings, find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
+    from orbit_core.interfaces.requirements import required_capabilities
     from orbit_core.interfaces.world import Sensor, World, WorldClock, WorldRandom, WorldSelector
 
 _MODULES = {
     "backend": ("Backend",),
     "capabilities": (
         "EXACT", "IMAGES", "MATTER", "Capabilities", "Capability", "DriveIntegration", "Gap", "Level", "Support",
-        "approximate", "required_capabilities", "unsupported",
+        "approximate", "unsupported",
     ),
     "capture": ("CaptureFacet",),
+    "contract": ("CONTRACT",),
     "engine": ("Engine", "RayHits"),
     "entities": ("Deformable", "JointTarget", "Marker", "Object", "Robot"),
     "errors": (
@@ -91,10 +93,12 @@ _MODULES = {
     "names": ("NamedThings", "find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
+    "requirements": ("required_capabilities",),
     "world": ("Sensor", "World", "WorldClock", "WorldSelector", "WorldRandom"),
 }  # fmt: skip
 __all__ = [
     "BACKGROUND",
+    "CONTRACT",
     "EXACT",
     "IMAGES",
     "MATTER",

@@ -22,6 +22,9 @@ class Backend(ABC):
     """A physics engine, a renderer, or both. Importing and making one must not import the engine itself."""
 
     name: ClassVar[str]
+    contract: ClassVar[tuple[int, int]]
+    """Version of the contract (:data:`~orbit_core.interfaces.CONTRACT`) that the plugin was written for, as numbers of
+    its own: ``contract = (1, 0)``. Checked when the plugin is loaded."""
     # A class and not an instance, so that commands list its fields without making a backend.
     config_type: ClassVar[type]
     """The dataclass of the engine's own settings; every field has a default."""

@@ -169,6 +169,8 @@ class MatterSolver(ABC):
     """A plugin that makes :class:`Matter`. Importing and making one must not import the solver's libraries."""
 
     name: ClassVar[str]
+    contract: ClassVar[tuple[int, int]]
+    """Version of the contract that the plugin was written for, as of a :class:`~orbit_core.interfaces.Backend`."""
     config_type: ClassVar[type]
     """The dataclass of the solver's own settings; every field has a default."""
 

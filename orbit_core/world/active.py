@@ -49,6 +49,7 @@ class ActiveModels:
             self.laws |= {f"active model '{name}' of '{thing.name}'": law for name, law in laws.items()}
         device = engine.device
         self._joints = [_indices([_layout(law).joints.start + j for j in law.joints], device) for law in self._laws]
+        # Each link once, even if several laws push it: the engine takes one wrench per link.
         pushed = sorted({_layout(law).links.start + link for law in self._laws for link in law.links})
         # (k,) links of the scene that laws push
         self._pushed = _indices(pushed, device)
@@ -68,6 +69,7 @@ class ActiveModels:
     def apply(self) -> None:
         """Add the laws' efforts to those that the engine holds, and hand it their wrenches with those that are set."""
         pushing = len(self._pushed) > 0
+        # Indexing copies, so that the laws' wrenches do not stay in what the callers set.
         total = self._asked[:, self._pushed] if pushing else self._asked
         for law, joints, columns in zip(self._laws, self._joints, self._columns, strict=True):
             if law.joints:

@@ -21,6 +21,7 @@ from orbit_core.scene import Articulation, CameraSpec, Channel, Link, MarkerShap
 from orbit_core.sensors.camera import intrinsic_matrix, point_cloud
 
 
+# Renderers are wrapped, not changed, so that every backend's renderer gets the same additions.
 class OuterRenderer(Renderer):
     """Hands all but pictures on to the renderer that it draws with."""
 

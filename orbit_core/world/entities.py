@@ -46,6 +46,7 @@ class _View:
 
     def take(self, whole: Tensor, version: int) -> None:
         """Take the columns of a tensor (N, ...); slices it only if the engine returned another tensor than before."""
+        # Most engines return the same tensor at each read; slicing it once saves a torch operation per read.
         if whole is not self._whole:
             self._whole, self.tensor = whole, whole[:, self._columns]
         self.version = version
@@ -90,6 +91,7 @@ class SimulatedObject(ObjectParameters):
 
     @property
     def root_pose(self) -> Tensor:
+        # Repeated in each property instead of a helper: the call would cost as much as the look.
         view = self._root_pose
         if view.version != self._clock.version:
             view.take(self._engine.link_poses, self._clock.version)
@@ -161,6 +163,7 @@ class SimulatedObject(ObjectParameters):
     def jacobian(self, frame: str, joints: Sequence[int] | None = None) -> Tensor:
         columns = self._all_columns if joints is None else self._joint_columns(joints)
         link = self._frame(frame).link
+        # Constants of the Jacobian are built once per frame and joints.
         jacobian = self._jacobians.get((frame, columns))
         if jacobian is None:
             jacobian = PointJacobian(self.spec.articulation, link, columns, self._engine.device)
@@ -205,11 +208,13 @@ class SimulatedObject(ObjectParameters):
         if velocities is not None:
             velocities = chosen.values(velocities, shape, f"joint velocities of '{self.name}'", VELOCITIES)
         indices, columns = self._all_joints, self.layout.joints
+        # All joints include the followers already.
         if joints is not None:
             moved, positions, velocities = self._with_followers(list(written), positions, velocities, chosen.rows)
             indices = columns = indices[moved]
         self._engine.write_joint_state(indices, positions, velocities, chosen.rows)
         if positions is not None:
+            # A drive would pull the joint back to its old target otherwise.
             write_block(self._actuators.position_targets, columns, positions, chosen.rows)
         self._clock.touch()
 

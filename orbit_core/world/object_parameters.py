@@ -94,6 +94,7 @@ class ObjectParameters(Object):
         """
         indices, chosen = self._link_indices(links), self._selector.select(env_ids)
         what = f"masses of '{self.name}'"
+        # Checked twice: all masses against zero, then those of moving links against the smallest that engines solve.
         masses = chosen.values(masses, (len(indices),), what, MASSES)
         if chosen.readable:
             check_numbers(masses[:, self._massive[indices - self.layout.root_link]], MOVING_MASSES, what, chosen.rows)
@@ -212,6 +213,7 @@ class ObjectParameters(Object):
             raise ConfigurationError(
                 f"joints {', '.join(free)} of '{self.name}' have no limits in the scene: give some"
             )
+        # The look would wait for the device in a traced step.
         if chosen.readable and bool((lower > upper).any()):
             raise ConfigurationError(f"lower {what} lie above the upper ones: give them in order")
         self._engine.set_joint_limits(self._all_joints[columns], lower, upper, chosen.rows)
@@ -246,6 +248,7 @@ class ObjectParameters(Object):
             UnsupportedCapabilityError: the renderer lacks what says where in a picture they are; names those that
                 have it.
         """
+        # A texture is painted after drawing, at the places that depth, normals and segmentation give.
         for capability in (Capability.DEPTH, Capability.NORMALS, Capability.SEGMENTATION):
             self.require(capability, f"textures of '{self.name}'")
         indices, rows = self._link_indices(links), self._selector.select(env_ids)

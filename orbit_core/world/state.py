@@ -55,6 +55,7 @@ def check_copy(world: World, origin: World, source: int) -> None:
         UnsupportedCapabilityError: the scene has deformables.
     """
     whole_number(source, "source", 0, origin.num_envs - 1)
+    # Names are compared, not numbers: equal names in the same order mean equal columns in every state tensor.
     own, other = world.layout, origin.layout
     if (other.links_by_name, other.joints_by_name) != (own.links_by_name, own.joints_by_name):
         raise ArgumentError("states are copied between worlds of one scene: the names of links and joints differ")
@@ -106,10 +107,12 @@ def settle(
         SimulationError: the engine diverged; the snapshot has been put back.
         UnsupportedCapabilityError: the engine has no snapshots of this scene.
     """
+    # The snapshot is taken before anything moves, so that an engine without snapshots raises while nothing has changed.
     before, kept = engine.save_state(), [other.save_state() for other in others]
     try:
         step(steps)
         rest = _read(engine, slice(None) if rows is None else rows)
+    # A diverging engine must not keep its broken state: the snapshot goes back even if the step raises.
     finally:
         engine.load_state(before)
         for other, state in zip(others, kept, strict=True):
@@ -119,9 +122,11 @@ def settle(
 
 def _read(engine: Engine, rows: Tensor | slice) -> _Rest:
     poses, velocities = engine.link_poses[rows], engine.link_velocities[rows]
+    # A fixed root never moves, so that only free ones are written back.
     free = [entity for entity in engine.layout.entities if not entity.spec.fixed_base]
     return _Rest(
         [(e.index, poses[:, e.root_link].clone(), velocities[:, e.root_link].clone()) for e in free],
+        # Copies, since loading the snapshot writes the same memory.
         (engine.joint_positions[rows].clone(), engine.joint_velocities[rows].clone()),
         [
             (engine.particle_positions(i)[rows].clone(), engine.particle_velocities(i)[rows].clone())
@@ -133,6 +138,7 @@ def _read(engine: Engine, rows: Tensor | slice) -> _Rest:
 def _write(engine: Engine, rest: _Rest, rows: Tensor | None) -> None:
     for entity, pose, velocity in rest.roots:
         engine.write_root_state(entity, pose, velocity, rows)
+    # A scene of free bodies has no joints to write.
     if rest.joints[0].shape[1]:
         joints = torch.arange(rest.joints[0].shape[1], device=engine.device)
         engine.write_joint_state(joints, *rest.joints, rows)
@@ -170,8 +176,10 @@ class DivergenceGuard:
     def look(self) -> None:
         """Reset the environments that diverged in the steps just taken."""
         engine = self._parts.engine
+        # Links first, then joints: a joint may turn without bound while its link stays near.
         wrong = diverged(engine.link_poses, engine.link_velocities)
         wrong = wrong | diverged(engine.joint_positions, engine.joint_velocities)
+        # Accumulated, because an environment may diverge in any stretch of one step of the environment.
         self.lost.logical_or_(wrong)
         rows = self._parts.selector.where(wrong)
         if rows is not None:

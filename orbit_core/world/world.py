@@ -86,6 +86,7 @@ class SimulatedWorld(World):
         self._renderer_plugin = find_renderer(backend if renderer is None else renderer)
         if not isinstance(scene, Scene):
             raise ConfigurationError(f"a world needs a Scene, not a {type(scene).__name__}")
+        # Everything that can be refused without the engine is refused before it is built, which may take seconds.
         check_data(scene, "scene")
         scene = prepared(scene)
         check_attachments(scene)
@@ -116,6 +117,7 @@ class SimulatedWorld(World):
         self.selector = RowSelector(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which environments a call is for."""
         self.random = RandomStreams(num_envs, seed, self.device, self.selector)  # pyright: ignore[reportIncompatibleVariableOverride]
+        # Streams begin their first episode before sensors draw their biases.
         self.random.reset()
         self.actuators = Actuators(self._engine, self.layout, self.random, any(each.active for each in scene.objects))
         self.clock = Clock()  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -151,6 +153,7 @@ class SimulatedWorld(World):
         check_capability(self._renderer_plugin if capability in IMAGES else self._plugin, capability, culprit)
 
     def _add_sensors(self) -> None:
+        # The renderer is passed as a function: a scene whose cameras nobody reads makes none.
         self._sensing = SensorContext(self._engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
         self._timed = {spec.name: create_sensor(spec, self._sensing) for spec in self.scene.sensors}
         self.sensors = NamedThings(self._timed, "sensor", "world.sensors", self._names)
@@ -232,6 +235,7 @@ class SimulatedWorld(World):
                 if self._guard is not None:
                     self._guard.look()
             self.clock.advance(stretch)
+            # After the clock, because sensors read the state of the new time.
             for sensor in self._timed.values():
                 sensor.advance(stretch)
             steps -= stretch
@@ -328,6 +332,7 @@ class SimulatedWorld(World):
             sensor.load_state(state.sensors[name])
         self.random.load_state(state.random)
         self._marker_poses.copy_(state.markers)
+        # Due times of sensors are multiples on this clock, so it is part of the snapshot.
         self.clock.steps = state.steps
         self.clock.touch()
 
@@ -335,6 +340,7 @@ class SimulatedWorld(World):
         origin = self if origin is None else origin
         check_copy(self, origin, source)
         rows = self.selector.select(targets).rows
+        # The engine first: actuators and sensors derive their state from it.
         self._engine.copy_state(origin.engine, source, rows)
         if isinstance(origin, SimulatedWorld):
             self.actuators.copy(origin.actuators, source, rows)
@@ -349,6 +355,7 @@ class SimulatedWorld(World):
 
     def close(self) -> None:
         """Free what the world holds; idempotent. Every later use raises a ClosedError."""
+        # The renderer may hold the engine's buffers, so it goes first.
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

@@ -184,7 +184,7 @@ def test_bodies_away_from_zero_are_at_home_there(tmp_path: Path) -> None:
     content = body("a") + body("b", at=(0.25, 0.5, 0)) + joint("Prismatic", "slide", "a", "b", slide)
     got = read_usd(stage(tmp_path, content))
     assert got.home == ()
-    assert any("stand 0.5 m and 0 rad beside" in note for note in got.notes)
+    assert any("stand 0.5 m and 0 rad from where" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,10 @@ def test_a_tasks_action_terms_are_told_with_their_joints(printed: Printed):
     assert "gripper binary_gripper robot 1: opening panda_finger_joint1" in told
 
 
+def test_the_kinds_that_can_be_listed_are_listed(printed: Printed):
+    assert {"tasks", "robots", "backends", "libraries"} <= {*printed("list").splitlines()}
+
+
 def test_backends_are_listed_with_versions(printed: Printed):
     text = printed("list", "backends")
     for package, version in backend(BACKEND).versions().items():

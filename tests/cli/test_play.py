@@ -82,7 +82,7 @@ def test_what_belongs_to_training_is_left_out_and_told(trained: Trained) -> None
     assert restored.settings.action == "ik_relative"
     told = [line.partition(" = ")[0] for line in restored.differences]
     assert told == ["action", "curriculum_enabled", "episode_length", "expert_starts"]
-    assert all(line.endswith("left out, for it belongs to training") for line in restored.differences)
+    assert all(line.endswith("left out, because it belongs to training") for line in restored.differences)
     asked = restored_settings(PlaySettings(policy=trained(task="Peg-In-Hole", set=("episode_length=10",))))
     assert "episode_length" in asked.settings.fields, "what a user set by hand is the task that was learned"
 

@@ -9,7 +9,7 @@ import os
 import time
 from dataclasses import dataclass
 
-from orbit_core.interfaces import EXACT, Backend, Capabilities, Capability
+from orbit_core.interfaces import CONTRACT, EXACT, Backend, Capabilities, Capability
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,7 @@ class Config:
 
 class Dying(Backend):
     name = "dying"
+    contract = CONTRACT
     config_type = Config
 
     def capabilities(self):

@@ -159,7 +159,7 @@ class Config:
     pass
 
 class Plugin(Backend):
-    name, config_type = "a", Config
+    name, contract, config_type = "a", (1, 0), Config
 
     def capabilities(self):
         return Capabilities({})

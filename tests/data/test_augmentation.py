@@ -100,7 +100,7 @@ def test_what_was_there_stays_where_no_attempt_succeeds(dataset: Hdf5Dataset, tm
     words = ["augment", str(dataset.path), "--output", str(output), "--num-envs", "4", "--most-attempts", "1"]
     words += ["--episodes", "1", "--set", "tolerance=1e-9", "--set", "episode_length=0.1"]
     assert main([*words, "--overwrite"]) == 2
-    assert "attempts succeeded: give other demonstrations" in capsys.readouterr().err
+    assert "attempts succeeded: use other demonstrations" in capsys.readouterr().err
     assert output.read_bytes() == dataset.path.read_bytes()
     assert not parts.exists()
     cut_off = RecordingFile(output)
@@ -109,7 +109,7 @@ def test_what_was_there_stays_where_no_attempt_succeeds(dataset: Hdf5Dataset, tm
     cut_off.release()
     output.unlink()
     assert main(words) == 2
-    assert "many.hdf5.parts holds a recording that was cut off" in capsys.readouterr().err
+    assert "many.hdf5.parts holds an interrupted recording" in capsys.readouterr().err
     assert main([*words, "--overwrite"]) == 2
     assert len(cut_off.infos()) == 1
     same = ["augment", str(dataset.path), "--output", str(dataset.path), "--overwrite"]

@@ -141,9 +141,9 @@ def test_the_command_converts_filters_splits_merges_and_tells(path: Path, tmp_pa
         (["data", "convert", str(path), "--output", "x.zip"], "of no format that is written"),
         (
             ["data", "convert", str(path), "--output", str(tmp_path / "x"), "--compression", "lzf"],
-            "takes no compression",
+            "has no compression",
         ),
-        (["data", "merge", str(path), "--output", "x.hdf5"], "two datasets at least"),
+        (["data", "merge", str(path), "--output", "x.hdf5"], "at least two datasets"),
         (["data", "infos"], "did you mean 'info'"),
         (["data", "info", str(tmp_path)], "it has no meta/info.json"),
     ):
@@ -186,9 +186,9 @@ def test_bad_lerobot_folders_are_refused(
 
 
 def test_a_rate_that_lerobot_cannot_hold_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"whole number of steps in a second, not 33\.3"):
+    with pytest.raises(ConfigurationError, match=r"whole number of steps per second, not 33\.3"):
         write_lerobot(tmp_path / "x", [pictured(0)], None, 100 / 3)
-    with pytest.raises(ConfigurationError, match="an episode at least"):
+    with pytest.raises(ConfigurationError, match="at least one episode"):
         write_lerobot(tmp_path / "x", [], None, 50)
     assert [*tmp_path.iterdir()] == []
 

@@ -237,7 +237,7 @@ def test_a_recording_that_overwrites_is_resumed_as_one_that_overwrites(
     with pytest.raises(KeyboardInterrupt):
         record(environment, lambda: Interrupted(environment, STEPS + 5), file, "Lift", 6, SEED)
     assert kept(path) == [100, 101]
-    with pytest.raises(ConfigurationError, match=r"was cut off: .* goes on with --resume"):
+    with pytest.raises(ConfigurationError, match=r"an interrupted recording: .* continues with --resume"):
         RecordingFile(path).check_begun(resume=False, overwrite=False)
     recorded(environment, path, 6).close()
     assert sorted(kept(path)) == [0, 1, 2, 3, 4, 5]

@@ -85,7 +85,7 @@ def test_a_training_goes_on_counts_them_and_says_so_unless_they_are_many(tmp_pat
         with pytest.raises(SimulationError, match="4 of 4 environments diverged in one iteration, where 3 may"):
             training.run(3, 10, lambda progress: counts.append(progress.diverged))
     else:
-        with pytest.warns(RuntimeWarning, match="1 of 4 environments diverged and began anew"):
+        with pytest.warns(RuntimeWarning, match="1 of 4 environments diverged and began new episodes"):
             training.run(3, 10, lambda progress: counts.append(progress.diverged))
         assert counts == [0, 1, 1]
     env.close()

@@ -45,7 +45,7 @@ def test_a_kept_policy_still_fits_its_task(name: str) -> None:
     """Played by its name, with the assets of then; how well it does is for the suite's transfers to hold."""
     settings = played(PlaySettings(policy=Path(name), backend=default_backend(), num_envs=2))
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", "the policy of .* was made otherwise")
+        warnings.filterwarnings("error", "the policy of .* was made with other settings")
         environment = make_environment(settings, settings.num_envs)
         actor = make_actor(settings.agent, environment, seed=0)
     environment.reset(seed=0)

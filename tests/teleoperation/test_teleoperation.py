@@ -323,5 +323,5 @@ def test_the_command_serves_its_page_and_leaves_nothing(
     with open(os.devnull) as nothing:
         monkeypatch.setattr("sys.stdin", nothing)
         assert main([*words, "--device", "keyboard"]) == 2
-    assert "standard input is none" in capsys.readouterr().err
+    assert "standard input is not one" in capsys.readouterr().err
     assert [*tmp_path.iterdir()] == []

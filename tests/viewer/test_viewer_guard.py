@@ -82,7 +82,7 @@ def test_pages_of_other_origins_are_not_let_in(local: Viewer, origin: str) -> No
 def test_a_foreign_name_that_points_here_is_refused(local: Viewer) -> None:
     status, told = fetch(local.url, Host="evil.example")
     assert status == 403
-    assert "not called 'evil.example'" in told
+    assert "does not have the name 'evil.example'" in told
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_memory_levels_off_over_connections(local: Viewer) -> None:
 
 
 def test_a_server_that_cannot_be_guarded_is_not_started() -> None:
-    with pytest.raises(ConfigurationError, match="cannot be guarded"), guarded(Guard("127.0.0.1")):
+    with pytest.raises(ConfigurationError, match="cannot guard"), guarded(Guard("127.0.0.1")):
         pass
 
 

@@ -55,6 +55,7 @@ class TorchBackend(Backend):
     """Free bodies and fixed-base articulations with drives, stops, friction and contacts."""
 
     name: ClassVar[str] = "torch"
+    contract: ClassVar[tuple[int, int]] = (1, 0)
     config_type: ClassVar[type] = TorchConfig
 
     def capabilities(self) -> Capabilities:

@@ -67,6 +67,7 @@ def _kept_apart(articulation: Articulation) -> Articulation:
     """Exclude every pair of links, where these do not collide with each other."""
     if articulation.self_collisions:
         return articulation
+    # Exclusions say the same for this part alone, so that it can be joined to one whose links do collide.
     colliding = [link.name for link in articulation.links if link.collisions]
     return replace(articulation, collision_exclusions=tuple(combinations(colliding, 2)))
 
@@ -100,6 +101,7 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
                 f"'{articulation.name}': loop '{loop.name}' closes through a link outside the part beyond link "
                 f"'{link}': cut at a link nearer to the root, or drop the loop"
             )
+    # Pairs with a link outside have no meaning in the part.
     exclusions = tuple(pair for pair in articulation.collision_exclusions if kept.issuperset(pair))
     return replace(
         articulation,
@@ -145,6 +147,7 @@ def without(articulation: Articulation, link: str) -> Articulation:
         UnknownNameError: there is no such link.
         AssetError: the link is the root, or a mimic or loop reaches from what is kept to what is not.
     """
+    # The part's own checks also refuse mimics and loops across the cut.
     gone = set(subtree(articulation, link).link_names)
     if link == sort_links(articulation).root.name:
         raise AssetError(f"'{articulation.name}': link '{link}' is the root: nothing would be left without it")
@@ -250,6 +253,7 @@ def add_frames(articulation: Articulation, *frames: Frame) -> Articulation:
     """
     for frame in frames:
         host = _frame(articulation, frame.link)
+        # Frames are stored on links, so that a chain of them needs no order.
         placed = Frame(frame.name, host.link, host.pose @ frame.pose)
         articulation = replace(articulation, frames=(*articulation.frames, placed))
     check_structure(articulation)
@@ -289,5 +293,5 @@ def renamed(articulation: Articulation, rename: Callable[[str], str]) -> Articul
         drives=tuple(replace(drive, joint=rename(drive.joint)) for drive in articulation.drives),
         home=tuple((rename(joint), position) for joint, position in articulation.home),
     )
-    check_structure(changed)
+    check_structure(changed)  # two names may have become one
     return changed

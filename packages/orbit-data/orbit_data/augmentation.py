@@ -1,7 +1,8 @@
-"""A few demonstrations become many: cut at the boundaries of subtasks, moved to where things are now, done again.
+"""Augmentation: a few demonstrations become many, by replaying their subtasks relative to where objects are now.
 
 The method is that of MimicGen (Mandlekar and others, MimicGen: A Data Generation System for Scalable Robot Learning
-using Human Demonstrations, CoRL 2023): within a subtask the hand moves relative to one frame, wherever that is.
+using Human Demonstrations, CoRL 2023): within a subtask the hand moves relative to one frame, and the demonstrated
+motion is repeated relative to that frame in a new episode.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment, EpisodeEnd
     from orbit_core.envs.task import Subtask
 
-# Steps by which the pose asked for is ahead of the one that is to be reached.
+# Steps by which the commanded pose is ahead of the one that must be reached next.
 _AHEAD = 2
-# How much farther than that pose the hand is sent, for drives follow late; at most by the leads below.
+# Factor by which the command goes beyond that pose, because drives lag behind; limited by the leads below.
 _GAIN = 4.0
 # m and rad
 _LEADS = (0.06, 0.4)
@@ -51,7 +52,7 @@ class Pieces:
     """Demonstrations (D) cut into subtasks (K), each of up to L steps."""
 
     poses: Tensor
-    """(D, K, L, 7) of the hand in the frame of the subtask; the last stands for those after the end."""
+    """Poses (D, K, L, 7) of the hand in the frame of the subtask; the last one is repeated after the end."""
     gripper_open: Tensor
     """(D, K, L) bool"""
     lengths: Tensor
@@ -60,11 +61,11 @@ class Pieces:
 
 @dataclass(frozen=True)
 class Augmented:
-    """What came of it."""
+    """Outcome of an augmentation."""
 
     kept: int
     successes: int
-    """More than are kept, where the last attempts gave more than were wanted."""
+    """Successful attempts: more than are kept if the last ones gave more than were requested."""
     attempts: int
 
     @property
@@ -74,7 +75,7 @@ class Augmented:
 
 
 def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) -> Pieces:
-    """Cut demonstrations at the ends of the task's subtasks, which their states tell.
+    """Cut demonstrations at the ends of the task's subtasks, which are found from the recorded states.
 
     Raises:
         ConfigurationError: the task names no subtasks, there are more demonstrations than environments, or a subtask
@@ -82,6 +83,7 @@ def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) ->
     """
     subtasks = subtasks_of(environment)
     episodes = [dataset.read(place, (ACTIONS, STATES, INITIAL, POSES)) for place in positions]
+    # States are set, not simulated: the recorded motion is cut exactly, on any engine.
     player = EpisodePlayer(environment)
     rows, count = player.begin(episodes), len(episodes)
     longest = max(episode.info.length for episode in episodes)
@@ -109,18 +111,19 @@ def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) ->
 
 
 def _pieces(hands: Tensor, frames: Tensor, grips: Tensor, stages: Tensor, count: int) -> Pieces:
-    """Of tensors (T, D, ...): the hand relative to where the subtask's frame was when the subtask began."""
+    """Compute the hand relative to where the subtask's frame was when the subtask began, of tensors (T, D, ...)."""
     steps, demos = stages.shape
     lengths = torch.stack([(stages == k).sum(0) for k in range(count)], 1)
     first = lengths.cumsum(1) - lengths
     within = torch.arange(int(lengths.max()), device=hands.device)
+    # Shorter pieces repeat their last step, so that all fit in one tensor.
     index = (first[..., None] + torch.minimum(within, lengths[..., None] - 1)).clamp(0, steps - 1)
     demo = torch.arange(demos, device=hands.device)
     kinds = torch.arange(count, device=hands.device)
     origin = frames[first, demo[:, None], kinds][:, :, None].expand(-1, -1, len(within), 7)
     relative = pose_multiply(pose_inverse(origin), hands[index, demo[:, None, None]])
     opened = grips[index, demo[:, None, None]]
-    # How the hand came near, from wherever it was, is no part of the subtask, and may lead where no arm reaches.
+    # The approach from a distant start is not part of the subtask, and elsewhere it may lead out of the arm's reach.
     skipped = (relative[..., :3].norm(dim=-1) < _REACH).long().argmax(-1)
     left = torch.minimum(skipped[..., None] + within, lengths[..., None] - 1).clamp_min(0)
     relative = relative.gather(2, left[..., None].expand(*left.shape, 7))
@@ -143,30 +146,31 @@ def subtasks_of(environment: Environment) -> tuple[Subtask, ...]:
 
 
 def hand_pose(environment: Environment) -> Tensor:
-    """(N, 7) of the end effector of the robot that acts."""
+    """Return the pose (N, 7) of the end effector of the robot that acts."""
     robot = environment.world.robots[environment.task.agents[0]]
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
 def _opens(environment: Environment, actions: Tensor) -> Tensor:
-    """(D,) bool whether actions (D, A) open the gripper: nearer to what opens it here than to what closes it."""
+    """Return whether (D,) actions (D, A) open the gripper: closer to the action that opens it than to its opposite."""
     hand = hand_pose(environment)
     yes = torch.ones(environment.num_envs, dtype=torch.bool, device=environment.device)
     opened, closed = (
         torch.cat([generator.encode(hand, which) for generator in environment.actions.generators], 1)[: len(actions)]
         for which in (yes, ~yes)
     )
+    # Only the gripper's components differ between the two.
     moved = (opened - closed).abs() > 1e-6
     return ((actions - opened).abs() * moved).sum(1) <= ((actions - closed).abs() * moved).sum(1)
 
 
 class PiecewiseActor:
-    """Leads the hand, in each environment, through the pieces of a demonstration drawn at random.
+    """Actor that leads the hand, in each environment, through the pieces of a randomly chosen demonstration.
 
     Args:
-        environment: to act in.
-        pieces: of demonstrations.
-        seed: of the drawing.
+        environment: environment to act in.
+        pieces: pieces of demonstrations.
+        seed: seed of the random choice.
     """
 
     def __init__(self, environment: Environment, pieces: Pieces, seed: int) -> None:
@@ -178,12 +182,12 @@ class PiecewiseActor:
         self._demo = torch.zeros(count, dtype=torch.int64, device=device)
         self._stage = torch.zeros_like(self._demo)
         self._step = torch.zeros_like(self._demo)
-        """Of the piece."""
+        """Step (N,) within the piece."""
         self._waited = torch.zeros_like(self._demo)
         self._frame = torch.zeros(count, 7, device=device)
 
     def act(self) -> Tensor:
-        """(N, A) the next action."""
+        """Return the next action (N, A)."""
         hand, generators = hand_pose(self._environment), self._environment.actions.generators
         begun = self._environment.state.episode_step == 0
         drawn = torch.randint(len(self._pieces.lengths), begun.shape, generator=self._draw).to(hand.device)
@@ -195,7 +199,7 @@ class PiecewiseActor:
         pose = self._beyond(hand, self._at(self._step + _AHEAD * (self._step > 0)))
         grip = self._pieces.gripper_open[self._demo, self._stage, self._index(self._step)]
         action = torch.cat([generator.encode(pose, grip) for generator in generators], 1)
-        self._advance(hand)
+        self._advance(hand)  # after the action, so that each pose is commanded for a step at least
         return action.clamp(-1.0, 1.0)
 
     def _enter(self, new: Tensor) -> None:
@@ -206,7 +210,7 @@ class PiecewiseActor:
         self._waited = torch.where(new, 0, self._waited)
 
     def _advance(self, hand: Tensor) -> None:
-        """The next pose is due once this one is reached, or has been waited for long enough."""
+        """Go on to the next pose once this one is reached, or the wait for it is over."""
         error = pose_error(hand, self._at(self._step))
         near = (error[:, :3].norm(dim=1) < _NEAR[0]) & (error[:, 3:].norm(dim=1) < _NEAR[1])
         due = near | (self._waited >= torch.where(self._step == 0, *_PATIENCE))
@@ -214,9 +218,9 @@ class PiecewiseActor:
         self._waited = torch.where(due, 0, self._waited + 1)
 
     def _beyond(self, hand: Tensor, target: Tensor) -> Tensor:
-        """(N, 7) on the straight way from the hand to a pose and beyond it."""
+        """Return a pose (N, 7) on the straight line from the hand through the target and beyond it."""
         error = pose_error(hand, target)
-        parts = [error[:, :3], error[:, 3:]]
+        parts = [error[:, :3], error[:, 3:]]  # m and rad, each limited by its own lead
         lengths = [part.norm(dim=1, keepdim=True).clamp_min(1e-9) for part in parts]
         move, turn = (
             part * (lead / length).clamp(max=_GAIN) for part, length, lead in zip(parts, lengths, _LEADS, strict=True)
@@ -224,7 +228,7 @@ class PiecewiseActor:
         return torch.cat((hand[:, :3] + move, quat_multiply(quat_from_rotation_vector(turn), hand[:, 3:])), 1)
 
     def _at(self, step: Tensor) -> Tensor:
-        """(N, 7) the hand's pose at a step of its piece, in the environment."""
+        """Return the hand's pose (N, 7) at a step of its piece, in the environment's frame."""
         return pose_multiply(self._frame, self._pieces.poses[self._demo, self._stage, self._index(step)])
 
     def _index(self, step: Tensor) -> Tensor:
@@ -241,17 +245,17 @@ def augment(
     most_attempts: int,
     progress: Callable[[int], None] = lambda kept: None,
 ) -> Augmented:
-    """Do the pieces of demonstrations in new episodes, and record those that succeed.
+    """Repeat the pieces of demonstrations in new episodes, and record those that succeed.
 
     Args:
-        environment: that they are done in.
-        pieces: of demonstrations.
-        file: takes what succeeds.
-        task: the name that the environment was made by.
-        episodes: that are wanted.
-        seed: of the environments' streams, and of which demonstration is drawn.
-        most_attempts: after which to end with fewer.
-        progress: told, after each step, how many are kept.
+        environment: environment that runs the episodes.
+        pieces: pieces of demonstrations.
+        file: recording that receives the successful episodes.
+        task: name that the environment was made by.
+        episodes: number of successful episodes to keep.
+        seed: seed of the environments' streams and of the choice of demonstrations.
+        most_attempts: attempts after which to stop, even with fewer episodes.
+        progress: called after each step with the number of kept episodes.
     """
     file.parts.begin(Manifest.of(environment, task, seed))
     environment.reset(seed)
@@ -260,6 +264,7 @@ def augment(
 
     def wanted(end: EpisodeEnd, _: Tensor) -> Tensor:
         successes.append(int(end.success.sum()))
+        # Of the episodes that end in one step only as many are kept as are still missing.
         return end.success & (end.success.cumsum(0) + recorder.kept <= episodes)
 
     recorder = DemonstrationRecorder(environment, file.parts, wanted, seed)
@@ -275,6 +280,6 @@ def augment(
     progress(recorder.kept)
     attempts = int(recorder.ended.sum())
     if not recorder.kept:
-        raise ConfigurationError(f"none of {attempts} attempts succeeded: give other demonstrations")
+        raise ConfigurationError(f"none of {attempts} attempts succeeded: use other demonstrations")
     file.gather()
     return Augmented(recorder.kept, sum(successes), attempts)

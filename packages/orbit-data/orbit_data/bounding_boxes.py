@@ -20,32 +20,32 @@ class BoundingBoxes2d:
     """Boxes of E entities in the pictures of N environments.
 
     A box is (left, top, right, bottom) in pixels from the image's top left corner, where the pixel in column c and row
-    r reaches from c to c + 1 and from r to r + 1. What is not in the picture has a box of zeros.
+    r reaches from c to c + 1 and from r to r + 1. An entity outside of the picture has a box of zeros.
     """
 
     names: tuple[str, ...]
-    """(E,) of the entities."""
+    """Names (E,) of the entities."""
     semantic_labels: tuple[str, ...]
-    """(E,) of each entity's root link."""
+    """Labels (E,) of each entity's root link."""
     tight: Tensor
-    """(N, E, 4) around the pixels that show the entity: what hides it, and the image's edge, make the box smaller."""
+    """Boxes (N, E, 4) around the pixels that show the entity; occlusion and the image's edge make them smaller."""
     visible: Tensor
-    """(N, E) bool: whether any pixel shows the entity."""
+    """Whether (N, E) any pixel shows the entity."""
     pixels: Tensor
-    """(N, E) int64: how many pixels show it."""
+    """Number (N, E) of pixels that show it, int64."""
     loose: Tensor
-    """(N, E, 4) around the projection of the whole entity, as if nothing hid it, cut off at the image's edge.
+    """Boxes (N, E, 4) around the projection of the whole entity, without occlusion, cut off at the image's edge.
 
     Exact for boxes, balls, capsules, cylinders and meshes in front of the camera's near plane; of a shape that reaches
     through that plane, the part in front of it of the box around the shape.
     """
     in_view: Tensor
-    """(N, E) bool: whether the loose box and the image overlap."""
+    """Whether (N, E) the loose box and the image overlap."""
     visible_share: Tensor
-    """(N, E) in [0, 1]: the tight box's area over that of the loose box before the image's edge cuts it.
+    """Share (N, E) in [0, 1]: the tight box's area over that of the loose box before the image's edge cuts it.
 
-    It is 1, but for the rounding to whole pixels, where the entity's outline is wholly seen. It compares boxes and not
-    outlines: what covers the middle of an entity, and leaves its ends free, goes unnoticed.
+    It is 1, except for the rounding to whole pixels, if the entity's whole outline is visible. It compares boxes and
+    not outlines: an object that covers the middle of an entity, and leaves its ends free, has no effect.
     """
 
 
@@ -54,58 +54,59 @@ class BoundingBoxes3d:
     """Oriented boxes of B entities, or links, in N environments."""
 
     names: tuple[str, ...]
-    """(B,) of the entities, or "entity/link" of links."""
+    """Names (B,) of the entities, or "entity/link" of links."""
     semantic_labels: tuple[str, ...]
-    """(B,)"""
+    """Labels (B,) of the root links, or of the links."""
     poses: Tensor
-    """(N, B, 7): the box's centre, and the orientation of the entity's root link, or of the link."""
+    """Poses (N, B, 7): the box's centre, and the orientation of the entity's root link, or of the link."""
     half_extents: Tensor
-    """(N, B, 3) in metres along the box's own axes."""
+    """Half extents (N, B, 3) in metres along the box's own axes."""
 
     @property
     def corners(self) -> Tensor:
-        """(N, B, 8, 3): from (-, -, -) to (+, +, +), z changing fastest."""
+        """Corners (N, B, 8, 3) from (-, -, -) to (+, +, +), z changing fastest."""
         number, place = (torch.arange(n, device=self.poses.device) for n in (8, 3))
         signs = ((number[:, None] >> (2 - place)) & 1) * 2.0 - 1.0
         return transform_points(self.poses[..., None, :], signs * self.half_extents[..., None, :])
 
 
 def least(values: Tensor, groups: Tensor, count: int) -> Tensor:
-    """The least of ``values`` (N, P, k) in each of ``count`` groups (N, P): (N, count, k), infinite in empty groups.
+    """Compute the least of ``values`` (N, P, k) in each group (N, P): (N, count, k), infinite in empty groups.
 
-    Waits for nothing, and sizes depend on no values.
+    Does not wait for the GPU, and sizes do not depend on values.
     """
     found = torch.full((len(values), count, values.shape[-1]), torch.inf, device=values.device)
     return found.scatter_reduce_(1, groups[..., None].expand_as(values), values, "amin")
 
 
 def pixel_boxes(instances: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Boxes (N, count, 4) around the pixels of each instance 0 to count - 1, and how many pixels there are (N, count).
+    """Compute boxes (N, count, 4) around the pixels of each instance, and the numbers (N, count) of pixels.
 
     Args:
-        instances: (N, H, W, 1) which instance each pixel shows; negative for none.
-        count: how many instances there are.
+        instances: indices (N, H, W, 1) of the instance that each pixel shows; negative for none.
+        count: number of instances.
     """
     height, width = instances.shape[1:3]
     column = torch.arange(width, device=instances.device, dtype=torch.float32).repeat(height)
     row = torch.arange(height, device=instances.device, dtype=torch.float32).repeat_interleave(width)
+    # Negated right and bottom sides, so that one minimum finds all four.
     sides = torch.stack((column, row, -(column + 1), -(row + 1)), -1).expand(len(instances), -1, -1)
     shown = instances.flatten(1).to(torch.int64)
-    shown = torch.where(shown < 0, count, shown)  # what is no instance goes to a group of its own, dropped below
+    shown = torch.where(shown < 0, count, shown)  # pixels without an instance form an extra group, dropped below
     boxes = _upright(least(sides, shown, count + 1)[:, :count])
     pixels = torch.zeros(len(shown), count + 1, dtype=torch.int64, device=shown.device)
     return boxes, pixels.scatter_add_(1, shown, torch.ones_like(shown))[:, :count]
 
 
 def projected_boxes(slopes: Tensor, groups: Tensor, count: int, intrinsics: Tensor) -> Tensor:
-    """Boxes (N, count, 4) in pixels, not cut off, of what spans ``slopes``; zeros for groups of which nothing is seen.
+    """Compute boxes (N, count, 4) in pixels, not cut off, from ``slopes``; zeros for groups that are not seen.
 
     Args:
-        slopes: (N, P, 4) left, top, right and bottom as x / depth and y / depth, y downwards; left and top infinite,
+        slopes: left, top, right and bottom (N, P, 4) as x / depth and y / depth, y downwards; left and top infinite,
             and right and bottom minus infinite, where nothing is seen.
-        groups: (N, P) int64.
-        count: how many groups there are.
-        intrinsics: (3, 3) of the camera.
+        groups: index (N, P) of each slope's group, int64.
+        count: number of groups.
+        intrinsics: intrinsic matrix (3, 3) of the camera in pixels.
     """
     scale = torch.stack((intrinsics[0, 0], intrinsics[1, 1])).repeat(2)
     offset = torch.stack((intrinsics[0, 2], intrinsics[1, 2])).repeat(2)
@@ -114,34 +115,34 @@ def projected_boxes(slopes: Tensor, groups: Tensor, count: int, intrinsics: Tens
 
 
 def cut_off(boxes: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """Boxes (N, E, 4) cut off at the image's edge, zero beyond it, and whether anything is left (N, E)."""
+    """Cut boxes (N, E, 4) off at the image's edge, zero beyond it, and return whether anything is left (N, E)."""
     cut = torch.stack((boxes[..., 0::2].clamp(0.0, width), boxes[..., 1::2].clamp(0.0, height)), -1).flatten(-2)
     in_view = area(cut) > 0.0
     return torch.where(in_view[..., None], cut, 0.0), in_view
 
 
 def area(boxes: Tensor) -> Tensor:
-    """(N, E) of boxes (N, E, 4)."""
+    """Compute the areas (N, E) of boxes (N, E, 4)."""
     return (boxes[..., 2] - boxes[..., 0]) * (boxes[..., 3] - boxes[..., 1])
 
 
 def _upright(sides: Tensor) -> Tensor:
-    """Boxes of (left, top, -right, -bottom), zeros where these are infinite."""
+    """Convert (left, top, -right, -bottom) to boxes, zeros where these are infinite."""
     boxes = torch.cat((sides[..., :2], -sides[..., 2:]), -1)
     return torch.where(sides.isfinite().all(-1, keepdim=True), boxes, 0.0)
 
 
 def round_slopes(centres: Tensor, radii: Tensor, axes: Tensor) -> Tensor:
-    """Left, top, right and bottom (..., 4) of points, discs and balls as x / depth and y / depth, y downwards.
+    """Compute left, top, right and bottom (..., 4) of points, discs and balls as x / depth and y / depth, y downwards.
 
     A plane through the camera that touches an ellipsoid ``c + A u, |u| <= 1`` has a normal m with ``(m c)^2 =
     |m A|^2``, a quadratic in the plane's slope: the dual quadric of Hartley and Zisserman, Multiple View Geometry, 2nd
-    ed., section 8.3. Holds for what lies in front of the camera's centre.
+    ed., section 8.3. Valid in front of the camera's centre.
 
     Args:
-        centres: (..., 3) in the camera's frame, -z forward and y up.
-        radii: (...,) zero for points.
-        axes: (..., 3) unit normals of discs, zero for balls and points.
+        centres: centres (..., 3) in the camera's frame, -z forward and y up.
+        radii: radii (...,), zero for points.
+        axes: unit normals (..., 3) of discs, zero for balls and points.
     """
     depth, normal = -centres[..., 2:], -axes[..., 2:]
     across = torch.stack((centres[..., 0], -centres[..., 1]), -1)
@@ -157,15 +158,15 @@ def round_slopes(centres: Tensor, radii: Tensor, axes: Tensor) -> Tensor:
 
 
 def clipped_slopes(corners: Tensor, near: float) -> Tensor:
-    """As :func:`round_slopes`, of the parts of boxes that lie in front of a plane: (..., 24, 4), infinite where none.
+    """Compute :func:`round_slopes` (..., 24, 4) of the parts of boxes in front of a plane, infinite where none.
 
     Args:
-        corners: (..., 8, 3) of the boxes in the camera's frame, z changing fastest.
+        corners: corners (..., 8, 3) of the boxes in the camera's frame, z changing fastest.
         near: the plane's depth in metres.
     """
     first, second = _edges(corners)
     low, high = -first[..., 2:] - near, -second[..., 2:] - near
-    share = low / torch.where(low == high, 1.0, low - high)
+    share = low / torch.where(low == high, 1.0, low - high)  # edges parallel to the plane are never cut
     crossing = first + share * (second - first)
     ends = torch.cat((torch.where(low < 0.0, crossing, first), torch.where(high < 0.0, crossing, second)), -2)
     seen = (low >= 0.0) | (high >= 0.0)
@@ -175,7 +176,7 @@ def clipped_slopes(corners: Tensor, near: float) -> Tensor:
 
 
 def _edges(corners: Tensor) -> tuple[Tensor, Tensor]:
-    """Both ends (..., 12, 3) of a box's edges."""
+    """Return both ends (..., 12, 3) of a box's edges."""
     x, y, z = (corners.unflatten(-2, (2, 2, 2)).unbind(axis) for axis in (-4, -3, -2))
     first, second = (torch.cat([along[end].flatten(-3, -2) for along in (x, y, z)], -2) for end in (0, 1))
     return first, second
@@ -183,24 +184,24 @@ def _edges(corners: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class _Subjects:
-    """What boxes are asked for: B entities or links."""
+    """Entities or links (B) whose boxes are requested."""
 
     names: tuple[str, ...]
     semantic_labels: tuple[str, ...]
     frames: Tensor
-    """(B,) int64: the link in whose frame each stands, an entity's root link or the link itself."""
+    """Links (B,) int64 whose frames the boxes have: an entity's root link, or the link itself."""
     entities: Tensor
-    """(B,) int64"""
+    """Entities (B,) int64."""
 
 
 class CameraBoxes:
     """Bounding boxes of entities and links as a camera saw them, in all environments at once.
 
-    Only what is drawn counts: visual shapes, or collision shapes of a link that has no visual ones; planes, which have
-    no bounds, do not.
+    Only drawn shapes count: visual shapes, or collision shapes of a link without visual ones. Planes are infinite and
+    do not count.
 
     Args:
-        camera: whose pictures are annotated.
+        camera: camera whose pictures are annotated.
     """
 
     def __init__(self, camera: CameraSensor) -> None:
@@ -236,6 +237,7 @@ class CameraBoxes:
         whole = projected_boxes(slopes, owners, len(self._each_link), camera.intrinsics)
         whole = whole.index_select(1, subjects.frames)
         loose, in_view = cut_off(whole, spec.width, spec.height)
+        # Areas below a pixel's millionth are those of entities without extent.
         share = (area(tight) / area(whole).clamp_min(1e-6)).clamp_max(1.0)
         names = subjects.names, subjects.semantic_labels
         return BoundingBoxes2d(*names, tight, pixels > 0, pixels, loose, in_view, share)
@@ -266,7 +268,7 @@ class CameraBoxes:
         return BoundingBoxes3d(subjects.names, subjects.semantic_labels, poses, 0.5 * (high - low))
 
     def _reach(self, link_poses: Tensor, groups: Tensor) -> tuple[Tensor, Tensor]:
-        """Least and greatest coordinates (N, L, 3) of each group of points, discs and balls."""
+        """Compute the least and greatest coordinates (N, L, 3) of each group of points, discs and balls."""
         poses = _rows(link_poses, self._links)
         centres, axes = transform_points(poses, self._centres), quat_rotate(poses[..., 3:], self._axes)
         reach = self._radii[..., None] * (1.0 - axes**2).clamp_min(0.0).sqrt()
@@ -274,8 +276,9 @@ class CameraBoxes:
         return least(centres - reach, groups, count), -least(-centres - reach, groups, count)
 
     def _outlines(self, camera_pose: Tensor, link_poses: Tensor, near: float) -> tuple[Tensor, Tensor]:
-        """Slopes (N, P + 24 S, 4) of all that bounds the shapes, and the root link (N, P + 24 S) above each."""
+        """Compute the slopes (N, P + 24 S, 4) that bound all shapes, and the root link (N, P + 24 S) above each."""
         seen = pose_multiply(pose_inverse(camera_pose)[:, None], link_poses)
+        # Shapes in front of the near plane are exact; of others the part of their box in front of it counts.
         corners = transform_points(_rows(seen, self._shape_links)[:, :, None], self._corners)
         in_front = (-corners[..., 2] >= near).all(-1)
         poses = _rows(seen, self._links)
@@ -286,7 +289,7 @@ class CameraBoxes:
         return torch.cat((whole, cut), 1), torch.cat((self._root_of_link[self._links], ends), 1)
 
     def _subjects(self, entities: tuple[str, ...], of_links: bool) -> _Subjects:
-        key = (entities, of_links)
+        key = (entities, of_links)  # names are matched once, not at every picture
         if key not in self._chosen:
             self._chosen[key] = self._choose(*key)
         return self._chosen[key]
@@ -311,11 +314,11 @@ class CameraBoxes:
 
 
 def _rows(poses: Tensor, links: Tensor) -> Tensor:
-    """Poses (N, P, 7) of links (N, P)."""
+    """Return the poses (N, P, 7) of links (N, P)."""
     return poses.gather(1, links[..., None].expand(-1, -1, 7))
 
 
 def _kept(slopes: Tensor, seen: Tensor) -> Tensor:
-    """Slopes (..., 4) that bound nothing where not ``seen`` (...)."""
+    """Return slopes (..., 4) that bound nothing where not ``seen`` (...)."""
     low = torch.where(seen[..., None], slopes[..., :2], torch.inf)
     return torch.cat((low, torch.where(seen[..., None], slopes[..., 2:], -torch.inf)), -1)

@@ -1,4 +1,4 @@
-"""A dataset's card: what it holds, on a page for people."""
+"""Card of a dataset: its contents, on a page for people."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HEAD = ("", "| | |", "|---|---|")
 
 
 def card(dataset: Dataset) -> str:
-    """Markdown: task, robot, engine, versions, success, lengths, arrays with their shapes and units."""
+    """Return Markdown: task, robot, engine, versions, success, lengths, arrays with their shapes and units."""
     lines = [f"# {dataset.path.stem}", *_HEAD, *(f"| {n} | {v} |" for n, v in facts(dataset).items())]
     if dataset.episodes:
         lines += ["", "| array | shape, of a step | type | unit |", "|---|---|---|---|"]
@@ -29,15 +29,16 @@ def card(dataset: Dataset) -> str:
 
 
 def facts(dataset: Dataset) -> dict[str, str]:
-    """What a dataset is, by name."""
+    """Return facts about a dataset by name: task, robot, engine, success and more."""
     episodes, manifest = dataset.episodes, dataset.manifest
     values = {"episodes": f"{len(episodes):,}", "steps": f"{sum(info.length for info in episodes):,}"}
     lengths = [info.length for info in episodes]
     if lengths:
         values["length"] = f"{min(lengths)} to {max(lengths)} steps, {statistics.mean(lengths):.0f} in the mean"
-    told = [info.success for info in episodes if info.success is not None]
-    if told:
-        values["success"] = proportion(sum(told), len(told)).percent()
+    # Imported episodes often have no label, and count neither as success nor as failure.
+    labels = [info.success for info in episodes if info.success is not None]
+    if labels:
+        values["success"] = proportion(sum(labels), len(labels)).percent()
     for name in episodes[0].metrics if episodes else ():
         values[name] = f"{statistics.mean(info.metrics[name] for info in episodes if name in info.metrics):.4g}"
     engines = Counter(info.backend for info in episodes if info.backend)
@@ -59,13 +60,14 @@ def facts(dataset: Dataset) -> dict[str, str]:
 
 
 def arrays(dataset: Dataset) -> list[tuple[str, str, str, str]]:
-    """Name, shape of a step's row, type and unit of each array in the first episode."""
+    """Return name, shape of a step's row, type and unit of each array in the first episode."""
     units: dict[str, str] = {}
     groups = dataset.manifest.observations if dataset.manifest else {}
     for group, layout in groups.items():
         prefix = "" if group == "policy" else f"{group}/"
         units |= {prefix + name: term.unit for name, term in layout.terms.items()}
     rows: list[tuple[str, str, str, str]] = []
+    # The first episode is an example of all.
     for name, array in dataset.read(0).arrays.items():
         shape = array.shape if name.startswith("initial/") else array.shape[1:]
         unit = units.get(name.partition("/")[2], "") if name.startswith(("obs/", "next_obs/")) else _UNITS.get(name, "")
@@ -79,6 +81,7 @@ _UNITS = {"actions": "[-1, 1]", "states": "SI", "poses": "m, quaternion (w, x, y
 
 def is_card(path: Path) -> bool:
     """Return True if a file is the card of a dataset, by its first lines."""
+    # The first lines suffice, and a limit of characters keeps a large file from being read.
     with suppress(OSError, ValueError), path.open(encoding="utf-8") as file:
         title, *head = (file.readline(1000).rstrip("\n") for _ in range(1 + len(_HEAD)))
         return title.startswith("# ") and tuple(head) == _HEAD
@@ -89,13 +92,14 @@ def check_card(path: Path) -> None:
     """Reject the path of a dataset's file next to which another file has the name of the card.
 
     Raises:
-        ConfigurationError: names that file.
+        ConfigurationError: such a file exists; the message names it.
     """
-    beside = path.with_suffix(".md")
-    if (beside.exists() or beside.is_symlink()) and not is_card(beside):
+    place = path.with_suffix(".md")
+    # A link counts even if it leads nowhere: writing the card would replace it.
+    if (place.exists() or place.is_symlink()) and not is_card(place):
         raise ConfigurationError(
-            f"{beside} is in the place of the card of {path} and is no card of a dataset: give another name, or move "
-            "it away first"
+            f"{place} is in the place of the card of {path} and is not a card of a dataset: choose another name, or "
+            "move the file away first"
         )
 
 
@@ -103,7 +107,7 @@ def write_card(path: Path | str) -> Path:
     """Write the card of a dataset's file next to it.
 
     Raises:
-        ConfigurationError: a file of that name is there which is no card.
+        ConfigurationError: the file's name is taken by a file that is not a card.
         StorageError: the disk is full, or the folder cannot be written.
     """
     from orbit_data.hdf5 import Hdf5Dataset
@@ -115,7 +119,7 @@ def write_card(path: Path | str) -> Path:
         text = card(dataset)
     finally:
         dataset.close()
-    beside = path.with_suffix(".md")
-    with written_whole(beside) as written:
+    place = path.with_suffix(".md")
+    with written_whole(place) as written:
         written.write_text(text, encoding="utf-8")
-    return beside
+    return place

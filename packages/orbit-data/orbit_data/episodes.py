@@ -1,4 +1,4 @@
-"""Episodes as data: what one holds by name, what is known of it, and what every file format gives and takes."""
+"""Episodes as data: their arrays by name, their facts, and the interface of all file formats."""
 
 from __future__ import annotations
 
@@ -19,51 +19,51 @@ Array = npt.NDArray[Any]
 
 ACTIONS, REWARDS, DONES, STATES = "actions", "rewards", "dones", "states"
 OBSERVED, NEXT, POSES, CONTACTS, INITIAL = "obs/", "next_obs/", "poses/", "contacts/", "initial/"
-"""What the names of arrays begin with: observations before a step and after it, poses (T, 7) of end effectors and
-objects, forces on links, and what the task remembered when the episode began, without the dimension of time."""
+"""Prefixes of arrays' names: observations before a step and after it, poses (T, 7) of end effectors and objects, forces
+on links, and the task's memory at the beginning of the episode, without the dimension of time."""
 
 
 @dataclass(frozen=True)
 class EpisodeInfo:
-    """What is known of an episode besides its arrays."""
+    """Facts about an episode, in addition to its arrays."""
 
     number: int
-    """Its place among all that were begun."""
+    """Number of the episode among all that were begun."""
     length: int
-    """T, steps."""
+    """Number T of steps."""
     success: bool | None = None
-    """None where nobody said."""
+    """Whether the episode succeeded; None if unknown."""
     episode_return: float = 0.0
     """Sum of the rewards."""
     metrics: dict[str, float] = field(default_factory=dict)
-    """The task's, at the end."""
+    """Metrics of the task at the end."""
     seed: int | None = None
-    """Of the environment's random stream; with the next two it says how the episode began."""
+    """Seed of the environment's random stream; together with the next two it determines the initial state."""
     env_id: int | None = None
     episode: int | None = None
-    """Which of the environment's episodes it was."""
+    """Number of the episode among the environment's own."""
     backend: str = ""
-    """The engine that it ran on."""
+    """Engine that ran the episode."""
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One episode: arrays by name, (T, ...) each but for those of ``initial/``; row t is before action t."""
+    """One episode: arrays (T, ...) by name, and ``initial/`` ones without time; row t is before action t."""
 
     info: EpisodeInfo
     arrays: Mapping[str, Array]
 
     def named(self, prefix: str) -> dict[str, Array]:
-        """Return the arrays whose names begin so, by the rest of their names."""
+        """Return the arrays whose names begin with ``prefix``, by the rest of their names."""
         return {name.removeprefix(prefix): array for name, array in self.arrays.items() if name.startswith(prefix)}
 
 
 class Dataset(ABC):
-    """Recorded episodes, in whatever format. Reading executes nothing that a file holds."""
+    """Recorded episodes, in any format. Reading never executes code that a file contains."""
 
     path: Path
     manifest: Manifest | None
-    """Of the environment that they were recorded in; None in foreign files."""
+    """Manifest of the environment of the recording; None in files of other programs."""
     episodes: Sequence[EpisodeInfo]
     masks: Mapping[str, Sequence[int]]
     """Subsets by name, as positions in ``episodes``: training and validation."""
@@ -87,49 +87,54 @@ class Dataset(ABC):
         """Return the manifest.
 
         Raises:
-            ConfigurationError: the file holds none.
+            ConfigurationError: the file contains none.
         """
         if self.manifest is None:
             raise ConfigurationError(
-                f"{self.path} holds no manifest, which this needs: it was not recorded by ORBIT, and nothing says what "
-                "its numbers mean"
+                f"{self.path} holds no manifest, which is required here: ORBIT did not record it, and nothing defines "
+                "what its numbers mean"
             )
         return self.manifest
 
 
 def chosen(name: str, names: Sequence[str] | None) -> bool:
-    """Whether an array is asked for, by its name or by a prefix that ends in ``/``."""
+    """Return whether an array is requested, by its name or by a prefix that ends in ``/``."""
     return names is None or name in names or any(each.endswith("/") and name.startswith(each) for each in names)
 
 
 def check_found(names: Sequence[str] | None, arrays: Collection[str], where: str) -> None:
-    """Refuse what lacks an array that is asked for.
+    """Refuse data that lacks a requested array.
+
+    Args:
+        names: requested arrays or prefixes; all if None.
+        arrays: names of the arrays that exist.
+        where: name of the data in messages.
 
     Raises:
-        ConfigurationError: names the array.
+        ConfigurationError: an array is missing; the message names it.
     """
     for asked in names or ():
         if not any(chosen(found, (asked,)) for found in arrays):
-            raise ConfigurationError(f"{where} has no '{asked}', which this needs")
+            raise ConfigurationError(f"{where} has no '{asked}', which is required here")
 
 
-# Steps of an episode; no recording comes near.
+# Limit of an episode's steps, which no real recording reaches.
 _LONGEST = 100_000_000
 # Bytes of an array that are checked at a time.
 _STRETCH = 1 << 24
-# Memory of what is known of an episode.
+# Bytes of memory for one EpisodeInfo.
 _INFO_BYTES = 512
 
 
 def check_infos(infos: Sequence[EpisodeInfo], account: ReadAccount) -> None:
-    """Refuse lengths that no episode has, and more episodes than memory is allowed for.
+    """Refuse impossible lengths, and more episodes than the memory budget allows.
 
     Args:
-        infos: of all episodes of a dataset.
-        account: of its opening.
+        infos: facts of all episodes of a dataset.
+        account: account of the opening.
 
     Raises:
-        ConfigurationError: names the episode.
+        ConfigurationError: a length is impossible, or the budget is exceeded.
     """
     account.take("all episodes", _INFO_BYTES * len(infos))
     for position, info in enumerate(infos):
@@ -138,10 +143,15 @@ def check_infos(infos: Sequence[EpisodeInfo], account: ReadAccount) -> None:
 
 
 def check_episode(episode: Episode, where: str, whole: bool = True) -> None:
-    """Refuse arrays of unequal length, of other than numbers, or without actions if it is ``whole``.
+    """Refuse arrays of unequal length or with anything but finite numbers.
+
+    Args:
+        episode: episode to check.
+        where: name of the episode in messages.
+        whole: whether all arrays were read, so that actions must be among them.
 
     Raises:
-        ConfigurationError: names the array.
+        ConfigurationError: an array is invalid; the message names it.
     """
     if whole and ACTIONS not in episode.arrays:
         raise ConfigurationError(f"{where} has no actions")
@@ -149,17 +159,18 @@ def check_episode(episode: Episode, where: str, whole: bool = True) -> None:
         for part in name.split("/"):
             check_name(part, where)
         if array.dtype.kind not in "fiub":
-            raise ConfigurationError(f"'{name}' of {where} is of {array.dtype}: an episode holds numbers alone")
+            raise ConfigurationError(f"'{name}' of {where} is of {array.dtype}: an episode holds only numbers")
         if not name.startswith(INITIAL) and (array.ndim < 1 or len(array) != episode.info.length):
             raise ConfigurationError(
                 f"'{name}' of {where} has shape {array.shape}, but the episode has {episode.info.length} steps"
             )
+        # In stretches: the check of a whole array of pictures would double the memory that it takes.
         if array.dtype.kind == "f" and not all(np.isfinite(rows).all() for rows in _stretches(array)):
             raise ConfigurationError(f"'{name}' of {where} holds NaN or infinity")
 
 
 def _stretches(array: Array) -> Iterator[Array]:
-    """Yield an array some rows at a time, so that what is computed of them takes little memory."""
+    """Yield an array some rows at a time, so that computations with them take little memory."""
     rows = array if array.ndim else array[None]
     step = max(1, _STRETCH * len(rows) // max(1, array.nbytes))
     yield from (rows[begin : begin + step] for begin in range(0, len(rows), step))

@@ -1,4 +1,4 @@
-"""Datasets of all formats, by the look of their path: opened, and written from episodes of any other."""
+"""Opening and writing of datasets in all formats; the path determines the format."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def opened(path: Path | str, budget: ReadBudget = ReadBudget()) -> Iterator[Data
     """Open a dataset: an HDF5 file, a folder of LeRobot's, or a Zarr replay buffer.
 
     Args:
-        path: of the file or folder.
-        budget: limits on what opening it, and reading each episode, may take.
+        path: path of the file or folder.
+        budget: limits of memory and time for opening it, and for reading each episode.
 
     Raises:
-        ConfigurationError: there is none, or it cannot be read.
+        ConfigurationError: no dataset is there, or it cannot be read.
     """
     path = as_path(path)
     reader = ZarrDataset if is_zarr(path) else LeRobotDataset if path.is_dir() else Hdf5Dataset
@@ -53,24 +53,24 @@ def write_dataset(
     masks: Mapping[str, Sequence[int]] | None = None,
     compression: str | None = None,
 ) -> set[str]:
-    """Write a dataset with its card: HDF5 where the name ends in .hdf5 or .h5, and else a folder of LeRobot's.
+    """Write a dataset with its card: HDF5 if the name ends in .hdf5 or .h5, otherwise a LeRobot folder.
 
     The dataset is written next to its place, opened again to check it, and only then takes its place.
 
     Args:
-        path: of the file or folder, which is replaced once the new one is whole.
-        episodes: in their order.
-        manifest: of the environment, if it is known.
-        rate: steps in a second, where no manifest says it.
-        masks: subsets by name, as positions; HDF5 alone has a place for them.
-        compression: of all arrays of an HDF5 file: ``"gzip"`` or ``"lzf"``.
+        path: path of the file or folder, which is replaced once the new one is complete.
+        episodes: episodes in their order.
+        manifest: manifest of the environment, if it is known.
+        rate: steps per second, if no manifest states it.
+        masks: subsets by name, as positions; only HDF5 can store them.
+        compression: compression of all arrays of an HDF5 file: ``"gzip"`` or ``"lzf"``.
 
     Returns:
-        Names of arrays that the format has no place for.
+        Names of arrays that the format cannot store.
 
     Raises:
-        ConfigurationError: LeRobot needs a rate that is not known, the format does not take what is given, or the
-            folder or the card that would be replaced is not one that ORBIT wrote.
+        ConfigurationError: LeRobot needs a rate that is unknown, the format does not support an argument, or the
+            folder or card that would be replaced was not written by ORBIT.
         StorageError: the disk is full, or the folder cannot be written.
     """
     path = as_path(path)
@@ -81,24 +81,25 @@ def write_dataset(
         write_card(path)
         return set()
     if compression is not None or masks:
-        raise ConfigurationError(f"{path} would be a LeRobot dataset, which takes no compression and no subsets")
+        raise ConfigurationError(f"{path} would be a LeRobot dataset, which has no compression and no subsets")
     step_rate = rate if manifest is None else 1.0 / manifest.step_dt
     if step_rate is None:
-        raise ConfigurationError("nothing says how many steps a second has: give --rate, which LeRobot needs")
+        raise ConfigurationError("the number of steps per second is unknown: give --rate, which LeRobot needs")
+    # The path behind a link, so that the link stays and its target is replaced.
     with written_whole(path.resolve()) as written:
         left_out = write_lerobot(written, episodes, manifest, step_rate)
         with opened(written, TRUSTED) as dataset:
             (written / CARD).write_text(card(dataset), encoding="utf-8")
-        check_replaceable(path)  # again, for a person may have put something there meanwhile
+        check_replaceable(path)  # again, because a person may have put something there in the meantime
     return left_out
 
 
 def check_target(path: Path) -> None:
-    """Reject the path of a new dataset that no format has, or where something else would be lost.
+    """Reject the path of a new dataset that has no known format, or where something else would be lost.
 
     Raises:
-        ConfigurationError: its suffix is of no format that is written, it is a folder that holds anything but a dataset
-            that ORBIT wrote, or a file in the place of its card is no card.
+        ConfigurationError: the suffix belongs to no format that can be written, the folder contains anything but a
+            dataset that ORBIT wrote, or a file in the place of the card is not a card.
     """
     if path.suffix in _SUFFIXES:
         if path.is_dir():
@@ -118,10 +119,10 @@ def read_all(datasets: Iterable[Dataset]) -> Iterator[Episode]:
 
 
 def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
-    """Return the manifest of datasets that can be one; the first one's, where they differ in what is noted alone.
+    """Return the manifest of datasets that can be merged: the first one's, if they differ only in notes.
 
     Raises:
-        ConfigurationError: numbers mean different things in them; names every difference.
+        ConfigurationError: numbers mean different things in them; the message names every difference.
     """
     first, *others = datasets
     for other in others:
@@ -133,17 +134,23 @@ def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
             continue
         graver = [d for d in differences(first.manifest, other.manifest) if d.kind is not Kind.NOTE]
         if graver:
-            told = "; ".join(str(difference) for difference in graver)
-            raise ConfigurationError(f"{first.path} and {other.path} are not of one kind: {told}")
+            listed = "; ".join(str(difference) for difference in graver)
+            raise ConfigurationError(f"{first.path} and {other.path} are not of one kind: {listed}")
     return first.manifest
 
 
 def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
-    """Return positions of ``train`` and ``valid``, the latter's share of ``count`` drawn at random.
+    """Divide positions randomly into ``train`` and ``valid``.
+
+    Args:
+        count: number of episodes.
+        share: share of them that ``valid`` gets.
+        seed: seed of the random choice.
 
     Raises:
-        ConfigurationError: one of them would be empty.
+        ConfigurationError: one of the two would be empty.
     """
+    # NaN and infinity cannot be rounded, and count as an empty share.
     held_out = round(share * count) if math.isfinite(share) else 0
     if not 0 < held_out < count:
         raise ConfigurationError(f"{share:g} of {count} episodes is none or all of them: give another share")

@@ -1,10 +1,10 @@
-"""Datasets as HDF5 in robomimic's layout, with the manifest beside the demonstrations.
+"""Datasets as HDF5 in robomimic's layout, with the manifest in the same file.
 
 ``/data/demo_<i>`` holds ``actions``, ``rewards``, ``dones``, ``states``, ``obs/<term>`` and ``next_obs/<term>`` of
-length T, and ours besides: ``poses/``, ``contacts/``, ``initial/``. ``/data`` has the attributes ``total`` and
+length T, and arrays of ORBIT: ``poses/``, ``contacts/``, ``initial/``. ``/data`` has the attributes ``total`` and
 ``env_args``, ``/mask/<name>`` lists demonstrations by name (https://robomimic.github.io/docs/datasets/overview.html).
-``/orbit/manifest`` is the manifest as JSON. Nothing but numbers is read: files with objects (of which Python's pickles
-are one kind), with links to elsewhere, or with data in other files are refused.
+``/orbit/manifest`` is the manifest as JSON. Only numbers are read: files with objects (Python's pickles are one kind),
+with links to elsewhere, or with data in other files are refused.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from orbit_data.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget
 from orbit_data.reading.hdf5 import Hdf5File, hdf5_module
 
 SUFFIX = ".hdf5"
-# robomimic's number for environments in Gymnasium's manner.
+# robomimic's number for environments with Gymnasium's interface (EnvType.GYM_TYPE).
 _GYM = 2
 _MANIFEST = "orbit/manifest"
 _INFO = "orbit_episode"
 _REASON = re.compile(r"error message = '([^']*)'")
 _DEMO = re.compile(r"demo_[0-9]{1,9}")
-# Bytes that must be free besides what is written, and for which room is looked for at once.
+# Bytes that must stay free after writing, and bytes that one check of the free space covers.
 _MARGIN, _AHEAD = 1 << 20, 1 << 22
-# How pictures are compressed; numbers as small as states gain nothing from it.
+# Compression of pictures; arrays as small as states gain nothing from it.
 _PICTURE = {"compression": "lzf"}
 
 
@@ -50,20 +50,21 @@ def write_hdf5(
     compression: str | None = None,
     size: int = 0,
 ) -> int:
-    """Write a dataset, check it, and let it take its place, whole or not at all. Returns the number of episodes.
+    """Write a dataset, check it, move it to its path as a whole, and return the number of episodes.
 
     Args:
-        path: of the file, which is replaced.
-        episodes: in their order, which names them ``demo_0`` and so on.
-        manifest: of the environment, if it is known.
-        masks: subsets by name, as positions; ``success`` is added where the episodes say it.
-        compression: of all arrays, ``"gzip"`` or ``"lzf"``; None compresses pictures alone, by ``"lzf"``.
-        size: about how many bytes it will have, for which there must be room before anything is written.
+        path: path of the file, which is replaced.
+        episodes: episodes in order; they get the names ``demo_0`` and so on.
+        manifest: manifest of the environment, if it is known.
+        masks: subsets by name, as positions; ``success`` is added if the episodes state it.
+        compression: compression of all arrays, ``"gzip"`` or ``"lzf"``; None compresses only pictures, by ``"lzf"``.
+        size: estimate of the file's bytes, which must be free before anything is written.
 
     Raises:
         StorageError: the disk is full, or the folder cannot be written.
     """
     path, h5py = as_path(path), hdf5_module()
+    # Free space is checked ahead of several episodes at once, because each check allocates a file.
     successes: list[int] = []
     count = total = room = 0
     with _room(path, size), written_whole(path) as written:
@@ -72,7 +73,7 @@ def write_hdf5(
             for count, episode in enumerate(episodes, 1):
                 needed = sum(array.nbytes for array in episode.arrays.values())
                 if needed > room:
-                    file.flush()  # so that little is left to write when it is closed, which must not fail
+                    file.flush()  # so that closing has little left to write: a failure there crashes HDF5
                     _check_room(path, needed + _AHEAD)
                     room = needed + _AHEAD
                 room -= needed
@@ -87,19 +88,19 @@ def write_hdf5(
                 file.create_dataset(_MANIFEST, data=np.frombuffer(manifest.encode(), np.uint8))
             for name, positions in {**({"success": successes} if successes else {}), **(masks or {})}.items():
                 file.create_dataset(f"mask/{name}", data=np.array([f"demo_{i}" for i in positions], dtype="S"))
-        Hdf5Dataset(written).close()  # before it replaces another, it must be readable
+        Hdf5Dataset(written).close()  # it must be readable before it replaces another file
     return count
 
 
 class Hdf5Dataset(Dataset):
-    """A dataset in an HDF5 file, ours or robomimic's.
+    """Dataset in an HDF5 file, of ORBIT or robomimic.
 
     Args:
-        path: of the file.
-        budget: limits on what opening it, and reading each episode, may take.
+        path: path of the file.
+        budget: limits of memory and time for opening it, and for reading each episode.
 
     Raises:
-        ConfigurationError: it is truncated, no HDF5, of another layout, or holds what is not read; says what.
+        ConfigurationError: the file is truncated, not HDF5, of another layout, or contains data that is not read.
     """
 
     def __init__(self, path: Path | str, budget: ReadBudget = ReadBudget()) -> None:
@@ -107,6 +108,7 @@ class Hdf5Dataset(Dataset):
         self._file = Hdf5File(self.path, "dataset")
         try:
             with self._file.faults("the file"):
+                # The bytes on the disk, not the file's length: a file with holes can be of any length.
                 account = ReadAccount(budget, str(self.path), 512 * self.path.stat().st_blocks)
                 self._data, self._demos = self._demonstrations()
                 self.manifest = self._manifest(account)
@@ -136,6 +138,7 @@ class Hdf5Dataset(Dataset):
         if group is None:
             raise ConfigurationError(f"{self.path} is no dataset of demonstrations: it has no group 'data'")
         found = [name for name in self._file.names(group) if _DEMO.fullmatch(name)]
+        # By number: HDF5 lists names by their characters, demo_10 before demo_2.
         return group, sorted(found, key=lambda name: int(name[5:]))
 
     def _manifest(self, account: ReadAccount) -> Manifest | None:
@@ -179,10 +182,10 @@ class Hdf5Dataset(Dataset):
 
 @contextmanager
 def _room(path: Path, size: int) -> Iterator[None]:
-    """Make sure that there is room on the disk, and say so where there is none; the library does it less clearly.
+    """Check that the disk has room, and report a full disk more clearly than HDF5 does.
 
     Raises:
-        StorageError: there is not, or the library could not write.
+        StorageError: the disk is full, or HDF5 could not write.
     """
     try:
         with _hushed(), storage_faults(path):
@@ -192,13 +195,13 @@ def _room(path: Path, size: int) -> Iterator[None]:
     except (RuntimeError, StorageError) as error:
         if (reason := _REASON.search(str(error))) is None and isinstance(error, StorageError):
             raise
-        told = reason.group(1) if reason else str(error).strip().partition("\n")[0]
-        raise StorageError(f"cannot write {path}: {told}") from error
+        message = reason.group(1) if reason else str(error).strip().partition("\n")[0]
+        raise StorageError(f"cannot write {path}: {message}") from error
 
 
 @contextmanager
 def _hushed() -> Iterator[None]:
-    """Where it cannot write, the library also prints a traceback for each of its objects, which nobody can catch."""
+    """Silence the tracebacks that HDF5 prints for each of its objects when it cannot write; they cannot be caught."""
     hooks = sys.excepthook, sys.unraisablehook
     sys.excepthook = sys.unraisablehook = lambda *_: None
     try:
@@ -208,18 +211,19 @@ def _hushed() -> Iterator[None]:
 
 
 def _check_room(path: Path, size: int) -> None:
-    """Find out that the disk is full, or the user's share of it, before the library does, which then crashes.
+    """Detect a full disk, or a used-up quota, before HDF5 does, which crashes then.
 
     Raises:
-        StorageError: there is no room for so many bytes.
+        StorageError: the disk has no room for ``size`` bytes.
     """
+    # Allocating respects quotas and reserved blocks, which the file system's free space does not show.
     with storage_faults(path), TemporaryFile(dir=path.parent) as file:
         os.posix_fallocate(file.fileno(), 0, size + _MARGIN)
 
 
 def _write_episode(group: Any, episode: Episode, compression: str | None) -> None:
     for name, array in episode.arrays.items():
-        picture = array.dtype == np.uint8 and array.ndim == 4
+        picture = array.dtype == np.uint8 and array.ndim == 4  # (T, H, W, C)
         options = {"compression": compression} if compression and array.ndim else _PICTURE if picture else {}
         group.create_dataset(name, data=array, **options)
     group.attrs["num_samples"] = episode.info.length

@@ -1,8 +1,8 @@
 """LeRobotDataset v3.0: parquet for numbers, video for pictures, written without its hub.
 
 The layout is that of LeRobot's documentation (https://huggingface.co/docs/lerobot/lerobot-dataset-v3): ``data/`` and
-``videos/`` hold many episodes per file, ``meta/`` says where each begins. ``meta/orbit_manifest.json`` and
-``meta/orbit_episodes.json`` are ORBIT's, and preserve what the layout cannot hold. Pictures of many episodes are one
+``videos/`` hold many episodes per file, ``meta/`` states where each begins. ``meta/orbit_manifest.json`` and
+``meta/orbit_episodes.json`` are ORBIT's, and preserve what the layout cannot hold. Pictures of many episodes are in one
 video file, from which each frame can be read.
 """
 
@@ -28,16 +28,21 @@ from orbit_data.manifest.manifest import Manifest
 from orbit_data.reading.budget import ReadAccount
 from orbit_data.reading.parquet import arrow_modules
 
-# Every second frame stands by itself, so that any one is soon found; nearly no loss that an eye sees.
+# Every second frame is a key frame, so that random access is fast; at crf 18 an eye sees almost no loss.
 _EVERY_OTHER = {"g": "2", "crf": "18"}
 
 
-# Decoders that datasets use, of the hundreds that the library has.
+# Decoders that datasets use. FFmpeg has hundreds more, which untrusted files must not reach.
 _DECODERS = ("h264", "hevc", "libdav1d", "av1", "vp9", "mpeg4")
 
 
 def write_video(path: Path | str, stretches: Iterable[Array], rate: int) -> None:
-    """Write H.264, of pictures (T, H, W, 3) uint8 one stretch after the other.
+    """Write pictures as an H.264 video.
+
+    Args:
+        path: path of the file.
+        stretches: pictures (T, H, W, 3) uint8, one part after the other.
+        rate: frames per second.
 
     Raises:
         ConfigurationError: the encoder is not installed, or the pictures' sides are odd.
@@ -49,36 +54,37 @@ def write_video(path: Path | str, stretches: Iterable[Array], rate: int) -> None
             if stream is None:
                 height, width = frames.shape[1:3]
                 if height % 2 or width % 2:
-                    raise ConfigurationError(f"a video's sides are even, and these pictures are {width} x {height}")
+                    # yuv420p stores one colour for each two by two pixels.
+                    raise ConfigurationError(f"a video needs even sides, and these pictures are {width} x {height}")
                 stream = file.add_stream("libx264", rate=rate, options=_EVERY_OTHER)
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
             for frame in frames:
                 picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
                 file.mux(stream.encode(picture))
         if stream is not None:
-            file.mux(stream.encode())
+            file.mux(stream.encode())  # frames that the encoder still holds
 
 
 def read_video(path: Path | str, first: int, count: int, account: ReadAccount) -> Array:
     """Read frames of a video.
 
     Args:
-        path: of an MP4 file.
+        path: path of an MP4 file.
         first: number of the first frame.
-        count: of frames.
-        account: that their bytes are counted on.
+        count: number of frames.
+        account: account of the bytes and time that are used.
 
     Returns:
-        (count, H, W, 3) uint8.
+        Pictures (count, H, W, 3) uint8.
 
     Raises:
         ConfigurationError: the decoder is not installed, or the file is damaged, too short or beyond the budget.
     """
     av, path = _av(), as_path(path)
     done = 0
-    limit = {"max_pixels": str(account.budget.pixels)}  # for the decoder, which looks at frames of any size at first
+    limit = {"max_pixels": str(account.budget.pixels)}  # for the decoder, which otherwise decodes frames of any size
     try:
-        # An open file of one format: others name further files, and protocols lead anywhere.
+        # An open file and a fixed format: other formats name further files, and URLs lead anywhere.
         with path.open("rb") as data, av.open(data, format="mp4", options=limit, stream_options=[limit]) as file:
             stream = file.streams.video[0]
             if stream.codec_context.name not in _DECODERS:
@@ -92,7 +98,7 @@ def read_video(path: Path | str, first: int, count: int, account: ReadAccount) -
             file.seek(round(first * step), stream=stream)
             for frame in file.decode(stream):
                 account.check_time()
-                if round(frame.pts / step) < first:
+                if round(frame.pts / step) < first:  # the seek went to the key frame before
                     continue
                 account.check_picture(path.name, frame.width, frame.height)
                 frames[done] = frame.to_ndarray(format="rgb24")
@@ -114,13 +120,13 @@ def _av() -> Any:
 
 VERSION = "v3.0"
 STATE_OF_GROUP = ".state"
-"""Ends the name of the column of a group that the policy does not see."""
+"""Suffix of the column of an observation group that the policy does not see."""
 STATE, ACTION, PICTURE, SIMULATED = "observation.state", "action", "observation.images.", "simulation.state"
 MANIFEST, EPISODES, INFO = "meta/orbit_manifest.json", "meta/orbit_episodes.json", "meta/info.json"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-# Files that a dataset of ours consists of, besides its card.
+# Files that ORBIT's datasets consist of, in addition to the card. A folder with any other file is never replaced.
 _LAYOUT = re.compile(
     r"meta/(info|stats|orbit_manifest|orbit_episodes)\.json|meta/tasks\.parquet"
     r"|(meta/episodes|data)/chunk-\d{3,}/file-\d{3,}\.parquet|videos/[^/]+/chunk-\d{3,}/file-\d{3,}\.mp4"
@@ -131,7 +137,7 @@ _STEPS_A_FILE = 50_000
 
 @dataclass
 class _Statistics:
-    """Least, most, mean and deviation of each component, gathered episode by episode."""
+    """Minimum, maximum, mean and deviation of each component, gathered episode by episode."""
 
     low: Array
     high: Array
@@ -151,6 +157,7 @@ class _Statistics:
 
     def table(self, picture: bool) -> dict[str, Any]:
         mean = self.total / self.count
+        # Rounding can make the variance of a constant slightly negative.
         deviation = np.sqrt(np.maximum(self.squares / self.count - mean**2, 0.0))
         parts = {"min": self.low, "max": self.high, "mean": mean, "std": deviation}
         shape = (3, 1, 1) if picture else (-1,)
@@ -159,13 +166,13 @@ class _Statistics:
 
 @dataclass
 class LeRobotWriter:
-    """Writes episodes one after the other; :meth:`finish` makes a dataset of them.
+    """Writer of episodes one after the other; :meth:`finish` completes the dataset.
 
     Args:
-        path: of the folder, which is made.
-        task: what the episodes show, in words.
-        rate: steps in a second, a whole number.
-        robot: its type.
+        path: path of the folder, which is created.
+        task: task of the episodes, in words.
+        rate: steps per second, a whole number.
+        robot: type of the robot.
     """
 
     path: Path
@@ -174,7 +181,7 @@ class LeRobotWriter:
     robot: str
     features: dict[str, Any] = field(init=False, default_factory=dict)
     left_out: set[str] = field(init=False, default_factory=set)
-    """Arrays that the layout has no place for."""
+    """Names of arrays that the layout cannot store."""
 
     def __post_init__(self) -> None:
         self._rows: list[dict[str, Array]] = []
@@ -186,7 +193,7 @@ class LeRobotWriter:
         self._total = 0
 
     def add(self, episode: Episode) -> None:
-        """Take in an episode; files are written when enough has come together."""
+        """Add an episode; files are written once they have enough steps."""
         if self._rows and sum(len(rows["index"]) for rows in self._rows) + episode.info.length > _STEPS_A_FILE:
             self._flush()
         pictures = {name: array for name, array in episode.named(OBSERVED).items() if is_film(name, array)}
@@ -201,6 +208,7 @@ class LeRobotWriter:
             key = PICTURE + name
             self.features.setdefault(key, _video_feature(frames, self.rate))
             self._pictures.setdefault(key, []).append(frames)
+            # A tenth of the frames is enough for the mean colour, and ten times as fast.
             self._count(row, key, frames[::10].reshape(-1, 3) / 255.0, picture=True)
             row |= {f"videos/{key}/chunk_index": self._file // _FILES_A_CHUNK}
             row |= {f"videos/{key}/file_index": self._file % _FILES_A_CHUNK}
@@ -214,13 +222,13 @@ class LeRobotWriter:
         self._total += episode.info.length
 
     def finish(self, manifest: Manifest | None) -> None:
-        """Write what is left, and what tells of it all; ``meta/info.json``, without which it is none, comes last.
+        """Write the last files and the description; ``meta/info.json`` comes last, because it makes the dataset valid.
 
         Raises:
             ConfigurationError: there are no episodes.
         """
         if not self._episodes:
-            raise ConfigurationError(f"a LeRobot dataset has an episode at least: none was given for {self.path}")
+            raise ConfigurationError(f"a LeRobot dataset needs at least one episode: none was given for {self.path}")
         self._flush()
         arrow, _ = arrow_modules()
         place = {"chunk_index": 0, "file_index": 0}
@@ -230,8 +238,8 @@ class LeRobotWriter:
         self._write_text(EPISODES, msgspec.json.encode(self._infos).decode())
         if manifest is not None:
             self._write_text(MANIFEST, manifest.encode().decode())
-        told = {name: s.table(name.startswith(PICTURE)) for name, s in self._statistics.items()}
-        self._write_text("meta/stats.json", json.dumps(told, indent=2))
+        tables = {name: s.table(name.startswith(PICTURE)) for name, s in self._statistics.items()}
+        self._write_text("meta/stats.json", json.dumps(tables, indent=2))
         self._write_text(INFO, json.dumps(self._info(), indent=2))
 
     def _numbers(self, episode: Episode) -> dict[str, Array]:
@@ -245,6 +253,7 @@ class LeRobotWriter:
         numbers[ACTION] = episode.arrays[ACTIONS].astype(np.float32)
         if STATES in episode.arrays:
             numbers[SIMULATED] = episode.arrays[STATES].astype(np.float32)
+        # LeRobot's names of rewards and ends begin with "next.": they are results of the action.
         frames = np.arange(length, dtype=np.int64)
         if REWARDS in episode.arrays:
             numbers["next.reward"] = episode.arrays[REWARDS].astype(np.float32)
@@ -252,11 +261,11 @@ class LeRobotWriter:
             numbers["next.done"] = episode.arrays[DONES].astype(np.bool_)
         numbers |= {"timestamp": (frames / self.rate).astype(np.float32), "frame_index": frames}
         numbers |= {"episode_index": np.full_like(frames, place), "index": frames + self._total}
-        numbers["task_index"] = np.zeros_like(frames)
+        numbers["task_index"] = np.zeros_like(frames)  # the only task, of meta/tasks.parquet
         for name, values in numbers.items():
             feature = _feature(values, names.get(name))
             if self.features.setdefault(name, feature) != feature:
-                raise ConfigurationError(f"'{name}' has {values.shape[1:]} in episode {place}, unlike in those before")
+                raise ConfigurationError(f"'{name}' has {values.shape[1:]} in episode {place}, unlike in earlier ones")
         return numbers
 
     def _place(self, info: EpisodeInfo) -> dict[str, Any]:
@@ -306,6 +315,7 @@ class LeRobotWriter:
             "data_files_size_in_mb": 100,
             "video_files_size_in_mb": 500,
             "fps": self.rate,
+            # LeRobot's layout has named splits; this one has all episodes.
             "splits": {"train": f"0:{len(self._episodes)}"},
             "data_path": DATA_PATH,
             "video_path": VIDEO_PATH if any(name.startswith(PICTURE) for name in self.features) else None,
@@ -325,23 +335,23 @@ class LeRobotWriter:
 
 
 def write_lerobot(path: Path | str, episodes: Iterable[Episode], manifest: Manifest | None, rate: float) -> set[str]:
-    """Write a dataset into a new folder. Returns the arrays that it has no place for.
+    """Write a dataset into a new folder, and return the names of arrays that it cannot store.
 
-    On an error the folder is left unfinished: :func:`orbit_data.formats.write_dataset` writes whole ones.
+    An error leaves the folder unfinished; :func:`orbit_data.formats.write_dataset` writes only complete ones.
 
     Args:
-        path: of the folder, which must not be there.
-        episodes: in their order.
-        manifest: of the environment, if it is known.
-        rate: steps in a second.
+        path: path of the folder, which must not exist.
+        episodes: episodes in order.
+        manifest: manifest of the environment, if it is known.
+        rate: steps per second.
 
     Raises:
-        ConfigurationError: the rate is no whole number, or there are no episodes.
+        ConfigurationError: the rate is not a whole number, or there are no episodes.
         StorageError: the disk is full, or the folder cannot be written.
     """
     path = as_path(path)
     if abs(rate - round(rate)) > 1e-6:
-        raise ConfigurationError(f"LeRobot takes a whole number of steps in a second, not {rate:g}")
+        raise ConfigurationError(f"LeRobot needs a whole number of steps per second, not {rate:g}")
     robot = next((r.model for r in manifest.robots.values() if r.agent), "") if manifest else "unknown"
     writer = LeRobotWriter(path, manifest.task if manifest else path.stem, round(rate), robot)
     for episode in episodes:
@@ -351,26 +361,26 @@ def write_lerobot(path: Path | str, episodes: Iterable[Episode], manifest: Manif
 
 
 def check_replaceable(path: Path) -> None:
-    """Reject what is not to be replaced by a dataset: anything but an empty folder or a dataset that ORBIT wrote.
+    """Reject a path that a dataset must not replace: only empty folders and datasets that ORBIT wrote are replaced.
 
     Raises:
-        ConfigurationError: it is a file, a folder without such a dataset, or holds other things as well; names one.
+        ConfigurationError: the path is a file, or a folder with anything else; the message names one such file.
     """
     if not path.exists():
         return
     if not path.is_dir():
-        raise ConfigurationError(f"{path} is a file, which no folder replaces: give another name, or remove it first")
+        raise ConfigurationError(f"{path} is a file, which no folder replaces: choose another name, or remove it first")
     foreign = next(_foreign(path), None)
     if foreign is not None or (any(path.iterdir()) and not (path / EPISODES).is_file()):
         what = "" if foreign is None else f": it holds {foreign}"
         raise ConfigurationError(
-            f"{path} is not, or not only, a dataset that ORBIT wrote{what}. It is not replaced: give another name, or "
-            "move it away first"
+            f"{path} is not, or not only, a dataset that ORBIT wrote{what}. It is not replaced: choose another "
+            "name, or move it away first"
         )
 
 
 def _foreign(folder: Path) -> Iterator[str]:
-    """Paths within a folder that no dataset of ours has, links among them."""
+    """Yield the paths within a folder that ORBIT's datasets do not have, including links."""
     for place, folders, files in os.walk(folder):
         links = [name for name in folders if (Path(place) / name).is_symlink()]
         for name in (*files, *links):
@@ -382,9 +392,7 @@ def _foreign(folder: Path) -> Iterator[str]:
 
 
 def _columns_of(episode: Episode) -> dict[str, dict[str, Array]]:
-    """Return the terms that stand side by side in each column: what the policy sees, each group that it does not see,
-    and each picture that no video holds by itself.
-    """
+    """Return the terms of each column: those that the policy sees, other groups, and pictures without a video."""
     columns: dict[str, dict[str, Array]] = {}
     for name, array in episode.named(OBSERVED).items():
         group, slash, _ = name.rpartition("/")
@@ -396,7 +404,7 @@ def _columns_of(episode: Episode) -> dict[str, dict[str, Array]]:
 
 
 def is_film(name: str, array: Array) -> bool:
-    """Whether an observation becomes a video: a picture of three colours that the policy sees."""
+    """Return whether an observation becomes a video: a picture of three colours that the policy sees."""
     return "/" not in name and array.dtype == np.uint8 and array.ndim == 4 and array.shape[3] == 3
 
 
@@ -425,11 +433,11 @@ def _column(arrow: Any, values: Array) -> Any:
 
 
 def _pandas_index() -> Mapping[str, str]:
-    """Says that the tasks' words are the table's index, as pandas writes it."""
+    """Return metadata that makes the tasks' words the table's index, as pandas writes it."""
     kinds = (("task_index", "task_index", "int64", "int64"), (None, "__index_level_0__", "unicode", "object"))
     columns = [
         {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
         for name, field, kind, numpy in kinds
     ]
-    said = {"index_columns": ["__index_level_0__"], "column_indexes": [], "columns": columns}
-    return {"pandas": json.dumps(said)}
+    metadata = {"index_columns": ["__index_level_0__"], "column_indexes": [], "columns": columns}
+    return {"pandas": json.dumps(metadata)}

@@ -1,4 +1,4 @@
-"""LeRobotDatasets v3.0, ours and others', as episodes."""
+"""Reader of LeRobot datasets v3.0, of ORBIT and others."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ from orbit_data.reading.parquet import arrow_modules, read_columns
 from orbit_data.tensor_file import parse_json
 
 _OWN = {ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
-# What a pattern of file names may hold; others could ask for names of any length.
+# Fields that a pattern of file names may contain; others could produce names of any length.
 _PLACE = re.compile(r"\{(chunk_index|file_index|video_key)(:0?[1-9]d)?\}")
-# Memory of a number of meta/episodes.
+# Bytes of memory for one number of meta/episodes.
 _ROW_BYTES = 100
-# Most bytes of what is known of all episodes, some 200 of each.
+# Limit in bytes of the facts of all episodes, each of which takes about 200.
 _MOST_INFOS = 1 << 25
 _INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
 class LeRobotDataset(Dataset):
-    """A folder in LeRobot's layout.
+    """Dataset in a folder of LeRobot's layout.
 
     Args:
-        path: of the folder.
-        budget: limits on what opening it, and reading each episode, may take.
+        path: path of the folder.
+        budget: limits of memory and time for opening it, and for reading each episode.
 
     Raises:
-        ConfigurationError: it is none, of another version, or damaged; says what.
+        ConfigurationError: the folder is not a dataset, of another version, or damaged.
     """
 
     def __init__(self, path: Path | str, budget: ReadBudget = ReadBudget()) -> None:
@@ -95,7 +95,7 @@ class LeRobotDataset(Dataset):
         return episode
 
     def _file(self, name: str) -> Path | None:
-        """Return the file of that name within the folder, or None if there is none.
+        """Return the path of a file within the folder, or None if it does not exist.
 
         Raises:
             ConfigurationError: the name leads out of the folder, or through a link.
@@ -103,6 +103,7 @@ class LeRobotDataset(Dataset):
         path = self.path / name
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise ConfigurationError(f"{self.path} names {name[:80]}, which is outside of it and is not read")
+        # Every folder on the way, because a linked folder leads out of the dataset just as a linked file.
         for part in (path, *path.parents):
             if part == self.path:
                 break
@@ -113,7 +114,7 @@ class LeRobotDataset(Dataset):
         return path if path.is_file() else None
 
     def _document(self, name: str, most: int) -> bytes | None:
-        """Return what a file holds, or None if there is none."""
+        """Return the content of a file, or None if it does not exist."""
         path = self._file(name)
         return None if path is None else read_bytes(path, most)
 
@@ -121,23 +122,24 @@ class LeRobotDataset(Dataset):
         """Read where each episode is.
 
         Raises:
-            ConfigurationError: some are missing.
+            ConfigurationError: episodes are missing.
         """
         rows: list[dict[str, Any]] = []
         for each in sorted((self.path / "meta" / "episodes").glob("*/*.parquet")):
             path = self._file(each.relative_to(self.path).as_posix())
             if path is None:
                 raise ConfigurationError(f"{each} is no regular file")
+            # Statistics are many columns for each feature, and are not used here.
             table = read_columns(path, lambda name: not name.startswith("stats/"), account)
             account.take(path.name, _ROW_BYTES * table.num_rows * table.num_columns)
             rows += table.to_pylist()
         rows.sort(key=lambda row: row["episode_index"])
-        numbers, told = [row["episode_index"] for row in rows], self._info["total_episodes"]
-        if numbers != [*range(len(rows))] or len(rows) != told:
+        numbers, total = [row["episode_index"] for row in rows], self._info["total_episodes"]
+        if numbers != [*range(len(rows))] or len(rows) != total:
             missing = next((place for place, number in enumerate(numbers) if place != number), len(rows))
             raise ConfigurationError(
                 f"meta/episodes of {self.path} has {len(rows):,} episodes, of which {missing:,} are numbered one after "
-                f"the other from 0, and {INFO} says that there are {told}: the dataset is not whole"
+                f"the other from 0, and {INFO} states that there are {total}: the dataset is not complete"
             )
         return rows
 
@@ -151,16 +153,16 @@ class LeRobotDataset(Dataset):
             infos = msgspec.json.decode(data, type=list[EpisodeInfo])
             if [info.length for info in infos] != [row["length"] for row in self._rows]:
                 raise ConfigurationError(
-                    f"{self.path / EPISODES} tells of other episodes than meta/episodes of {self.path}"
+                    f"{self.path / EPISODES} describes other episodes than meta/episodes of {self.path}"
                 )
             return infos
         return [EpisodeInfo(int(row["episode_index"]), int(row["length"])) for row in self._rows]
 
     def _check_order(self) -> None:
-        """Refuse episodes that overlap, of which a small file could hold any number.
+        """Refuse overlapping episodes, of which a small file could contain any number.
 
         Raises:
-            ConfigurationError: names the episode.
+            ConfigurationError: episodes overlap; the message names the second.
         """
         for last, row in itertools.pairwise(self._rows):
             if row["dataset_from_index"] < last["dataset_from_index"] + last["length"]:
@@ -172,10 +174,11 @@ class LeRobotDataset(Dataset):
         place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
         path = self._within("data_path", place)
         if self._last is None or self._last[0] != path:
-            self._last = None
+            self._last = None  # before the next file is read, so that memory holds one at a time
             self._last = (path, read_columns(path, self._features.__contains__, account))
         table = self._last[1]
         account.take(path.name, table.nbytes)
+        # Indices count over the whole dataset, and a file begins at that of its first row.
         begin = int(row["dataset_from_index"]) - int(table["index"][0].as_py())
         table = table.slice(begin, int(row["length"]))
         return {name: _numbers(table[name].combine_chunks()) for name in table.column_names}
@@ -200,10 +203,10 @@ class LeRobotDataset(Dataset):
         return read_video(path, first, int(row["length"]), account)
 
     def _within(self, template: str, place: dict[str, Any]) -> Path:
-        """Return the file that one of the patterns of ``meta/info.json`` names."""
+        """Return the path of a file by one of the patterns of ``meta/info.json``."""
         pattern = self._info[template]
         if "{" in _PLACE.sub("", pattern):
-            raise ConfigurationError(f"{template} of {self.path} is '{pattern[:80]}', which is no pattern that is read")
+            raise ConfigurationError(f"{template} of {self.path} is '{pattern[:80]}', which is not a supported pattern")
         name = pattern.format(**place)
         path = self._file(name)
         if path is None:
@@ -212,7 +215,7 @@ class LeRobotDataset(Dataset):
 
     @contextmanager
     def _faults(self) -> Iterator[None]:
-        """What is missing or damaged, as one sentence."""
+        """Turn errors of damaged files into one sentence."""
         wrong = (
             OSError, KeyError, ValueError, TypeError, IndexError, AttributeError, MemoryError, OverflowError,
             ZeroDivisionError, RecursionError, msgspec.MsgspecError,
@@ -225,17 +228,17 @@ class LeRobotDataset(Dataset):
 
 
 def _numbers(column: Any) -> Array:
-    """(T,) or (T, K) of a column of numbers or of lists of equally many."""
+    """Convert a column of numbers, or of lists of equal length, to (T,) or (T, K)."""
     values = column.flatten() if hasattr(column.type, "value_type") else column
     array = values.to_numpy(zero_copy_only=False)
     return array.reshape(len(column), -1) if values is not column else array
 
 
 def _terms(values: Array, names: Sequence[str], manifest: Manifest) -> dict[str, Array]:
-    """Terms of the observation, of columns named ``<term>.<component>``, in their shapes."""
+    """Split columns named ``<term>.<component>`` into the observation's terms, in their shapes."""
     columns: dict[str, list[int]] = {}
     if len(names) != values.shape[1]:
-        raise ConfigurationError(f"{len(names)} names are told of {values.shape[1]} components")
+        raise ConfigurationError(f"{len(names)} names are given for {values.shape[1]} components")
     for place, name in enumerate(names):
         columns.setdefault(name.rpartition(".")[0], []).append(place)
     shapes = {

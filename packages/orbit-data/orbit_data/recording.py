@@ -1,9 +1,9 @@
-"""Recordings: episodes of many environments at once, in files that no crash undoes, gathered into one dataset.
+"""Recording of episodes of many environments at once, in files that survive a crash, gathered into one dataset.
 
 While episodes run, the steps of all environments are in rings (steps, N, ...) on their device, to which each step adds
-one row. Only when episodes end are their rows gathered and written to a folder of parts, each file whole and flushed
-before the next begins. A part is safetensors, its arrays those of a few episodes one after the other; its header
-describes each. At the end the parts become one HDF5 file; a recording that was cut off can be resumed.
+one row. Only when episodes end are their rows gathered and written to a folder of parts, each file complete and flushed
+before the next begins. A part is a safetensors file with the arrays of a few episodes one after the other; its header
+describes each. At the end the parts become one HDF5 file; an interrupted recording can be resumed.
 """
 
 from __future__ import annotations
@@ -57,17 +57,17 @@ if TYPE_CHECKING:
     from orbit_core.envs.observation_layout import GroupLayout, Observation
 
 _MANIFEST = "manifest.json"
-# Marks a recording that takes the place of the dataset in the end, instead of going on with it.
+# File that marks a recording that replaces the dataset in the end, instead of extending it.
 _REPLACES = "replaces"
 _PART = re.compile(r"part_(\d{6,})\.safetensors")
 _KEY = "episodes"
 
 
 class PartFolder:
-    """Files of finished episodes beside the dataset that they are going to be.
+    """Folder of finished episodes, next to the dataset that they will become.
 
     Args:
-        path: of the folder; it need not be there.
+        path: path of the folder; it need not exist.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -76,8 +76,9 @@ class PartFolder:
 
     @property
     def files(self) -> list[Path]:
-        """In the order of writing."""
+        """Part files in the order of writing."""
         found = [path for path in self.path.iterdir() if _PART.fullmatch(path.name)] if self.path.is_dir() else []
+        # By number, not by name: beyond a million parts the names have different lengths.
         return sorted(found, key=lambda path: int(path.stem.removeprefix("part_")))
 
     @property
@@ -91,22 +92,22 @@ class PartFolder:
         return (self.path / _REPLACES).is_file()
 
     def begin_replacing(self) -> None:
-        """Let the recording that begins here take the dataset's place in the end.
+        """Make the recording that begins here replace the dataset in the end.
 
         Raises:
-            ConfigurationError: another process writes into the folder; names that.
-            StorageError: it cannot be written.
+            ConfigurationError: another process writes into the folder; the message names it.
+            StorageError: the folder cannot be written.
         """
         self.hold()
         with storage_faults(self.path):
             (self.path / _REPLACES).touch()
 
     def hold(self) -> None:
-        """Let nobody else write into the folder until it is removed or released.
+        """Lock the folder against other writers until it is removed or released.
 
         Raises:
-            ConfigurationError: another process writes into it; names that.
-            StorageError: it cannot be written.
+            ConfigurationError: another process writes into the folder; the message names it.
+            StorageError: the folder cannot be written.
         """
         if self._lock is None:
             with storage_faults(self.path):
@@ -114,17 +115,17 @@ class PartFolder:
                 self._lock = FolderLock(self.path)
 
     def release(self) -> None:
-        """Let others write into the folder."""
+        """Unlock the folder for other writers."""
         if self._lock is not None:
             self._lock.release()
             self._lock = None
 
     def begin(self, manifest: Manifest) -> None:
-        """Make the folder, or take it up again: what a killed program left half written is removed.
+        """Create the folder, or continue with it; half-written files of a killed program are removed.
 
         Raises:
-            ConfigurationError: another process writes into it; names that.
-            StorageError: it cannot be written.
+            ConfigurationError: another process writes into the folder; the message names it.
+            StorageError: the folder cannot be written.
         """
         self.hold()
         sweep(self.path)
@@ -132,7 +133,7 @@ class PartFolder:
             written.write_bytes(manifest.encode())
 
     def manifest(self) -> Manifest | None:
-        """Of the recording; None if none has begun.
+        """Return the manifest of the recording; None if none has begun.
 
         Raises:
             ConfigurationError: its file is damaged.
@@ -141,7 +142,11 @@ class PartFolder:
         return Manifest.decode(read_bytes(path, MAX_DOCUMENT), str(path)) if path.exists() else None
 
     def add(self, infos: Sequence[EpisodeInfo], arrays: Mapping[str, Array]) -> None:
-        """Write finished episodes: arrays (sum of lengths, ...), of ``initial/`` (episodes, ...).
+        """Write finished episodes into a new part.
+
+        Args:
+            infos: facts of each episode.
+            arrays: arrays (sum of lengths, ...) by name; those of ``initial/`` are (episodes, ...).
 
         Raises:
             StorageError: the disk is full; what was written before stays.
@@ -155,7 +160,7 @@ class PartFolder:
             written.write_bytes(safetensors.numpy.save(data, header))
 
     def infos(self) -> list[EpisodeInfo]:
-        """What is known of all episodes."""
+        """Return the facts of all episodes."""
         return [info for path in self.files for info in _header(path)]
 
     def read(self) -> Iterator[Episode]:
@@ -179,16 +184,16 @@ class PartFolder:
                 yield Episode(info, {n: a[row if n.startswith(INITIAL) else own] for n, a in arrays.items()})
 
     def remove(self) -> None:
-        """Delete the recording, once all is elsewhere; files of other kinds stay, and the folder with them.
+        """Delete the recording after it was gathered; files of other kinds stay, and the folder with them.
 
         Raises:
-            ConfigurationError: another process writes into it; names that.
-            StorageError: it cannot be deleted.
+            ConfigurationError: another process writes into the folder; the message names it.
+            StorageError: the folder cannot be deleted.
         """
         self.hold()
         with storage_faults(self.path):
-            # The mark first: what a kill then leaves goes on with the dataset, which has its episodes, and replaces
-            # nothing.
+            # The mark first: if the program is killed after it, the rest of the folder extends the dataset, which has
+            # its episodes already, and replaces nothing.
             (self.path / _REPLACES).unlink(missing_ok=True)
             for path in (*self.files, self.path / _MANIFEST, self.path / LOCK):
                 path.unlink(missing_ok=True)
@@ -217,14 +222,14 @@ def _damaged(path: Path, reason: str) -> ConfigurationError:
 
 
 Wanted = Callable[["EpisodeEnd", Tensor], Tensor]
-"""Which of the episodes that ended (n,) are kept, given how often each environment ended one before (n,)."""
+"""Function that selects which ended episodes (n,) are kept, given how many their environments ended before (n,)."""
 
 
 def check_groups(groups: Collection[str], environment: Environment) -> None:
     """Refuse observation groups that an environment lacks.
 
     Raises:
-        UnknownNameError: tells the nearest.
+        UnknownNameError: a group is unknown; the message names the nearest.
     """
     for name in groups:
         if name not in environment.observation:
@@ -232,21 +237,21 @@ def check_groups(groups: Collection[str], environment: Environment) -> None:
 
 
 class DemonstrationRecorder(StepObserver):
-    """Writes each finished episode: states, actions, observations, rewards, poses, contacts, and how it began.
+    """Recorder of each finished episode: states, actions, observations, rewards, poses, contacts, and initial memory.
 
     On a GPU each step waits for the device, to know which episodes ended.
 
     Args:
-        environment: that is stepped; its episodes have just begun.
-        folder: takes the episodes.
-        wanted: which of them.
-        seed: that the random streams were started from.
+        environment: environment that is stepped; its episodes have just begun.
+        folder: folder that receives the episodes.
+        wanted: selects the episodes to keep.
+        seed: seed of the random streams.
         groups: observation groups to record; all if None.
-        begun: (N,) episodes that each environment ended before; none if None.
-        clean: gives the actions (N, A) of the last step without noise, which are recorded too.
+        begun: numbers (N,) of episodes that each environment ended before; zeros if None.
+        clean: returns the actions (N, A) of the last step without noise, which are recorded too.
 
     Raises:
-        UnknownNameError: there is no such group.
+        UnknownNameError: a group does not exist.
     """
 
     def __init__(
@@ -267,6 +272,7 @@ class DemonstrationRecorder(StepObserver):
         sensors = environment.world.sensors.items()
         self._contacts = {name: sensor for name, sensor in sensors if isinstance(sensor, ContactSensor)}
         self._rings: dict[str, Tensor] = {}
+        # One more than the longest episode, so that a ring never overwrites an episode that has not been written.
         self._capacity = environment.max_episode_steps + 1
         self._clean = clean
         self._step = 0
@@ -274,12 +280,12 @@ class DemonstrationRecorder(StepObserver):
         self._seen = environment.observe()
         none = torch.zeros(environment.num_envs, dtype=torch.int64, device=environment.device)
         self.ended = none if begun is None else begun.clone()
-        """(N,) episodes that each environment has ended."""
+        """Numbers (N,) of episodes that each environment has ended."""
         self.kept = 0
         """Episodes that were written."""
 
     def before_step(self) -> None:
-        """Take in the state, and what is seen of it."""
+        """Record the state, and the observation of it."""
         self._put(STATES, self._states.read())
         for name, (entity, frame) in self._frames.items():
             self._put(POSES + name, entity.frame_pose(frame))
@@ -289,7 +295,7 @@ class DemonstrationRecorder(StepObserver):
             self._put(OBSERVED + name, value)
 
     def stepped(self, action: Tensor, result: StepResult) -> None:
-        """Take in what was done and what it gave; write the episodes that ended."""
+        """Record the action and its results, and write the episodes that ended."""
         self._seen, reward, terminated, truncated, info = result
         self._put(ACTIONS, action.clamp(-1.0, 1.0))
         if self._clean is not None:
@@ -301,11 +307,12 @@ class DemonstrationRecorder(StepObserver):
             self._finish(info["final"])
 
     def finish(self, end: EpisodeEnd) -> None:
-        """Write episodes that are ended from outside, now, as if their last step had ended them."""
+        """Write episodes that a person ends now, as if their last step had ended them."""
         self._rings[DONES][(self._step - 1) % self._capacity, end.env_ids] = True
         self._finish(end)
 
     def _put(self, name: str, value: Tensor) -> None:
+        # Rings are made at the first step, when the shapes and types of all values are known.
         ring = self._rings.get(name)
         if ring is None:
             ring = self._rings[name] = value.new_zeros((self._capacity, *value.shape))
@@ -314,9 +321,7 @@ class DemonstrationRecorder(StepObserver):
         ring[self._step % self._capacity] = value
 
     def _leaves(self, observation: Observation) -> list[tuple[str, Tensor]]:
-        """Return a tensor for each group that is one, and for each term of a dictionary, by ``group`` or
-        ``group/term``.
-        """
+        """Return the tensors of concatenated groups by ``group``, and of other groups' terms by ``group/term``."""
         leaves: list[tuple[str, Tensor]] = []
         for group in self._layouts:
             value = observation[group]
@@ -332,6 +337,7 @@ class DemonstrationRecorder(StepObserver):
             self._folder.add(self._infos(kept), self._arrays(kept))
             self.kept += len(rows)
         self.ended[ids] += 1
+        # The environment has begun the next episodes by now, so that memory holds their goals.
         for name, value in self._memory.read().items():
             self._initial[name][ids] = value[ids]
 
@@ -342,6 +348,7 @@ class DemonstrationRecorder(StepObserver):
         metrics = {name: values.tolist() for name, values in end.metrics.items()}
         return [
             EpisodeInfo(
+                # Unique, and the same whenever and in whatever order episodes end.
                 number=number * count + env_id,
                 length=length,
                 success=success,
@@ -358,25 +365,27 @@ class DemonstrationRecorder(StepObserver):
         ]
 
     def _arrays(self, end: EpisodeEnd) -> dict[str, Array]:
-        """Return the steps of episodes that end now, one episode after the other, and how each began."""
+        """Return the steps of episodes that end now, one episode after the other, and their initial memory."""
         lengths, total = end.steps, int(end.steps.sum())
         last = lengths.cumsum(0) - 1
         first = (last - lengths + 1).repeat_interleave(lengths)
         begin = (self._step - lengths).repeat_interleave(lengths)
         steps = (begin + torch.arange(total, device=lengths.device) - first) % self._capacity
+        # One gather for all steps of all ended episodes, instead of one for each episode.
         columns = end.env_ids.repeat_interleave(lengths)
         flat = {name: ring[steps, columns] for name, ring in self._rings.items()}
         arrays = {name: value for name, value in flat.items() if not name.startswith(OBSERVED)}
         for name, final in self._leaves(end.observation):
             value = flat[OBSERVED + name]
             following = value.roll(-1, 0)
+            # After an episode's last step the next row belongs to another episode: take what the episode saw last.
             following[last] = final
             self._add_terms(arrays, name, value, following)
         arrays |= {INITIAL + name: value[end.env_ids] for name, value in self._initial.items()}
         return {name: value.cpu().numpy() for name, value in arrays.items()}
 
     def _add_terms(self, arrays: dict[str, Tensor], name: str, value: Tensor, following: Tensor) -> None:
-        """The terms of an observation by their names: those of group ``policy`` bare, others after their group's."""
+        """Add the terms of an observation by name; names of groups other than ``policy`` get the group as a prefix."""
         layout = self._layouts[name.partition("/")[0]]
         for term, columns in _terms_in(layout, name).items():
             arrays[OBSERVED + term] = value[:, columns]
@@ -385,7 +394,7 @@ class DemonstrationRecorder(StepObserver):
 
 
 def _terms_in(layout: GroupLayout, name: str) -> dict[str, slice]:
-    """Columns of each term in a tensor of the group, by the term's name in files."""
+    """Return the columns of each term in a tensor of the group, by the term's name in files."""
     prefix = "" if layout.name == POLICY else f"{layout.name}/"
     if layout.concatenated:
         return {prefix + term: columns for term, columns in layout.columns.items()}
@@ -396,13 +405,13 @@ _ASIDE = ".replaced-"
 
 
 class RecordingFile:
-    """A dataset that grows: the gathered file, and next to it the folder of what is not gathered yet.
+    """Dataset that grows: the gathered file, and next to it the folder of episodes that are not gathered yet.
 
-    A recording that replaces the dataset (:meth:`begin_anew`) leaves it as it is until all its own episodes are
-    gathered, and keeps another one that was cut off in a folder ``*.parts.replaced-<number>`` until then.
+    A recording that replaces the dataset (:meth:`begin_anew`) leaves it unchanged until all its own episodes are
+    gathered, and keeps an earlier interrupted one in a folder ``*.parts.replaced-<number>`` until then.
 
     Args:
-        path: of the HDF5 file.
+        path: path of the HDF5 file.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -410,17 +419,20 @@ class RecordingFile:
         self.parts = PartFolder(path.with_name(f"{path.name}.parts"))
 
     def check_begun(self, resume: bool, overwrite: bool) -> None:
-        """Refuse a recording that was cut off, if neither is asked for, to do both, one that still runs, and any where
-        h5py is missing, which would be found out once all episodes are over.
+        """Check that a recording can begin here.
+
+        Args:
+            resume: continue an interrupted recording.
+            overwrite: replace the recording and the dataset.
 
         Raises:
-            ConfigurationError: tells of both, of the process that records, of what to install, or of a file in the
-                place of the card.
+            ConfigurationError: both are given, an interrupted recording exists and neither is given, another process
+                records here, h5py is missing, or a file is in the place of the card.
         """
-        hdf5_module()
+        hdf5_module()  # now: otherwise a missing h5py would be noticed only after all episodes have run
         check_card(self.path)
         if resume and overwrite:
-            raise ConfigurationError("--resume goes on with a recording, --overwrite begins it anew: give one of them")
+            raise ConfigurationError("--resume continues a recording, --overwrite begins a new one: give one of them")
         if self.parts.path.exists():
             self.parts.hold()
         self._give_back()
@@ -429,22 +441,22 @@ class RecordingFile:
             self.check_none()
 
     def check_none(self) -> None:
-        """Reject the path of a new dataset where a recording that was cut off is to become one.
+        """Reject the path of a new dataset if an interrupted recording would become one there.
 
         Raises:
-            ConfigurationError: there is one; names its folder.
+            ConfigurationError: there is such a recording; the message names its folder.
         """
         if self.parts.begun:
             raise ConfigurationError(
-                f"{self.parts.path} holds a recording that was cut off: the command that began it goes on with "
-                "--resume, and begins another with --overwrite; or give another name"
+                f"{self.parts.path} holds an interrupted recording: the command that began it continues with "
+                "--resume, and begins a new one with --overwrite; or choose another name"
             )
 
     def begin_anew(self) -> None:
-        """Begin a recording that replaces all that is there, once it is whole.
+        """Begin a recording that replaces the dataset and earlier recordings once it is complete.
 
         Raises:
-            ConfigurationError: another process records into the file; names that.
+            ConfigurationError: another process records into the file; the message names it.
             StorageError: the folder cannot be written.
         """
         if self.parts.path.exists():
@@ -457,19 +469,19 @@ class RecordingFile:
         self.parts.begin_replacing()
 
     def release(self) -> None:
-        """Let others record into the file; a recording of which no episode is kept is as if it had not begun."""
+        """Unlock the file for other recordings; a recording without kept episodes is undone."""
         self._give_back()
         self.parts.release()
 
     def infos(self) -> dict[int, EpisodeInfo]:
-        """What is known of every episode that is kept, by number."""
+        """Return the facts of every kept episode, by number."""
         return {info.number: info for info in (*self._gathered(), *self.parts.infos())}
 
     def take_up(self, manifest: Manifest) -> None:
-        """Begin, or go on where a recording of the same environment stands.
+        """Begin a recording, or continue one of the same environment.
 
         Raises:
-            ConfigurationError: what is there was recorded with another environment; names what differs.
+            ConfigurationError: the existing one is of another environment; the message names the differences.
         """
         recorded = self.parts.manifest()
         if recorded is None and self._continued:
@@ -483,23 +495,25 @@ class RecordingFile:
             if each.kind is not Kind.NOTE or not each.path.startswith(("versions", "input_device"))
         ]
         if found:
-            told = "; ".join(str(difference) for difference in found)
-            raise ConfigurationError(f"{self.path} was recorded with other settings, so it cannot go on: {told}")
+            listed = "; ".join(str(difference) for difference in found)
+            raise ConfigurationError(f"{self.path} was recorded with other settings and cannot be continued: {listed}")
         self.parts.begin(manifest)
 
     def gather(self) -> int:
-        """Put all episodes into the one file, in the order in which they were recorded; returns how many.
+        """Write all episodes into one file, in the order of recording, and return their number.
 
-        Whatever ends the program on the way, nothing is lost, and another call does the same.
+        If the program is killed meanwhile, nothing is lost, and another call does the same.
         """
         manifest = self.parts.manifest()
         if manifest is None:
             raise ConfigurationError(f"nothing was recorded in {self.parts.path}")
-        sweep(self.path.parent)
+        sweep(self.path.parent)  # half-written files of a killed program
         continued = (self.path,) if self._continued else ()
+        # Parts are not compressed, so that this is an upper estimate.
         size = sum(path.stat().st_size for path in (*self.parts.files, *continued))
         count = write_hdf5(self.path, self._episodes(), manifest, size=size)
         write_card(self.path)
+        # The dataset is complete now. Old recordings go first: a kill in between leaves only episodes that it has.
         for _, replaced in self._set_aside():
             PartFolder(replaced).remove()
         self.parts.remove()
@@ -507,18 +521,18 @@ class RecordingFile:
 
     @property
     def _continued(self) -> bool:
-        """True if the recording extends a dataset that is there."""
+        """True if the recording extends an existing dataset."""
         return self.path.exists() and not self.parts.replaces
 
     def _set_aside(self) -> list[tuple[int, Path]]:
-        """Folders of recordings that were cut off and are to be replaced, by their numbers, the oldest first."""
+        """Return the folders of interrupted recordings that will be replaced, with their numbers, the oldest first."""
         prefix = f"{self.parts.path.name}{_ASIDE}"
         found = [path for path in self.path.parent.glob(f"{glob.escape(prefix)}*") if path.is_dir()]
         numbers = [(path.name.removeprefix(prefix), path) for path in found]
         return sorted((int(number), path) for number, path in numbers if number.isdecimal())
 
     def _give_back(self) -> None:
-        """Remove a recording that kept no episode, and put the one in its place that it was to replace."""
+        """Remove a recording without kept episodes, and restore the one that it would have replaced."""
         if self.parts.files:
             return
         if self.parts.path.exists():
@@ -535,7 +549,8 @@ class RecordingFile:
         return [*dataset.episodes]
 
     def _episodes(self) -> Iterator[Episode]:
-        """Yield all episodes in the order in which they were recorded, a file at a time; each number once."""
+        """Yield all episodes in the order of recording, a file at a time; each number once."""
+        # A kill after gathering leaves parts whose episodes the dataset has already.
         numbers: set[int] = set()
         if self._continued:
             dataset = Hdf5Dataset(self.path, TRUSTED)
@@ -546,9 +561,9 @@ class RecordingFile:
 
 
 class Shares:
-    """Environment i records its first ``episodes // num_envs`` episodes, and one more if i < ``episodes % num_envs``.
+    """Share of each environment: ``episodes // num_envs`` episodes, and one more if i < ``episodes % num_envs``.
 
-    So short episodes are not preferred, and a recording that was cut off goes on with the very episodes that it lacks.
+    Short episodes are therefore not preferred, and an interrupted recording continues with exactly the missing ones.
     """
 
     def __init__(self, episodes: int, environment: Environment) -> None:
@@ -559,18 +574,18 @@ class Shares:
         return ended < self._shares[end.env_ids]
 
     def left(self, infos: Mapping[int, EpisodeInfo]) -> Tensor:
-        """Return (N,) episodes that each environment has recorded already.
+        """Return the number (N,) of episodes that each environment has recorded already.
 
         Raises:
-            ConfigurationError: one was recorded in an environment that there is not.
+            ConfigurationError: an episode was recorded in an environment that does not exist here.
         """
         done = torch.zeros_like(self._shares)
         for info in infos.values():
             if info.env_id is not None:
                 if not 0 <= info.env_id < len(done):
                     raise ConfigurationError(
-                        f"an episode was recorded in environment {info.env_id}, and there are {len(done)}: begin "
-                        "another recording"
+                        f"an episode was recorded in environment {info.env_id}, but there are only {len(done)}: begin "
+                        "a new recording"
                     )
                 done[info.env_id] += 1
         return done
@@ -587,19 +602,19 @@ def record(
     progress: Callable[[int], None] = lambda recorded: None,
     noise: float = 0.0,
 ) -> Pace:
-    """Record episodes until so many are in the file, those that are there already included.
+    """Record episodes until the file contains ``episodes``, including those that are there already.
 
     Args:
-        environment: that they run in.
-        make_actor: makes who acts, once the first episodes have begun.
-        file: takes them.
-        task: the name that the environment was made by.
-        episodes: in all.
-        seed: of the random streams.
+        environment: environment that runs the episodes.
+        make_actor: makes the actor, after the first episodes have begun.
+        file: recording that receives the episodes.
+        task: name that the environment was made by.
+        episodes: total number of episodes.
+        seed: seed of the random streams.
         groups: observation groups to record; all if None.
-        progress: told, after each step, how many are recorded.
-        noise: standard deviation of what is added to the actions that are executed, :class:`NoisyActor`; the actor's
-            own are recorded as ``clean_actions``.
+        progress: called after each step with the number of recorded episodes.
+        noise: standard deviation of the noise on executed actions, :class:`NoisyActor`; the actor's own actions are
+            recorded as ``clean_actions``.
 
     Raises:
         ConfigurationError: the file was recorded with another environment, or the noise is negative.
@@ -646,9 +661,10 @@ def _record(
 
 
 def _skip(environment: Environment, begun: Tensor) -> None:
-    """Let the next episode of each environment be the one after those (N,) that are recorded."""
+    """Make the next episode of each environment the one after those (N,) that are recorded."""
     if not bool(begun.any()):
         return
+    # The reset goes on to the next episode of each stream.
     environment.world.random.begin(begun - 1)
     environment.reset()
 
@@ -659,7 +675,7 @@ def tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:
     A robot without an end effector has the frame of its root.
 
     Args:
-        world: whose robots and objects are listed.
+        world: world whose robots and objects are listed.
 
     Yields:
         Name of the track, and the entity and frame that it follows.

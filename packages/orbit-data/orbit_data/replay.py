@@ -1,4 +1,4 @@
-"""Recorded episodes again, on any engine: their actions open loop, or their states set one after the other."""
+"""Replay of recorded episodes on any engine: their actions open loop, or their states set one after the other."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ _QUARTILES = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True, eq=False)
 class ReplayResult:
-    """How a replay went."""
+    """Result of a replay."""
 
     backend: str
     recorded_on: tuple[str, ...]
     mode: Mode
     success: Estimate
-    """Of the replayed episodes, at the step at which the recorded ones ended."""
+    """Success rate of the replayed episodes, at the step at which the recorded ones ended."""
     recorded_success: Estimate
     times: Array
-    """(T,) s since the episode began."""
+    """Times (T,) in s since the episode began."""
     distances: Mapping[str, Array]
-    """(T, 3) m between where a thing is and where it was recorded, by its name: quartiles over the episodes."""
+    """Distances (T, 3) in m between an object's position and the recorded one, by name: quartiles over the episodes."""
 
 
 def fields_of(manifest: Manifest) -> dict[str, Any]:
-    """Return the task's fields, by path, in which a manifest differs from the task's defaults and which text could set.
+    """Return the task's fields, by path, in which a manifest differs from the task's defaults and which text can set.
 
-    Functions and kinds of things are not among them: where those differ, ``check_manifest`` tells.
+    Functions and types are not among them: ``check_manifest`` reports differences of those.
     """
     default = dict(_scalars(as_plain(configure(task_entry(manifest.task).task_type(), {})), ""))
     recorded = dict(_scalars(manifest.configuration, ""))
@@ -74,15 +74,16 @@ def replay(
     """Replay episodes from the states and goals that they began with, ``num_envs`` at a time.
 
     Args:
-        environment: of the dataset's task; on any engine.
-        dataset: with states, poses and what tasks remembered, as ``orbit record`` writes them.
-        positions: of the episodes.
-        mode: whether actions are taken again, or states are set.
+        environment: environment of the dataset's task, on any engine.
+        dataset: dataset with states, poses and the tasks' memory, as ``orbit record`` writes them.
+        positions: positions of the episodes in the dataset.
+        mode: whether actions are repeated, or states are set.
         before_step: called before each step, to film it.
 
     Raises:
-        ConfigurationError: the dataset does not fit the environment, or lacks what this needs; names what.
+        ConfigurationError: the dataset does not fit the environment, or lacks an array; the message names it.
     """
+    # Observations do not matter: actions and states are read, not what a policy saw.
     check_manifest(dataset.known(), environment, str(dataset.path), groups=())
     player = EpisodePlayer(environment)
     distances: dict[str, list[Array]] = {}
@@ -93,6 +94,7 @@ def replay(
         apart, reached = player.play(batch, mode, before_step)
         successes += reached
         for name, values in apart.items():
+            # Batches have different lengths; quantiles ignore the NaN after their ends.
             padded = np.full((longest, len(batch)), np.nan)
             padded[: len(values)] = values
             distances.setdefault(name, []).append(padded)
@@ -109,7 +111,7 @@ def replay(
 
 
 class EpisodePlayer:
-    """Begins environments where recorded episodes began, and takes them through what was recorded."""
+    """Player of recorded episodes: begins environments where episodes began, and repeats what was recorded."""
 
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
@@ -117,10 +119,10 @@ class EpisodePlayer:
         self._frames: dict[str, tuple[Object, str]] = dict(tracked_frames(environment.world))
 
     def begin(self, episodes: Sequence[Episode]) -> Tensor:
-        """Put the first environments where the episodes began; returns their indices (n,).
+        """Put the first environments into the episodes' initial states, and return their indices (n,).
 
         Raises:
-            ConfigurationError: there are more episodes than environments, or they are of another world.
+            ConfigurationError: there are more episodes than environments, or they belong to another world.
         """
         environment = self._environment
         for episode in episodes:
@@ -132,6 +134,7 @@ class EpisodePlayer:
         self.set_states([episode.arrays[STATES][0] for episode in episodes], rows)
         names = episodes[0].named(INITIAL)
         values = {name: self._stack([episode.arrays[INITIAL + name] for episode in episodes]) for name in names}
+        # The reset has drawn new goals, which the recorded ones replace.
         self._memory.write(values, rows)
         return rows
 
@@ -153,8 +156,16 @@ class EpisodePlayer:
     def play(
         self, episodes: Sequence[Episode], mode: Mode, before_step: Callable[[], None]
     ) -> tuple[dict[str, Array], list[bool]]:
-        """Return distances (T, n) from the recorded poses, NaN after an episode's end, and whether each reached the
-        goal.
+        """Play episodes.
+
+        Args:
+            episodes: episodes, at most one for each environment.
+            mode: whether actions are repeated, or states are set.
+            before_step: called before each step.
+
+        Returns:
+            Distances (T, n) in m from the recorded poses, NaN after an episode's end, and whether each episode reached
+            the goal.
         """
         environment, rows = self._environment, self.begin(episodes)
         lengths = np.array([episode.info.length for episode in episodes])
@@ -163,6 +174,7 @@ class EpisodePlayer:
         apart = {name: np.full((lengths.max(), len(episodes)), np.nan) for name in self._frames}
         action = torch.zeros(environment.num_envs, environment.action_size, device=environment.device)
         for step in range(int(lengths.max())):
+            # Ended episodes keep repeating their last row; their results no longer count.
             now = [min(step, length - 1) for length in lengths.tolist()]
             if mode == "states":
                 self.set_states([e.arrays[STATES][t] for e, t in zip(episodes, now, strict=True)], rows)
@@ -178,15 +190,16 @@ class EpisodePlayer:
         return apart, reached.tolist()
 
     def _step(self, action: Tensor, rows: Tensor, running: Array, reached: Array, last: Array) -> Array:
-        """One step; success counts where the recorded episode ends with it, or this one does."""
+        """Take one step, and return which episodes succeeded by the end of the recorded or the replayed one."""
         info = self._environment.step(action)[4]
         success = self._success(rows)
         ended = np.zeros_like(running)
         if "final" in info:
             end = info["final"]
             ids = end.env_ids.cpu().numpy()
-            here = ids < len(rows)
+            here = ids < len(rows)  # other environments run without an episode to replay
             ended[ids[here]], success[ids[here]] = True, end.success.cpu().numpy()[here]
+        # An episode that ends earlier than the recorded one counts by its own end.
         reached = np.where(running & (ended | last), success, reached)
         running &= ~ended
         return reached
@@ -195,7 +208,7 @@ class EpisodePlayer:
         return self._environment.task.success(self._environment)[rows].cpu().numpy()
 
     def _apart(self, name: str, episodes: Sequence[Episode], now: Sequence[int]) -> Array:
-        """(n,) m between where a thing is and where it was recorded; NaN where it was not."""
+        """Compute the distances (n,) in m from an object's recorded position; NaN if none was recorded."""
         if POSES + name not in episodes[0].arrays:
             return np.full(len(episodes), np.nan)
         entity, frame = self._frames[name]

@@ -1,4 +1,4 @@
-"""What reaches furthest of each drawn shape: the points, discs and balls whose hull bounds it exactly."""
+"""Bounds of drawn shapes: points, discs and balls whose hull has the same extent as the shape in all directions."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from orbit_core.scene.shapes import Geometry
 
 _Array = npt.NDArray[np.float64]
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+# Number of vertices up to which a mesh's hull is not computed, because it would save less than it costs.
 _FEW = 32
-"""Vertices of a mesh that are taken as they are."""
 
 
 @dataclass(frozen=True)
@@ -26,48 +26,48 @@ class Rounds:
     """Points, discs and balls of one shape: a point has no radius, a ball no axis."""
 
     centres: _Array
-    """(P, 3)"""
+    """Centres (P, 3)."""
     radii: _Array
-    """(P,)"""
+    """Radii (P,)."""
     axes: _Array
-    """(P, 3): the unit normal of a disc, zero for a ball or point."""
+    """Unit normals (P, 3) of discs, zero for balls and points."""
 
     @property
     def reach(self) -> _Array:
-        """(P, 3) how far each goes from its centre along x, y and z."""
+        """Extent (P, 3) of each from its centre along x, y and z."""
         return self.radii[:, None] * np.sqrt(1.0 - self.axes**2)
 
 
 @dataclass(frozen=True)
 class ShapeBounds:
-    """The bounds of all drawn shapes of the entities, for each of K kinds of environment, in their links' frames.
+    """Bounds of all drawn shapes of the entities, for each of K kinds of environment, in their links' frames.
 
-    Where a kind has less than another, its first are repeated, which changes no least or greatest value.
+    If a kind has fewer than another, its first ones are repeated, which changes no least or greatest value.
     """
 
     centres: Tensor
-    """(K, P, 3)"""
+    """Centres (K, P, 3)."""
     radii: Tensor
-    """(K, P)"""
+    """Radii (K, P)."""
     axes: Tensor
-    """(K, P, 3)"""
+    """Unit normals (K, P, 3), as of :class:`Rounds`."""
     shapes: Tensor
-    """(K, P) int64: which shape each belongs to."""
+    """Index (K, P) int64 of the shape that each belongs to."""
     links: Tensor
-    """(K, P) int64: which link of the scene."""
+    """Index (K, P) int64 of the scene's link that each belongs to."""
     corners: Tensor
-    """(K, S, 8, 3) of the box around each shape, along the shape's own axes."""
+    """Corners (K, S, 8, 3) of the box around each shape, along the shape's own axes."""
     shape_links: Tensor
-    """(K, S) int64"""
+    """Index (K, S) int64 of each shape's link."""
 
 
 def bounded_links(layout: SceneLayout) -> list[int]:
-    """Links of the scene that have shapes with bounds: all shapes but planes."""
+    """Return the links of the scene that have shapes with bounds: all shapes except planes."""
     return [n for n, link in enumerate(layout.links) if any(map(_bounded, link.visuals or link.collisions))]
 
 
 def shape_bounds(layout: SceneLayout, device: torch.device) -> ShapeBounds:
-    """The bounds of everything that a picture shows of the entities; planes, which have none, are left out."""
+    """Compute the bounds of all drawn shapes of the entities, without planes, which have none."""
     kinds = [_kind(variant) for variant in layout.variants]
     columns = list(zip(*kinds, strict=True))
     tensors = [torch.as_tensor(_padded(column), device=device) for column in columns]
@@ -75,7 +75,7 @@ def shape_bounds(layout: SceneLayout, device: torch.device) -> ShapeBounds:
 
 
 def _kind(layout: SceneLayout) -> tuple[npt.NDArray[np.generic], ...]:
-    """The fields of :class:`ShapeBounds`, of one kind of environment."""
+    """Compute the fields of :class:`ShapeBounds` for one kind of environment."""
     drawn = [
         (shape, n)
         for n, link in enumerate(layout.links)
@@ -101,6 +101,7 @@ def _joined(arrays: list[_Array], empty: tuple[int, ...]) -> _Array:
 
 
 def _padded(arrays: tuple[npt.NDArray[np.generic], ...]) -> npt.NDArray[np.generic]:
+    # The first row may be repeated because it changes neither least nor greatest values.
     most = max(len(array) for array in arrays)
     return np.stack([np.concatenate((array, np.repeat(array[:1], most - len(array), 0))) for array in arrays])
 
@@ -121,7 +122,7 @@ def _box_corners(shape: Shape) -> _Array:
 
 
 def _rounds(geometry: Geometry) -> Rounds:
-    """Round parts of a shape in its own frame."""
+    """Return the points, discs and balls of a shape in its own frame."""
     match geometry:
         case Box():
             return _points(_CORNERS * geometry.half_extents)
@@ -151,15 +152,15 @@ def _ends(half_length: float) -> _Array:
 
 @lru_cache(maxsize=1024)
 def _hull_points(mesh: Mesh) -> _Array:
-    """The vertices that no others bound, for a detailed mesh has a hundred times as many."""
+    """Return the vertices of a mesh's hull: a detailed mesh has a hundred times as many."""
     points = np.asarray(mesh.vertices, dtype=np.float64)[np.unique(mesh.faces)]
     if len(points) <= _FEW:
         return points
     try:
         from scipy.spatial import ConvexHull, QhullError
-    except ImportError:  # an optional package: all vertices give the same boxes, in more time
+    except ImportError:  # an optional package: without it all vertices give the same boxes, but take longer
         return points
     try:
         return points[ConvexHull(points).vertices]
-    except QhullError:  # a flat mesh has no volume to be the hull of
+    except QhullError:  # a flat mesh has no hull with a volume
         return points

@@ -1,4 +1,4 @@
-"""The state of a world as one row of numbers, the same on every engine; and what a task remembers beside it."""
+"""State of a world as one row of numbers, the same on every engine, and the memory of a task."""
 
 from __future__ import annotations
 
@@ -22,36 +22,39 @@ _MARKERS = "markers"
 
 @dataclass(frozen=True)
 class StatePart:
-    """A stretch of a state's row, read from a world and set in it."""
+    """Part of a state's row, read from a world and set in it."""
 
     name: str
     shape: tuple[int, ...]
-    """Of one environment's value."""
+    """Shape of one environment's value."""
     read: Callable[[], Tensor]
 
     @property
     def size(self) -> int:
-        """Components."""
+        """Number of components."""
         return int(torch.Size(self.shape).numel())
 
 
 class WorldStates:
-    """States (n, S) of a world: of each robot and object the root's pose (7) and velocity (6), positions and velocities
-    of its joints; of each deformable the positions and velocities of its particles. SI, in the environment's frame.
+    """States (n, S) of a world in SI units, in the environment's frame.
+
+    A row holds the root's pose (7) and velocity (6) and the positions and velocities of the joints of each robot and
+    object, then the positions and velocities of the particles of each deformable. Fixed bases have no velocity, single
+    links no joints.
 
     Args:
-        world: whose states they are. Fixed bases have no velocity, single links no joints.
+        world: world whose states are read and set.
     """
 
     def __init__(self, world: World) -> None:
         self._world = world
         self._bodies: dict[str, Object] = {**world.robots, **world.objects}
         self.parts = tuple(self._parts())
-        """In the order of the row."""
+        """Parts in the order of the row."""
         self.size = sum(part.size for part in self.parts)
 
     def read(self) -> Tensor:
-        """(N, S), a new tensor."""
+        """Return the states (N, S) in a new tensor."""
         return torch.cat([part.read().flatten(1) for part in self.parts], dim=1)
 
     def write(self, states: Tensor, env_ids: Tensor) -> None:
@@ -81,7 +84,7 @@ class WorldStates:
 
     def _parts(self) -> Iterator[StatePart]:
         for name, body in self._bodies.items():
-            # The names are bound at once, for the readers are called later.
+            # Default arguments bind the bodies now: the readers are called after the loop has gone on.
             yield StatePart(f"{name}/root_pose", (7,), lambda body=body: body.root_pose)
             if not body.spec.fixed_base:
                 yield StatePart(f"{name}/root_velocity", (6,), lambda body=body: body.root_velocity)
@@ -95,7 +98,7 @@ class WorldStates:
 
 
 class TaskMemory:
-    """What a task, its agent's nodes and the markers remember, (N, ...) each by name: goals above all."""
+    """Memory of a task, its agent's nodes and the markers, tensors (N, ...) by name; most of it is goals."""
 
     def __init__(self, environment: Environment) -> None:
         found = remembered(environment)
@@ -104,12 +107,12 @@ class TaskMemory:
         self._world = environment.world
 
     def read(self) -> dict[str, Tensor]:
-        """Return the tensors themselves, which steps write: copy what is kept."""
+        """Return the tensors themselves, which later steps change: copy them to keep them."""
         markers = {_MARKERS: self._world.marker_poses} if self._world.markers else {}
         return {**self._tensors, **markers}
 
     def write(self, values: Mapping[str, Tensor], env_ids: Tensor) -> None:
-        """Set what is known of some environments (n,); rows (n, ...). Names that are not known here are left out."""
+        """Set rows (n, ...) of some environments (n,); names and shapes that this task does not have are ignored."""
         values = {_renamed(name): value for name, value in values.items()}
         for name, tensor in self._tensors.items():
             if name in values and values[name][0].numel() == tensor[0].numel():
@@ -117,7 +120,7 @@ class TaskMemory:
         if _MARKERS in values and values[_MARKERS].shape[1:] == self._world.marker_poses.shape[1:]:
             for marker, pose in zip(self._world.markers.values(), values[_MARKERS].unbind(1), strict=True):
                 marker.set_pose(pose, env_ids)
-        self._world.clock.touch()
+        self._world.clock.touch()  # cached observations depend on the memory too
 
 
 _RENAMED = {"VelocityFlat.command": "VelocityFlat.velocity"}
@@ -129,5 +132,5 @@ def _renamed(name: str) -> str:
 
 
 def _plain(name: str) -> str:
-    """Return a path of brackets and quotes as words between dots, which any file can hold."""
+    """Convert a path of brackets and quotes to words between dots, which any file format can hold."""
     return ".".join(re.findall(r"[\w ]+", name)).replace(" ", "_")

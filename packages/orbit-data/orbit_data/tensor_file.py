@@ -1,4 +1,4 @@
-"""Tensors and a document in one safetensors file, read as data: nothing that such a file holds is ever executed.
+"""Tensors and a document in one safetensors file; reading such a file never executes code that it contains.
 
 The document is JSON in the header's metadata, under the key ``orbit``. A file is refused if it is larger than 1 GiB or
 its header than 4 MiB, if its tensors do not fill exactly what the header says, or if one holds NaN or infinity.
@@ -20,16 +20,16 @@ from orbit_core.files import MAX_FILE, as_path, read_bytes, written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
 
 MAX_HEADER = 2**22
-"""Bytes of a file's header, the document included."""
+"""Limit of a header's bytes, including the document."""
 _KEY = "orbit"
 
 
 def read_tensors(path: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """The document and the tensors, which lie on the CPU.
+    """Read the document and the tensors, on the CPU.
 
     Raises:
-        ConfigurationError: there is no such file, or it is malformed or beyond the limits.
-        NonFiniteError: a tensor holds NaN or infinity; names it.
+        ConfigurationError: the file does not exist, is malformed, or exceeds the limits.
+        NonFiniteError: a tensor contains NaN or infinity; the message names it.
     """
     data = read_bytes(path, MAX_FILE)
     try:
@@ -48,10 +48,15 @@ def read_tensors(path: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:
 
 
 def write_tensors(path: Path | str, document: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-    """Write what :func:`read_tensors` reads. The file appears whole or not at all.
+    """Write a file for :func:`read_tensors`; it appears complete or not at all.
+
+    Args:
+        path: path of the file, which is replaced.
+        document: document, which JSON can represent.
+        tensors: tensors by name, on any device.
 
     Raises:
-        ConfigurationError: it would be larger than what is read.
+        ConfigurationError: the file would exceed the limits of reading.
         StorageError: the disk is full, or the folder cannot be written.
     """
     path = as_path(path)
@@ -66,10 +71,10 @@ def write_tensors(path: Path | str, document: Mapping[str, Any], tensors: Mappin
 
 
 def parse_json(text: str | bytes) -> dict[str, Any]:
-    """An object of JSON, and no NaN or infinity, which JSON does not have.
+    """Parse an object of JSON; NaN and infinity, which Python's parser would accept, are refused.
 
     Raises:
-        ValueError: it is none, or nested deeper than Python goes.
+        ValueError: the text is not an object, or nested too deeply for Python.
     """
     try:
         values = json.loads(text, parse_constant=_refuse)
@@ -93,7 +98,7 @@ def _metadata(data: bytes) -> dict[str, Any]:
 def _header_size(data: bytes) -> int:
     if len(data) < 8:
         raise ValueError(f"it has {len(data)} bytes, fewer than a header")
-    return int.from_bytes(data[:8], "little")
+    return int.from_bytes(data[:8], "little")  # safetensors begins with the header's size in 8 bytes
 
 
 def _refuse(constant: str) -> NoReturn:

@@ -99,7 +99,7 @@ class ZarrDataset(Dataset):
         zarr, files_type = _zarr()
         files = files_type(self.path, account)
         self._store = files.store()
-        # The descriptions that were checked, and no copies of them that say otherwise.
+        # The descriptions that were checked, not consolidated copies of them, which could differ.
         group = zarr.open_group(self._store, mode="r", use_consolidated=False)
         arrays = {_ours(name): array for name, array in group["data"].arrays() if f"data/{name}" in files.layouts}
         ends = group[_ENDS]
@@ -113,12 +113,12 @@ class ZarrDataset(Dataset):
         for name, array in self._arrays.items():
             if not array.shape or array.shape[0] < ends[-1]:
                 raise ConfigurationError(
-                    f"'{name}' of {self.path} has shape {array.shape}, and {ends[-1]} steps are told"
+                    f"'{name}' of {self.path} has shape {array.shape}, but the episodes have {ends[-1]} steps"
                 )
 
     @contextmanager
     def _faults(self) -> Iterator[None]:
-        """What is missing or damaged, as one sentence."""
+        """Turn errors of damaged files into one sentence."""
         wrong = (
             OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError, MemoryError,
             ZeroDivisionError, OverflowError, RecursionError, NotImplementedError, EOFError, zlib.error,
@@ -141,8 +141,9 @@ def _rows(name: str, array: Any, begin: int, end: int, account: ReadAccount) -> 
     found_rows, rows = end - begin, array.chunks[0]
     account.take(name, row * max(found_rows, rows))
     found = np.empty((found_rows, *array.shape[1:]), array.dtype)
-    beside = math.prod(-(-extent // chunk) for extent, chunk in zip(array.shape[1:], array.chunks[1:], strict=True))
-    step = rows * max(1, min(_SLAB // max(1, rows * row), _CHUNKS // max(1, beside)))
+    # Whole chunks of rows at a time, so that none is unpacked twice.
+    across = math.prod(-(-extent // chunk) for extent, chunk in zip(array.shape[1:], array.chunks[1:], strict=True))
+    step = rows * max(1, min(_SLAB // max(1, rows * row), _CHUNKS // max(1, across)))
     for first in range(begin - begin % rows, end, step):
         part = slice(max(first, begin), min(first + step, end))
         found[part.start - begin : part.stop - begin] = array[part]
@@ -151,7 +152,7 @@ def _rows(name: str, array: Any, begin: int, end: int, account: ReadAccount) -> 
 
 
 def _zarr() -> tuple[Any, Any]:
-    """Zarr, and what checks a group's files."""
+    """Return the zarr module, and the class that checks a group's files."""
     try:
         import zarr
 

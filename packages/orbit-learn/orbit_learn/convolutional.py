@@ -21,11 +21,11 @@ from orbit_learn.networks import ActorNetwork, activation_type, layer_weights, p
 
 
 class PictureFeatures(nn.Module):
-    """A dictionary of terms, (N, ...) each -> (N, K) as the network's linear layers see them.
+    """Encoder of a dictionary of terms (N, ...) to the input (N, K) of the network's linear layers.
 
     Args:
-        network: of the terms.
-        normalize: of the vectors side by side (N, V); nothing if None, where the library has done that before.
+        network: network of the terms.
+        normalize: normalisation of the concatenated vectors (N, V); None if the library has normalised them already.
     """
 
     def __init__(self, network: Convolutional, normalize: nn.Module | None = None) -> None:
@@ -36,7 +36,7 @@ class PictureFeatures(nn.Module):
 
     @property
     def size(self) -> int:
-        """K."""
+        """Number K of outputs."""
         return self.network.vector_size + self.network.features
 
     def forward(self, terms: Mapping[str, Tensor]) -> Tensor:
@@ -45,11 +45,11 @@ class PictureFeatures(nn.Module):
 
 
 class TermByTerm(nn.Module):
-    """A module of a dictionary as one of its values, in order.
+    """Adapter of a module of a dictionary, which takes the dictionary's values in order.
 
     Args:
-        module: takes a dictionary of tensors.
-        names: of its values.
+        module: module that takes a dictionary of tensors.
+        names: names of the values.
     """
 
     def __init__(self, module: nn.Module, names: Sequence[str]) -> None:
@@ -62,20 +62,20 @@ class TermByTerm(nn.Module):
 
 _MOST_PIXELS, _MOST_FILTERS, _MOST_UNITS = 2**22, 4096, 2**16
 MOST_DEVIATIONS = 10.0
-"""Standard deviations at which vectors are cut off: a joint that is hit moves faster than any that was learned from."""
+"""Limit of vectors in standard deviations: a joint that is hit moves faster than any in the training data."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A term that is a picture, (N, H, W, C)."""
+    """Term that is a picture (N, H, W, C)."""
 
     term: str
     channels: int
-    """C."""
+    """Number C of channels."""
     far: float | None = None
-    """Value that counts as 1, in metres for depth; more is cut off. None: the picture is uint8, and 255 counts as 1."""
+    """Value that becomes 1, in metres for depth; more is clipped. None: the picture is uint8, and 255 becomes 1."""
     near: float = 0.0
-    """Value that counts as 0; less is cut off."""
+    """Value that becomes 0; less is clipped."""
 
     def __post_init__(self) -> None:
         if not 0 < self.channels <= _MOST_FILTERS:
@@ -86,10 +86,10 @@ class Picture:
 
 @dataclass(frozen=True)
 class PictureEncoder:
-    """Convolutions, each of which halves the picture, and a linear layer."""
+    """Encoder of pictures: convolutions, each of which halves the size, and a linear layer."""
 
     pictures: tuple[Picture, ...]
-    """All of the same height and width; seen as the channels of one picture."""
+    """Pictures of equal height and width, which become the channels of one picture."""
     height: int
     width: int
     filters: tuple[int, ...] = (32, 64, 64)
@@ -106,10 +106,11 @@ class PictureEncoder:
             raise ValueError(f"an encoder's pictures have 1 to {_MOST_PIXELS:,} pixels")
 
     def build(self, activation: type[nn.Module]) -> nn.Sequential:
-        """(N, C, H, W) -> (N, features)."""
+        """Return the module from (N, C, H, W) to (N, features)."""
         layers: list[nn.Module] = []
         taken, height, width = sum(picture.channels for picture in self.pictures), self.height, self.width
         for i, given in enumerate(self.filters):
+            # A wide first kernel sees more at almost no cost, because the picture has few channels.
             size = 3 if i else 5
             layers += [nn.Conv2d(taken, given, size, stride=2, padding=size // 2), activation()]
             taken, height, width = given, (height + 1) // 2, (width + 1) // 2
@@ -118,12 +119,12 @@ class PictureEncoder:
 
 @dataclass(frozen=True)
 class Convolutional:
-    """Reads a dictionary of terms: pictures through encoders, vectors in standard deviations from their means."""
+    """Network of a dictionary of terms: pictures pass encoders, vectors are normalised by mean and deviation."""
 
     name: ClassVar[str] = "convolutional"
     encoders: tuple[PictureEncoder, ...]
     vectors: tuple[Part, ...]
-    """Terms that are no pictures, flattened side by side."""
+    """Terms that are not pictures, flattened and concatenated."""
     hidden_sizes: tuple[int, ...]
     """Units of the hidden layers behind them."""
     activation: str = "elu"
@@ -143,7 +144,7 @@ class Convolutional:
 
     @property
     def vector_size(self) -> int:
-        """V, components of the vectors together."""
+        """Number V of components of all vectors."""
         return sum(part.size for part in self.vectors)
 
     def build_encoders(self) -> nn.ModuleList:
@@ -151,17 +152,17 @@ class Convolutional:
         return nn.ModuleList(encoder.build(activation_type(self.activation)) for encoder in self.encoders)
 
     def build(self, observation_size: int, action_size: int) -> PictureActor:
-        """Return the actor; what it sees is as large as encoders and vectors say, whatever the observation size."""
+        """Return the actor; encoders and vectors determine its input size, so ``observation_size`` is ignored."""
         return PictureActor(self, action_size)
 
 
 class PictureActor(nn.Module):
-    """What :class:`Convolutional` builds: a dictionary of terms, (N, ...) each -> action (N, A), clipped to [-1, 1]."""
+    """Actor of :class:`Convolutional`, from a dictionary of terms (N, ...) to an action (N, A), clipped to [-1, 1]."""
 
     mean: Tensor
-    """(V,) of the vectors, side by side, as seen in training."""
+    """Means (V,) of the concatenated vectors in training."""
     std: Tensor
-    """(V,) theirs."""
+    """Standard deviations (V,) of the same."""
 
     def __init__(self, network: Convolutional, action_size: int) -> None:
         super().__init__()
@@ -174,36 +175,37 @@ class PictureActor(nn.Module):
         self.layers = perceptron(size + network.features, network.hidden_sizes, action_size, activation)
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        return self.unclipped(observation).clamp(-1.0, 1.0)
+        return self.unclipped(observation).clamp(-1.0, 1.0)  # the range of every action
 
     def vectors(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """(N, V) what ``mean`` and ``std`` are of: the terms that are no pictures, side by side."""
+        """Return the concatenated terms (N, V) that are not pictures, of which ``mean`` and ``std`` are."""
         return joined_vectors(self.network, observation)
 
     def unclipped(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """(N, A) the action before it is clipped, for learning."""
+        """Compute the action (N, A) before clipping, for learning."""
         return self.layers(self.encode(observation))
 
     def encode(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """(N, K) vectors and pictures as the linear layers see them."""
+        """Compute the input (N, K) of the linear layers."""
         vectors = ((self.vectors(observation) - self.mean) / self.std).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
         return torch.cat((vectors, encoded_pictures(self.network, self.encoders, observation)), dim=1)
 
 
 def joined_vectors(network: Convolutional, observation: Mapping[str, Tensor]) -> Tensor:
-    """(N, V) the terms that are no pictures, side by side, as they are."""
-    if not network.vectors:
+    """Concatenate the terms that are not pictures to (N, V), without normalisation."""
+    if not network.vectors:  # torch.cat refuses an empty list
         first = observation[network.encoders[0].pictures[0].term]
         return first.new_zeros((len(first), 0), dtype=torch.float32)
     return torch.cat([observation[part.name].float().flatten(1) for part in network.vectors], dim=1)
 
 
 def encoded_pictures(network: Convolutional, encoders: nn.ModuleList, observation: Mapping[str, Tensor]) -> Tensor:
-    """(N, features) what the encoders, which the network built, make of the pictures."""
+    """Encode the pictures to (N, features) by the encoders that the network built."""
     seen = []
     for encoder, layers in zip(network.encoders, encoders, strict=True):
         channels = [_scaled(observation[picture.term], picture) for picture in encoder.pictures]
-        # From (N, H, W, C), as cameras draw, to (N, C, H, W); in memory it stays, which convolutions like best.
+        # From (N, H, W, C), as cameras draw, to (N, C, H, W). The memory stays in channels-last order, in which
+        # convolutions are fastest.
         seen.append(layers(torch.cat(channels, dim=3).permute(0, 3, 1, 2)))
     return torch.cat(seen, dim=1)
 
@@ -215,14 +217,14 @@ def convolutional_actor(
     mean: Tensor | None = None,
     std: Tensor | None = None,
 ) -> ActorNetwork:
-    """Return a copy on the CPU of a library's actor that is made of this network's encoders and linear layers.
+    """Return a copy on the CPU of a library's actor that consists of this network's encoders and linear layers.
 
     Args:
-        network: that the encoders were built by.
-        encoders: of the pictures.
-        layers: holds the linear layers behind them, in the order in which they act.
-        mean: (V,) of the vectors; zero if None.
-        std: (V,) of the vectors; one if None.
+        network: network that built the encoders.
+        encoders: encoders of the pictures.
+        layers: module with the linear layers behind them, in their order.
+        mean: means (V,) of the vectors; zero if None.
+        std: standard deviations (V,) of the vectors; one if None.
     """
     weights = {f"encoders.{name}": value for name, value in encoders.state_dict().items()}
     weights |= layer_weights(layers)
@@ -243,12 +245,13 @@ def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int]) -> Convolu
     to [0, 1]. Terms of one camera and size are the channels of one picture.
 
     Args:
-        parts: the terms.
+        parts: terms of the group.
         hidden_sizes: units of the layers behind the encoders.
 
     Raises:
-        ConfigurationError: a picture is neither colour nor depth, has no bounds, or there is none; names the terms.
+        ConfigurationError: a picture is neither colour nor depth, has no bounds, or there is none.
     """
+    # By camera and size: colours and depth of one camera are aligned, so that one encoder can compare them.
     cameras: dict[tuple[str | None, str, int, int], list[Picture]] = {}
     for part in parts:
         if not part.is_picture:
@@ -283,7 +286,7 @@ def _picture(part: Part, channels: int) -> Picture:
 
 
 def _scaled(value: Tensor, picture: Picture) -> Tensor:
-    """(N, H, W, C) in [0, 1]."""
+    """Scale a picture (N, H, W, C) to [0, 1]."""
     if picture.far is None:
         return value.float() / 255.0
     return (value.float().clamp(picture.near, picture.far) - picture.near) / (picture.far - picture.near)

@@ -1,4 +1,4 @@
-"""What a policy was learned for, as data that travels with it."""
+"""Description of a policy's task, observation and action, as data in its file."""
 
 from __future__ import annotations
 
@@ -29,21 +29,22 @@ _DTYPES = {
 
 @dataclass(frozen=True)
 class Part:
-    """A term of the observation, or a stretch of the action."""
+    """Term of the observation, or part of the action."""
 
     name: str
     size: int
-    """Components of one environment."""
+    """Number of components of one environment."""
     shape: tuple[int, ...] | None = None
     """Shape of one environment's value; (size,) if None."""
     dtype: str = "float32"
     """Name of the dtype in torch."""
+    # Bounds and cameras describe values, but do not change what a policy can be given: they are not compared.
     low: float | None = field(default=None, compare=False)
-    """Least that it shows; None where it is unbounded."""
+    """Least value; None if unbounded."""
     high: float | None = field(default=None, compare=False)
-    """Most that it shows; None where it is unbounded."""
+    """Largest value; None if unbounded."""
     camera: str | None = field(default=None, compare=False)
-    """Camera whose picture it is."""
+    """Camera that draws the picture."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.size <= _MOST_COMPONENTS:
@@ -58,11 +59,11 @@ class Part:
 
     @property
     def is_picture(self) -> bool:
-        """Whether it has height, width and channels."""
+        """True if the part has height, width and channels."""
         return self.shape is not None and len(self.shape) == 3
 
     def zeros(self, count: int, device: torch.device | str) -> Tensor:
-        """(count, ...) of its shape and dtype."""
+        """Return zeros (count, ...) of the part's shape and dtype."""
         return torch.zeros((count, *(self.shape or ())), dtype=_DTYPES[self.dtype], device=device)
 
     def __str__(self) -> str:
@@ -72,32 +73,32 @@ class Part:
 
 @dataclass(frozen=True)
 class PolicyDescription:
-    """What a policy was learned for: what it must be given and what its output means."""
+    """Description of a policy: the observation that it needs, and the meaning of its output."""
 
     task: str
     robot: str
     action: str
     """Name of the action space."""
     observation_parts: tuple[Part, ...]
-    """The terms of its observation group, in order."""
+    """Terms of its observation group, in order."""
     action_parts: tuple[Part, ...]
-    """The motion generators' commands, side by side, each component in [-1, 1]."""
+    """Commands of the motion generators in order, each component in [-1, 1]."""
     step_dt: float
     """Seconds between two actions."""
     backend: str
     """Backend that the policy was learned on."""
     library: str
-    """The library that learned the policy."""
+    """Library that learned the policy."""
     iteration: int
     versions: dict[str, str] = field(default_factory=dict)
     """Versions of the distributions that took part in learning."""
     group: str = "policy"
-    """The observation group that it sees."""
+    """Observation group that the policy sees."""
     concatenated: bool = True
-    """Whether it sees the terms side by side as (N, O), or as a dictionary of them."""
+    """Whether the policy sees the terms concatenated to (N, O), or as a dictionary."""
     memory: tuple[Part, ...] = ()
-    """Tensors that it carries from one step to the next, a row for each environment; none for a policy that acts by
-    what it sees alone."""
+    """Tensors that the policy carries from one step to the next, a row for each environment; empty if it acts only by
+    what it sees."""
 
     def __post_init__(self) -> None:
         if not (0 < self.observation_size <= _MOST_COMPONENTS and 0 < self.action_size <= _MOST_COMPONENTS):
@@ -125,37 +126,37 @@ class PolicyDescription:
 
     @property
     def observation_size(self) -> int:
-        """Components of all terms that the policy sees, together."""
+        """Number of components of all terms that the policy sees."""
         return sum(part.size for part in self.observation_parts)
 
     @property
     def action_size(self) -> int:
-        """Components of an action."""
+        """Number of components of an action."""
         return sum(part.size for part in self.action_parts)
 
     @property
     def sees_pictures(self) -> bool:
-        """Whether any term that the policy sees is a picture."""
+        """True if any term that the policy sees is a picture."""
         return any(part.is_picture for part in self.observation_parts)
 
     def zeros(self, count: int, device: torch.device | str = "cpu") -> Tensor | dict[str, Tensor]:
-        """Return an observation of so many environments in which everything is zero."""
+        """Return an observation of ``count`` environments that is zero."""
         if self.concatenated:
             return torch.zeros(count, self.observation_size, device=device)
         return {part.name: part.zeros(count, device) for part in self.observation_parts}
 
     def find_group(self, environment: Environment) -> str:
-        """Return the group of an environment that shows what the policy sees: the one of its name, else ``teacher``,
-        else any.
+        """Return the environment's group with the policy's observation: the same name, else ``teacher``, else any.
 
-        A policy that sees terms side by side needs the same terms in the same order; one that sees a dictionary needs
-        its terms, by name, and does not mind others.
+        A policy with concatenated terms needs the same terms in the same order; one with a dictionary needs its terms
+        by name, and ignores others.
 
         Raises:
-            ConfigurationError: there is none, or the environment differs otherwise; names what differs.
+            ConfigurationError: no group fits, or robot, action or rate differ; the message names the differences.
         """
         self.check_action(environment)
         groups = environment.observation
+        # The best name first; Python's sort keeps the order of the others.
         names = sorted(groups, key=lambda name: (name != self.group, name != "teacher"))
         faults = {name: self._misfit(groups[name]) for name in names}
         fitting = next((name for name, fault in faults.items() if fault is None), None)
@@ -171,7 +172,7 @@ class PolicyDescription:
         """Refuse an environment of another robot, action or rate.
 
         Raises:
-            ConfigurationError: names what differs.
+            ConfigurationError: the environment differs; the message names the difference.
         """
         other = PolicyDescription.of(environment, self.task, "", 0)
         for name in ("robot", "action", "action_parts"):
@@ -180,13 +181,14 @@ class PolicyDescription:
                 raise ConfigurationError(
                     f"the policy was learned with {name} {_told(learned)}, not with {_told(given)}"
                 )
+        # Files keep seconds as decimals, which may differ in the last bits.
         if abs(self.step_dt - other.step_dt) > 1e-9:
             raise ConfigurationError(
                 f"the policy acts every {self.step_dt:g} s, the environment every {other.step_dt:g} s"
             )
 
     def _misfit(self, layout: GroupLayout) -> str | None:
-        """How a group differs from what the policy sees; None if it does not."""
+        """Describe how a group differs from the policy's; None if it does not."""
         if layout.concatenated != self.concatenated:
             return f"gives its terms {_FORMS[layout.concatenated]}"
         given = group_parts(layout)
@@ -201,14 +203,14 @@ class PolicyDescription:
 
     @staticmethod
     def of_document(document: Mapping[str, Any], where: str) -> PolicyDescription:
-        """What :meth:`document` gave.
+        """Read a description from the result of :meth:`document`.
 
         Args:
-            document: plain data that a file says.
-            where: the file, for messages.
+            document: plain data of a file.
+            where: name of the file for messages.
 
         Raises:
-            ConfigurationError, UnknownNameError: it says something else; names what.
+            ConfigurationError, UnknownNameError: the data is not a description; the message names the place.
         """
         if document.get("format") != FORMAT:
             raise ConfigurationError(

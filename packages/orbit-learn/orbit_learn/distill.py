@@ -1,4 +1,4 @@
-"""Distillation: a student learns from its own observations to act as a teacher does that observes more."""
+"""Distillation: a student learns from its own observations to act like a teacher that observes more."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from orbit_learn.trainer import LoopTrainer
 
 @dataclass(frozen=True)
 class DistillSettings:
-    """Imitation of a teacher in the states that the student comes to: Ross, Gordon and Bagnell, A Reduction of
-    Imitation Learning and Structured Prediction to No-Regret Online Learning (2011), known as DAgger.
+    """Settings of imitating a teacher in the states that the student reaches.
 
-    The learning rate falls to zero along half a cosine: Loshchilov and Hutter, SGDR (2017).
+    Ross, Gordon and Bagnell, A Reduction of Imitation Learning and Structured Prediction to No-Regret Online Learning
+    (2011), known as DAgger. The learning rate falls to zero along half a cosine: Loshchilov and Hutter, SGDR (2017).
     """
 
     teacher: str = ""
-    """A kept policy's name, a policy's file, a training's folder, or ``expert``, the task's own."""
+    """Name of a kept policy, a policy's file, a training's folder, or ``expert``, the task's own."""
     iterations: int = 1000
     """Number of iterations, each of collecting steps and learning from them."""
     steps_per_iteration: int = 16
@@ -43,20 +43,20 @@ class DistillSettings:
     hidden_sizes: tuple[int, ...] = (256, 128)
     """Units of the hidden layers behind the encoders of pictures."""
     teacher_led: float = 0.2
-    """Share of the training during which the teacher leads some episodes: all at first, then fewer and fewer."""
+    """Share of the training during which the teacher leads some episodes: all at first, then ever fewer."""
     buffer_size: int = 200_000
-    """Steps that are remembered to learn from; with two cameras of 64 x 64 pixels, 41 kB each on the device."""
+    """Number of steps kept to learn from; with two cameras of 64 x 64 pixels, 41 kB each on the device."""
     updates_per_iteration: int = 32
-    """Steps of gradient descent."""
+    """Number of steps of gradient descent."""
     batch_size: int = 2048
-    """Remembered steps that each of them takes."""
+    """Number of kept steps that each of them uses."""
     learning_rate: float = 1e-3
     """Learning rate at first."""
     shift: int = 0
-    """Most pixels that pictures are shifted by, at random, while learning: Yarats et al., Mastering Visual Continuous
+    """Limit in pixels of random shifts of pictures while learning: Yarats et al., Mastering Visual Continuous
     Control: Improved Data-Augmented Reinforcement Learning (2021)."""
     mixed_precision: bool = False
-    """Whether to compute gradients in bfloat16 where numbers allow it."""
+    """Whether to compute gradients in bfloat16 where precision allows it."""
 
     def __post_init__(self) -> None:
         for name in ("iterations", "steps_per_iteration", "buffer_size", "updates_per_iteration", "batch_size"):
@@ -68,16 +68,16 @@ class DistillSettings:
             raise ConfigurationError("shift of a distillation is not negative, and its learning_rate above zero")
 
 
-# How pictures are kept: depth to within half a millimetre in a metre, colours as they are.
+# Types in which pictures are kept: depth to within half a millimetre in a metre, colours as they are.
 _SHORT = {torch.float32: torch.float16}
 
 
 class ReplayBuffer:
-    """A ring of the last steps of all environments; nothing in it waits for the device.
+    """Ring of the last steps of all environments; none of its methods waits for the device.
 
     Args:
-        capacity: steps of one environment that are kept; rounded down to whole steps of all.
-        observation: an example, (N, ...): one tensor or a dictionary of terms.
+        capacity: number of steps of one environment; rounded down to whole steps of all.
+        observation: example (N, ...): one tensor or a dictionary of terms.
         action_size: components of an action.
     """
 
@@ -99,13 +99,14 @@ class ReplayBuffer:
         terms = {"": observation} if isinstance(observation, Tensor) else observation
         rows = slice(self._next, self._next + self._count)
         for name, kept in self._terms.items():
-            kept[rows] = terms[name]
+            kept[rows] = terms[name]  # converts to the shorter type on the way
         self._actions[rows] = action
         self._next = (self._next + self._count) % self._rows
         self.size = min(self.size + self._count, self._rows)
 
     def sample(self, count: int) -> tuple[Tensor | dict[str, Tensor], Tensor]:
-        """Observations (count, ...) and actions (count, A), each drawn from all that is kept."""
+        """Return observations (count, ...) and actions (count, A) of randomly chosen kept steps."""
+        # With repetition, which costs no permutation of the whole buffer.
         rows = torch.randint(self.size, (count,), device=self._device)
         terms = {name: kept[rows].to(self._dtypes[name]) for name, kept in self._terms.items()}
         return terms.get("", terms), self._actions[rows]
@@ -115,7 +116,7 @@ def _kept_dtype(value: Tensor) -> torch.dtype:
     return _SHORT.get(value.dtype, value.dtype) if value.dim() == 4 else value.dtype
 
 
-# Added to standard deviations: what never changes in training must not weigh more for that.
+# Added to standard deviations, so that components that never change in training do not become huge afterwards.
 _LEAST_STD = 1e-2
 
 
@@ -123,7 +124,7 @@ def network_for(layout: GroupLayout, hidden_sizes: Sequence[int]) -> Network:
     """Return a perceptron for a concatenated group; for a dictionary with pictures, convolutions before it.
 
     Raises:
-        ConfigurationError: the dictionary holds pictures that are neither colour nor depth, or none at all.
+        ConfigurationError: the dictionary has pictures that are neither colour nor depth, or no pictures.
     """
     if layout.concatenated:
         return Perceptron(tuple(hidden_sizes))
@@ -138,13 +139,13 @@ def build_actor(network: Network, layout: GroupLayout, action_size: int) -> Pict
 
 
 def copied_actor(network: Network, module: nn.Module) -> ActorNetwork:
-    """Return a copy on the CPU that learns no more."""
+    """Return a copy on the CPU without gradients."""
     copied = copy.deepcopy(module).cpu().to(memory_format=torch.contiguous_format)  # pyright: ignore[reportCallIssue]
     return ActorNetwork(network, copied.requires_grad_(False).eval())
 
 
 class RunningMoments:
-    """Mean and standard deviation of all rows so far, which weigh the same.
+    """Mean and standard deviation of all rows so far, with equal weights.
 
     Chan, Golub and LeVeque, Updating Formulae and a Pairwise Algorithm for Computing Sample Variances (1979).
     """
@@ -153,19 +154,20 @@ class RunningMoments:
         self.count = torch.zeros((), device=device)
         self.mean = torch.zeros(size, device=device)
         self._squares = torch.zeros(size, device=device)
-        """(size,) sum of squared deviations from the mean."""
+        """Sum (size,) of squared deviations from the mean."""
 
     def add(self, rows: Tensor) -> None:
-        """Take in (M, size)."""
+        """Add rows (M, size)."""
         count, mean = len(rows), rows.mean(0)
         total, change = self.count + count, mean - self.mean
+        # Pairwise, so that the sum of squares keeps its precision over millions of rows.
         self._squares += ((rows - mean) ** 2).sum(0) + change**2 * self.count * count / total
         self.mean += change * count / total
         self.count += count
 
     @property
     def std(self) -> Tensor:
-        """(size,) never zero."""
+        """Standard deviations (size,), never zero."""
         return (self._squares / self.count.clamp(min=1.0)).sqrt() + _LEAST_STD
 
     def state(self) -> dict[str, Tensor]:
@@ -173,7 +175,7 @@ class RunningMoments:
         return {"count": self.count, "mean": self.mean, "squares": self._squares}
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Take over what :meth:`state` gave."""
+        """Restore the result of :meth:`state`."""
         self.count.copy_(state["count"])
         self.mean.copy_(state["mean"])
         self._squares.copy_(state["squares"])
@@ -182,21 +184,20 @@ class RunningMoments:
 EXPERT = "expert"
 """Name of the teacher that is the task's own expert."""
 _MOST_GRADIENT = 0.1
-# Errors of an action beyond which the loss grows no longer as their square: Huber, Robust Estimation of a Location
-# Parameter (1964).
+# Error of an action beyond which the loss grows linearly instead of quadratically: Huber, Robust Estimation of a
+# Location Parameter (1964).
 _OUTLIER = 0.5
 
 
 class DistillTrainer(LoopTrainer[DistillSettings]):
-    """The teacher tells what it would do at every step; student and teacher lead whole episodes, by chance.
+    """Trainer in which a teacher labels every step, and student and teacher lead whole episodes, by chance.
 
-    The success that is reported is that of the episodes which the student led. The steps that are remembered are no
-    part of checkpoints, for they fill gigabytes: before it learns, a training that begins or resumes gathers the steps
-    of one episode.
+    The reported success is that of the episodes which the student led. Kept steps are not part of checkpoints, because
+    they take gigabytes: a training that begins or resumes first gathers the steps of one episode.
 
     Raises:
-        ConfigurationError: there is no teacher, no observation group shows what it was learned with, or episodes begin
-            on the way of the expert that teaches.
+        ConfigurationError: no teacher is given, no observation group fits it, or episodes begin on the way of the
+            expert that teaches.
     """
 
     name: ClassVar[str] = "distill"
@@ -214,18 +215,21 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._network = network_for(layout, settings.hidden_sizes)
         self._student = build_actor(self._network, layout, environment.action_size)
         self._student.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        # Separate from the student's buffers, which change only between iterations, so that collecting is consistent.
         self._moments = RunningMoments(len(self._student.mean), device)
         self._optimizer = torch.optim.Adam(self._student.parameters(), lr=settings.learning_rate)
         self._seen, _ = environment.reset(seed)
-        # Episodes that all began together would fill the memory with one time of the episode after another.
+        # If all episodes began together, the buffer would contain one time of the episode after the other.
         environment.state.episode_step.random_(environment.max_episode_steps)
         self._buffer = ReplayBuffer(settings.buffer_size, self._seen["policy"], environment.action_size)
         self._student_leads = torch.zeros(environment.num_envs, dtype=torch.bool, device=device)
-        """(N,) whose episode the student leads."""
+        """Whether (N,) the student leads each environment's episode."""
+        # Leaders are drawn for whole episodes, so that the success of those that the student led can be measured.
         self._draw_leaders(torch.ones_like(self._student_leads), 0)
         self._loss = torch.zeros((), device=device)
 
     def iterate(self, iteration: int) -> None:
+        # One whole episode, so that the first batches contain all times of it.
         ahead = 0 if self._buffer.size else self.environment.max_episode_steps
         self.steps_ahead += ahead * self.environment.num_envs
         with torch.no_grad():
@@ -236,6 +240,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         progress = iteration / self.settings.iterations
         for group in self._optimizer.param_groups:
             group["lr"] = self.settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+        # Summed on the device: reading each loss would wait for it.
         self._loss.zero_()
         for _ in range(self.settings.updates_per_iteration):
             self._update()
@@ -244,7 +249,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         return float(self._loss) / self.settings.updates_per_iteration
 
     def state(self) -> Any:
-        """Weights, the optimiser and the statistics of what was seen."""
+        """Return weights, the optimiser's state and the observations' statistics."""
         return {
             "student": self._student.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -260,10 +265,11 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         return copied_actor(self._network, self._student)
 
     def _collect(self, iteration: int) -> None:
-        """One step of all environments."""
+        """Take one step of all environments, and keep it with the teacher's actions."""
         environment, seen = self.environment, self._seen["policy"]
         wanted = self._wanted(self._seen)
         done = self._student(seen)
+        # The teacher's action is kept in every state, also where the student leads: that is the idea of DAgger.
         self._buffer.add(seen, wanted)
         self._moments.add(self._student.vectors(seen))  # pyright: ignore[reportArgumentType] - as its group gives it
         action = torch.where(self._student_leads[:, None], done, wanted)
@@ -272,7 +278,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._draw_leaders(terminated | truncated, iteration)
 
     def _draw_leaders(self, began: Tensor, iteration: int) -> None:
-        """Draw who leads, in the environments whose episodes began (N,) bool."""
+        """Draw who leads, in the environments (N,) whose episodes ``began``."""
         while_led = self.settings.teacher_led * self.settings.iterations
         share = max(0.0, 1.0 - iteration / while_led) if while_led else 0.0
         drawn = torch.rand(len(began), device=began.device) >= share
@@ -284,7 +290,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
             observation = _shifted(observation, self.settings.shift)
         kind = self.environment.device.type
         with torch.autocast(kind, torch.bfloat16, enabled=self.settings.mixed_precision):
-            # Before clipping, so that what lies outside of [-1, 1] is drawn back.
+            # Before clipping: the gradient of a clipped action outside of [-1, 1] would be zero.
             done = self._student.unclipped(observation)  # pyright: ignore[reportArgumentType] - as its group gives it
         loss = F.smooth_l1_loss(done.float(), wanted, beta=_OUTLIER)  # a few strange states must not lead the others
         self._optimizer.zero_grad()
@@ -295,14 +301,16 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
 
 
 def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], Tensor]:
-    """From what is shown to the actions (N, A) of the task's expert, or of the policy of that name."""
+    """Return a function from observations to the actions (N, A) of the task's expert, or of a policy by name."""
     if name == EXPERT:
         if environment.starts is not None:
+            # The expert's phases are not part of a recorded start.
             raise ConfigurationError(
                 "an expert begins each episode with its first phase, also one that begins on its way: to let it teach, "
                 "set expert_starts=0"
             )
         expert = environment.expert()
+        # A teacher's phases follow from the state, which the student may have led elsewhere.
         if isinstance(expert, Teacher):
             expert.teaches = True
         return lambda seen: expert.compute({})["action"]
@@ -313,14 +321,15 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
 
 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:
-    """Pictures shifted by up to ``most`` pixels each way, their borders repeated; those of one step all alike."""
+    """Shift pictures by up to ``most`` pixels each way, with repeated borders; those of one step alike."""
     first = next(iter(observation.values()))
+    # One shift for all cameras of a step, so that they still show one scene.
     shifts = torch.randint(-most, most + 1, (2, len(first), 1), device=first.device)
     return {name: _shift(value, shifts) if value.dim() == 4 else value for name, value in observation.items()}
 
 
 def _shift(pictures: Tensor, shifts: Tensor) -> Tensor:
-    """Pictures (N, H, W, C) moved by ``shifts`` (2, N, 1) rows and columns."""
+    """Move pictures (N, H, W, C) by ``shifts`` (2, N, 1) rows and columns."""
     rows, columns = (
         (torch.arange(extent, device=pictures.device) + shift).clamp(0, extent - 1)
         for extent, shift in zip(pictures.shape[1:3], shifts, strict=True)

@@ -1,4 +1,4 @@
-"""What a step says of the episodes that ended in it, in the forms that learning libraries ask for."""
+"""Ends of episodes in the forms that learning libraries need."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from orbit_core.envs.observation_layout import Observation, leaves_of, map_leave
 
 
 def all_ends(info: Mapping[str, EpisodeEnd], count: int) -> tuple[EpisodeEnd, Tensor] | None:
-    """Ends of episodes as rows among all environments, and the mask (N,) of where; None where none ended.
+    """Return ends of episodes as rows among all environments, and their mask (N,); None if none ended.
 
-    On a GPU there is always something, since to look whether an episode ended would be to wait for the device.
+    On a GPU the result is never None, because checking whether an episode ended would wait for the device.
 
     Args:
-        info: that the environment's step returned.
-        count: N, of environments.
+        info: info of the environment's step.
+        count: number N of environments.
     """
-    if isinstance(info, StepInfo):
+    if isinstance(info, StepInfo):  # which has rows of all environments, so that the host reads nothing
         return info.everyone, info.done
     end = info.get("final")
     return None if end is None else _spread(end, count)
 
 
 def true_next(observation: Observation, info: Mapping[str, EpisodeEnd]) -> Observation:
-    """What each step led to: the last observation of an episode where one ended, not the next one's first.
+    """Return the observation after each step: an episode's last one where it ended, not the next one's first.
 
     Args:
-        observation: that the step returned.
-        info: that it returned.
+        observation: observation that the step returned.
+        info: info that it returned.
     """
     leaves = leaves_of(observation)
     found = all_ends(info, len(leaves[0]))
@@ -48,28 +48,31 @@ def true_next(observation: Observation, info: Mapping[str, EpisodeEnd]) -> Obser
 
 
 class EpisodeTally:
-    """Mean return and success of the episodes that ended since it was last read; those that began on the expert's way
-    do not count."""  # fmt: skip
+    """Mean return and success of the episodes that ended since the last reading.
+
+    Episodes that began on the expert's way do not count.
+    """
 
     def __init__(self, device: torch.device) -> None:
         self._sums = torch.zeros(3, device=device)
         self._last = (math.nan, math.nan, 0)
         self._metrics: dict[str, Tensor] = {}
         self.metrics: dict[str, float] = {}
-        """Means of what the task measures over the episodes that were last read, by name."""
+        """Means of the task's metrics over the episodes of the last reading, by name."""
 
     def add(self, info: Mapping[str, EpisodeEnd], count: int, counts: Tensor | None = None) -> None:
-        """Take in a step's episodes; nothing here waits for the device.
+        """Add a step's episodes without waiting for the device.
 
         Args:
-            info: that the environment's step returned.
-            count: N, of environments.
-            counts: (N,) bool whose episodes count; all if None.
+            info: info of the environment's step.
+            count: number N of environments.
+            counts: mask (N,) of the environments whose episodes count; all if None.
         """
         found = all_ends(info, count)
         if found is None:
             return
         end, ended = found
+        # A start on the expert's way is easier, so that its success says little of the policy.
         ended = ended & end.usual
         if counts is not None:
             ended = ended & counts
@@ -79,10 +82,11 @@ class EpisodeTally:
             self._metrics[name] = self._metrics.get(name, 0.0) + (values * ended).sum()
 
     def read(self) -> tuple[float, float, int]:
-        """Return, success rate and number of episodes, and begin anew.
+        """Return mean return, success rate and number of episodes, and reset.
 
-        Where no episode has ended, it tells what the last reading told.
+        If no episode has ended, the result is that of the last reading.
         """
+        # One transfer for all sums, because each waits for the device.
         episodes, returns, successes = self._sums.tolist()
         if episodes:
             self._last = (returns / episodes, successes / episodes, round(episodes))
@@ -93,7 +97,7 @@ class EpisodeTally:
 
 
 def _spread(end: EpisodeEnd, count: int) -> tuple[EpisodeEnd, Tensor]:
-    """Ends of some episodes as rows among all environments, zero elsewhere, and the mask of where."""
+    """Spread ends of some episodes over rows of all environments, zero elsewhere, and return their mask."""
     device = end.env_ids.device
     ended = torch.zeros(count, dtype=torch.bool, device=device)
     ended[end.env_ids] = True

@@ -1,4 +1,4 @@
-"""Which observation group is whose, and which libraries can take it."""
+"""Observation groups of actor and critic, and the libraries that support them."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ if TYPE_CHECKING:
 
 ACTOR = "policy"
 CRITIC = "critic"
+# Libraries whose adapters here build encoders of pictures, and those that give the critic its own observation.
 _TAKE_PICTURES = ("rsl-rl", "sb3", "skrl", "torchrl", "distill")
 _TAKE_CRITICS = ("rsl-rl", "rl-games", "skrl", "torchrl")
 
 
 def critic_group(environment: Environment) -> str:
-    """Return the group that a critic sees: ``critic`` where the task has one, else ``policy``."""
+    """Return the group that a critic sees: ``critic`` if the task has one, else ``policy``."""
     return CRITIC if CRITIC in environment.observation else ACTOR
 
 
 def check_groups(environment: Environment, library: str) -> None:
-    """Refuse observation groups that a library cannot take.
+    """Refuse observation groups that a library does not support.
 
     Raises:
-        ConfigurationError: names the group, the library and the libraries that can.
+        ConfigurationError: a group is not supported; the message names the libraries that support it.
     """
     groups = environment.observation
     if CRITIC in groups and library not in _TAKE_CRITICS:
@@ -36,6 +37,7 @@ def check_groups(environment: Environment, library: str) -> None:
             f"library '{library}' gives its critic what the policy sees, and cannot take observation group '{CRITIC}': "
             f"set it to None, or use {' or '.join(_TAKE_CRITICS)}"
         )
+    # Once, if actor and critic share a group.
     for name in dict.fromkeys((ACTOR, critic_group(environment))):
         if not groups[name].concatenated and library not in _TAKE_PICTURES:
             raise ConfigurationError(
@@ -46,7 +48,7 @@ def check_groups(environment: Environment, library: str) -> None:
 
 
 def tensors_by_name(observation: Observation) -> dict[str, Tensor]:
-    """Return all tensors of an observation: ``group`` where it is concatenated, else ``group/term``."""
+    """Return all tensors of an observation by ``group`` if it is concatenated, else by ``group/term``."""
     named: dict[str, Tensor] = {}
     for group, value in observation.items():
         if isinstance(value, Mapping):

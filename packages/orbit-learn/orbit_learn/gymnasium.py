@@ -1,4 +1,4 @@
-"""Environments as Gymnasium sees them: a VectorEnv of torch tensors, and a single environment of NumPy arrays."""
+"""Environments with Gymnasium's interface: a VectorEnv of torch tensors, and a single environment of NumPy arrays."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ Arrays = dict[str, npt.NDArray[Any] | dict[str, npt.NDArray[Any]]]
 class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor]):
     """N environments, with torch tensors on the environment's device, reset in the same step as they end.
 
-    Where an episode ended, ``info["final_obs"]`` (N, ...) holds its last observation, ``info["_final_obs"]`` (N,) says
-    where, and ``info["final_info"]`` holds success and metrics. On a GPU they are there at every step, since to leave
-    them out would be to wait for the device.
+    Where an episode ended (the mask ``info["_final_obs"]`` (N,)), ``info["final_obs"]`` (N, ...) has its last
+    observation, and ``info["final_info"]`` success and metrics. On a GPU they exist at every step, because leaving them
+    out would wait for the device.
 
     Args:
         task: a task or its name.
-        num_envs: N.
+        num_envs: number N of environments.
         render_mode: ``"rgb_array"`` for pictures, or None.
-        numpy: give NumPy arrays in place of tensors, for Gymnasium's own wrappers, which compute with NumPy.
+        numpy: return NumPy arrays instead of tensors, for Gymnasium's own wrappers, which compute with NumPy.
         keywords: those of :func:`orbit_core.envs.make`: backend, device, seed, and the task's own fields.
     """
 
@@ -55,6 +55,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
     ) -> None:
         self.environment = make(task, num_envs=num_envs, **keywords)
         self._numpy = numpy
+        # An attribute of the instance, because the frame rate depends on the task.
         self.metadata = _metadata(self.environment, AutoresetMode.SAME_STEP)
         self.render_mode = checked_mode(render_mode)
         self.num_envs = num_envs
@@ -75,7 +76,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
         """Begin new episodes, in all environments or where ``options["reset_mask"]`` (N,) bool is true.
 
         Raises:
-            ConfigurationError: another option.
+            ConfigurationError: another option is given.
         """
         given = dict(options or {})
         mask = given.pop("reset_mask", None)
@@ -93,7 +94,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
         return self._given((observation, reward, terminated, truncated, final))
 
     def _given(self, results: Any) -> Any:
-        """Return results as they were asked for: tensors, or NumPy arrays."""
+        """Return results as tensors or, if requested, as NumPy arrays."""
         return _host_arrays(results) if self._numpy else results
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
@@ -107,14 +108,15 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
 
 
 class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
-    """One environment, with NumPy arrays; it waits for ``reset`` after an episode, as Gymnasium's do.
+    """One environment with NumPy arrays, which waits for ``reset`` after an episode, like Gymnasium's.
 
-    Until then it shows how the episode ended, and a step raises a ConfigurationError.
+    Until then it keeps the episode's last state, and a step raises a ConfigurationError.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
 
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
+        # Gymnasium's single environments are reset by their user, unlike its vector environments here.
         self.environment = make(task, num_envs=1, autoreset=False, **keywords)
         self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
         self.render_mode = checked_mode(render_mode)
@@ -125,10 +127,11 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
         refuse_options(options, "none")
         observation, info = self.environment.reset(seed)
-        super().reset(seed=seed)
+        super().reset(seed=seed)  # which seeds only Gymnasium's own generator
         return arrays_of(observation), info
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
+        # A batch of one, which the results below lose again.
         batch = as_tensor(action, torch.float32, self.environment.device, "action")[None]
         observation, reward, terminated, truncated, info = self.environment.step(batch)
         return arrays_of(observation), float(reward), bool(terminated), bool(truncated), outcome(info.get("final"), 0)
@@ -144,7 +147,7 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
 
 
 class Spectator:
-    """What ``render`` shows: pictures from the task's own view where there is a render mode, made on first use."""
+    """Source of the pictures of ``render``, from the task's own view; its camera is made on first use."""
 
     def __init__(self, environment: Environment, render_mode: str | None) -> None:
         self._environment = environment
@@ -152,25 +155,26 @@ class Spectator:
         self._camera: OverviewCamera | None = None
 
     def pictures(self) -> npt.NDArray[np.uint8] | None:
-        """(N, 480, 640, 3) of all environments; None without a render mode."""
+        """Draw pictures (N, 480, 640, 3) of all environments; None without a render mode."""
         if self._render_mode is None:
             return None
+        # On first use, because a renderer takes memory that environments without pictures do not need.
         self._camera = self._camera or OverviewCamera(
             self._environment.world, 640, 480, self._environment.task.metadata.view
         )
         return self._camera.pictures().numpy()
 
     def close(self) -> None:
-        """Free what draws; the environment stays."""
+        """Close the camera; the environment stays open."""
         if self._camera is not None:
             self._camera.close()
 
 
 def refuse_options(options: Mapping[str, Any] | None, known: str) -> None:
-    """Refuse what ``reset`` would not use.
+    """Refuse options that ``reset`` does not have.
 
     Raises:
-        ConfigurationError: names the options.
+        ConfigurationError: there are such options; the message names them.
     """
     if options:
         names = ", ".join(repr(name) for name in options)
@@ -178,10 +182,10 @@ def refuse_options(options: Mapping[str, Any] | None, known: str) -> None:
 
 
 def as_tensor(values: object, dtype: torch.dtype | None, device: torch.device, what: str) -> Tensor:
-    """Return numbers as users of Gymnasium give them: a tensor anywhere, an array or nested lists.
+    """Convert values of Gymnasium's users to a tensor: a tensor on any device, an array or nested lists.
 
     Raises:
-        ArgumentError: they are no numbers.
+        ArgumentError: the values are not numbers.
     """
     try:
         return torch.as_tensor(values, dtype=dtype, device=device)
@@ -194,10 +198,10 @@ def _metadata(environment: Environment, mode: AutoresetMode) -> dict[str, Any]:
 
 
 def checked_mode(render_mode: str | None) -> str | None:
-    """Return the render mode.
+    """Check and return the render mode.
 
     Raises:
-        ConfigurationError: there is none of that name.
+        ConfigurationError: the mode is unknown.
     """
     if render_mode not in (None, "rgb_array"):
         raise ConfigurationError(f"render_mode '{render_mode}' is unknown: use 'rgb_array', or 'orbit view' to watch")
@@ -215,7 +219,7 @@ def _final(everyone: EpisodeEnd, ended: Tensor) -> dict[str, Any]:
 
 
 def outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
-    """Success and metrics of one of the episodes that ended; nothing where none did."""
+    """Return success and metrics of one of the ended episodes; empty if none ended."""
     if end is None:
         return {}
     metrics = {name: float(value[row]) for name, value in end.metrics.items()}
@@ -228,7 +232,7 @@ def arrays_of(observation: Observation) -> Arrays:
 
 
 def _host_arrays(values: Any) -> Any:
-    """Return a tree of tuples and dictionaries with NumPy arrays in the place of its tensors."""
+    """Convert the tensors in a tree of tuples and dictionaries to NumPy arrays."""
     if isinstance(values, Tensor):
         return values.cpu().numpy()
     if isinstance(values, tuple):

@@ -1,4 +1,4 @@
-"""Learning libraries by name. Packages add theirs through the entry-point group ``orbit.learners``.
+"""Learning libraries by name. Packages add theirs by the entry-point group ``orbit.learners``.
 
 The value of an entry point is a subclass of :class:`~orbit_learn.trainer.Trainer`::
 
@@ -39,7 +39,7 @@ _LIBRARIES = {
 
 @cache
 def learners() -> Registry[type[Trainer[Any]]]:
-    """Return all trainers by name; none is imported before it is asked for."""
+    """Return all trainers by name; each is imported when it is first requested."""
     registry = Registry["type[Trainer[Any]]"]("learning library", GROUP)
     for name, (place, _) in _LIBRARIES.items():
         registry.add_lazily(name, partial(_own_trainer, name, place))
@@ -47,25 +47,25 @@ def learners() -> Registry[type[Trainer[Any]]]:
 
 
 def library_names() -> tuple[str, ...]:
-    """All libraries that train."""
+    """Return the names of all libraries."""
     return tuple(learners().names)
 
 
 def library_description(name: str) -> str:
-    """One line: what the library offers, or which package brings it."""
+    """Return one line: the library's features, or the package that it comes from."""
     return _LIBRARIES[name][1] if name in _LIBRARIES else learners().origin(name)
 
 
 def trainer_type(library: str) -> type[Trainer[Any]]:
-    """Return the trainer of that library.
+    """Return a library's trainer.
 
     Raises:
-        UnknownNameError: there is none; names the nearest.
-        ConfigurationError: the library is not installed, or the package that brings it is broken.
+        UnknownNameError: the library is unknown; the message gives the nearest name.
+        ConfigurationError: the library is not installed, or its package is broken.
     """
     from orbit_learn.trainer import Trainer
 
-    kind = learners().get(library)
+    kind = learners().get(library)  # the import happens here
     if not (isinstance(kind, type) and issubclass(kind, Trainer)):
         raise ConfigurationError(f"learning library '{library}' ({learners().origin(library)}) is no Trainer: {kind!r}")
     return kind
@@ -75,6 +75,7 @@ def _own_trainer(library: str, place: str) -> type[Trainer[Any]]:
     module, _, attribute = place.partition(":")
     try:
         return getattr(importlib.import_module(f"orbit_learn.{module}"), attribute)
+    # Only missing modules: other errors within an installed library must stay visible.
     except ModuleNotFoundError as error:
         raise ConfigurationError(
             f"library '{library}' needs {error.name}, which is not installed: {install_extra(library)}"

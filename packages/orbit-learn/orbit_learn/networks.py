@@ -1,4 +1,4 @@
-"""What a policy's network is, and the network ``perceptron``: linear layers behind a normalised observation."""
+"""Interface of policies' networks, and the network ``perceptron``: linear layers behind a normalised observation."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _MOST_LAYERS, _MOST_UNITS = 64, 2**16
 
 
 def activation_type(name: str) -> type[nn.Module]:
-    """Return the activation of that name.
+    """Return an activation by name.
 
     Raises:
-        UnknownNameError: there is none.
+        UnknownNameError: no activation has the name.
     """
     if name not in _ACTIVATIONS:
         raise UnknownNameError("activation", name, _ACTIVATIONS)
@@ -28,24 +28,24 @@ def activation_type(name: str) -> type[nn.Module]:
 
 
 class Network(Protocol):
-    """Settings of a network: a frozen dataclass of what :func:`~orbit_core.configuration.from_plain` reads."""
+    """Settings of a network: a frozen dataclass that :func:`~orbit_core.configuration.from_plain` can read."""
 
     name: ClassVar[str]
-    """The network's name in files."""
+    """Name of the network in files."""
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
         """Return the module that maps an observation to an action (N, A) in [-1, 1], for any N.
 
-        The observation is what the policy's group gives: one tensor (N, O), or a dictionary of its terms.
+        The observation is that of the policy's group: one tensor (N, O), or a dictionary of its terms.
 
-        All that it knows stands in its ``state_dict``, in float32. Whoever builds it loads that; building must not
-        depend on values of tensors, for it also runs on torch's ``meta`` device.
+        The complete state of the module is its ``state_dict``, in float32, which is loaded after building. Building
+        must not depend on values of tensors, because it also runs on torch's ``meta`` device.
         """
         ...
 
 
 class ActorNetwork(NamedTuple):
-    """A network with the module that it built."""
+    """Network with the module that it built."""
 
     network: Network
     module: nn.Module
@@ -53,7 +53,7 @@ class ActorNetwork(NamedTuple):
 
 @dataclass(frozen=True)
 class Perceptron:
-    """Linear layers that see the observation in standard deviations from its mean."""
+    """Network of linear layers that see the observation in standard deviations from its mean."""
 
     name: ClassVar[str] = "perceptron"
     hidden_sizes: tuple[int, ...]
@@ -61,7 +61,7 @@ class Perceptron:
     activation: str = "elu"
     """Activation between layers: elu, relu or tanh."""
     observation_limit: float | None = None
-    """Standard deviations from the mean at which the observation is cut off; none if None."""
+    """Limit of the observation in standard deviations from the mean; unlimited if None."""
 
     def __post_init__(self) -> None:
         activation_type(self.activation)
@@ -71,24 +71,24 @@ class Perceptron:
             raise ValueError(f"observation_limit is positive, not {self.observation_limit}")
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
-        """Return the layers, and the statistics of observations: zero and one until they are loaded."""
+        """Return the actor; the observation's mean and deviation are zero and one until they are loaded."""
         layers = perceptron(observation_size, self.hidden_sizes, action_size, activation_type(self.activation))
         return NormalizedActor(layers, observation_size, self.observation_limit)
 
 
 class NormalizedActor(nn.Module):
-    """What :class:`Perceptron` builds: observation (N, O) -> action (N, A), clipped to [-1, 1].
+    """Actor of :class:`Perceptron`, from an observation (N, O) to an action (N, A), clipped to [-1, 1].
 
     Args:
-        layers: normalised observation (N, O) -> action (N, A).
-        observation_size: O.
-        limit: of the normalised observation's components; none if None.
+        layers: layers from a normalised observation (N, O) to an action (N, A).
+        observation_size: number O of the observation's components.
+        limit: limit of the normalised observation's components; unlimited if None.
     """
 
     mean: Tensor
-    """(O,) of observations seen in training."""
+    """Means (O,) of the observations in training."""
     std: Tensor
-    """(O,) theirs."""
+    """Standard deviations (O,) of the same."""
 
     def __init__(self, layers: nn.Sequential, observation_size: int, limit: float | None) -> None:
         super().__init__()
@@ -101,21 +101,21 @@ class NormalizedActor(nn.Module):
         return self.unclipped(observation).clamp(-1.0, 1.0)
 
     def vectors(self, observation: Tensor) -> Tensor:
-        """(N, O) what ``mean`` and ``std`` are of: the observation."""
+        """Return the observation (N, O), of which ``mean`` and ``std`` are."""
         return observation
 
     def unclipped(self, observation: Tensor) -> Tensor:
-        """(N, A) the action before it is clipped, for learning."""
+        """Compute the action (N, A) before clipping, for learning."""
         return self.layers(self.encode(observation))
 
     def encode(self, observation: Tensor) -> Tensor:
-        """(N, O) the observation as the layers see it."""
+        """Normalise the observation to the layers' input (N, O)."""
         seen = (observation - self.mean) / self.std
         return seen if self.limit is None else seen.clamp(-self.limit, self.limit)
 
 
 def perceptron(inputs: int, hidden: Sequence[int], outputs: int, activation: type[nn.Module] = nn.ELU) -> nn.Sequential:
-    """Linear layers with activations between them."""
+    """Return linear layers with activations between them."""
     sizes = [inputs, *hidden]
     layers: list[nn.Module] = []
     for taken, given in itertools.pairwise(sizes):
@@ -129,11 +129,12 @@ def perceptron_actor(
     """Return a copy on the CPU of a library's actor that is a perceptron with exponential linear units.
 
     Args:
-        layers: holds the linear layers, in the order in which they act.
-        mean: (O,) of the observation; zero if None.
-        std: (O,) of the observation; one if None.
-        limit: as :attr:`Perceptron.observation_limit`.
+        layers: module with the linear layers, in their order.
+        mean: means (O,) of the observation; zero if None.
+        std: standard deviations (O,) of the observation; one if None.
+        limit: limit as :attr:`Perceptron.observation_limit`.
     """
+    # Libraries wrap the layers differently; their order is the same everywhere.
     linear = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
     network = Perceptron(tuple(layer.out_features for layer in linear[:-1]), observation_limit=limit)
     size = linear[0].in_features
@@ -148,9 +149,9 @@ def perceptron_actor(
 
 
 def layer_weights(layers: nn.Module) -> dict[str, Tensor]:
-    """Weights of the linear layers within, named as :func:`perceptron` names them where it is called ``layers``."""
+    """Return the weights of the linear layers, with the names that :func:`perceptron` gives them as ``layers``."""
     linear = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
-    # The activations lie between, at the odd places.
+    # The activations are between them, at the odd places.
     return {
         f"layers.{2 * i}.{name}": value for i, layer in enumerate(linear) for name, value in layer.state_dict().items()
     }

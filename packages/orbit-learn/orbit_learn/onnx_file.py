@@ -4,9 +4,8 @@ The graph is run by torch on the environments' device, for operators that only c
 meaning is that of ONNX's operator set 13 and later: https://onnx.ai/onnx/operators/. No other file is opened. The
 description is in the model's metadata, under the key ``orbit``, as in :mod:`orbit_learn.policy_file`.
 
-Further keys are those that mjlab's exporter writes (``mjlab.rl.exporter_utils``, mjlab 1.6), so that code which deploys
-its policies reads ours: texts; lists are separated by commas, numbers have three decimals, and a list in a list is
-separated by semicolons.
+More keys are those of mjlab's exporter (``mjlab.rl.exporter_utils``, mjlab 1.6), so that code which deploys its
+policies reads ORBIT's too. All values are texts: lists have commas, lists in lists semicolons, numbers three decimals.
 """
 
 from __future__ import annotations
@@ -37,15 +36,15 @@ from orbit_learn.policy_file import check_action, manifest_document, manifest_of
 
 
 def deployment_metadata(manifest: Manifest, group: str, name: str) -> dict[str, str]:
-    """Metadata by key for the first robot that acts; lists of joints have its order, and gain 0 without an actuator.
+    """Return metadata for the first robot that acts; lists of joints have its order, and gain 0 without an actuator.
 
-    ``command_names`` is empty, for commands are observation terms here. ``action_scale`` is left out where targets are
-    no ``default + scale * action`` of joint positions, for there is no such number then.
+    ``command_names`` is empty, because commands are observation terms here. ``action_scale`` is left out if targets are
+    not ``default + scale * action`` of joint positions, because no such number exists then.
 
     Args:
-        manifest: of the environment that the policy was learned in.
-        group: that the policy sees.
-        name: of the run, under ``run_path``.
+        manifest: manifest of the environment that the policy was learned in.
+        group: group that the policy sees.
+        name: name of the run, for ``run_path``.
     """
     robot_name, robot = next((name, robot) for name, robot in manifest.robots.items() if robot.agent)
     terms = manifest.observations[group].terms
@@ -69,7 +68,7 @@ def deployment_metadata(manifest: Manifest, group: str, name: str) -> dict[str, 
 
 
 def _scales(manifest: Manifest, robot: str) -> list[float]:
-    """Scale of each component; empty where one is none of a joint's position around the default."""
+    """Return the scale of each component; empty if one is not a joint position around the default."""
     scales: list[float] = []
     for term in manifest.action_terms.values():
         if term.robot != robot or term.scale is None:
@@ -89,7 +88,7 @@ def _text(value: object) -> str:
 
 
 _MOST_NODES = 10_000
-# Most numbers of one environment between two operators.
+# Limit of the numbers of one environment between two operators; a broadcast could otherwise fill the memory.
 _MOST_NUMBERS = 2**24
 
 
@@ -98,7 +97,7 @@ def _gemm(
     transB: int = 0,
 ) -> Tensor:  # fmt: skip
     a, b = a.T if transA else a, b.T if transB else b
-    if c is not None and alpha == beta == 1.0:
+    if c is not None and alpha == beta == 1.0:  # the usual case, in one operation
         return torch.addmm(c, a, b)
     product = alpha * (a @ b)
     return product if c is None else product + beta * c
@@ -130,7 +129,7 @@ OPERATORS: dict[str, Callable[..., Tensor]] = {
     "Sub": torch.sub,
     "Tanh": torch.tanh,
 }
-"""Each takes the node's inputs, None where one is left out, and its attributes by keyword."""
+"""Functions that take a node's inputs, None for one that is left out, and its attributes by keyword."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,7 @@ class _Operation:
 
 
 class OnnxGraph(nn.Module):
-    """Observation (N, O) -> action (N, A).
+    """Graph from an observation (N, O) to an action (N, A).
 
     Args:
         graph: an ``onnx.GraphProto`` with one input, one output and float32 weights, all inside it.
@@ -150,14 +149,14 @@ class OnnxGraph(nn.Module):
 
     Raises:
         UnknownNameError: an operator is not among :data:`OPERATORS`.
-        NonFiniteError: weights hold NaN or infinity.
-        ConfigurationError: anything else of the above does not hold.
+        NonFiniteError: weights contain NaN or infinity.
+        ConfigurationError: inputs, outputs or weights are not as above.
     """
 
     def __init__(self, graph: Any, onnx: Any) -> None:
         super().__init__()
         self.watch: Callable[[Sequence[int], int], None] | None = None
-        """Told the shape of each result, and the multiplications that a number of it takes."""
+        """Function that gets the shape of each result, and the number of multiplications for each of its numbers."""
         if len(graph.node) > _MOST_NODES:
             raise ConfigurationError(f"its graph has {len(graph.node):,} nodes, more than {_MOST_NODES:,}")
         weights = {weight.name: _numbers(weight, onnx) for weight in graph.initializer}
@@ -174,6 +173,7 @@ class OnnxGraph(nn.Module):
                 weights[node.output[0]] = _constant(node, onnx)
             else:
                 self._operations.append(_operation(node, onnx))
+        # Buffers move with the module to another device; names from a file are not always names of attributes.
         self._buffer_of = {name: f"weight_{i}" for i, name in enumerate(weights)}
         for name, buffer in self._buffer_of.items():
             self.register_buffer(buffer, weights[name])
@@ -181,7 +181,7 @@ class OnnxGraph(nn.Module):
 
     def forward(self, observation: Tensor) -> Tensor:
         values: dict[str, Tensor | None] = {name: getattr(self, buffer) for name, buffer in self._buffer_of.items()}
-        values |= {"": None, self._input: observation}
+        values |= {"": None, self._input: observation}  # ONNX names inputs that are left out ""
         most = _MOST_NUMBERS * len(observation)
         for operation in self._operations:
             inputs = [values[name] for name in operation.inputs]
@@ -198,7 +198,8 @@ class OnnxGraph(nn.Module):
         return action
 
     def _check_order(self) -> None:
-        """Refuse a graph that uses what it has not computed yet."""
+        """Refuse a graph that uses a value before it is computed."""
+        # ONNX requires this order of nodes, but files need not keep it.
         known = {"", self._input, *self._buffer_of}
         for operation in self._operations:
             for name in operation.inputs:
@@ -231,7 +232,7 @@ def _constant(node: Any, onnx: Any) -> Tensor:
 def _numbers(weight: Any, onnx: Any, name: str = "") -> Tensor:
     name = (weight.name or name)[:60]
     if weight.data_location == onnx.TensorProto.EXTERNAL or weight.external_data:
-        raise ConfigurationError(f"weights '{name}' lie in another file, which is not read: save them inside the model")
+        raise ConfigurationError(f"weights '{name}' are in another file, which is not read: save them inside the model")
     if weight.data_type != onnx.TensorProto.FLOAT:
         raise ConfigurationError(f"weights '{name}' are not float32")
     numbers = torch.from_numpy(onnx.numpy_helper.to_array(weight).copy())
@@ -248,17 +249,23 @@ _MEMORY = "orbit_memory"
 def write_onnx(
     path: Path | str, module: nn.Module, description: PolicyDescription, manifest: Manifest | None = None
 ) -> None:
-    """Write input ``observation`` (N, O) and output ``action`` (N, A). The file appears whole or not at all.
+    """Write ONNX with input ``observation`` (N, O) and output ``action`` (N, A); it appears complete or not at all.
 
-    Of a policy that sees a dictionary, the inputs are its terms, (N, ...) each, by their names. A policy with memory
-    has an input ``<name>`` and an output ``next_<name>`` for each part of it; the metadata hold its values at the first
-    step under ``orbit_memory``.
+    If a policy sees a dictionary, the inputs are its terms (N, ...) by name. A policy with memory has an input
+    ``<name>`` and an output ``next_<name>`` for each part of it; the metadata has its values at the first step as
+    ``orbit_memory``.
+
+    Args:
+        path: path of the file, which is replaced.
+        module: policy's module.
+        description: policy's description, for the metadata.
+        manifest: manifest of the environment, for the metadata.
 
     Raises:
         ConfigurationError: the exporter is not installed.
     """
     onnx, path = _onnx(), as_path(path)
-    example = description.zeros(2)
+    example = description.zeros(2)  # two environments: a single one could be traced as a constant size
     exported = copy.deepcopy(module).cpu().eval()
     names = list(example) if isinstance(example, dict) else ["observation"]
     inputs = tuple(example.values()) if isinstance(example, dict) else (example,)
@@ -272,7 +279,7 @@ def write_onnx(
         exported = TermByTerm(exported, names)
     with written_whole(path) as written:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of this exporter's age; the newer one needs one more package
+            warnings.simplefilter("ignore")  # that this exporter is old; the newer one needs another package
             torch.onnx.export(
                 exported,
                 inputs,
@@ -295,11 +302,11 @@ def read_onnx(path: Path | str) -> tuple[PolicyDescription, Manifest | None, nn.
     """Return a policy on the CPU from a file such as :func:`write_onnx` writes.
 
     Raises:
-        OrbitError: the file is malformed, has an operator that is not known, weights elsewhere or that are not finite,
-            or its parts do not fit each other; names which.
+        OrbitError: the file is malformed, has an unknown operator, weights in other files or that are not finite, or
+            parts that do not fit each other; the message names the part.
     """
     onnx = _onnx()
-    from google.protobuf.message import DecodeError  # what onnx is made of
+    from google.protobuf.message import DecodeError  # which onnx raises for damaged files
 
     path = as_path(path)
     data = read_bytes(path)
@@ -311,7 +318,7 @@ def read_onnx(path: Path | str) -> tuple[PolicyDescription, Manifest | None, nn.
     except (DecodeError, ValueError, TypeError, OrbitError) as error:
         raise ConfigurationError(f"{path} is no policy: {str(error).strip() or 'it is no ONNX'}") from None
     description = PolicyDescription.of_document(document, str(path))
-    # Shapes alone first, so that a graph that would fill the memory is refused before it does.
+    # First only shapes, so that a graph that would fill the memory is refused before it does.
     check_action(copy.deepcopy(graph).to("meta"), description, path, "meta")
     check_action(graph, description, path)
     return description, manifest_of(document, path), graph

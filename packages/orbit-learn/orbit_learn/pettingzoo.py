@@ -1,4 +1,4 @@
-"""One environment of several agents as PettingZoo sees it: Terry et al., PettingZoo (2021), its parallel interface."""
+"""Environment of several agents with PettingZoo's parallel interface: Terry et al., PettingZoo (2021)."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Array = npt.NDArray[np.float32]
 
 
 class ParallelEnvironment(ParallelEnv[str, Array, Array]):
-    """One environment, with NumPy arrays; its agents are the robots that act, by their names in the scene.
+    """One environment with NumPy arrays, whose agents are the robots that act, by their names in the scene.
 
-    Each sees and earns what :class:`orbit_core.envs.multi_agent.MultiAgentView` gives it. All live from ``reset`` to
-    the end of the episode, whose last observation the last step returns; the information then holds success and
-    metrics. ``state`` is the whole observation. For many environments at once, ``Environment.multi_agent`` does the
-    same to torch tensors.
+    :class:`orbit_core.envs.multi_agent.MultiAgentView` defines each agent's observation and reward. All agents live
+    from ``reset`` to the end of the episode, whose last observation the last step returns; the information then has
+    success and metrics. ``state`` is the whole observation. For many environments, ``Environment.multi_agent`` does
+    the same with torch tensors.
 
     Keywords are those of :func:`orbit_core.envs.make`: backend, device, seed, and the task's own fields.
 
@@ -91,7 +91,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         terminations, truncations = (dict.fromkeys(self.agents, bool(over)) for over in (terminated, truncated))
         infos = {agent: outcome(end, 0) for agent in self.agents}
         if end is not None:
-            self.agents = []
+            self.agents = []  # PettingZoo's sign that the episode is over
         return self._observed(observation), rewards, terminations, truncations, infos
 
     def state(self) -> Any:

@@ -1,4 +1,4 @@
-"""A learned policy: its file, its fit to an environment, and the node and the actor that it becomes."""
+"""Learned policies: their files, their fit to an environment, and their use as nodes and actors."""
 
 from __future__ import annotations
 
@@ -30,22 +30,21 @@ __all__ = ["Part", "Policy", "PolicyActor", "PolicyDescription", "PolicyNode", "
 
 @dataclass(frozen=True)
 class Policy:
-    """A policy with its description."""
+    """Policy with its description."""
 
     module: nn.Module
-    """Observation, as the description's group gives it, -> action (N, A) in [-1, 1], without exploration."""
+    """Module from an observation of the description's group to an action (N, A) in [-1, 1], without exploration."""
     network: Network | None
-    """What built the module; None if it was read from ONNX, where a graph stands for it."""
+    """Settings that built the module; None if it was read from ONNX, which contains a graph instead."""
     description: PolicyDescription
     manifest: Manifest | None = None
-    """Of the environment that it was learned in; None where its file holds none."""
+    """Manifest of the environment that it was learned in; None if its file has none."""
 
     def fit(self, environment: Environment) -> str:
-        """Return the group of an environment that shows what the policy sees; warns where the environment leads
-        elsewhere.
+        """Return the environment's group with the policy's observation, and warn of differences in the simulation.
 
         Raises:
-            ConfigurationError: the policy was learned for another environment; names what differs.
+            ConfigurationError: the policy was learned for another environment; the message names the differences.
         """
         group = self.description.find_group(environment)
         if self.manifest is not None:
@@ -54,7 +53,7 @@ class Policy:
         return group
 
     def save(self, path: Path | str) -> None:
-        """Write weights, network and description into one safetensors file, which appears whole or not at all.
+        """Write weights, network and description into one safetensors file, which appears complete or not at all.
 
         Raises:
             ConfigurationError: the policy was read from ONNX, or its network is not registered.
@@ -75,11 +74,14 @@ class Policy:
 
 
 def load_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
-    """Return a policy from its file, safetensors or ONNX, or the latest of a training's folder. Nothing in it is
-    executed.
+    """Read a policy from safetensors or ONNX, or the latest one of a training's folder, without executing its code.
+
+    Args:
+        path: path of the file or folder.
+        device: device of the policy.
 
     Raises:
-        OrbitError: there is no such file, or it is no policy; names the file and what is wrong.
+        OrbitError: the file does not exist or is not a policy; the message names the file and the fault.
     """
     path = as_path(path)
     if path.is_dir():
@@ -92,24 +94,24 @@ def load_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
         return Policy(module.to(device), None, description, manifest)
     if path.suffix != SUFFIX:
         raise ConfigurationError(
-            f"{path} is no policy: policies are {SUFFIX} and {onnx_file.SUFFIX} files, for others, such as pickles and "
-            "TorchScript, may run code when they are read"
+            f"{path} is no policy: policies are {SUFFIX} and {onnx_file.SUFFIX} files, because others, such as pickles "
+            "and TorchScript, may run code when they are read"
         )
     description, manifest, actor = read_policy(path)
     return Policy(actor.module.to(device), actor.network, description, manifest)
 
 
 class PolicyNode(Node):
-    """A learned policy as a node: its observation group -> action (N, A).
+    """Node of a learned policy, from its observation group to an action (N, A).
 
-    The ports of its inputs are named as the observation's tensors are: ``policy`` for a concatenated group (N, O),
+    Its input ports have the names of the observation's tensors: ``policy`` for a concatenated group (N, O),
     ``policy/<term>`` (N, ...) for each term of a dictionary.
 
     Args:
-        policy: that acts.
-        name: of the node.
-        inputs: what its place in an agent offers, other groups too; the policy's own alone if None.
-        group: that it sees; the one that it was learned with if None.
+        policy: policy that acts.
+        name: name of the node.
+        inputs: ports of its place in an agent, which may include other groups; only the policy's own if None.
+        group: group that it sees; the one that it was learned with if None.
     """
 
     def __init__(
@@ -170,7 +172,7 @@ def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
 
 
 class PolicyActor:
-    """A learned policy, acting in any environment of which a group shows what it was learned with."""
+    """Actor of a learned policy, in any environment with a group of the policy's observation."""
 
     def __init__(self, environment: Environment, path: Path | str) -> None:
         policy = load_policy(path, environment.device)
@@ -179,6 +181,6 @@ class PolicyActor:
         self._environment = environment
 
     def act(self) -> Tensor:
-        """(N, A) the next action."""
+        """Return the next action (N, A)."""
         begun = self._environment.state.episode_step == 0
         return self._acting.act(self._environment.observe()[self._group], begun)

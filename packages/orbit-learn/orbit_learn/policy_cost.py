@@ -1,4 +1,4 @@
-"""Limits on what a policy computes for an action, found out before it is computed."""
+"""Limits of a policy's computation, checked before it is carried out."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor, nn
 
-# Most numbers of one environment between observation and action, all layers together.
+# Limit of the numbers of one environment between observation and action, over all layers.
 _MOST_NUMBERS = 2**26
-# Most multiplications for an action of one environment; kept policies of pictures take a thousandth.
+# Limit of the multiplications for an action of one environment; kept policies of pictures take a thousandth.
 _MOST_OPERATIONS = 2**35
 
 
 @runtime_checkable
 class Watched(Protocol):
-    """A module that reports the shape of each of its results, and the multiplications that a number of it takes."""
+    """Module that reports the shape of each result, and the number of multiplications for each of its numbers."""
 
     watch: Callable[[Sequence[int], int], None] | None
 
@@ -29,7 +29,7 @@ def limited(module: nn.Module) -> Iterator[None]:
         module: convolutions and linear layers, or :class:`Watched`.
 
     Raises:
-        RuntimeError: it would take too much; says what.
+        RuntimeError: a limit would be exceeded.
     """
     numbers = operations = 0
 
@@ -44,6 +44,8 @@ def limited(module: nn.Module) -> Iterator[None]:
         if operations > _MOST_OPERATIONS:
             raise RuntimeError(f"it takes more than {_MOST_OPERATIONS:,} multiplications an action")
 
+    # Only convolutions can compute far more numbers than they have weights. Linear layers cannot: weights of a file
+    # are limited by its size.
     def before(layer: nn.Conv2d, inputs: tuple[Any, ...]) -> None:
         (picture,) = inputs
         sides = zip(picture.shape[2:], layer.kernel_size, layer.stride, layer.padding, strict=True)
@@ -61,11 +63,11 @@ def limited(module: nn.Module) -> Iterator[None]:
 
 
 def depth_of(product: bool, first: Tensor | None, transposed: bool) -> int:
-    """Return how many multiplications each number of a result takes.
+    """Return the number of multiplications for each number of a result.
 
     Args:
-        product: whether it is a product of matrices.
-        first: the first factor.
-        transposed: whether that is transposed.
+        product: whether the operation is a product of matrices.
+        first: first factor.
+        transposed: whether the first factor is transposed.
     """
     return first.shape[0 if transposed else -1] if product and first is not None and first.dim() else 1

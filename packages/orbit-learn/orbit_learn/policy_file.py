@@ -37,7 +37,7 @@ from orbit_learn.networks import ActorNetwork, Network, Perceptron
 from orbit_learn.policy_cost import limited
 
 GROUP = "orbit.networks"
-"""Entry points of packages that bring networks."""
+"""Group of entry points of packages with networks."""
 
 
 _OWN = (Perceptron, Convolutional, ClonedPerceptron, ClonedRecurrent, ClonedTransformer, ClonedDiffusion)
@@ -49,20 +49,20 @@ def _networks() -> ClassRegistry[Network]:
 
 
 def register_network(kind: type[Network]) -> None:
-    """Let files of this process name a network; installed packages use an entry point instead.
+    """Register a network for this process; installed packages use an entry point instead.
 
     Raises:
-        ConfigurationError: it is no dataclass with a class variable ``name``, or the name is taken.
+        ConfigurationError: the class is not a dataclass with a class variable ``name``, or the name is taken.
     """
     _networks().add_class(kind)
 
 
 def network_type(name: str) -> type[Network]:
-    """Return the network of that name.
+    """Return a network by name.
 
     Raises:
-        UnknownNameError: there is none; names the nearest, and the packages that were left out.
-        ConfigurationError: two packages bring it.
+        UnknownNameError: no network has the name; the message gives the nearest, and the packages that failed.
+        ConfigurationError: two packages have a network with the name.
     """
     return _networks().get(name)
 
@@ -71,11 +71,10 @@ SUFFIX = ".safetensors"
 
 
 def newest_file(folder: Path | str, prefix: str) -> Path | None:
-    """Return the file ``<prefix>_<iteration>.safetensors`` of the highest iteration; links that lead elsewhere are
-    refused.
+    """Return the file ``<prefix>_<iteration>.safetensors`` of the highest iteration; None if there is none.
 
     Raises:
-        ConfigurationError: that file is a link to a place outside the folder.
+        ConfigurationError: the file is a link to a place outside of the folder.
     """
     folder = as_path(folder)
     pattern = re.compile(rf"{prefix}_(\d{{1,18}}){re.escape(SUFFIX)}")
@@ -83,6 +82,7 @@ def newest_file(folder: Path | str, prefix: str) -> Path | None:
     if not found:
         return None
     newest = found[max(found)]
+    # A link could lead to any file, which would then be loaded as this training's policy.
     if newest.resolve().parent != folder.resolve():
         raise ConfigurationError(f"{newest} is a link that leads out of its folder: name the file that it leads to")
     return newest
@@ -91,10 +91,16 @@ def newest_file(folder: Path | str, prefix: str) -> Path | None:
 def write_policy(
     path: Path | str, actor: ActorNetwork, description: PolicyDescription, manifest: Manifest | None = None
 ) -> None:
-    """Write a policy, and the manifest of where it was learned. The file appears whole or not at all.
+    """Write a policy with the manifest of its environment; the file appears complete or not at all.
+
+    Args:
+        path: path of the file, which is replaced.
+        actor: network and module.
+        description: policy's description.
+        manifest: manifest of the environment, if it is known.
 
     Raises:
-        ConfigurationError: nobody could read it: its network is registered under no name, or another's.
+        ConfigurationError: the file could not be read, because the network is not registered, or another has its name.
     """
     network = cast(Any, actor.network)
     if network_type(network.name) is not type(network):
@@ -105,7 +111,7 @@ def write_policy(
 
 
 def manifest_document(manifest: Manifest | None) -> dict[str, Any]:
-    """Return the manifest's part of a policy's document, which files of earlier versions lack."""
+    """Return the manifest's part of a policy's document, which files of earlier versions do not have."""
     return {} if manifest is None else {"manifest": manifest.document()}
 
 
@@ -113,16 +119,16 @@ def manifest_of(document: Mapping[str, Any], path: Path) -> Manifest | None:
     """Return the manifest in a policy's document, if there is one.
 
     Raises:
-        ConfigurationError: it is none, or of another format.
+        ConfigurationError: the manifest is invalid, or of another format.
     """
     return Manifest.decode(document["manifest"], str(path)) if "manifest" in document else None
 
 
 def read_policy(path: Path | str) -> tuple[PolicyDescription, Manifest | None, ActorNetwork]:
-    """Return a policy on the CPU, of which nothing was executed but the registered network that its file names.
+    """Read a policy on the CPU; the only executed code is that of the registered network that the file names.
 
     Raises:
-        OrbitError: the file is malformed, or its parts do not fit each other; names which.
+        OrbitError: the file is malformed, or its parts do not fit each other; the message names them.
     """
     path = as_path(path)
     document, tensors = read_tensors(path)
@@ -134,6 +140,7 @@ def read_policy(path: Path | str) -> tuple[PolicyDescription, Manifest | None, A
     except (RuntimeError, ValueError, TypeError) as error:
         raise ConfigurationError(f"{path}: {network!r} cannot be built: {error}") from error
     _check_weights(module, tensors, path)
+    # Assigned, not copied: on the meta device the module's own weights have no memory.
     module.load_state_dict(tensors, assign=True)
     module.requires_grad_(False).eval()
     check_action(module, description, path)
@@ -141,11 +148,17 @@ def read_policy(path: Path | str) -> tuple[PolicyDescription, Manifest | None, A
 
 
 def check_action(module: nn.Module, description: PolicyDescription, path: Path, device: str = "cpu") -> None:
-    """Refuse a policy that makes no actions of an observation of zeros.
+    """Refuse a policy that computes no valid actions from an observation of zeros.
+
+    Args:
+        module: policy's module.
+        description: policy's description.
+        path: path of the file, for messages.
+        device: device of the module; ``meta`` checks only shapes.
 
     Raises:
-        ConfigurationError: it fails or takes too much memory or time, or they have another shape or, where they have
-            values, are not finite.
+        ConfigurationError: the module fails or takes too much memory or time, or its actions have another shape or are
+            not finite.
     """
     try:
         with torch.no_grad(), limited(module):
@@ -164,7 +177,7 @@ def check_action(module: nn.Module, description: PolicyDescription, path: Path, 
 def _network(values: Any, where: str) -> Network:
     if not isinstance(values, dict) or not isinstance(values.get("name"), str):
         raise ConfigurationError(f"{where} names no network")
-    name = values["name"][:60]  # for messages
+    name = values["name"][:60]  # messages must not repeat a long text of an untrusted file
     try:
         kind = network_type(name)
     except OrbitError as error:
@@ -173,6 +186,7 @@ def _network(values: Any, where: str) -> Network:
 
 
 def _check_weights(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    # Before loading, whose own messages name all differences at once, in torch's terms.
     needed = module.state_dict()
     for name in sorted(needed.keys() ^ tensors.keys()):
         verb = "lacks" if name in needed else "has no place for"

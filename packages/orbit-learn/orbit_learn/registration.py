@@ -1,4 +1,4 @@
-"""Gives every task a Gymnasium id, ``orbit/<Task>-v0``."""
+"""Registration of every task with Gymnasium, as ``orbit/<Task>-v0``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ def register() -> None:
     """Register all tasks with Gymnasium, each once."""
     for name in task_entries():
         identity = f"orbit/{name}-v0"
+        # Gymnasium warns of a second registration, and imports may come in any order.
         if identity in gymnasium.registry:
             continue
         # No max_episode_steps: the environment holds the time limit itself.

@@ -26,31 +26,31 @@ from orbit_learn.trainer import LoopTrainer
 
 
 class RlGamesEnvironment(IVecEnv):
-    """An environment as rl-games expects it. Time-outs are told apart in the infos, for bootstrapping."""
+    """Environment with rl-games' interface. Infos distinguish time-outs, for bootstrapping."""
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         self.environment = environment
         self._seed = seed
 
     def reset(self) -> dict[str, Tensor]:
-        """Begin an episode in every environment; the seed counts the first time only."""
+        """Begin an episode in every environment; the seed is used only the first time."""
         observation, _ = self.environment.reset(self._seed)
         self._seed = None
         return self._seen(observation)
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
-        """Observation, reward (N,), whether the episode ended (N,) uint8, and infos, for actions (N, A)."""
+        """Take one step with actions (N, A), and return observation, reward (N,), ended (N,) uint8 and infos."""
         observation, reward, terminated, truncated, info = self.environment.step(actions)
-        done = (terminated | truncated).to(torch.uint8)
+        done = (terminated | truncated).to(torch.uint8)  # the type of rl-games' own buffers
         return self._seen(observation), reward, done, {"time_outs": truncated, "ends": info}
 
     def _seen(self, observation: Observation) -> dict[str, Tensor]:
-        """Under ``states`` what the critic sees, where that is a group of its own."""
+        """Return the actor's observation and, if the task has that group, the critic's as ``states``."""
         seen = {"obs": one_tensor(observation)}
         return {**seen, "states": one_tensor(observation, CRITIC)} if CRITIC in observation else seen
 
     def get_env_info(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - it has no types
-        """Return the spaces, by the names that rl-games asks for."""
+        """Return the spaces, by rl-games' names."""
         return {
             "observation_space": observation_space(self.environment)["policy"],  # pyright: ignore[reportIndexIssue]
             "action_space": action_space(self.environment),
@@ -68,6 +68,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
+        # rl-games stops with an assertion otherwise.
         if self.batch % settings.minibatches:
             raise ConfigurationError(
                 f"rl-games needs num_envs x steps_per_iteration, here {self.batch}, to be a multiple of minibatches, "
@@ -76,6 +77,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
         adapted = RlGamesEnvironment(environment, seed)
         with _quiet():
             self._agent = A2CAgent("orbit", self._parameters(adapted))
+        # The two calls that A2CAgent.train makes before its own loop, which this trainer replaces.
         self._agent.init_tensors()
         self._agent.obs = self._agent.env_reset()
 
@@ -86,7 +88,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
             step_time, play_time, update_time, total_time, actor, critic, _, entropies, kls, rate, factor = (
                 agent.train_epoch()
             )
-            agent.dataset.update_values_dict(None)
+            agent.dataset.update_values_dict(None)  # frees the iteration's batch, as its own loop does
             agent.frame += agent.curr_frames
             agent.write_stats(
                 total_time, epoch, step_time, play_time, update_time, actor, critic, entropies, kls, rate, factor,
@@ -98,6 +100,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
 
     def load(self, state: Any) -> None:
         self._agent.set_full_state_weights(state)
+        # Its state has no rate, which the optimiser's state has.
         self._agent.last_lr = state["optimizer"]["param_groups"][0]["lr"]
 
     def actor(self) -> ActorNetwork:
@@ -105,12 +108,13 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
         layers = nn.Sequential(model.a2c_network.actor_mlp, model.a2c_network.mu)
         if not self.settings.normalize_observations:
             return perceptron_actor(layers)
+        # rl-games keeps the variance in double precision, and adds epsilon before the root.
         seen = model.running_mean_std
         std = (seen.running_var.float() + seen.epsilon).sqrt()
-        return perceptron_actor(layers, seen.running_mean, std, 5.0)  # the limit stands in its code
+        return perceptron_actor(layers, seen.running_mean, std, 5.0)  # rl-games clips by a constant in its code
 
     def _central_value(self) -> dict[str, Any]:
-        """Return the critic that sees ``states``, where the task has that group."""
+        """Return the configuration of a critic that sees ``states``, if the task has that group."""
         if critic_group(self.environment) != CRITIC:
             return {}
         settings = self.settings
@@ -154,7 +158,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
                 "tau": settings.gae_lambda,
                 "e_clip": settings.clip,
                 "entropy_coef": settings.entropy_weight,
-                "critic_coef": 2.0,  # it halves it
+                "critic_coef": 2.0,  # rl-games halves the critic's loss
                 "clip_value": False,
                 "bounds_loss_coef": 1e-4,
                 "truncate_grads": True,
@@ -169,7 +173,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
 
 
 class _Observer(AlgoObserver):
-    """Tells the trainer of every step's episodes."""
+    """Observer that adds every step's episodes to the trainer's tally."""
 
     def __init__(self, trainer: RlGamesTrainer) -> None:
         self._trainer = trainer
@@ -196,5 +200,5 @@ def _network(settings: PpoSettings) -> dict[str, Any]:
 
 
 def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
-    """It prints what it does."""
+    """Return a context that suppresses rl-games' printed messages."""
     return contextlib.redirect_stdout(io.StringIO())

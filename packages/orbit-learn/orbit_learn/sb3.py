@@ -35,27 +35,28 @@ from orbit_learn.spaces import group_space
 from orbit_learn.trainer import Progress, Trainer
 
 Seen = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
-"""A group: one array, or its terms by name."""
+"""Group of observations: one array, or its terms by name."""
 
 
 class PicturePpo(PPO):
-    """PPO that leaves pictures (H, W, C), as its :class:`PictureExtractor` reads them."""
+    """PPO that does not transpose pictures (H, W, C), because :class:`PictureExtractor` reads them so."""
 
     @staticmethod
     def _wrap_env(env: Any, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
+        # The base class would wrap the environment in VecTransposeImage.
         return env
 
 
 class PictureExtractor(BaseFeaturesExtractor):
-    """The features extractor of ``MultiInputPolicy`` that reads what ORBIT's network ``convolutional`` reads.
+    """Features extractor of ``MultiInputPolicy`` by the layers of ORBIT's network ``convolutional``.
 
     Args:
-        observation_space: of the group.
-        network: of the group's terms.
+        observation_space: space of the group.
+        network: network of the group's terms.
     """
 
     def __init__(self, observation_space: spaces.Dict, network: Convolutional) -> None:
-        features = PictureFeatures(network)
+        features = PictureFeatures(network)  # before the base class, which needs its size; kept as a module after it
         super().__init__(observation_space, features.size)
         self.features = features
 
@@ -64,7 +65,7 @@ class PictureExtractor(BaseFeaturesExtractor):
 
 
 def observed_space(layout: GroupLayout) -> spaces.Space[Any]:
-    """Space of a group: pictures as they are, all else unbounded float32, which is normalised."""
+    """Return the space of a group: pictures as they are, other terms as unbounded float32, which is normalised."""
     if layout.concatenated:
         return spaces.Box(-np.inf, np.inf, (layout.size,), np.float32)
     whole: Any = group_space(layout)
@@ -84,7 +85,7 @@ def seen_arrays(group: Tensor | Mapping[str, Tensor]) -> Seen:
 
 
 def row_of(seen: Seen, row: int) -> Seen:
-    """What one environment sees."""
+    """Return the observation of one environment."""
     return {name: values[row] for name, values in seen.items()} if isinstance(seen, dict) else seen[row]
 
 
@@ -93,19 +94,20 @@ def array_of(values: Tensor) -> npt.NDArray[Any]:
     return values.cpu().numpy().copy()
 
 
-# Episodes over which success is averaged, as the library does for returns.
+# Number of episodes over which success is averaged, the same as the library's for returns.
 _RECENT = 100
 
 
 class Sb3Environment(VecEnv):
-    """An environment as Stable-Baselines3 expects it: NumPy arrays, and at an episode's end the last observation and
-    whether the time limit ended it in ``infos``.
+    """Environment with Stable-Baselines3's interface, with NumPy arrays.
 
-    Where the group ``policy`` is a dictionary, so is the observation: pictures (H, W, C) as they are, all else float32.
+    At an episode's end ``infos`` has its last observation, and whether the time limit ended it. If the group ``policy``
+    is a dictionary, so is the observation: pictures (H, W, C) as they are, other terms as float32.
     """
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         self.environment = environment
+        # Stable-Baselines3 handles one environment per row; ORBIT steps all rows at once.
         super().__init__(
             environment.num_envs,
             observed_space(environment.observation[ACTOR]),
@@ -120,6 +122,7 @@ class Sb3Environment(VecEnv):
         return seen_arrays(observation[ACTOR])
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+        # Kept until step_wait: Stable-Baselines3 splits a step for environments in other processes.
         self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.environment.device)
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
@@ -136,12 +139,13 @@ class Sb3Environment(VecEnv):
         for row, i in enumerate(end.env_ids.tolist()):
             infos[i]["terminal_observation"] = row_of(last, row)
             infos[i]["TimeLimit.truncated"] = bool(truncated[i])
+            # Successes of starts on the expert's way would be too optimistic.
             if bool(end.usual[row]):
                 infos[i]["is_success"] = bool(end.success[row])
             infos[i]["episode"] = {"r": float(returns[row]), "l": int(end.steps[row]), "t": time.time()}
 
     def close(self) -> None:
-        """The environment belongs to whoever made it."""
+        """Do nothing: the owner of the environment closes it."""
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         return [getattr(self.environment, attr_name, None)] * len(list(self._get_indices(indices)))
@@ -159,12 +163,12 @@ class Sb3Environment(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        self._seed = seed
+        self._seed = seed  # used by the next reset
         return [seed] * self.num_envs
 
 
 class Sb3Trainer(Trainer[PpoSettings]):
-    """PPO with a constant learning rate; an update ends early where the policy moves too far."""
+    """PPO with a constant learning rate; an update ends early if the policy changes too much."""
 
     name: ClassVar[str] = "sb3"
 
@@ -192,6 +196,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
             gae_lambda=settings.gae_lambda,
             clip_range=settings.clip,
             ent_coef=settings.entropy_weight,
+            # Libraries with adaptive rates slow down from twice the target on; this one stops an update instead.
             target_kl=2.0 * settings.target_kl,
             policy_kwargs={
                 "net_arch": list(settings.hidden_sizes),
@@ -211,13 +216,13 @@ class Sb3Trainer(Trainer[PpoSettings]):
         self._model.learn(
             iterations * self._batch,
             callback=callback,
-            reset_num_timesteps=self._model.num_timesteps == 0,
+            reset_num_timesteps=self._model.num_timesteps == 0,  # a resumed training counts on
             tb_log_name="tensorboard",
         )
-        callback.finish_iteration()
+        callback.finish_iteration()  # the last one, after which no rollout starts
 
     def state(self) -> Any:
-        """Weights, optimiser and the observations' statistics."""
+        """Return weights, the optimiser's state and the observations' statistics."""
         return {"parameters": self._model.get_parameters(), "observations": self._statistics()}
 
     def restore(self, state: Any, iteration: int) -> None:
@@ -244,21 +249,21 @@ class Sb3Trainer(Trainer[PpoSettings]):
         return convolutional_actor(self._network, encoders, layers, mean, std)
 
     def _moments(self) -> dict[str, Any]:
-        """Mean, variance and count of the observation, or of each of its vectors by name; none if not normalised."""
+        """Return mean, variance and count of the observation, or of each vector by name; empty if not normalised."""
         if not self.settings.normalize_observations:
             return {}
         seen: Any = self._environment.obs_rms
         return {"": seen} if self._network is None else seen
 
     def _statistics(self) -> Any:
-        told = {
+        moments = {
             name: {"mean": seen.mean, "var": seen.var, "count": seen.count} for name, seen in self._moments().items()
         }
-        return told.get("") if self._network is None else told
+        return moments.get("") if self._network is None else moments
 
 
 def _reading(network: Convolutional | None) -> dict[str, Any]:
-    """How the policy reads a dictionary: actor and critic have encoders of their own."""
+    """Return the policy's options for a dictionary: actor and critic have separate encoders."""
     if network is None:
         return {}
     return {
@@ -270,7 +275,7 @@ def _reading(network: Convolutional | None) -> dict[str, Any]:
 
 
 class _Callback(BaseCallback):
-    """Reports after each iteration."""
+    """Callback that reports after each iteration."""
 
     def __init__(self, batch: int, report: Callable[[Progress], None]) -> None:
         super().__init__()
@@ -283,15 +288,15 @@ class _Callback(BaseCallback):
         if self._first_step < 0:
             self._first_step = self.model.num_timesteps
         else:
-            self.finish_iteration()
+            self.finish_iteration()  # the library reports no end of learning, only the next rollout's start
 
     def _on_step(self) -> bool:
         self._successes += [info["is_success"] for info in self.locals["infos"] if "is_success" in info]
-        del self._successes[:-_RECENT]
+        del self._successes[:-_RECENT]  # in place: only the last ones count
         return True
 
     def finish_iteration(self) -> None:
-        """Collected and learned."""
+        """Report an iteration that has collected and learned."""
         episodes: Any = self.model.ep_info_buffer
         self._report(
             Progress(

@@ -32,13 +32,13 @@ from orbit_learn.trainer import LoopTrainer
 
 
 class GroupModel(Model):
-    """Linear layers, behind encoders where the group is a dictionary.
+    """Model of linear layers, behind encoders if the group is a dictionary.
 
     Args:
-        layout: of the group.
+        layout: layout of the group.
         hidden: units of the hidden layers.
-        outputs: components of the output.
-        spaces: and device, as skrl's models take them.
+        outputs: number of outputs.
+        spaces: spaces and device, the arguments of skrl's models.
     """
 
     def __init__(self, layout: GroupLayout, hidden: Sequence[int], outputs: int, **spaces: Any) -> None:
@@ -50,14 +50,14 @@ class GroupModel(Model):
         self.layers = perceptron(layout.size if self.features is None else self.features.size, hidden, outputs)
 
     def output(self, seen: Tensor) -> Tensor:
-        """(N, outputs) of a group as skrl flattens it, (N, K)."""
+        """Compute the outputs (N, outputs) of a group as skrl flattens it, (N, K)."""
         if self.features is None:
             return self.layers(seen)
         return self.layers(self.features(unflatten_tensorized_space(self._space, seen)))
 
 
 class Actor(GaussianMixin, GroupModel):
-    """Normal about the output, with a deviation that is learned but no function of the observation."""
+    """Normal distribution around the output; its deviation is learned, but independent of the observation."""
 
     def __init__(self, layout: GroupLayout, hidden: Sequence[int], initial_std: float, **spaces: Any) -> None:
         actions = spaces["action_space"].shape[0]
@@ -72,7 +72,7 @@ class Actor(GaussianMixin, GroupModel):
 
 
 class Critic(DeterministicMixin, GroupModel):
-    """The worth of skrl's state where there is one, else of the observation."""
+    """Value of skrl's state if there is one, else of the observation."""
 
     def __init__(self, layout: GroupLayout, hidden: Sequence[int], **spaces: Any) -> None:
         GroupModel.__init__(self, layout, hidden, 1, **spaces)
@@ -86,13 +86,13 @@ class Critic(DeterministicMixin, GroupModel):
 
 
 class VectorScaler(RunningStandardScaler):
-    """Standardises the vectors of a flattened dictionary, and leaves its pictures as they are.
+    """Normalisation of the vectors of a flattened dictionary, which leaves its pictures as they are.
 
-    Its mean and variance are those of the vectors side by side, in the order of the group's terms.
+    Its mean and variance are those of the concatenated vectors, in the order of the group's terms.
 
     Args:
-        size: layout of the group, by the name that skrl's configuration gives it.
-        device: where the statistics live.
+        size: layout of the group; skrl's configuration gives the argument this name.
+        device: device of the statistics.
     """
 
     columns: Tensor
@@ -111,11 +111,11 @@ class VectorScaler(RunningStandardScaler):
             return None
         vectors = super().forward(x[:, self.columns], train=train, inverse=inverse, no_grad=no_grad)
         assert vectors is not None
-        return x.index_copy(1, self.columns, vectors)
+        return x.index_copy(1, self.columns, vectors)  # out of place: the agent's memory keeps the original
 
 
 def _begins(parts: Sequence[Part]) -> dict[str, int]:
-    """First column of each term: skrl flattens dictionaries in the order of their names."""
+    """Return the first column of each term: skrl flattens dictionaries in the order of their names."""
     begins: dict[str, int] = {}
     end = 0
     for part in sorted(parts, key=lambda part: part.name):
@@ -125,13 +125,13 @@ def _begins(parts: Sequence[Part]) -> dict[str, int]:
 
 
 class SkrlEnvironment(Wrapper):
-    """An environment as skrl expects it: groups that are dictionaries are flattened to (N, K) of float32, in the order
-    of their terms' names, which ``skrl.utils.spaces.torch.unflatten_tensorized_space`` undoes.
+    """Environment with skrl's interface.
 
-    skrl values a step that the time limit cut short by the observation that follows it, which here is the next
-    episode's first. ``info["true_next"]`` (N, O) is the one to record: hand it to the agent as ``next_observations``,
-    as :class:`SkrlTrainer` does. Where the task has a group ``critic``, that is skrl's state, and
-    ``info["true_next_state"]`` the one to record.
+    Groups that are dictionaries are flattened to (N, K) of float32, in the order of their terms' names, which
+    ``skrl.utils.spaces.torch.unflatten_tensorized_space`` undoes. skrl estimates the value of a step at the time limit
+    from the observation after it, which here is the next episode's first. ``info["true_next"]`` (N, O) is the one to
+    record: pass it to the agent as ``next_observations``, as :class:`SkrlTrainer` does. If the task has a group
+    ``critic``, that is skrl's state, and ``info["true_next_state"]`` the one to record.
     """
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
@@ -148,7 +148,8 @@ class SkrlEnvironment(Wrapper):
         return action_space(self.environment)
 
     def reset(self) -> tuple[Tensor, dict[str, Any]]:
-        """Return the present observation; the episodes begin only with the first call, as they renew themselves."""
+        """Return the current observation; only the first call begins episodes, because the environment renews them."""
+        # Trainers reset before each iteration, which must not cut episodes.
         if self._seed is not None:
             self.environment.reset(self._seed)
             self._seed = None
@@ -165,18 +166,19 @@ class SkrlEnvironment(Wrapper):
         return critic_space(self.environment)
 
     def state(self) -> Tensor | None:
-        """What the critic sees, where that is a group of its own."""
+        """Return the critic's observation; None if the task has no group for it."""
         observation = self.environment.observe()
         return _flat(observation[CRITIC]) if CRITIC in observation else None
 
     def render(self, *args: Any, **kwargs: Any) -> None:
-        """Nothing: ``orbit view`` and ``orbit play`` show environments."""
+        """Do nothing: ``orbit view`` and ``orbit play`` show environments."""
 
     def close(self) -> None:
-        """The environment belongs to whoever made it."""
+        """Do nothing: the owner of the environment closes it."""
 
 
 def _flat(group: Tensor | dict[str, Tensor]) -> Tensor:
+    # A concatenated group is flat already; colours become float32 with the rest.
     flat = flatten_tensorized_space(group)
     assert flat is not None
     return flat.float()
@@ -230,7 +232,7 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
                     **time,
                 )
             self.tally.add(extras["ends"], self._environment.num_envs)
-            self._agent.post_interaction(**time)
+            self._agent.post_interaction(**time)  # which learns once the memory is full
             seen = following
 
     def state(self) -> Any:
@@ -255,7 +257,7 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
 def _scaling(
     layout: GroupLayout | None, space: Space[Any] | None, settings: PpoSettings, device: torch.device
 ) -> tuple[type[RunningStandardScaler] | None, dict[str, Any]]:
-    """Return the class that normalises a group, and what it is made with; none where there is nothing to normalise."""
+    """Return the class that normalises a group, and its arguments; None if nothing is normalised."""
     if layout is None or not settings.normalize_observations:
         return None, {}
     if layout.concatenated:

@@ -1,4 +1,4 @@
-"""An environment's observation and action as Gymnasium's spaces."""
+"""Gymnasium's spaces of an environment's observation and action."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ _DTYPES: Mapping[torch.dtype, type[np.generic]] = {
 
 
 def observation_space(environment: Environment) -> spaces.Dict:
-    """Observations of one environment: groups by name, each a box, or a dictionary of its terms' boxes."""
+    """Return the space of observations of one environment: a box or a dictionary of boxes for each group."""
     return _ordered({name: group_space(layout) for name, layout in environment.observation.items()})
 
 
 def group_space(layout: GroupLayout) -> spaces.Space[Any]:
-    """Space of one observation group, with its terms' dtypes and bounds."""
+    """Return the space of one observation group, with its terms' dtypes and bounds."""
     if not layout.concatenated:
         return _ordered({name: _term_space(term) for name, term in layout.terms.items()})
+    # One box over all terms, with each term's bounds repeated for its components.
     low, high = (
         np.concatenate([np.full(term.shape, getattr(term, side), np.float32) for term in layout.terms.values()])
         for side in ("low", "high")
@@ -36,13 +37,13 @@ def group_space(layout: GroupLayout) -> spaces.Space[Any]:
 
 
 def critic_space(environment: Environment) -> spaces.Space[Any] | None:
-    """Space of the observation group ``critic``; None where the task has none."""
+    """Return the space of the observation group ``critic``; None if the task has none."""
     layout = environment.observation.get("critic")
     return None if layout is None else group_space(layout)
 
 
 def action_space(environment: Environment) -> spaces.Space[Any]:
-    """Actions of one environment: components in [-1, 1]."""
+    """Return the space of actions of one environment: components in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
 
 
@@ -52,5 +53,5 @@ def _ordered(boxes: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:
 
 
 def _term_space(term: TermLayout) -> spaces.Box:
-    dtype: Any = _DTYPES[term.dtype]
+    dtype: Any = _DTYPES[term.dtype]  # bounds of this type: Gymnasium warns of others
     return spaces.Box(dtype(term.low), dtype(term.high), term.shape, dtype)

@@ -29,12 +29,12 @@ from orbit_learn.trainer import LoopTrainer
 
 
 class ObservedGroup:
-    """A group's keys, its statistics, and the networks that see it.
+    """Keys, statistics and networks of an observation group.
 
     Args:
-        layout: of the group.
-        settings: of the learning.
-        device: where it is learned.
+        layout: layout of the group.
+        settings: settings of the algorithm.
+        device: device of the networks.
     """
 
     def __init__(self, layout: GroupLayout, settings: PpoSettings, device: torch.device) -> None:
@@ -52,7 +52,10 @@ class ObservedGroup:
         return [name] if self._network is None else [(name, term) for term in self._layout.terms]
 
     def network(self, outputs: int) -> nn.Module:
-        """Tensors in the order of :attr:`keys` -> (..., outputs). All share this group's statistics."""
+        """Return a module from tensors in the order of :attr:`keys` to (..., outputs).
+
+        All modules share this group's statistics.
+        """
         if self._network is None:
             normalize = nn.Identity() if self._norm is None else self._norm
             return nn.Sequential(normalize, perceptron(self._size, self._hidden, outputs).to(self._device))
@@ -65,11 +68,12 @@ class ObservedGroup:
         if self._norm is None:
             return
         seen: Any = batch[self._layout.name]
+        # In training mode only here, so that evaluations do not change the statistics.
         self._norm.train()(seen if self._network is None else joined_vectors(self._network, seen))
         self._norm.eval()
 
     def actor(self, built: nn.Module) -> ActorNetwork:
-        """ORBIT's own copy of what :meth:`network` built."""
+        """Return ORBIT's own copy of a module that :meth:`network` built."""
         mean, std = None, None
         if self._norm is not None and self._norm.running_mean is not None and self._norm.running_var is not None:
             mean, std = self._norm.running_mean, (self._norm.running_var + self._norm.eps).sqrt()
@@ -79,12 +83,12 @@ class ObservedGroup:
 
 
 class TermLayers(nn.Module):
-    """Encoders and linear layers, over any leading dimensions, for TorchRL values whole rollouts at once.
+    """Encoders and linear layers over any leading dimensions, because TorchRL evaluates whole rollouts at once.
 
     Args:
-        layout: of the group whose terms it takes, one by one.
-        features: of the terms.
-        layers: behind them.
+        layout: layout of the group whose terms are the inputs.
+        features: encoder of the terms.
+        layers: linear layers behind it.
     """
 
     def __init__(self, layout: GroupLayout, features: PictureFeatures, layers: nn.Sequential) -> None:
@@ -100,14 +104,15 @@ class TermLayers(nn.Module):
 
 
 class Normalization(nn.BatchNorm1d):
-    """Normalise by the mean and variance of all batches so far, which weigh the same; over any leading dimensions."""
+    """Normalisation by the mean and variance of all batches so far with equal weights, over any leading dimensions."""
 
     def forward(self, input: Tensor) -> Tensor:
+        # BatchNorm1d takes rows; rollouts have dimensions of time and environments before them.
         return super().forward(input.reshape(-1, self.num_features)).view_as(input)
 
 
 def group_spec(layout: GroupLayout, count: int, device: torch.device) -> Composite | Unbounded:
-    """Specification of the group of so many environments: one tensor, or its terms with their dtypes."""
+    """Return the specification of a group of ``count`` environments: one tensor, or its terms with their dtypes."""
     if layout.concatenated:
         return Unbounded(torch.Size((count, layout.size)), device=device)
     terms = {
@@ -118,12 +123,14 @@ def group_spec(layout: GroupLayout, count: int, device: torch.device) -> Composi
 
 
 class TorchRlEnvironment(EnvBase):
-    """An environment as TorchRL expects it: a step ends with an episode's last observation, and the reset that TorchRL
-    asks for then gives the next one's first, which the environment has made by itself.
+    """Environment with TorchRL's interface.
+
+    A step returns an episode's last observation, and the reset that TorchRL then calls the next one's first, which the
+    environment has made already.
 
     Args:
-        environment: that is stepped.
-        tally: told of every step, if there is one.
+        environment: environment that is stepped.
+        tally: counts the episodes of every step, if there is one.
     """
 
     def __init__(self, environment: Environment, tally: EpisodeTally | None = None) -> None:
@@ -132,7 +139,7 @@ class TorchRlEnvironment(EnvBase):
         self.environment = environment
         self._tally = tally
         self._begun = torch.zeros(batch, dtype=torch.bool, device=device)
-        """(N,) whose next episode the environment has begun by itself."""
+        """Whether (N,) the environment has begun the next episode already."""
         commanded, single = (torch.Size((environment.num_envs, size)) for size in (environment.action_size, 1))
         groups = {
             name: group_spec(environment.observation[name], environment.num_envs, device)
@@ -146,6 +153,7 @@ class TorchRlEnvironment(EnvBase):
         self.full_done_spec = Composite(flags, shape=batch, device=device)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDict:
+        # The environment has begun the next episodes already, except those that the caller ends early.
         asked = None if tensordict is None else tensordict.get("_reset", None)
         rows = torch.ones_like(self._begun) if asked is None else asked.view(-1)
         stale = rows & ~self._begun
@@ -173,14 +181,14 @@ class TorchRlEnvironment(EnvBase):
 
 
 class TorchRlTrainer(LoopTrainer[PpoSettings]):
-    """PPO with a constant learning rate; an update ends early where the policy moves too far."""
+    """PPO with a constant learning rate; an update ends early if the policy changes too much."""
 
     name: ClassVar[str] = "torchrl"
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
-        environment.reset(seed)
+        environment.reset(seed)  # before the collector, which only resets without a seed
         groups, critic = environment.observation, critic_group(environment)
         self._groups = {
             name: ObservedGroup(groups[name], settings, environment.device) for name in dict.fromkeys((ACTOR, critic))
@@ -213,8 +221,10 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
             self._advantages(batch)
         flat = batch.reshape(-1)
         advantage = flat["advantage"]
+        # Normalised over the iteration, so that the scale of rewards does not change the step.
         flat["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         self._update(flat)
+        # After learning: the statistics must not change between collecting a step and learning from it.
         for group in self._groups.values():
             group.take_in(flat)
 
@@ -222,6 +232,7 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
         for _ in range(self.settings.epochs):
             for rows in torch.randperm(self.batch, device=self.environment.device).chunk(self.settings.minibatches):
                 losses = self._loss(batch[rows])
+                # Twice the target, from which on libraries with adaptive rates slow down.
                 if losses["kl_approx"] > 2.0 * self.settings.target_kl:
                     return
                 self._descend(losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"])
@@ -249,7 +260,7 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
 def _actor(
     mean: nn.Module, keys: list[NestedKey], environment: Environment, settings: PpoSettings
 ) -> ProbabilisticActor:
-    """Normal about what the network gives, with a deviation that is learned but no function of the observation."""
+    """Return a normal distribution around a network's output; its deviation is learned, but without inputs."""
     size = environment.action_size
     spread = AddStateIndependentNormalScale(
         size, scale_mapping="exp", init_value=math.log(settings.initial_std), device=environment.device
@@ -263,7 +274,7 @@ def _actor(
 
 
 class _Spread(nn.Sequential):
-    """A network of any number of inputs, and the deviation about what it gives."""
+    """Network with any number of inputs, and the deviation around its output."""
 
     def forward(  # pyright: ignore[reportIncompatibleMethodOverride] - TorchRL gives the inputs by position
         self, *inputs: Tensor

@@ -22,30 +22,30 @@ from orbit_learn.networks import ActorNetwork
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a training has come."""
+    """Progress of a training."""
 
     iteration: int
-    """The one just done, from 0."""
+    """Number of the last iteration, from 0."""
     env_steps: int
     """Steps of all environments together; a trainer counts since it was made, a training since its first iteration."""
     seconds: float
-    """Seconds of collecting and learning, counted likewise."""
+    """Seconds of collecting and learning, counted the same way."""
     episode_return: float
-    """Mean over the last episodes; NaN before any has ended."""
+    """Mean return of the last episodes; NaN before any has ended."""
     success_rate: float
     """Success rate of the last episodes; NaN before any has ended."""
     episodes: int = 0
-    """How many these are."""
+    """Number of these episodes."""
     diverged: int = 0
     """Episodes so far in which the simulation diverged; a training resets them."""
     loss: float = math.nan
-    """Mean of what the iteration has brought down, where that is one number; else NaN."""
+    """Mean loss of the iteration, if the algorithm has a single one; else NaN."""
     metrics: Mapping[str, float] = field(default_factory=dict)
-    """Means over the last episodes of what the task measures, by name; empty where the library does not tell."""
+    """Means of the task's metrics over the last episodes, by name; empty if the library does not report them."""
 
 
 class LearningSettings(Protocol):
-    """What the settings of every algorithm hold; they are frozen dataclasses."""
+    """Settings that every algorithm has; they are frozen dataclasses."""
 
     @property
     def iterations(self) -> int:
@@ -62,30 +62,30 @@ Settings = TypeVar("Settings", bound=LearningSettings)
 
 
 class Trainer(ABC, Generic[Settings]):
-    """Trains one policy in one environment with one library.
+    """Trainer of one policy in one environment with one library.
 
     Args:
-        environment: stepped by this trainer alone.
-        settings: of the algorithm.
-        folder: takes TensorBoard's files.
-        seed: of exploration and of the networks' weights.
+        environment: environment that only this trainer steps.
+        settings: settings of the algorithm.
+        folder: folder for TensorBoard's files.
+        seed: seed of exploration and of the networks' weights.
 
     Raises:
-        ConfigurationError: the settings ask for what the library does not do.
+        ConfigurationError: the library does not support a setting.
     """
 
     name: ClassVar[str]
-    """The library's name as the user types it."""
+    """Name of the library as the user types it."""
     several_gpus: ClassVar[bool] = False
-    """Whether processes that torchrun starts, one a GPU, learn one policy together."""
+    """Whether processes of torchrun, one for each GPU, learn one policy together."""
     imitates: ClassVar[bool] = False
-    """Whether it imitates the task's expert first, :attr:`PpoSettings.imitation_steps`."""
+    """Whether the trainer can first imitate the task's expert, :attr:`PpoSettings.imitation_steps`."""
     begins_with_policies: ClassVar[bool] = False
-    """Whether its actor can begin with a policy, :attr:`PpoSettings.start`, and its critic learn alone at first."""
+    """Whether the actor can begin with a policy, :attr:`PpoSettings.start`, and the critic learn alone at first."""
     settings_type: ClassVar[type[Any]] = PpoSettings
-    """Class of its algorithm's settings."""
+    """Class of the algorithm's settings."""
     options: ClassVar[tuple[str, ...]] = ("ppo",)
-    """Options of ``orbit train`` that set them: first the one of ``key=value``, then those of a field each."""
+    """Options of ``orbit train`` for the settings: first the one of ``key=value``, then those of single fields."""
 
     def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
         if getattr(settings, "imitation_steps", 0) and not self.imitates:
@@ -108,33 +108,38 @@ class Trainer(ABC, Generic[Settings]):
 
     @abstractmethod
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
-        """Collect and learn; tells after each iteration, and :meth:`state` and :meth:`actor` are then of its end."""
+        """Collect and learn.
+
+        Args:
+            iterations: number of iterations.
+            report: called after each iteration; :meth:`state` and :meth:`actor` are then those of its end.
+        """
 
     @abstractmethod
     def state(self) -> Any:
-        """Return all that learning goes on with, as :func:`~orbit_learn.training.write_checkpoint` writes it."""
+        """Return the state to continue learning from, as :func:`~orbit_learn.training.write_checkpoint` writes it."""
 
     @abstractmethod
     def restore(self, state: Any, iteration: int) -> None:
-        """Go on from the state at the end of an iteration."""
+        """Continue from the state at the end of an iteration."""
 
     @abstractmethod
     def actor(self) -> ActorNetwork:
-        """Return a copy of the policy on the CPU, without exploration, normalisation included."""
+        """Return a copy of the policy on the CPU, with its normalisation and without exploration."""
 
 
 class LoopTrainer(Trainer[Settings]):
-    """A trainer whose library does one iteration at a time."""
+    """Trainer whose library does one iteration at a time."""
 
     def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         torch.manual_seed(seed)
         self.tally = EpisodeTally(environment.device)
-        """Counts episodes; it is to be told of every step."""
+        """Tally of episodes; :meth:`iterate` must add every step."""
         self.batch = environment.num_envs * settings.steps_per_iteration
         """Steps of all environments in an iteration."""
         self.steps_ahead = 0
-        """Steps of all environments that were collected beside those of the iterations."""
+        """Steps of all environments that were collected in addition to those of the iterations."""
         self._iteration = 0
 
     @abstractmethod
@@ -142,12 +147,12 @@ class LoopTrainer(Trainer[Settings]):
         """Collect ``settings.steps_per_iteration`` steps of every environment, and learn from them."""
 
     def loss(self) -> float:
-        """What the last iteration has brought down, where that is one number; else NaN."""
+        """Return the mean loss of the last iteration, if the algorithm has a single one; else NaN."""
         return math.nan
 
     @abstractmethod
     def load(self, state: Any) -> None:
-        """Take over what :meth:`state` gave."""
+        """Restore the result of :meth:`state`."""
 
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
         from torch.utils.tensorboard import SummaryWriter  # late: only trainers without a loop of their own need it
@@ -160,8 +165,8 @@ class LoopTrainer(Trainer[Settings]):
                 done = (iteration - first + 1) * self.batch + self.steps_ahead
                 returns, success_rate, episodes = self.tally.read()
                 seconds = time.perf_counter() - begin
-                told = {"loss": self.loss(), "metrics": self.tally.metrics}
-                progress = Progress(iteration, done, seconds, returns, success_rate, episodes, **told)
+                measured = {"loss": self.loss(), "metrics": self.tally.metrics}
+                progress = Progress(iteration, done, seconds, returns, success_rate, episodes, **measured)
                 board.add_scalar("episode/return", progress.episode_return, iteration)
                 board.add_scalar("episode/success_rate", progress.success_rate, iteration)
                 if not math.isnan(progress.loss):

@@ -1,9 +1,9 @@
 """One training: its folder, its policies, and its checkpoints.
 
-A checkpoint is one file of data: no pickle, whichever format the learning library uses. A state is a tree of
+A checkpoint is one file of data and never a pickle, unlike the libraries' own. A state is a tree of
 dictionaries, lists, numbers, texts, truth values, None and tensors, as libraries have it in ``state_dict``. Tuples
 become lists, and NumPy's arrays and numbers become tensors and numbers. In the file, see :mod:`orbit_data.tensor_file`,
-a dictionary is ``{"items": [[key, value], ...]}``, for its keys may be numbers, and a tensor ``{"tensor": name}``.
+a dictionary is ``{"items": [[key, value], ...]}``, because its keys may be numbers, and a tensor ``{"tensor": name}``.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ FORMAT = 1
 
 
 def write_checkpoint(path: Path | str, library: str, state: Any) -> None:
-    """Write a library's state. The file appears whole or not at all.
+    """Write a library's state; the file appears complete or not at all.
 
     Raises:
-        ConfigurationError: the state holds something that is no data; names it.
+        ConfigurationError: the state contains something other than data; the message names its type.
     """
     tensors: dict[str, Tensor] = {}
     document = {"checkpoint": FORMAT, "library": library, "state": _packed(state, tensors)}
@@ -47,7 +47,7 @@ def tensors_in(state: Any) -> list[Tensor]:
     """Return all tensors of a library's state.
 
     Raises:
-        ConfigurationError: the state holds something that is no data; names it.
+        ConfigurationError: the state contains something other than data; the message names its type.
     """
     tensors: dict[str, Tensor] = {}
     _packed(state, tensors)
@@ -72,11 +72,13 @@ def read_checkpoint(path: Path | str, library: str) -> Any:
 
 
 def _packed(value: Any, tensors: dict[str, Tensor]) -> Any:
+    # NumPy's numbers first: float64 is also a Python float, and would keep its type.
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value)
     if isinstance(value, Tensor):
+        # Numbered, because names from paths could collide or be too long.
         name = str(len(tensors))
         tensors[name] = value
         return {"tensor": name}
@@ -102,11 +104,11 @@ def _unpacked(value: Any, tensors: dict[str, Tensor]) -> Any:
 RECORD = "training.json"
 CURVE = "curve.jsonl"
 CHECKPOINT = "checkpoint"
-# Most bytes of a curve, some 300 of each iteration.
+# Limit of a curve's bytes; an iteration takes some 300.
 _MOST_CURVE = 1 << 26
-# Environments that may diverge in any iteration; of many, one in a hundred may.
+# Number of environments that may diverge in any iteration; of many, one in a hundred may.
 _FEW_DIVERGED = 3
-# Beyond which the products of three layers overflow in single precision.
+# Limit of a weight, beyond which the products of three layers overflow in single precision.
 _LARGEST_WEIGHT = 1e12
 
 
@@ -132,28 +134,35 @@ class Training:
         self._steps_before, self._seconds_before, self._diverged_before = 0, 0.0, 0
         self._diverged_last = 0
         self._done = -1
-        """The last iteration that was completed."""
+        """Last completed iteration."""
         self.manifest = Manifest.of(self.trainer.environment, self.task, self.trainer.seed)
-        """Of the environment that is learned in."""
+        """Manifest of the environment."""
         self.saved: Path | None = None
-        """The newest checkpoint that was written."""
+        """Newest checkpoint that was written."""
 
     def run(self, iterations: int, save_every: int, report: Callable[[Progress], None], resume: bool = False) -> Policy:
-        """Learn until so many iterations are done in all; returns the last policy.
+        """Learn until ``iterations`` are done in total, and return the last policy.
 
         A checkpoint is written every ``save_every`` iterations, at the end, and when KeyboardInterrupt ends the
-        training. What an interrupted iteration has learned stays in that checkpoint's weights; it is done again.
+        training. The checkpoint then also has what the interrupted iteration has learned; that iteration is repeated.
+
+        Args:
+            iterations: total number of iterations, including those before a resumption.
+            save_every: iterations between checkpoints.
+            report: called after each iteration.
+            resume: continue from the newest checkpoint of the folder.
 
         Raises:
-            NonFiniteError: the policy diverged; names the iteration and the last checkpoint, which stays.
+            NonFiniteError: the policy diverged; the message names the iteration and the last checkpoint, which stays.
         """
         begin = self._resume() if resume else 0
         if begin >= iterations:
-            raise ConfigurationError(f"{self.trainer.folder} has {begin} iterations already: ask for more")
+            raise ConfigurationError(f"{self.trainer.folder} has {begin} iterations already: request more")
         if self.leader:
             self._start(begin)
 
         def done(progress: Progress) -> None:
+            # Before saving, so that the last checkpoint is always one to resume from.
             self._check_weights(progress.iteration)
             self._done = progress.iteration
             if self._done % save_every == 0 or self._done == iterations - 1:
@@ -168,32 +177,37 @@ class Training:
                 self._save(self._done)
             raise
         except Exception:
-            # Libraries and the environment each complain in their own way of a policy of NaN.
+            # A policy with NaN fails in the library or the environment, each with another message: report the cause.
             self._check_weights(self._done + 1, self.trainer.state())
             raise
         return self._policy(iterations - 1)
 
     def _check_weights(self, iteration: int, state: Any = None) -> None:
-        """Refuse to go on with a policy that diverged, or with a state of the library's that is not finite."""
+        """Refuse a policy that diverged, or a library's state that is not finite.
+
+        Args:
+            iteration: number of the iteration for the message.
+            state: library's state, if it is checked too.
+        """
         weights = self.trainer.actor().module.state_dict().values()
-        # A comparison with NaN is false.
+        # A comparison with NaN is false, so that NaN counts as unbounded.
         bounded = all(bool((weight.abs() <= _LARGEST_WEIGHT).all()) for weight in weights)
         if bounded and all(bool(torch.isfinite(tensor).all()) for tensor in tensors_in(state)):
             return
-        kept = f"{self.saved} holds the last that was sound" if self.saved else "no checkpoint had been written"
+        kept = f"{self.saved} has the last finite one" if self.saved else "no checkpoint had been written"
         raise NonFiniteError(
             f"the policy diverged in iteration {iteration}, its weights are not finite or beyond "
             f"{_LARGEST_WEIGHT:g}; {kept}: use a smaller learning_rate, or a narrower range of rewards"
         )
 
     def _resume(self) -> int:
-        """Take over the newest checkpoint; returns the iteration to go on with."""
+        """Restore the newest checkpoint, and return the number of the next iteration."""
         folder = self.trainer.folder
         newest = newest_file(folder, CHECKPOINT) if folder.is_dir() else None
         if newest is None:
             raise ConfigurationError(
-                f"folder {folder} holds no {CHECKPOINT}_<iteration>{SUFFIX} to resume from; what libraries write by "
-                "themselves is not read, for it may run code"
+                f"folder {folder} has no {CHECKPOINT}_<iteration>{SUFFIX} to resume from; the libraries' own files are "
+                "not read, because they may run code"
             )
         state, iteration = read_checkpoint(newest, self.trainer.name), int(newest.stem.removeprefix(f"{CHECKPOINT}_"))
         try:
@@ -211,7 +225,7 @@ class Training:
             folder.mkdir(parents=True, exist_ok=True)
         if not begin:
             check_new(folder)
-        sweep(folder)
+        sweep(folder)  # half-written files of a killed training
         settings = {"task": self.task, "library": self.trainer.name, **self._algorithm()}
         settings["manifest"] = self.manifest.document()
         with written_whole(folder / RECORD) as record:
@@ -224,11 +238,11 @@ class Training:
         return {"ppo" if isinstance(settings, PpoSettings) else "algorithm": asdict(settings)}
 
     def _continue_curve(self, begin: int) -> None:
-        """Drop what was done after the checkpoint, for it is done again, and count on from there."""
+        """Remove lines of iterations after the checkpoint, which are repeated, and continue counting from there."""
         curve = self.trainer.folder / CURVE
         try:
             lines = read_bytes(curve, _MOST_CURVE).decode().splitlines(keepends=True) if curve.exists() else []
-            lines = [line for line in lines if line.endswith("\n")]  # a kill may have torn the last one
+            lines = [line for line in lines if line.endswith("\n")]  # a killed program may leave a partial last line
             done = [(line, parse_json(line)) for line in lines]
             kept = [(line, values) for line, values in done if values["iteration"] < begin]
             if kept:
@@ -246,6 +260,7 @@ class Training:
         if not self.leader:
             return
         self._policy(iteration).save(self.trainer.folder / f"policy_{iteration}{SUFFIX}")
+        # The policy first: a checkpoint without its policy could not be played, the other way round nothing is lost.
         checkpoint = self._checkpoint(iteration)
         write_checkpoint(checkpoint, self.trainer.name, self.trainer.state())
         self.saved = checkpoint
@@ -261,10 +276,10 @@ class Training:
         return Policy(actor.module, actor.network, description, self.manifest)
 
     def _diverged(self) -> int:
-        """Episodes that diverged since the training was started or resumed; says so when there are the first.
+        """Return the number of episodes that diverged since the start or resumption; warn at the first ones.
 
         Raises:
-            SimulationError: too many did in the last iteration.
+            SimulationError: too many diverged in the last iteration.
         """
         environment = self.trainer.environment
         if environment.lost is None:
@@ -279,15 +294,15 @@ class Training:
             )
         if count and not before:
             warnings.warn(
-                f"{count} of {environment.num_envs} environments diverged and began anew; they earn nothing and are "
-                "counted as 'diverged' (--diverged stop ends the training instead)",
+                f"{count} of {environment.num_envs} environments diverged and began new episodes; they get no "
+                "reward and are counted as 'diverged' (--diverged stop ends the training instead)",
                 RuntimeWarning,
                 stacklevel=2,
             )
         return count
 
     def _report(self, progress: Progress, report: Callable[[Progress], None]) -> None:
-        if not self.leader:  # its library counts nothing
+        if not self.leader:  # only the leading process's library counts episodes
             return
         progress = replace(
             progress,
@@ -296,18 +311,18 @@ class Training:
             seconds=progress.seconds + self._seconds_before,
         )
         # Before any episode has ended there is no number, and JSON has no NaN.
-        told = asdict(progress)
-        for numbers in (told, told["metrics"]):
+        values = asdict(progress)
+        for numbers in (values, values["metrics"]):
             numbers.update({name: None for name, value in numbers.items() if value != value})
-        append_line(self.trainer.folder / CURVE, json.dumps(told))
+        append_line(self.trainer.folder / CURVE, json.dumps(values))
         report(progress)
 
 
 def check_new(folder: Path) -> None:
-    """Reject a folder for a new training whose files would replace others, or be taken for its own.
+    """Reject a folder for a new training that has files of another training.
 
     Raises:
-        ConfigurationError: a training has begun in it, or it holds a file of a name that trainings write.
+        ConfigurationError: a training has begun in the folder, or a file has a name that trainings write.
     """
     if (folder / RECORD).exists():
         raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")

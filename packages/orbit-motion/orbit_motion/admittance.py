@@ -1,4 +1,4 @@
-"""An arm that is driven by positions yields to forces as a mass on springs would: admittance control."""
+"""Admittance control: an arm that is driven by positions yields to forces as a mass on springs would."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.force_reading import ForceReading
 
-# 1/s: at which targets go beyond where the joints shall be, until the drives hold them there.
+# Rate (1/s) at which targets go beyond the wanted positions, until the drives hold the joints there.
 _SAG_RATE = 4.0
 
 
@@ -79,6 +79,7 @@ class Admittance(PoseFollower):
             )
         self._mass = self._six(config.mass, config.inertia)
         self._stiffness = self._six(config.stiffness, config.rotational_stiffness)
+        # Critical damping of a mass m on a spring k is 2 sqrt(k m).
         critical = 2.0 * (self._stiffness * self._mass).sqrt()
         self._damping = critical if config.damping is None else self._six(*config.damping)
         if not bool((self._damping > 0.0).all()):
@@ -97,6 +98,7 @@ class Admittance(PoseFollower):
             )
         self._reading = ForceReading(world, self.config.sensor, self.robot, self.frame, self.name)
         self._dt = step_dt
+        # Stability of the semi-implicit step in ``compute``: it diverges beyond this stiffness.
         if bool((step_dt**2 * self._stiffness >= 4.0 * self._mass + 2.0 * step_dt * self._damping).any()):
             raise ConfigurationError(
                 f"action term '{self.name}': such a stiffness on such a mass is unstable in steps of {step_dt:g} s: "
@@ -105,6 +107,7 @@ class Admittance(PoseFollower):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         reference = self._pose.target(inputs["command"])
+        # The sensor measures the force on the hand; the law needs the one that the hand exerts.
         felt = -self._reading.read()
         # The damper acts with the velocity at the end of the step, which bounds every damping.
         rate = self._rate + self._dt / self._mass * (felt - self._stiffness * self._offset)
@@ -113,7 +116,7 @@ class Admittance(PoseFollower):
         error = pose_error(self.robot.frame_pose(self.frame), displaced(reference, self._offset))
         jacobian = self.robot.jacobian(self.frame, self.joints)
         delta = damped_least_squares(jacobian, error, self.config.inverse_damping)
-        # Else the drives' dampers hold the joints back from moving as the displacement does.
+        # Without velocity targets the drives' dampers would hold the joints back.
         velocities = damped_least_squares(jacobian, self._rate, self.config.inverse_damping)
         most = self.config.max_joint_step
         self._sag.copy_(torch.clamp(self._sag + _SAG_RATE * self._dt * delta, -most, most))

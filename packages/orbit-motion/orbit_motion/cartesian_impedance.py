@@ -1,4 +1,4 @@
-"""Springs draw the hand to where it is wanted, with the inertia that the arm has: Cartesian impedance control."""
+"""Cartesian impedance control: springs draw the hand to its goal, with the inertia that the arm has."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orbit_core.interfaces import Robot
 from orbit_motion.compliant import Compliant, CompliantConfig, HandState, without_free
 from orbit_motion.servo import check_rate
 
-# Enough for motions whose frequencies differ by a factor of 15.
+# Iterations: enough for motions whose frequencies differ by a factor of 15.
 _ROOT_ITERATIONS = 8
 
 
@@ -46,6 +46,7 @@ class CartesianImpedance(Compliant):
 
     def check_stable(self) -> None:
         step = self.physics_dt
+        # Double precision: eigenvalues of products of small inertias are lost in single.
         roots = torch.tensor(self.gains.stiffest, dtype=torch.float64, device=self.device).sqrt()
         mobility = roots.unsqueeze(-1) * self.workspace_mobility() * roots
         fastest = float(torch.linalg.eigvalsh(mobility).max()) ** 0.5
@@ -64,7 +65,7 @@ class CartesianImpedance(Compliant):
 
 
 class InverseRoot:
-    """``A^-1/2`` of symmetric positive definite matrices (N, n, n), by products alone.
+    """``A^-1/2`` of symmetric positive definite matrices (N, n, n), by products only, which run as batched kernels.
 
     Newton and Schulz' iteration, coupled (Higham, Functions of Matrices, 2008, equation 6.35). Where A has eigenvalues
     below a 200th of its trace, the root comes out too small there.
@@ -77,6 +78,7 @@ class InverseRoot:
         self._lower = lower.flatten()
 
     def __call__(self, matrix: Tensor) -> Tensor:
+        # Scaled by the trace, eigenvalues are in (0, 1], where the iteration converges.
         size = matrix.diagonal(dim1=1, dim2=2).sum(-1)[:, None, None].clamp_min(1e-12)
         root, inverse = self._mirrored(matrix / size), self._identity.expand_as(matrix)
         for _ in range(_ROOT_ITERATIONS):
@@ -85,7 +87,7 @@ class InverseRoot:
         return inverse * size.rsqrt()
 
     def _product(self, a: Tensor, b: Tensor) -> Tensor:
-        """Of matrices that commute, and have a symmetric one: in a kernel only half of it is computed."""
+        """Multiply matrices that commute and have a symmetric product: in a kernel only half of it is computed."""
         return self._mirrored(torch.bmm(a, b))
 
     def _mirrored(self, matrix: Tensor) -> Tensor:

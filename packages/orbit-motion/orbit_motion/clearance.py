@@ -18,11 +18,11 @@ from orbit_motion.obstacles import Obstacles
 from orbit_motion.still import PlacedRobot
 
 _Array = npt.NDArray[np.float64]
-# Balls for one shape.
+# Most balls per shape.
 _MOST = 6
-# m: boxes within this are fingertips, which go closer to things than their slices' balls would let them.
+# Boxes within this size (m) are fingertips, which must go closer to things than balls around slices allow.
 _SMALL = 0.03
-# Points around a round shape.
+# Points around a ring of a round shape.
 _RING = 8
 
 
@@ -36,7 +36,7 @@ class CollisionSpheres:
 
 
 def collision_spheres(articulation: Articulation) -> CollisionSpheres:
-    """Balls around slices of each collision shape, cut across its longest direction.
+    """Cover each collision shape by balls around slices, cut across its longest direction.
 
     They cover the surface, and stand out of it by some centimetres on broad shapes. Planes and height fields, which no
     robot carries, are left out.
@@ -61,10 +61,12 @@ def _balls(shape: Shape) -> list[tuple[_Array, float]]:
         return []
     points = points @ shape.pose.rotation_matrix().T + np.asarray(shape.pose.position)
     middle = points.mean(0)
+    # The principal axes of the points: the first is the longest direction.
     axes = np.linalg.svd(points - middle, full_matrices=False)[2]
     along = (points - middle) @ axes[0]
     across = (points - middle) @ axes[1]
     length, width = np.ptp(along), max(np.ptp(across), 1e-3)
+    # As many slices as make each about as long as wide.
     count = int(np.clip(round(length / width) + 1, 1, _MOST))
     edges = np.linspace(along.min(), along.max(), count + 1)
     slack = length / count / 4
@@ -76,7 +78,7 @@ def _balls(shape: Shape) -> list[tuple[_Array, float]]:
 
 
 def _eighths(box: Box, pose: Pose) -> list[tuple[_Array, float]]:
-    """Around each part of a box that is halved in every direction, but in those in which it is thin."""
+    """Return a ball around each part of a box that is halved in every direction except thin ones."""
     half = np.asarray(box.half_extents)
     cells = np.where(half < 0.5 * half.max(), 1, 2)
     part = half / cells
@@ -96,10 +98,11 @@ def _ball(points: _Array) -> tuple[_Array, float]:
 
 
 def _surface(shape: Shape) -> _Array:
-    """(P, 3) points on the surface, in the shape's frame."""
+    """Return points (P, 3) on the surface, in the shape's frame."""
     geometry = shape.geometry
     grid = np.linspace(-1.0, 1.0, 7)
     if isinstance(geometry, Box):
+        # Points of the grid with a coordinate of 1 are on the cube's surface.
         cube = np.stack(np.meshgrid(grid, grid, grid), -1).reshape(-1, 3)
         return cube[np.abs(cube).max(1) == 1.0] * np.asarray(geometry.half_extents)
     if isinstance(geometry, Capsule | Cylinder):
@@ -135,28 +138,32 @@ class Clearance:
         moved = ancestry[balls.links].any(1)
         self.obstacles = obstacles
         self.links = torch.as_tensor(balls.links[moved], device=device)
-        """(S,) of each ball."""
+        """Link index of each ball, (S,)."""
         self.centers = torch.as_tensor(balls.centers[moved], dtype=torch.float32, device=device)
-        """(S, 3) in their links."""
+        """Centres of the balls (S, 3) in their links' frames."""
         self.radii = torch.as_tensor(balls.radii[moved], dtype=torch.float32, device=device)
-        """(S,) m"""
+        """Radii of the balls (S,) in m."""
         self.moves = torch.as_tensor(ancestry[balls.links[moved]], dtype=torch.float32, device=device)
-        """(S, k): which joints move each ball."""
+        """Joints that move each ball, (S, k): 1 where the joint does, else 0."""
         home = robot.home_positions.expand(robot.joint_positions.shape[0], -1)
         distances, _ = obstacles.distances(self.points(tree.forward(robot.root_pose, home)))
-        # In all environments alike, for objects may stand elsewhere later.
+        # Judged over all environments together: objects may be elsewhere later.
         self.counts = torch.where(((distances - self.radii[:, None]) < 0.0).all(0), 0.0, 1.0)
-        """(S, O): 1 where the obstacle counts for the ball."""
+        """Pairs that count, (S, O): 1 where the obstacle counts for the ball."""
 
     def points(self, links: Tensor) -> Tensor:
-        """(N, S, 3) centres of the balls for link poses (N, L, 7)."""
+        """Compute the centres (N, S, 3) of the balls for link poses (N, L, 7)."""
         poses = links.index_select(1, self.links)
         return poses[..., :3] + quat_rotate(poses[..., 3:], self.centers)
 
     def gaps(self, links: Tensor, env: int | None = None) -> Tensor:
-        """(N, S, O) m from each ball to each obstacle, negative where they overlap; infinite where it does not count.
+        """Compute the distance (N, S, O) in m from each ball to each obstacle, negative where they overlap.
 
-        With ``env`` the obstacles are those of that environment, and N is any number of postures.
+        It is infinite where an obstacle does not count.
+
+        Args:
+            links: link poses (N, L, 7).
+            env: environment whose obstacles are used for any number N of postures; None takes each environment's own.
         """
         distances, _ = self.obstacles.distances(self.points(links), env)
         return torch.where(self.counts > 0.0, distances - self.radii[:, None], torch.inf)

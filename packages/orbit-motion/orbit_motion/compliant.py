@@ -1,4 +1,4 @@
-"""What laws of the hand's compliant motion have in common: goal, gains, and how the joints move the frame.
+"""Base of control laws for compliant motion of the hand: goal, gains, and dynamics of the hand's frame.
 
 Khatib, A Unified Approach for Motion and Force Control of Robot Manipulators: The Operational Space Formulation, IEEE
 Journal on Robotics and Automation 3(1), 1987. With the Jacobian J of a frame, ``x' = J v`` and ``x'' = J a + J' v``;
@@ -34,7 +34,7 @@ from orbit_core.scene import RobotSpec
 from orbit_motion.gains import CommandedGains, GainCommand, GainRange
 from orbit_motion.servo import Servo, check_rate
 
-# 1/kg and 1/(kg m^2): added to the inverse inertia, so that efforts stay bounded in singular poses.
+# Added to the inverse inertia (1/kg and 1/(kg m^2)), so that efforts stay bounded in singular poses.
 _REGULAR = 1e-4
 
 
@@ -51,15 +51,15 @@ class CompliantConfig(PoseTermConfig):
     position_lead: float = 0.1
     rotation_lead: float = 0.5
     stiffness: float = 150.0
-    """Of the hand's position."""
+    """Stiffness of the hand's position."""
     rotational_stiffness: float = 150.0
-    """Of the hand's rotation."""
+    """Stiffness of the hand's rotation."""
     damping_ratio: float = 1.0
     gains: GainCommand = GainCommand.FIXED
     stiffness_factor: GainRange = GainRange(low=0.1, high=4.0)
-    """Of the stiffnesses, from the command's -1 to its 1."""
+    """Factor of the stiffnesses, from the command's -1 to its 1."""
     ratio_range: GainRange = GainRange(low=0.5, high=2.0)
-    """Of the damping ratio, from the command's -1 to its 1."""
+    """Damping ratio, from the command's -1 to its 1."""
     posture_stiffness: float = 10.0
     """1/s^2: draws joints home, critically damped, where that does not move the hand."""
 
@@ -69,27 +69,27 @@ class CompliantConfig(PoseTermConfig):
 
 @dataclass(frozen=True, eq=False)
 class HandState:
-    """The frame's motion: measured pose (N, 7), velocity (N, 6), and what efforts do to it."""
+    """The frame's motion: measured pose (N, 7), velocity (N, 6), and its response to efforts."""
 
     pose: Tensor
     velocity: Tensor
     jacobian: Tensor
-    """(N, 6, k)"""
+    """Jacobian of the frame, (N, 6, k)."""
     response: Tensor
-    """(N, k, 6) ``M^-1 J^T``: joint accelerations per unit of wrench at the frame."""
+    """``M^-1 J^T``, (N, k, 6): joint accelerations per unit of wrench at the frame."""
     inverse_inertia: Tensor
-    """(N, 6, 6) ``J M^-1 J^T``, regularised."""
+    """``J M^-1 J^T``, (N, 6, 6), regularised."""
     drift: Tensor
-    """(N, 6) ``J' v``"""
+    """``J' v``, (N, 6)."""
     links: Tensor
-    """(N, L, 7) poses of all links."""
+    """Poses of all links, (N, L, 7)."""
 
     def wrench(self, acceleration: Tensor) -> Tensor:
-        """(N, 6) that accelerates the frame by (N, 6), as if at rest."""
+        """Return the wrench (N, 6) that accelerates the frame by (N, 6), as if at rest."""
         return solve_spd(self.inverse_inertia, acceleration.unsqueeze(-1)).squeeze(-1)
 
     def joint_accelerations(self, wrench: Tensor) -> Tensor:
-        """(N, k) that a wrench (N, 6) gives the joints."""
+        """Return the joint accelerations (N, k) that a wrench (N, 6) causes."""
         return torch.bmm(self.response, wrench.unsqueeze(-1)).squeeze(-1)
 
 
@@ -113,10 +113,12 @@ class Compliant(PoseFollower, Servo):
 
     @abstractmethod
     def hand_accelerations(self, hand: HandState, free: Tensor, aims: Mapping[str, Tensor]) -> Tensor:
-        """(N, k) of the joints; ``free`` (N, k) is what those want that the hand leaves free."""
+        """Return joint accelerations (N, k); ``free`` (N, k) are those of the null space, which leave the hand in
+        place.
+        """
 
     def workspace_mobility(self) -> Tensor:
-        """(P, 6, 6) float64 ``J M^-1 J^T`` of the frame in P postures all over the workspace."""
+        """Compute ``J M^-1 J^T`` of the frame (P, 6, 6), float64, in P postures all over the workspace."""
         positions = torch.as_tensor(workspace_positions(self.robot.spec.articulation), device=self.device).float()
         model = self.dynamics.model
         root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], device=self.device)
@@ -126,8 +128,9 @@ class Compliant(PoseFollower, Servo):
         return jacobian @ torch.linalg.solve(mass, jacobian.mT)
 
     def check_posture(self) -> None:
-        """Refuse a posture's stiffness with which physics steps diverge."""
+        """Reject a posture's stiffness with which physics steps diverge."""
         step, stiffness = self.physics_dt, self._posture
+        # Load of a critically damped spring: (step w)^2 + 2 zeta step w, with w^2 = stiffness, doubled for its damper.
         load = step**2 * stiffness + 4.0 * step * stiffness**0.5
         check_rate(self.name, load, f"a posture_stiffness of {stiffness:g}")
 
@@ -139,11 +142,12 @@ class Compliant(PoseFollower, Servo):
         return {**self._goal.parts(), **self.gains.varying()}
 
     def accelerations(self, state: ArmState, aims: Mapping[str, Tensor]) -> Tensor:
+        # Critically damped towards home: the damping is 2 sqrt(stiffness).
         free = self._posture * (self._home - state.positions) - 2.0 * self._posture**0.5 * state.velocities
         return self.hand_accelerations(self.hand_state(state), free, aims)
 
     def hand_state(self, state: ArmState) -> HandState:
-        """Of an arm's state."""
+        """Return the hand's state for an arm's state."""
         pose = self.dynamics.model.kinematics.frame_pose(state.poses, self.frame)
         jacobian = self._jacobian(state.poses, pose[:, :3])
         response = solve_spd(state.mass, jacobian.mT)
@@ -153,7 +157,7 @@ class Compliant(PoseFollower, Servo):
         return HandState(pose, velocity, jacobian, response, inverse, drift, state.poses)
 
     def error(self, hand: HandState, aims: Mapping[str, Tensor]) -> Tensor:
-        """(N, 6) from the measured pose to the goal."""
+        """Return the error (N, 6) from the measured pose to the goal."""
         return pose_error(hand.pose, LastTargets.read_of(aims, hand.pose))
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
@@ -169,10 +173,10 @@ class Compliant(PoseFollower, Servo):
 
 
 def link_of(robot: Robot, frame: str) -> int:
-    """Index of the link that carries a link's own or a named frame."""
+    """Return the index of the link that carries a link's own or a named frame."""
     return robot.link_names.index(robot.spec.articulation.frame(frame).link)
 
 
 def without_free(hand: HandState, free: Tensor) -> Tensor:
-    """(N, 6) acceleration of the frame that is not of the task's making: ``J' v + J a0``."""
+    """Return the frame's acceleration (N, 6) without the task: ``J' v + J a0``."""
     return hand.drift + torch.bmm(hand.jacobian, free.unsqueeze(-1)).squeeze(-1)

@@ -1,4 +1,4 @@
-"""The wrench that a hand exerts on what it touches, from the scene's sensors."""
+"""Measured wrench that a hand exerts on its surroundings, from the scene's sensors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orbit_core.sensors import ContactSensor, ForceTorqueSensor
 
 
 class ForceReading:
-    """Reads a sensor as the wrench (N, 6) that the hand exerts: force, then torque about the origin of its frame.
+    """Reader of a sensor as the wrench (N, 6) that the hand exerts: force, then torque about the origin of its frame.
 
     A contact sensor gives the force alone, of all its links together. A force-torque sensor gives both, less the weight
     of what it carries where the robot's controller does not cancel that; what its load's acceleration takes is left in.
@@ -45,13 +45,14 @@ class ForceReading:
                 f"'{spec.entity}': name one of the robot's own"
             )
         self.has_torque = isinstance(spec, ForceTorqueSpec)
-        """Whether torques are measured."""
+        """True if torques are measured."""
         if isinstance(spec, ForceTorqueSpec):
             self._link = robot.link_names.index(spec.link)
             self._prepare_weight(world)
 
     def _prepare_weight(self, world: World) -> None:
         articulation, device = self._robot.spec.articulation, world.device
+        # The sensor also feels the weight of all links beyond it.
         carried = [int(link) for link in link_ancestry(articulation)[:, self._link].nonzero()[0]]
         weightless = self._robot.spec.gravity_compensation
         gravity = torch.tensor([0.0, 0.0, 0.0] if weightless else world.scene.gravity, device=device)
@@ -61,9 +62,10 @@ class ForceReading:
         self._weights = masses * gravity
 
     def read(self) -> Tensor:
-        """(N, 6) N and N m, world axes."""
+        """Read the wrench (N, 6) in N and N m, world axes."""
         sensor = self._sensor
         if isinstance(sensor, ContactSensor):
+            # A contact sensor reports the force on its links; the hand exerts the opposite.
             force = -sensor.forces.sum(1)
             return torch.cat((force, torch.zeros_like(force)), 1)
         assert isinstance(sensor, ForceTorqueSensor)
@@ -71,6 +73,7 @@ class ForceReading:
         point = self._robot.frame_pose(self._frame)[:, :3]
         link = poses[:, self._link]
         force, torque = (quat_rotate(link[:, 3:], part) for part in sensor.wrench.split(3, 1))
+        # The torque is moved from the sensor's link to the frame's origin.
         torque = torque + torch.linalg.cross(link[:, :3] - point, force)
         carried = poses.index_select(1, self._carried)
         arms = carried[..., :3] + quat_rotate(carried[..., 3:], self._centers) - point.unsqueeze(1)

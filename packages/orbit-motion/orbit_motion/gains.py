@@ -1,4 +1,4 @@
-"""Stiffness and damping ratio of a compliant motion, fixed or parts of the command.
+"""Stiffness and damping ratio of a compliant motion, fixed or part of the command.
 
 The two spaces beyond fixed gains are those of Martin-Martin et al., Variable Impedance Control in End-Effector Space,
 IROS 2019.
@@ -18,7 +18,7 @@ from orbit_core.interfaces import ConfigurationError
 
 
 class GainCommand(Enum):
-    """Which gains a command holds, after what it says of the motion."""
+    """Gains that a command holds, after its motion components."""
 
     FIXED = "fixed"
     """None."""
@@ -30,7 +30,7 @@ class GainCommand(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class GainRange:
-    """What commands of -1 and 1 stand for; in between gains grow by equal factors."""
+    """Values that commands of -1 and 1 mean; in between gains grow by equal factors."""
 
     low: float
     high: float
@@ -44,7 +44,7 @@ class GainRange:
 
 
 class CommandedGains:
-    """Stiffness and damping ratio (N, n) that commands may set.
+    """Stiffness and damping ratio (N, n) of a compliant motion, which commands may set.
 
     Args:
         command: which gains commands hold.
@@ -70,24 +70,24 @@ class CommandedGains:
         self._nominal = torch.tensor(stiffness, device=device)
         self._factor, self._ratio = stiffness_factor, ratio_range
         self.stiffness = self._nominal.repeat(num_envs, 1)
-        """(N, n)"""
+        """Stiffness (N, n)."""
         self.damping_ratio = torch.full((num_envs, self._size), damping_ratio, device=device)
-        """(N, n)"""
+        """Damping ratio (N, n)."""
         self._given = damping_ratio
         varies = command is not GainCommand.FIXED
         self.stiffest = [value * (stiffness_factor.high if varies else 1.0) for value in stiffness]
-        """Of each component, over all commands."""
+        """Largest stiffness of each component over all commands."""
         self.most_damped = ratio_range.high if command is GainCommand.IMPEDANCE else damping_ratio
         """The largest damping ratio over all commands."""
 
     @staticmethod
     def components(command: GainCommand, names: Sequence[str]) -> tuple[str, ...]:
-        """What the gains' components of the command are called, for motions of these names."""
+        """Return the names of the gains' components of the command, for motions of these names."""
         kinds = {GainCommand.FIXED: (), GainCommand.STIFFNESS: ("stiffness",)}.get(command, ("stiffness", "damping"))
         return tuple(f"{kind} {name}" for kind in kinds for name in names)
 
     def take(self, command: Tensor) -> None:
-        """The gains' part of a command (N, 0, n or 2 n)."""
+        """Set the gains from their part of a command (N, 0, n or 2 n)."""
         if self._command is GainCommand.FIXED:
             return
         self.stiffness.copy_(self._nominal * _geometric(command[:, : self._size], self._factor))
@@ -99,13 +99,13 @@ class CommandedGains:
         return dict(self.memory())
 
     def of(self, varying: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Stiffness and damping ratio, (N, n) of :meth:`varying`, or (n,) where they are fixed."""
+        """Return stiffness and damping ratio, (N, n) from :meth:`varying`, or (n,) where they are fixed."""
         if self._command is GainCommand.FIXED:
             return self._nominal, torch.full_like(self._nominal, self._given)
         return varying["stiffness"], varying["damping_ratio"]
 
     def encode(self, num_envs: int) -> Tensor:
-        """(N, 0, n or 2 n): the command that stands for the gains which the configuration gives."""
+        """Return the command (N, 0, n or 2 n) that sets the gains of the configuration."""
         parts: list[float] = []
         if self._command is not GainCommand.FIXED:
             parts += [_position(1.0, self._factor)] * self._size
@@ -114,12 +114,13 @@ class CommandedGains:
         return torch.tensor(parts, device=self._nominal.device).expand(num_envs, -1)
 
     def memory(self) -> Mapping[str, Tensor]:
-        """For :meth:`orbit_core.interfaces.Node.memory`."""
+        """Return the tensors of :meth:`orbit_core.interfaces.Node.memory`."""
         if self._command is GainCommand.FIXED:
             return {}
         return {"stiffness": self.stiffness, "damping_ratio": self.damping_ratio}
 
 
+# Geometric: gains matter by their ratio, so that half a command is the same factor everywhere.
 def _geometric(command: Tensor, ends: GainRange) -> Tensor:
     return ends.low * (ends.high / ends.low) ** (0.5 * (command + 1.0))
 

@@ -1,4 +1,4 @@
-"""The hand pushes along some axes and moves along the others: hybrid control of force and motion."""
+"""Hybrid force and motion control: the hand pushes along some axes and moves along the others."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class HybridForceMotionConfig(OperationalSpaceConfig):
     )  # fmt: skip
 
     force: tuple[bool, ...] = (False, False, True, False, False, False)
-    """Which axes push: x, y, z, about x, about y, about z."""
+    """True for axes that push: x, y, z, about x, about y, about z."""
     axes: str | None = None
-    """A link or frame of the robot whose axes are meant; None takes those of the world."""
+    """Link or frame of the robot that defines the axes; None takes the world's."""
     sensor: str | None = None
     """A contact or force-torque sensor of the scene. Give it the physics rate: it is read at every physics step."""
     force_scale: float = 20.0
@@ -84,7 +84,7 @@ class HybridForceMotion(OperationalSpace):
                 f"action term '{name}': a force_gain of {config.force_gain:g} is unstable: take less than 1"
             )
         if config.axes is not None:
-            robot.frame_pose(config.axes)  # which refuses an unknown one
+            robot.frame_pose(config.axes)  # rejects an unknown frame
         self._moves = torch.tensor([float(not chosen) for chosen in config.force], device=self.device)
         self._scale = torch.tensor([config.force_scale] * 3 + [config.torque_scale] * 3, device=self.device)
         self._damping = torch.tensor([config.force_damping] * 3 + [config.torque_damping] * 3, device=self.device)
@@ -104,6 +104,7 @@ class HybridForceMotion(OperationalSpace):
     def check_stable(self) -> None:
         super().check_stable()
         pushed = self._damping * (1.0 - self._moves)
+        # A damper along the pushing axes diverges if it stops the hand within less than a step.
         quickest = torch.linalg.eigvalsh(pushed.sqrt().unsqueeze(-1) * self.workspace_mobility() * pushed.sqrt()).max()
         told = f"a force_damping of {self.config.force_damping:g} or torque_damping of {self.config.torque_damping:g}"
         check_rate(self.name, 2.0 * self.physics_dt * float(quickest), told)
@@ -140,7 +141,7 @@ class HybridForceMotion(OperationalSpace):
         return {**super().memory(), "wanted": self._wanted, "integral": self._integral}
 
     def _pushing(self) -> Tensor:
-        """(N, 6) force and torque, world axes, by which the measured ones are brought to the wanted."""
+        """Return the force and torque (N, 6), world axes, that drive the measured ones to the wanted ones."""
         if self._reading is None:
             return self._wanted
         missing = self._wanted - self._reading.read()
@@ -149,18 +150,18 @@ class HybridForceMotion(OperationalSpace):
         return self._wanted + self.config.force_gain * missing + self._integral
 
     def _rotation(self, links: Tensor) -> Tensor:
-        """(N, 3, 3) of the axes, in the world's, for link poses (N, L, 7)."""
+        """Return the axes' rotation (N, 3, 3) in the world, for link poses (N, L, 7)."""
         if self.config.axes is None:
             return torch.eye(3, device=self.device).expand(links.shape[0], 3, 3)
         return quat_to_matrix(self.dynamics.model.kinematics.frame_pose(links, self.config.axes)[:, 3:])
 
     def _selection(self, rotation: Tensor) -> Tensor:
-        """(N, 6, 6) projection on the directions that move."""
+        """Return the projection (N, 6, 6) on the directions that move."""
         linear, angular = (rotation * part @ rotation.mT for part in self._moves.split(3))
         zero = torch.zeros_like(linear)
         return torch.cat((torch.cat((linear, zero), 2), torch.cat((zero, angular), 2)), 1)
 
 
 def _turned(rotation: Tensor, command: Tensor) -> Tensor:
-    """(N, 6) two vectors turned by (N, 3, 3)."""
+    """Rotate two vectors (N, 6) by (N, 3, 3)."""
     return torch.bmm(command.unflatten(1, (2, 3)), rotation.mT).flatten(1)

@@ -1,4 +1,4 @@
-"""Commands are joint positions that the joints are drawn to by springs and dampers, whose gains may be commands too."""
+"""Joint impedance control: springs and dampers draw the joints to commanded positions; gains may be commands too."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class JointImpedanceConfig(ActionTerm):
     damping_ratio: float = 1.0
     gains: GainCommand = GainCommand.FIXED
     stiffness_factor: GainRange = GainRange(low=0.1, high=4.0)
-    """Of ``stiffness``, from the command's -1 to its 1."""
+    """Factor of ``stiffness``, from the command's -1 to its 1."""
     ratio_range: GainRange = GainRange(low=0.5, high=2.0)
-    """Of the damping ratio, from the command's -1 to its 1."""
+    """Damping ratio, from the command's -1 to its 1."""
     inertia_compensation: bool = True
     gravity_compensation: bool = True
 
@@ -59,7 +59,7 @@ class JointImpedanceConfig(ActionTerm):
 
 
 class JointImpedance(Servo):
-    """One to three commands a joint, :class:`JointImpedanceConfig`."""
+    """One to three commands per joint, :class:`JointImpedanceConfig`."""
 
     def __init__(self, name: str, robot: Robot, config: JointImpedanceConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
@@ -79,6 +79,7 @@ class JointImpedance(Servo):
         if self.config.inertia_compensation:
             check_rate(self.name, step**2 * stiffness + 4.0 * step * ratio * stiffness**0.5, what)
             return
+        # Without compensation the joints couple through the mass matrix: its eigenvalues decide, not its diagonal.
         spec = self.robot.spec
         armature = joint_constants(spec, "armature") + step * joint_constants(spec, "damping")
         masses = workspace_mass_matrices(spec.articulation, armature=armature.tolist())[:, self.joints][
@@ -102,6 +103,7 @@ class JointImpedance(Servo):
         stiffness, ratio = self.gains.of(aims)
         offset = LastTargets.read_of(aims, state.positions) - state.positions
         if self.config.inertia_compensation:
+            # As a unit mass: the damping is 2 zeta sqrt(k).
             wanted = stiffness * offset - 2.0 * ratio * stiffness.sqrt() * state.velocities
             return (
                 wanted if self.config.gravity_compensation else wanted + state.accelerations(torch.zeros_like(wanted))
@@ -136,7 +138,7 @@ class JointImpedance(Servo):
         return torch.cat((command, self.gains.encode(self.num_envs)), 1)
 
     def _origin(self) -> Tensor:
-        """What commands are added to."""
+        """Return the positions to which commands are added."""
         if self.config.mode is CommandMode.ABSOLUTE:
             return self._home
         return self.positions if self.config.mode is CommandMode.RELATIVE else self._last.read(self.positions)

@@ -16,18 +16,19 @@ from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, Plane, P
 from orbit_motion.still import PlacedObject, PlacedWorld
 
 TERRAIN = "terrain"
-"""Stands for the scene's static shapes where obstacles are named."""
+"""Name of the scene's static shapes among obstacles."""
+# Metres to a shape where there is none.
 _FAR = 1e3
 
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Shapes of one kind (O,): sizes (O, 3), and poses (O, 7) in their links or, where they have none, the world."""
+    """Shapes of one kind (O,): sizes (O, 3), and poses (O, 7) in their links, or in the world without one."""
 
     sizes: Tensor
     poses: Tensor
     owners: tuple[tuple[str, int] | None, ...]
-    """Name of the object, and index of its link."""
+    """Name of the object and index of its link, None for terrain."""
 
 
 class Obstacles:
@@ -37,7 +38,7 @@ class Obstacles:
 
     Args:
         world: that they are in.
-        names: of objects, and :data:`TERRAIN`; None takes what stands still: the terrain, and of all objects whose
+        names: of objects, and :data:`TERRAIN`; None takes static shapes: the terrain, and of all objects whose
             base is fixed the links that no joint of theirs moves.
 
     Raises:
@@ -69,29 +70,30 @@ class Obstacles:
         self._world_pose = identity.expand(world.num_envs, 7)
         self._kinds = {kind: self._gathered(kind, shapes) for kind in (Box, Sphere, Capsule, Cylinder, Plane)}
         self.count = sum(len(kind.owners) for kind in self._kinds.values())
-        """O, the number of shapes."""
+        """Number of shapes, O."""
         owners = [owner for kind in self._kinds.values() for owner in kind.owners]
         self.names = tuple(TERRAIN if owner is None else owner[0] for owner in owners)
-        """Whose each shape is."""
+        """Name of each shape's object."""
 
     def distances(self, points: Tensor, env: int | None = None) -> tuple[Tensor, Tensor]:
-        """(N, S, O) m from points (N, S, 3) to each shape, negative inside; and the unit vectors (N, S, O, 3) away.
+        """Compute distances (N, S, O) in m from points (N, S, 3), negative inside, and unit vectors (N, S, O, 3) away.
 
         With ``env`` the shapes are where they are in that environment, and N is any number.
         """
         return self.distances_of(self.poses(env).unsqueeze(1), points)
 
     def poses(self, env: int | None = None) -> Tensor:
-        """(N, O, 7) of the shapes; (1, O, 7) in one environment."""
+        """Return the poses (N, O, 7) of the shapes; (1, O, 7) in one environment."""
         found = [self._poses(parts) for parts in self._kinds.values() if parts.owners]
         poses = torch.cat(found, 1) if found else self._world_pose[:, None][:, :0]
         return poses if env is None else poses[env : env + 1]
 
     def distances_of(self, poses: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-        """As :meth:`distances`, (..., O) and (..., O, 3), for :meth:`poses` (..., O, 7) and points (..., 3)."""
+        """Compute :meth:`distances`, (..., O) and (..., O, 3), for :meth:`poses` (..., O, 7) and points (..., 3)."""
         counts = [len(parts.owners) for parts in self._kinds.values()]
         found = [
             self._of_kind(kind, parts, placed, points)
+            # One call per kind of shape: each law is one batched kernel.
             for (kind, parts), placed in zip(self._kinds.items(), poses.split(counts, -2), strict=True)
             if parts.owners
         ]
@@ -105,7 +107,7 @@ class Obstacles:
         return distance, quat_rotate(poses[..., 3:], away)
 
     def _poses(self, parts: _Kind) -> Tensor:
-        """(N, O, 7)"""
+        """Return the poses (N, O, 7) of one kind."""
         links = [
             self._world_pose if owner is None else self._objects[owner[0]].link_poses[:, owner[1]]
             for owner in parts.owners
@@ -127,6 +129,7 @@ def _simple(shape: Shape) -> Shape:
         low, high = points.min(0), points.max(0)
     elif isinstance(shape.geometry, HeightField):
         heights, (x, y) = np.asarray(shape.geometry.heights), shape.geometry.size
+        # A little below the lowest point, so that the box has a thickness.
         low, high = np.array([-x / 2, -y / 2, heights.min() - 0.1]), np.array([x / 2, y / 2, heights.max()])
     else:
         return shape
@@ -145,6 +148,7 @@ def _sizes(shape: Shape) -> tuple[float, float, float]:
 
 
 def _box(local: Tensor, sizes: Tensor) -> tuple[Tensor, Tensor]:
+    # Inside, the nearest face is the one with the least depth; outside, the offset beyond the faces counts.
     beyond = local.abs() - sizes
     outside = beyond.clamp_min(0.0)
     deepest = beyond.amax(-1, keepdim=True)
@@ -173,6 +177,7 @@ def _capsule(local: Tensor, sizes: Tensor) -> tuple[Tensor, Tensor]:
 def _cylinder(local: Tensor, sizes: Tensor) -> tuple[Tensor, Tensor]:
     radial = torch.linalg.vector_norm(local[..., :2], dim=-1)
     plane = torch.stack((radial, local[..., 2]), -1)
+    # In the half plane of radius and height a cylinder is a box.
     distance, away = _box(plane, sizes[:, :2])
     outward = local[..., :2] / radial.unsqueeze(-1).clamp_min(1e-9)
     return distance, torch.cat((outward * away[..., :1], away[..., 1:]), -1)

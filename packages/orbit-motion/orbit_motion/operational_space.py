@@ -1,4 +1,4 @@
-"""The hand moves as six unit masses on springs, decoupled: operational-space control."""
+"""Operational-space control: the hand moves as six unit masses on springs, decoupled."""
 
 from __future__ import annotations
 
@@ -42,6 +42,6 @@ class OperationalSpace(Compliant):
         return hand.joint_accelerations(hand.wrench(wanted)) + free
 
     def spring_accelerations(self, hand: HandState, aims: Mapping[str, Tensor]) -> Tensor:
-        """(N, 6) of the unit masses on their springs."""
+        """Return the accelerations (N, 6) of the unit masses on their springs."""
         stiffness, ratio = self.gains.of(aims)
         return stiffness * self.error(hand, aims) - 2.0 * ratio * stiffness.sqrt() * hand.velocity

@@ -22,11 +22,12 @@ from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.qp import solve_qp
 
+# Regularisation of J J^T in singular postures.
 _REGULAR = 1e-6
 
 
 def manipulability(jacobian: Tensor) -> Tensor:
-    """(N,) ``sqrt(det(J J^T))`` of Jacobians (N, 6, k).
+    """Compute ``sqrt(det(J J^T))`` (N,) of Jacobians (N, 6, k).
 
     Yoshikawa, Manipulability of Robotic Mechanisms, International Journal of Robotics Research 4(2), 1985.
     """
@@ -34,7 +35,7 @@ def manipulability(jacobian: Tensor) -> Tensor:
 
 
 def manipulability_gradient(jacobian: Tensor) -> Tensor:
-    """(N, k) gradient of the manipulability's logarithm by the joints, for a chain of joints in order.
+    """Compute the gradient (N, k) of the manipulability's logarithm by the joints, for a chain of joints in order.
 
     ``d log w / dq_i = tr(J^+ dJ/dq_i)``, and with columns ``(v_j, w_j)`` of the geometric Jacobian a turn about axis i
     carries the axes and points behind it along: ``dv_j = w_min(i,j) x v_max(i,j)``, and ``dw_j = w_i x w_j`` for i < j.
@@ -47,21 +48,22 @@ def manipulability_gradient(jacobian: Tensor) -> Tensor:
     crossed = torch.linalg.cross(angular.unsqueeze(2), linear.unsqueeze(1))  # (N, i, j, 3): w_i x v_j
     count = linear.shape[1]
     before = torch.triu(torch.ones(count, count, device=jacobian.device)).view(1, count, count, 1)
+    # Only joints behind axis i turn with it.
     turning = torch.linalg.cross(angular.unsqueeze(2), angular.unsqueeze(1)) * before
     moving = crossed * before + crossed.transpose(1, 2) * (1.0 - before)
     change = torch.cat((moving, turning), -1)
     return (change * inverse.unsqueeze(1)).sum((2, 3))
 
 
-# Of the distance to a limit that a joint may cover in one step (Faverjon and Tournassoud's velocity damper, 1987).
+# Share of the distance to a limit that a joint may cover in a step (Faverjon and Tournassoud, 1987).
 _LIMIT_SHARE = 0.5
 
 
 class Priority(Enum):
-    """What of a pose comes first where not all of it can be had."""
+    """Part of a pose that has priority where not all of it can be reached."""
 
     NONE = "none"
-    """Nothing: all six components share what is missing, by their weights."""
+    """None: all six components share the error, by their weights."""
     POSITION = "position"
     ROTATION = "rotation"
 
@@ -72,8 +74,8 @@ class PrioritizedIkConfig(PoseTermConfig):
 
     Each step solves, in order of priority, ``min |W (J d - e)|^2 + lambda^2 |d|^2`` for the joints' displacement d,
     where ``|d_i|`` is at most the lead at which the joint's drive keeps to its velocity limit
-    (:func:`~orbit_core.actions.base.speed_limited_lead`), and half the distance to a position limit, and what comes
-    before is kept (Kanoun, Lamiraux and Wieber, Kinematic Control of Redundant Manipulators: Generalizing the Task-
+    (:func:`~orbit_core.actions.base.speed_limited_lead`), and half the distance to a position limit, and the tasks
+    before are kept (Kanoun, Lamiraux and Wieber, Kinematic Control of Redundant Manipulators: Generalizing the Task-
     Priority Framework to Inequality Task, IEEE Transactions on Robotics 27(4), 2011). Last comes the posture: home, and
     where ``manipulability_gain`` is above zero away from singular poses, up the gradient of Yoshikawa's manipulability.
     """
@@ -84,18 +86,18 @@ class PrioritizedIkConfig(PoseTermConfig):
     unbounded: ClassVar[tuple[str, ...]] = (*PoseTermConfig.unbounded, "max_joint_step")
 
     weights: tuple[float, ...] = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)
-    """Of x, y, z (1/m) and of the rotation vector's components (1/rad)."""
+    """Weights of x, y, z (1/m) and of the rotation vector's components (1/rad)."""
     priority: Priority = Priority.NONE
     damping: float = 0.05
-    """lambda"""
+    """Damping lambda."""
     posture_gain: float = 0.1
-    """Share of the way home that joints go in a step where the hand lets them."""
+    """Share of the way home that joints move in a step in the null space of the hand."""
     manipulability_gain: float = 0.0
-    """rad^2 or m^2 by which joints go up the gradient of the manipulability's logarithm in a step."""
+    """rad^2 or m^2: step of the joints up the gradient of the manipulability's logarithm."""
     speed: float = 1.0
-    """Share of the joints' velocity limits that may be used."""
+    """Share of the joints' velocity limits that is used."""
     max_joint_step: float = 0.3
-    """rad or m by which targets may run ahead of measured positions."""
+    """rad or m by which targets may lead measured positions."""
 
     def build(self, name: str, robot: Robot) -> PrioritizedIk:
         return PrioritizedIk(name, robot, self)
@@ -119,13 +121,13 @@ class PrioritizedIk(PoseFollower):
         self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
         self._step_limit = config.speed * speed_limited_lead(robot, self.joints)
         self._costs = torch.ones(len(self.joints), device=self.device)
-        """(k,) what moving counts, where the hand leaves a choice."""
+        """Cost (k,) of moving each joint, in the null space of the hand."""
         position, rotation = slice(0, 3), slice(3, 6)
         orders = {Priority.NONE: (slice(0, 6),), Priority.POSITION: (position, rotation)}
         self._levels = orders.get(config.priority, (rotation, position))
 
     def enter(self, world: World, step_dt: float) -> None:
-        # A joint without stiffness is told a velocity.
+        # A joint without stiffness is driven by velocities: its lead is a velocity times the step.
         steps = self.config.speed * self._fastest * step_dt
         self._step_limit = torch.where(self._step_limit.isfinite(), self._step_limit, steps)
 
@@ -134,7 +136,7 @@ class PrioritizedIk(PoseFollower):
         return {JointTarget.POSITION: bounded_targets(self, delta, self.config.max_joint_step)}
 
     def solve(self, error: Tensor) -> Tensor:
-        """(N, k) displacements of the joints for one (N, 6) of the frame, m and rad, world axes."""
+        """Compute joint displacements (N, k) for a displacement (N, 6) of the frame, m and rad, world axes."""
         jacobian = self.jacobian()
         low, high = self.bounds()
         identity = torch.eye(jacobian.shape[2], device=self.device).expand(self.num_envs, -1, -1)
@@ -148,21 +150,23 @@ class PrioritizedIk(PoseFollower):
             wanted = error[:, level] * self._weights[level]
             linear = -torch.bmm(weighted.mT, wanted.unsqueeze(-1)).squeeze(-1)
             delta = solve_qp(weighted.mT @ weighted + damping, linear, rows, lower, upper)
+            # The result of this level becomes an equality of all further ones.
             kept = torch.bmm(jacobian[:, level], delta.unsqueeze(-1)).squeeze(-1)
             rows = torch.cat((rows, jacobian[:, level]), 1)
             lower, upper = torch.cat((lower, kept), 1), torch.cat((upper, kept), 1)
         posture = self.posture(jacobian)
         if posture is not None:
             costs = torch.diag_embed(self._costs).expand_as(identity)
+            # The quadratic programs hold the bounds within the solver's tolerance only.
             delta = solve_qp(costs, -self._costs * posture, rows, lower, upper)
         return torch.clamp(delta, low, high)
 
     def jacobian(self) -> Tensor:
-        """(N, 6, k) of the frame."""
+        """Return the Jacobian (N, 6, k) of the frame."""
         return self.robot.jacobian(self.frame, self.joints)
 
     def bounds(self) -> tuple[Tensor, Tensor]:
-        """(N, k) the least and the greatest displacement in one step."""
+        """Return the least and the greatest displacement (N, k) in one step."""
         positions = self.positions
         below, above = (_LIMIT_SHARE * (limits - positions) for limits in (self.lower_limits, self.upper_limits))
         # A joint outside its limits may stay where it is, so that there always is a solution.
@@ -170,7 +174,7 @@ class PrioritizedIk(PoseFollower):
         return low, torch.minimum(above, self._step_limit).clamp_min(0.0)
 
     def posture(self, jacobian: Tensor) -> Tensor | None:
-        """(N, k) displacements that the joints want for themselves, or None."""
+        """Return displacements (N, k) towards a preferred posture, or None."""
         if not self.config.posture_gain and not self.config.manipulability_gain:
             return None
         home = self.config.posture_gain * (self._home - self.positions)

@@ -9,8 +9,8 @@ from orbit_core.dynamics.linear import solve_spd
 
 _RELAXATION = 1.6
 _PROXIMAL = 1e-6
+# How much harder equations are held than inequalities.
 _EQUAL = 1e3
-"""How much harder equations are held than inequalities."""
 
 
 def solve_qp(

@@ -1,9 +1,9 @@
 """Reaching around obstacles: Riemannian motion policies, combined in joint space.
 
 Ratliff et al., Riemannian Motion Policies, arXiv:1801.02854, 2018; Cheng et al., RMPflow: A Computational Graph for
-Automatic Motion Policy Generation, WAFR 2018. Each policy says in a space of its own which acceleration a it wants and,
-by a metric G, how much that counts. With J the Jacobian of the space, the joints minimise the sum of all:
-``a = (sum J^T M J)^-1 sum J^T (f - M J' v)``, M the metric with its curvature, f the force that is wanted.
+Automatic Motion Policy Generation, WAFR 2018. In its own space each policy states the acceleration a that it requests
+and, by a metric G, how much that counts. With J the Jacobian of the space, the joints minimise the sum of all:
+``a = (sum J^T M J)^-1 sum J^T (f - M J' v)``, M the metric with its curvature, f the requested force.
 
 Metrics that change with the state are :class:`Barrier` spaces, with all their curvature terms. Of ``J' v`` the shapes'
 own curvature is left out, which takes away from a convex shape and never towards it.
@@ -76,7 +76,7 @@ class RmpFlowConfig(PoseTermConfig):
     Policies: the goal draws the hand's position and rotation; every ball that covers a moved link is slowed down before
     every obstacle within ``range``, and joints before their limits; they are drawn home and damped. The motion is
     integrated from the measured state of an episode's beginning, within ``max_lead`` of the measured positions, and
-    told to the drives as positions and velocities. It is a local method: it can be caught before an obstacle.
+    sent to the drives as positions and velocities. It is a local method: it can get stuck before an obstacle.
     """
 
     name: ClassVar[str] = "rmpflow"
@@ -183,7 +183,7 @@ class RmpFlow(PoseFollower):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         goal = self._pose.target(inputs["command"])
         last = self._last.read(torch.stack((self.positions, self.velocities), 1))
-        # Each in memory of its own, for a traced step hands both on from one stage to the next.
+        # Each in its own memory: a traced step passes both from one stage to the next.
         positions, velocities = (part.clone() for part in last.unbind(1))
         still = {"root": self.robot.root_pose, "others": self.robot.joint_positions, "goal": goal}
         obstacles = self._clearance.obstacles.poses()
@@ -208,11 +208,11 @@ class RmpFlow(PoseFollower):
         return each.sum(1)
 
     def _packed(self, metric: Tensor, force: Tensor) -> Tensor:
-        """(..., k (k + 1) / 2 + k) of a metric (..., k, k), its upper triangle, and a force (..., k)."""
+        """Pack the upper triangle of a metric (..., k, k) and a force (..., k) into (..., k (k + 1) / 2 + k)."""
         return torch.cat((metric.flatten(-2)[..., self._upper], force), -1)
 
     def clearance(self) -> Tensor:
-        """(N,) m from the robot's balls to the nearest obstacle now, negative where they overlap."""
+        """Return the distance (N,) in m from the robot's balls to the nearest obstacle, negative where they overlap."""
         gaps = self._clearance.gaps(self.robot.link_poses).flatten(1)
         return gaps.amin(1) if gaps.shape[1] else gaps.new_full((self.num_envs,), torch.inf)
 

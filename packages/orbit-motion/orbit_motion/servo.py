@@ -1,12 +1,12 @@
-"""Motion generators whose law runs before every physics step, as that of a torque-controlled robot does.
+"""Motion generators whose law runs before every physics step, like the law of a torque-controlled robot.
 
-A command sets what the law aims at; in between the law follows the measured state. It asks for accelerations, which are
-held to what the joints' position and velocity limits leave, and become efforts by the equation of motion:
+A command sets the law's aims; in between the law follows the measured state. It requests accelerations, which are
+clamped to what the joints' position and velocity limits allow, and become efforts by the equation of motion:
 
 ``efforts = M(q) a + bias(q, v)``, clipped to the effort limits (computed torque; Siciliano et al., Robotics: Modelling,
 Planning and Control, 2009, section 8.5.2).
 
-Dry friction that the description tells of is compensated (:meth:`ArmDynamics.against_friction`).
+Dry friction of the description is compensated (:meth:`ArmDynamics.against_friction`).
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from orbit_core.interfaces import ConfigurationError, JointTarget, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.fusion import Fused
 
-# 1/s: joints near a limit of position approach it no faster than this times the distance that is left.
+# 1/s: a joint near a position limit approaches it at most at this rate times the remaining distance.
 _LIMIT_RATE = 10.0
-# Physics steps in which what exceeds the velocity that a joint may have is taken off.
+# Physics steps within which a joint that is too fast brakes to its velocity limit.
 _BRAKING_STEPS = 2.0
 
 
 class Servo(MotionGenerator):
-    """Efforts for some joints of a robot, anew before every physics step.
+    """Motion generator that computes efforts for some joints of a robot before every physics step.
 
     The drives of the joints have no gains (:attr:`~orbit_core.actions.ActionTerm.unwanted_gains`).
 
     Raises:
-        ConfigurationError: a joint can exert no effort.
+        ConfigurationError: a joint has no effort limit above zero.
     """
 
     dynamics: ArmDynamics
@@ -49,8 +49,8 @@ class Servo(MotionGenerator):
         for joint, effort in zip(self.joints, efforts, strict=True):
             if not effort > 0.0:
                 raise ConfigurationError(
-                    f"joint '{robot.joint_names[joint]}' of '{robot.name}' has effort limit {effort:g}, so that action "
-                    f"term '{name}' cannot move it by efforts: choose a position space, or raise the limit"
+                    f"joint '{robot.joint_names[joint]}' of '{robot.name}' has effort limit {effort:g}, so action term "
+                    f"'{name}' cannot move it by efforts: choose a position space, or raise the limit"
                 )
         self._strongest, self._fastest = (
             torch.as_tensor(limits, dtype=torch.float32, device=self.device) for limits in (efforts, speeds)
@@ -58,17 +58,17 @@ class Servo(MotionGenerator):
 
     @abstractmethod
     def aim(self, command: Tensor) -> None:
-        """Take a command (N, command_size) in."""
+        """Set the aims from a command (N, command_size)."""
 
     @abstractmethod
     def aims(self) -> dict[str, Tensor]:
-        """What the law aims at: all tensors (N, ...) besides the robot's state that it depends on, by name."""
+        """Return the aims by name: all tensors (N, ...) that the law depends on, except the robot's state."""
 
     @abstractmethod
     def accelerations(self, state: ArmState, aims: Mapping[str, Tensor]) -> Tensor:
-        """(N, k) rad/s^2 or m/s^2 that the joints shall have now.
+        """Compute the accelerations (N, k) in rad/s^2 or m/s^2 that the joints should have now.
 
-        A function of its arguments and of constants alone, so that it can be one kernel
+        The result depends on the arguments and on constants only, so that it can become one kernel
         (:class:`orbit_motion.fusion.Fused`).
         """
 
@@ -76,7 +76,7 @@ class Servo(MotionGenerator):
         """Refuse gains with which steps of ``physics_dt`` diverge.
 
         Raises:
-            ConfigurationError: says which gain is stable.
+            ConfigurationError: a gain is too high; the message names a stable one.
         """
 
     def enter(self, world: World, step_dt: float) -> None:
@@ -98,13 +98,14 @@ class Servo(MotionGenerator):
         self._write(efforts)
 
     def _efforts(self, poses: Tensor, positions: Tensor, velocities: Tensor, **aims: Tensor) -> tuple[Tensor]:
-        """(N, k)"""
+        """Compute the efforts (N, k) from the robot's state and the aims."""
         state = self.dynamics.state_of(poses, positions, velocities)
         wanted = self._within_limits(state, self.accelerations(state, aims))
         efforts = self.dynamics.against_friction(state, wanted, state.efforts(wanted))
         return (torch.clamp(efforts, -self._strongest, self._strongest),)
 
     def _within_limits(self, state: ArmState, accelerations: Tensor) -> Tensor:
+        # Velocity limits shrink towards a position limit, so that the joint stops there instead of hitting it.
         highest = torch.minimum(self._fastest, _LIMIT_RATE * (self.upper_limits - state.positions))
         lowest = torch.maximum(-self._fastest, _LIMIT_RATE * (self.lower_limits - state.positions))
         time = _BRAKING_STEPS * self.physics_dt
@@ -117,10 +118,11 @@ def check_rate(name: str, load: float, what: str) -> None:
     See :mod:`orbit_core.actuators.stability`.
 
     Raises:
-        ConfigurationError: it is four or more.
+        ConfigurationError: ``load`` is four or more.
     """
+    # A spring and damper whose force is explicit diverges under semi-implicit Euler from h^2 k / m + 2 h d / m = 4.
     if load >= 4.0:
         raise ConfigurationError(
-            f"action term '{name}': {what} is unstable, for its efforts are those of the state at the beginning of "
+            f"action term '{name}': {what} is unstable, because its efforts use the state at the beginning of "
             f"each physics step: take at most {4.0 / load:.2g} times it, or a shorter physics_dt"
         )

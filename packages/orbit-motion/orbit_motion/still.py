@@ -1,4 +1,4 @@
-"""A world at one moment, for plans that take longer than a step: what moves on meanwhile does not change it."""
+"""Copy of a world at one moment, for plans that take longer than a step while the world moves on."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orbit_core.scene import Entity, RobotSpec, Scene
 
 
 class PlacedObject(Protocol):
-    """What plans read of an object: N environments, shapes as :class:`orbit_core.interfaces.Object` has them."""
+    """Interface of an object that planning reads, shaped like :class:`orbit_core.interfaces.Object`."""
 
     @property
     def spec(self) -> Entity:
@@ -23,17 +23,17 @@ class PlacedObject(Protocol):
 
     @property
     def root_pose(self) -> Tensor:
-        """(N, 7)"""
+        """Pose (N, 7) in the environment's frame."""
         ...
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, links, 7)"""
+        """Poses (N, links, 7) in the environment's frame."""
         ...
 
 
 class PlacedRobot(Protocol):
-    """What plans read of a robot."""
+    """Interface of a robot that planning reads."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -46,27 +46,27 @@ class PlacedRobot(Protocol):
 
     @property
     def root_pose(self) -> Tensor:
-        """(N, 7)"""
+        """Pose (N, 7) in the environment's frame."""
         ...
 
     @property
     def joint_positions(self) -> Tensor:
-        """(N, joints)"""
+        """Joint positions (N, joints) in rad or m."""
         ...
 
     @property
     def home_positions(self) -> Tensor:
-        """(joints,) positions at reset."""
+        """Joint positions (joints,) at reset."""
         ...
 
     @property
     def position_limits(self) -> Tensor:
-        """(joints, 2) lower, upper."""
+        """Lower and upper limits (joints, 2)."""
         ...
 
 
 class PlacedWorld(Protocol):
-    """What plans read of a world."""
+    """Interface of a world that planning reads."""
 
     scene: Scene
     num_envs: int
@@ -74,7 +74,7 @@ class PlacedWorld(Protocol):
 
     @property
     def objects(self) -> Mapping[str, PlacedObject]:
-        """By name."""
+        """Objects by name."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""A hand that is carried by an arm on a base: inverse kinematics over both."""
+"""Inverse kinematics over an arm and the base that carries it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class WholeBodyIkConfig(PrioritizedIkConfig):
 
     As :class:`PrioritizedIkConfig`, over the arm's joints and the base's motion: x, y and yaw of a planar base, forward
     and turn of two driven wheels. Moving the base counts ``base_cost`` times as much as moving a joint; what the arm is
-    away from home draws the base along. The arm is told positions, the base velocities.
+    away from home draws the base along. Commands to the arm are positions, those to the base velocities.
     """
 
     name: ClassVar[str] = "whole_body_ik"
@@ -45,6 +45,7 @@ class WholeBodyIkConfig(PrioritizedIkConfig):
             raise ConfigurationError(
                 f"action term '{name}' moves the base too: name its joints as well, {', '.join(base_joints(spec))}"
             )
+        # The base's joints last, so that slices separate them from the arm's.
         return [*(joint for joint in joints if joint not in base), *base]
 
     def build(self, name: str, robot: Robot) -> WholeBodyIk:
@@ -52,7 +53,7 @@ class WholeBodyIkConfig(PrioritizedIkConfig):
 
 
 class WholeBodyIk(PrioritizedIk):
-    """Six commands, :class:`WholeBodyIkConfig`."""
+    """Motion generator of :class:`WholeBodyIkConfig`, with six commands."""
 
     def __init__(self, name: str, robot: Robot, config: WholeBodyIkConfig) -> None:
         super().__init__(name, robot, config)
@@ -80,6 +81,7 @@ class WholeBodyIk(PrioritizedIk):
         targets = bounded_targets(
             self, torch.cat((delta[:, :arm], torch.zeros_like(speeds)), 1), self.config.max_joint_step
         )
+        # The arm follows positions at zero velocity, the base velocities.
         velocities = torch.cat((torch.zeros_like(delta[:, :arm]), speeds), 1)
         return {JointTarget.POSITION: targets, JointTarget.VELOCITY: velocities}
 
@@ -90,6 +92,7 @@ class WholeBodyIk(PrioritizedIk):
         arm = self.robot.jacobian(self.frame, self._arm)
         ahead = quat_rotate(root[:, 3:], self._ahead)
         up = self._up.expand_as(ahead)
+        # Turning moves the hand on a circle around the base's vertical axis.
         around = torch.linalg.cross(up, self.robot.frame_pose(self.frame)[:, :3] - root[:, :3])
         linear, angular = torch.stack((ahead, around), 2), torch.stack((torch.zeros_like(up), up), 2)
         return torch.cat((arm, torch.cat((linear, angular), 1)), 2)
@@ -107,6 +110,7 @@ class WholeBodyIk(PrioritizedIk):
         if wanted is None:
             return None
         arm = len(self._arm)
+        # Only the arm has a home posture: the base may be anywhere.
         return torch.cat((wanted[:, :arm], torch.zeros_like(wanted[:, arm:])), 1)
 
 

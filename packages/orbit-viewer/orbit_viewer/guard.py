@@ -1,8 +1,8 @@
-"""Who may talk to the viewer's web server: pages that the server itself gave out, and nobody else's.
+"""Guard of the viewer's web server: only pages that the server itself served may talk to it.
 
-A browser lets any page on the web open a websocket to this computer, and tells the server from where the page came. A
-request passes only where that origin is the server itself, under one of this computer's own names: a foreign name that
-was made to point here is refused as well. An address that other computers reach asks for a token besides, which the
+A browser lets any page on the web open a websocket to this computer, and sends the server the page's origin. A request
+passes only if that origin is the server itself, under one of this computer's own names: a foreign name that was made to
+point here (DNS rebinding) is refused as well. An address that other computers reach also requires a token, which the
 printed address carries once and a cookie from then on.
 """
 
@@ -35,17 +35,17 @@ ProcessRequest = Callable[[ServerConnection, Request], Response | None]
 
 @dataclass(frozen=True)
 class Page:
-    """A page beside the library's, at the same address and behind the same guard."""
+    """Page in addition to viser's, at the same address and behind the same guard."""
 
     path: str
-    """``/name``"""
+    """Path of the page: ``/name``."""
     html: bytes
     listen: Listener
-    """Talks with whoever opens a websocket at the path, until it is closed."""
+    """Function that serves a websocket opened at the path, until it is closed."""
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this computer reaches an address."""
+    """Return whether only this computer reaches an address."""
     if host == "localhost":
         return True
     try:
@@ -55,32 +55,34 @@ def is_loopback(host: str) -> bool:
 
 
 class Guard:
-    """Lets requests pass, or answers them itself.
+    """Guard that lets requests pass, or answers them itself.
 
     Args:
-        host: address that the server listens at.
-        pages: that it has besides the library's.
+        host: address that the server listens on.
+        pages: pages in addition to viser's.
     """
 
     def __init__(self, host: str, pages: Sequence[Page] = ()) -> None:
         self.pages = {page.path: page for page in pages}
-        """By their paths."""
+        """Pages by their paths."""
         self._loopback = is_loopback(host)
         self.token = "" if self._loopback else secrets.token_urlsafe(24)
-        """What the first request must carry as ``?token=``; empty where only this computer reaches the server."""
+        """Token that the first request must carry as ``?token=``; empty if only this computer reaches the server."""
 
     def answer(self, request: Request) -> Response | None:
-        """None for a request that may pass."""
+        """Return the refusal or redirection of a request, or None if the request may pass."""
         headers = request.headers
         host, origins = headers.get("Host", ""), headers.get_all("Origin")
+        # A name in DNS that points to 127.0.0.1 makes a foreign page look local, except for this header.
         if self._loopback and not is_loopback(_name_of(host)):
-            return _refusal(f"this server is not called '{host}'")
+            return _refusal(f"this server does not have the name '{host}'")
         if any(urllib.parse.urlsplit(origin).netloc != host for origin in origins):
-            return _refusal("pages of other origins may not talk to this server")
+            return _refusal("pages of other origins must not talk to this server")
         if not self.token or self._is_known(headers):
             return None
         query = urllib.parse.parse_qs(urllib.parse.urlsplit(request.path).query)
         if self._is_token(query.get("token", [""])[0]):
+            # SameSite keeps other sites' requests from carrying the token; HttpOnly hides it from scripts.
             cookie = f"{_COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
             page = self.page(request)
             headers = Headers(Location=page.path if page else "/", **{"Set-Cookie": cookie})
@@ -100,17 +102,18 @@ class Guard:
         return _COOKIE in cookies and self._is_token(cookies[_COOKIE].value)
 
     def _is_token(self, given: str) -> bool:
+        # In constant time, so that response times do not reveal how much of a guess is right.
         return secrets.compare_digest(given.encode(), self.token.encode())
 
 
 @contextmanager
 def guarded(guard: Guard) -> Iterator[None]:
-    """A web server that a library starts within asks the guard first.
+    """Put a guard in front of a web server that viser starts within the context.
 
-    The library has no door for that, so the function that it starts its server with is wrapped for as long.
+    viser has no hook for that, so the function that it starts its server with is replaced for that time.
 
     Raises:
-        ConfigurationError: the library started none in the way that is known.
+        ConfigurationError: viser did not start its server by that function.
     """
     serve = websockets.asyncio.server.serve
     wrapped = 0
@@ -121,7 +124,7 @@ def guarded(guard: Guard) -> Iterator[None]:
         def process(connection: ServerConnection, request: Request) -> Response | None:
             try:
                 return answered(connection, request)
-            except (ValueError, LookupError, OSError):  # a host, a header twice or a path that no browser sends
+            except (ValueError, LookupError, OSError):  # a host, repeated header or path that no browser sends
                 return _refusal("malformed request", http.HTTPStatus.BAD_REQUEST)
 
         def answered(connection: ServerConnection, request: Request) -> Response | None:
@@ -139,6 +142,7 @@ def guarded(guard: Guard) -> Iterator[None]:
         wrapped += 1
         return serve(handle, *arguments, process_request=process, **options)
 
+    # One patch at a time: two viewers that start together would otherwise restore each other's function.
     with _PATCHING:
         websockets.asyncio.server.serve = serve_guarded  # pyright: ignore[reportAttributeAccessIssue]
         try:
@@ -147,8 +151,8 @@ def guarded(guard: Guard) -> Iterator[None]:
             websockets.asyncio.server.serve = serve
     if not wrapped:
         raise ConfigurationError(
-            "this version of viser starts its web server in a way that cannot be guarded against other origins' pages: "
-            f"{install_extra('viewer')} brings one that can"
+            "this version of viser starts its web server in a way that ORBIT cannot guard against pages of other "
+            f"origins: {install_extra('viewer')} installs a version that it can"
         )
 
 

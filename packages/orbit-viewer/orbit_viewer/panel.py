@@ -23,23 +23,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Selection:
-    """What is drawn: ``count`` environments from number ``first`` on."""
+    """Choice of what is drawn: ``count`` environments from number ``first`` on."""
 
     first: int = 0
     count: int = 1
     collisions: bool = False
-    """Collision shapes in place of visual ones."""
+    """Whether collision shapes are drawn instead of visual ones."""
     markers: bool = True
     frames: bool = False
     """Axes at the robots' bases, end effectors, finger tips, feet and wheels."""
 
 
 class Controls:
-    """Wishes of the person at the panel, safe to set from any thread."""
+    """Requests of the person at the panel, safe to set from any thread."""
 
     def __init__(self, num_envs: int, paused: bool = False) -> None:
         self._num_envs = num_envs
         self._lock = threading.Lock()
+        # Both share one lock, so that waiting and taking see the same requests.
         self._changed = threading.Condition(self._lock)
         self._paused = paused
         self._single_steps = 0
@@ -51,17 +52,17 @@ class Controls:
 
     @property
     def paused(self) -> bool:
-        """Whether no step is taken until :meth:`play`, but for single ones."""
+        """True while no steps are taken, except single ones, until :meth:`play`."""
         return self._paused
 
     @property
     def stopped(self) -> bool:
-        """Whether the viewer is to end."""
+        """True once the viewer must end."""
         return self._stopped
 
     @property
     def selection(self) -> Selection:
-        """What people chose to look at."""
+        """Choice of the person of what is drawn."""
         return self._selection
 
     def play(self) -> None:
@@ -72,13 +73,13 @@ class Controls:
             self._changed.notify_all()
 
     def pause(self) -> None:
-        """Hold before the next step."""
+        """Pause before the next step."""
         with self._changed:
             self._paused = True
             self._changed.notify_all()
 
     def single_step(self) -> None:
-        """Pause, and take one step more."""
+        """Pause, and take one more step."""
         with self._changed:
             self._paused = True
             self._single_steps += 1
@@ -104,7 +105,17 @@ class Controls:
         markers: bool | None = None,
         frames: bool | None = None,
     ) -> None:
-        """Change what is drawn; None leaves as it is, and environments that do not fit are moved to fit."""
+        """Change what is drawn.
+
+        Args:
+            first: number of the first environment; it is moved so that ``count`` environments fit.
+            count: number of environments.
+            collisions: draw collision shapes instead of visual ones.
+            markers: draw markers.
+            frames: draw axes of the robots.
+
+        None leaves a choice as it is.
+        """
         with self._changed:
             old = self._selection
             count = min(max(1, old.count if count is None else count), self._num_envs)
@@ -119,13 +130,14 @@ class Controls:
             self._changed.notify_all()
 
     def take_reset(self) -> bool:
-        """Whether a reset is due; asking grants it."""
+        """Return whether a reset is due, and clear the request."""
         with self._lock:
+            # However often it was requested, one reset is due.
             wanted, self._reset_wanted = self._reset_wanted, False
             return wanted
 
     def take_step(self) -> bool:
-        """Whether a step is due; asking grants it."""
+        """Return whether a step is due; while paused, use up one of the single steps."""
         with self._lock:
             if not self._paused:
                 return True
@@ -135,13 +147,13 @@ class Controls:
             return True
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a wish is made, at most that long."""
+        """Sleep until a request comes, at most ``seconds``."""
         with self._changed:
             self._changed.wait(seconds)
 
 
 class Pacer:
-    """Holds a loop to real time; when the loop is late it does not hurry afterwards to make up for it."""
+    """Pacer of a loop to real time; a late loop does not hurry afterwards to catch up."""
 
     def __init__(
         self, clock: Callable[[], float] = time.perf_counter, sleep: Callable[[float], None] = time.sleep
@@ -155,28 +167,28 @@ class Pacer:
         now = self._clock()
         self._due += period
         if self._due <= now:
-            self._due = now
+            self._due = now  # the debt is dropped: after a slow step the picture must not race to catch up
         else:
             self._sleep(self._due - now)
 
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0, "as fast as it can": math.inf}
 MOST_ENVIRONMENTS = 36
-"""Drawn at once."""
+"""Limit of environments drawn at once: each costs the browser time."""
 NO_PICTURE, ALL_PICTURES = "none", "all"
 _HISTORY = 400
 
 
 class Panel:
-    """Controls and displays. What a person does only sets ``controls``.
+    """Panel of controls and displays. Each action of a person only sets ``controls``.
 
     Args:
-        server: of viser.
-        controls: takes the wishes.
-        num_envs: of the world.
-        pictures: names of what cameras offer.
-        title: stands at the top.
-        beside: begin with all pictures, above the rest of the panel.
+        server: viser's server.
+        controls: takes the requests.
+        num_envs: number of the world's environments.
+        pictures: names of the pictures that cameras offer.
+        title: title at the top.
+        pictures_first: show all pictures at first, above the rest of the panel.
     """
 
     def __init__(
@@ -186,11 +198,12 @@ class Panel:
         num_envs: int,
         pictures: Sequence[str],
         title: str,
-        beside: bool = False,
+        pictures_first: bool = False,
     ) -> None:
         self._server = server
         self._controls = controls
         self._reward: deque[tuple[float, float]] = deque(maxlen=_HISTORY)
+        # No share button: it would ask for a public tunnel, which the viewer refuses.
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.gui.main_panel.dock_right()
         server.gui.set_panel_label(title)
@@ -204,30 +217,32 @@ class Panel:
         self._pictures: dict[str, GuiImageHandle] = {}
         self._picture_choice: Any = None
         if pictures:
-            with server.gui.add_folder("Cameras", order=-1.5 if beside else None):
-                self._add_pictures(pictures, ALL_PICTURES if beside and len(pictures) > 1 else pictures[0])
+            with server.gui.add_folder("Cameras", order=-1.5 if pictures_first else None):
+                several = pictures_first and len(pictures) > 1
+                self._add_pictures(pictures, ALL_PICTURES if several else pictures[0])
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Which of the pictures are to be shown."""
+        """Names of the pictures to show."""
         name = self._picture_choice.value if self._picture_choice else NO_PICTURE
+        # The choice names one picture, all or none.
         return tuple(self._pictures) if name == ALL_PICTURES else () if name == NO_PICTURE else (name,)
 
     def show_status(self, rows: Mapping[str, str]) -> None:
-        """A table of what and how much."""
+        """Show a table of names and values above the buttons."""
         lines = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
         self._status.content = f"| | |\n|:--|--:|\n{lines}"
 
     def show_picture(self, name: str, picture: npt.NDArray[np.uint8]) -> None:
-        """(H, W, 3) under the choice of cameras."""
+        """Show a picture (H, W, 3) under the choice of cameras."""
         self._pictures[name].image = picture
 
     def add_reward(self, seconds: float, reward: float) -> None:
-        """One more point of the curve; :meth:`show_reward` draws it."""
+        """Add a point to the curve; :meth:`show_reward` draws it."""
         self._reward.append((seconds, reward))
 
     def clear_reward(self) -> None:
-        """Start the curve anew."""
+        """Clear the curve."""
         self._reward.clear()
 
     def show_reward(self) -> None:
@@ -237,7 +252,7 @@ class Panel:
             self._plot.data = (points[:, 0].copy(), points[:, 1].copy())
 
     def show_paused(self) -> None:
-        """Let the buttons say what they would do now."""
+        """Show the button, play or pause, that has an effect now."""
         if self._play.visible != self._controls.paused:
             self._play.visible = self._controls.paused
             self._pause.visible = not self._controls.paused
@@ -283,6 +298,7 @@ class Panel:
         gui = self._server.gui
         together = [ALL_PICTURES] if len(names) > 1 else []
         self._picture_choice = gui.add_dropdown("View", [*names, *together, NO_PICTURE], initial_value=chosen)
+        # A placeholder, which pictures replace once they are drawn.
         nothing = np.zeros((2, 2, 3), dtype=np.uint8)
         self._pictures = {name: gui.add_image(nothing, label=name, visible=False) for name in names}
 

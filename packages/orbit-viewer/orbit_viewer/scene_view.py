@@ -1,7 +1,7 @@
-"""Scene in the browser: every link is sent once, and a frame only moves it; with lights, and a robot's ghost.
+"""Scene in the browser: every link is sent once, and frames only move it; lights; a robot's ghost.
 
-The browser's renderer computes in linear light. Surfaces that no directional light falls on, and those that face a
-single one, are as bright as :mod:`orbit_core.scene.scene` says; between the two, the browser's are brighter.
+The browser's renderer computes in linear light. Surfaces that receive no directional light, and those that face a
+single one, are as bright as :mod:`orbit_core.scene.scene` defines; between the two, the browser's are brighter.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """Shapes in a frame of their own, ready to be drawn."""
+    """Shapes in their own frame, ready to be drawn."""
 
     glb: bytes
-    """Binary glTF, one mesh a colour."""
+    """Binary glTF with one mesh for each colour."""
     corners: npt.NDArray[np.float64]
-    """(8, 3) of the box round them."""
+    """Corners (8, 3) of the box around the shapes."""
 
     @staticmethod
     def of(shapes: Iterable[Shape]) -> Drawing:
-        """Triangles of one or more shapes.
+        """Convert one or more shapes to triangles.
 
         Raises:
-            ConfigurationError: one is a plane, which has no end.
+            ConfigurationError: one is a plane, which is infinite.
         """
         import trimesh
         from trimesh.visual import TextureVisuals
@@ -60,14 +60,14 @@ class Drawing:
             joined.visual = TextureVisuals(material=_material(color))
             scene.add_geometry(joined)
         data = scene.export(file_type="glb", include_normals=True)
-        assert isinstance(data, bytes)  # what a GLB export gives
+        assert isinstance(data, bytes)  # trimesh's other formats give text or several files
         return Drawing(data, np.asarray(trimesh.bounds.corners(scene.bounds)))
 
 
 def _material(color: Color) -> Any:
     from trimesh.visual.material import PBRMaterial
 
-    # glTF's colours are linear in light; a screen's, as the scene's are, follow the sRGB curve.
+    # glTF's colours are linear in light; those of the scene and of screens follow the sRGB curve (IEC 61966-2-1).
     screen = np.asarray(color[:3])
     linear = np.where(screen <= 0.04045, screen / 12.92, ((screen + 0.055) / 1.055) ** 2.4)
     rgba = np.round(255.0 * np.array([*linear, color[3]])).astype(np.uint8)
@@ -79,15 +79,16 @@ def _material(color: Color) -> Any:
     )
 
 
+# A translucent blue, in which no robot comes, so that a ghost is not taken for the robot.
 _COLOR: Color = (0.15, 0.5, 0.95, 0.35)
 
 
 class Ghost:
-    """Draws a robot at joint positions of one's choice, by forward kinematics.
+    """Drawing of a robot at chosen joint positions, by forward kinematics.
 
     Args:
-        server: of viser.
-        spec: of the robot.
+        server: viser's server.
+        spec: the robot.
     """
 
     def __init__(self, server: ViserServer, spec: RobotSpec) -> None:
@@ -100,32 +101,34 @@ class Ghost:
                 self._links.append((index, handle))
 
     def place(self, root: Tensor, positions: Tensor) -> None:
-        """Show it with its root at a pose (7,) and its joints at positions (J,)."""
+        """Show the robot with its root at a pose (7,) and its joints at positions (J,)."""
         poses = self._tree.forward(root[None].cpu(), positions[None].cpu().to(torch.float32))[0].numpy()
-        with self._server.atomic():
+        with self._server.atomic():  # all links in one picture: the ghost would seem to fall apart for a moment
             for index, handle in self._links:
                 handle.position, handle.wxyz = poses[index, :3], poses[index, 3:]
                 handle.visible = True
 
     def hide(self) -> None:
-        """Draw it no more."""
+        """Hide the robot."""
         for _, handle in self._links:
             handle.visible = False
 
 
+# Exponent between a screen's colours and linear light, near enough to the sRGB curve for lights.
 _GAMMA = 2.2
 # Metres from a directional light to the origin, which it shines at.
 _DISTANCE = 3.0
 
 
 def add_lights(server: ViserServer, scene: Scene) -> None:
-    """Light and background of a scene in place of the browser's own."""
+    """Add a scene's lights and background instead of viser's."""
     browser = server.scene
     browser.configure_default_lights(enabled=False)
     around = np.asarray(scene.ambient, dtype=np.float64)
     color, intensity = browser_light(around**_GAMMA)
     browser.add_light_ambient("/lights/ambient", color=color, intensity=intensity)
     for index, light in enumerate(scene.directional_lights):
+        # The difference in linear light: with the ambient light it adds up to the scene's brightness.
         color, intensity = browser_light((around + light.radiance) ** _GAMMA - around**_GAMMA)
         x, y, z = (-_DISTANCE * part for part in light.unit_direction)
         browser.add_light_directional(
@@ -137,7 +140,7 @@ def add_lights(server: ViserServer, scene: Scene) -> None:
 
 
 def browser_light(linear: npt.NDArray[np.float64]) -> tuple[tuple[int, int, int], float]:
-    """Colour and intensity of linear light (3,); three.js divides a light's intensity by pi."""
+    """Compute the colour and intensity of linear light (3,); three.js divides a light's intensity by pi."""
     brightest = float(linear.max())
     if brightest <= 0.0:
         return (0, 0, 0), 0.0
@@ -155,21 +158,21 @@ _ALL = slice(None)
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Poses of everything in each of the n environments that are drawn, in its own frame."""
+    """Poses of all links, markers and particles in each of the n drawn environments, in its own frame."""
 
     link_poses: FloatArray
-    """(n, L, 7) in the layout's order."""
+    """Poses (n, L, 7) in the layout's order."""
     marker_poses: FloatArray
-    """(n, M, 7) in the scene's order."""
+    """Poses (n, M, 7) in the scene's order."""
     particles: tuple[FloatArray, ...] = ()
-    """(n, P, 3) of each deformable."""
+    """Positions (n, P, 3) of each deformable's particles."""
     first: int = 0
-    """Index of the first of them in the world."""
+    """Index of the first environment in the world."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A link as it looks in the environments of one kind: those of index ``kind`` modulo ``kinds``."""
+    """Look of a link in the environments of one kind: those of index ``kind`` modulo ``kinds``."""
 
     link: int
     drawing: Drawing
@@ -177,18 +180,18 @@ class _Body:
     kinds: int
 
     def rows(self, first: int) -> slice:
-        """Which of the environments from ``first`` on."""
+        """Return this kind's share of the environments from ``first`` on."""
         return slice((self.kind - first) % self.kinds, None, self.kinds)
 
 
 class SceneView:
-    """Draws some environments of a scene side by side on a square grid; a single one stands at the origin.
+    """Drawing of some environments of a scene side by side on a square grid; a single one is at the origin.
 
     Args:
-        server: of viser; its scene is this view's alone.
+        server: viser's server, whose scene only this view changes.
         layout: the scene.
-        collisions: draw collision shapes in place of visual ones. A link without visual shapes shows its collision
-            shapes in either case.
+        collisions: draw collision shapes instead of visual ones. A link without visual shapes always shows its
+            collision shapes.
     """
 
     def __init__(self, server: ViserServer, layout: SceneLayout, collisions: bool = False) -> None:
@@ -221,17 +224,19 @@ class SceneView:
 
     @property
     def count(self) -> int:
-        """How many environments are drawn."""
+        """Number of environments that are drawn."""
         return len(self._offsets)
 
     def update(self, frame: Frame) -> None:
-        """Move everything; what does not move costs nothing to send."""
+        """Move everything to the poses of a frame."""
+        # Environments look the same unless the scene has variants, so that otherwise others are shown by moving links.
         if len(frame.link_poses) != self.count or (frame.first != self._first and len(self._layout.variants) > 1):
             self._draw(frame)
             return
         with self._server.atomic():
             for body, handle in self._bodies_drawn:
                 self._place(handle, frame.link_poses[:, body.link], body.rows(self._first))
+            # Markers and links come in one message with the particles, so that a frame is never half drawn.
             for index, handle in enumerate(self._markers_drawn):
                 self._place(handle, frame.marker_poses[:, index])
             for index, (handles, particles) in enumerate(zip(self._particles_drawn, frame.particles, strict=True)):
@@ -239,19 +244,19 @@ class SceneView:
                     handle.vertices = vertices
 
     def show_collisions(self, collisions: bool) -> None:
-        """Draw collision shapes in place of visual ones, from the next frame on."""
+        """Draw collision shapes instead of visual ones, from the next frame on."""
         if collisions != self._collisions:
             self._collisions = collisions
             self._draw_links()
 
     def show_markers(self, visible: bool) -> None:
-        """Whether markers are drawn."""
+        """Show or hide markers."""
         self._markers_visible = visible
         for handle in self._markers_drawn:
             handle.visible = visible
 
     def show_frames(self, visible: bool) -> None:
-        """Whether axes are drawn at bases, end effectors, finger tips, feet and wheels, from the next frame on."""
+        """Show or hide axes at bases, end effectors, finger tips, feet and wheels, from the next frame on."""
         if visible != self._frames_visible:
             self._frames_visible = visible
             self._draw_links()
@@ -275,13 +280,15 @@ class SceneView:
                     shapes = link.collisions if self._collisions or not link.visuals else link.visuals
                     if shapes:
                         self._bodies.append(_Body(number, Drawing.of(shapes), kind, len(alternatives)))
+        # No environment counts as drawn, so that the next frame draws all of them.
         self._offsets = np.zeros((0, 3), dtype=np.float32)
 
     def _draw(self, frame: Frame) -> None:
-        """Send everything anew, for other environments."""
+        """Send everything again, for other environments or other shapes."""
         self._remove()
         self._first = frame.first
         low, high = self._extent(frame, range(len(self._layout.links)))
+        # Environments are apart by the scene's width, and somewhat more, so that they do not touch.
         self._offsets = _square_grid(len(frame.link_poses), spacing=1.25 * float((high - low)[:2].max()) + 0.2)
         with self._server.atomic():
             for body in self._bodies:
@@ -290,6 +297,7 @@ class SceneView:
                     name = f"/links/{body.link}" + (f".{body.kind}" if body.kind else "")
                     handle = self._add(name, body.drawing, frame.link_poses[:, body.link], rows)
                     self._bodies_drawn.append((body, handle))
+                    # Handlers belong to handles, which are new whenever everything is sent again.
                     if (name := self._clickable.get(body.link)) and (clicked := self._clicked):
                         handle.on_click(lambda _, name=name, clicked=clicked: clicked(name))
             for body in self._axes if self._frames_visible else ():
@@ -345,7 +353,7 @@ class SceneView:
         ]
 
     def _vertices(self, index: int, particles: FloatArray) -> FloatArray:
-        """(n, V, 3) of what is drawn of a deformable's particles (n, P, 3)."""
+        """Compute the drawn vertices (n, V, 3) of a deformable's particles (n, P, 3)."""
         return self._surfaces[index].vertices(torch.from_numpy(particles)).numpy()
 
     def _draw_plane(self, index: int, plane: Shape) -> None:
@@ -369,12 +377,12 @@ class SceneView:
 
     @property
     def _focus(self) -> list[int]:
-        """Links that the camera is to show: all but those of fixed things that do not move, such as tables."""
+        """Links that the camera must show: all except those of fixed objects that cannot move, such as tables."""
         entities = [e for e in self._layout.entities if not e.spec.fixed_base or e.spec.articulation.movable_joints]
         return [link for entity in entities for link in range(entity.links.start, entity.links.stop)]
 
     def _extent(self, frame: Frame, links: Iterable[int]) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box round these links and all deformables of the first environment, or else the terrain."""
+        """Return the corners of a box around links and all deformables of the first environment, or the terrain."""
         first = [body for body in self._bodies if body.rows(frame.first).start == 0 and body.link in set(links)]
         points = [_transformed(frame.link_poses[0, body.link], body.drawing.corners) for body in first]
         points += [particles[0] for particles in frame.particles]
@@ -384,13 +392,15 @@ class SceneView:
         return everything.min(axis=0), everything.max(axis=0)
 
     def _look_at(self, low: FloatArray, high: FloatArray) -> None:
-        """Frame a box: the ball round it, which it does not fill, reaches a little beyond the picture's height."""
+        """Aim the camera at a box."""
         center = (low + high) / 2
         radius = max(0.05, float(np.linalg.norm(high - low)) / 2)
+        # At 1 the ball around the box would fill the picture's height; the box does not fill the ball, so go closer.
         eye = center + VIEW_DIRECTION * 0.9 * radius / math.sin(FIELD_OF_VIEW / 2)
         camera = self._server.initial_camera
         camera.fov = FIELD_OF_VIEW
         camera.position, camera.look_at = _vector(eye), _vector(center)
+        # In proportion to the scene: a fixed near plane would cut off small scenes or waste depth on large ones.
         camera.near = radius / 100.0
 
 
@@ -405,7 +415,7 @@ def _robot_axes(layout: SceneLayout) -> list[_Body]:
 
 
 def _square_grid(count: int, spacing: float) -> FloatArray:
-    """(count, 3) centred on the origin, row by row."""
+    """Return places (count, 3) of a grid centred on the origin, row by row."""
     columns = math.ceil(math.sqrt(count))
     rows = math.ceil(count / columns)
     row, column = np.divmod(np.arange(count), columns)
@@ -415,6 +425,7 @@ def _square_grid(count: int, spacing: float) -> FloatArray:
 
 def _transformed(pose: FloatArray, points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     w, u = pose[3], pose[4:]
+    # Rotation by a quaternion without its matrix: p + w t + u x t with t = 2 u x p.
     turned = 2.0 * np.cross(u, points)
     return points + w * turned + np.cross(u, turned) + pose[:3]
 

@@ -33,11 +33,10 @@ Picture = npt.NDArray[np.uint8]
 
 
 def picture_of(channel: Channel, image: Tensor) -> Picture:
-    """(H, W, 3) of one camera's (H, W, channels).
+    """Convert one camera's image (H, W, channels) to a picture (H, W, 3) for people.
 
-    Depth runs from near, bright, to far, dark; normals and positions show x, y, z as red, green, blue; every
-    index of a segmentation
-    has a colour of its own.
+    Depth runs from near, bright, to far, dark; normals and positions show x, y, z as red, green, blue; every index of
+    a segmentation has its own colour.
     """
     match channel:
         case Channel.RGB | Channel.ALBEDO:
@@ -57,48 +56,49 @@ def _depth(depth: Tensor) -> Tensor:
     if not bool(seen.any()):
         return torch.zeros(*depth.shape[:2], 3, dtype=torch.uint8)
     near, far = depth[seen].min(), depth[seen].max()
+    # Even the farthest surface stays brighter than the black of pixels that see nothing.
     brightness = 230.0 - 200.0 * (depth - near) / (far - near).clamp_min(1e-6)
     return torch.where(seen, brightness, 0.0).to(torch.uint8).expand(-1, -1, 3)
 
 
 def _position(position: Tensor) -> Tensor:
-    """Colours repeat every metre."""
+    """Colour positions; colours repeat every metre."""
     seen = torch.isfinite(position)
     return torch.where(seen, 255.0 * (torch.where(seen, position, 0.0) % 1.0), 0.0).to(torch.uint8)
 
 
 def _indices(indices: npt.NDArray[np.integer]) -> Picture:
     # Hues a golden angle apart are all well apart, however many there are.
-    hue = (indices * 0.381966) % 1.0
+    hue = (indices * 0.381966) % 1.0  # 1 minus the golden ratio's reciprocal
     channels = [np.abs((hue * 6.0 - shift) % 6.0 - 3.0) - 1.0 for shift in (0.0, 2.0, 4.0)]
     colors = 60.0 + 180.0 * np.clip(np.stack(channels, axis=-1), 0.0, 1.0)
     return np.where(indices[..., None] < 0, 30.0, colors).astype(np.uint8)
 
 
 FRAME_PERIOD = 1.0 / 30.0
-"""Seconds from one frame of the scene to the next, at the least."""
+"""Least seconds from one frame of the scene to the next."""
 PANEL_PERIOD = 0.2
-"""Seconds from one update of the panel's text, curve and picture to the next, at the least."""
+"""Least seconds from one update of the panel's text, curve and picture to the next."""
 # Share of the time that the panel's pictures may take; where drawing is slow they are fewer.
 _DRAWING = 0.1
 
 
 class ViewedWorld(Protocol):
-    """What the viewer needs of a world."""
+    """Interface of a world that the viewer reads."""
 
     @property
     def layout(self) -> SceneLayout:
-        """The place of each entity in the world's tensors."""
+        """Layout of the scene's entities in the world's tensors."""
         ...
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, L, 7) positions in metres and quaternions (w, x, y, z), in each environment's frame."""
+        """Poses (N, L, 7): positions in metres and quaternions (w, x, y, z), in each environment's frame."""
         ...
 
     @property
     def markers(self) -> Mapping[str, Marker]:
-        """What is drawn for people, by name."""
+        """Markers drawn for people, by name."""
         ...
 
     @property
@@ -113,14 +113,14 @@ class ViewedWorld(Protocol):
 
 
 class ViewedEnvironment(Protocol):
-    """What the viewer needs of an environment."""
+    """Interface of an environment that the viewer steps."""
 
     num_envs: int
     step_dt: float
 
     @property
     def world(self) -> ViewedWorld:
-        """What is simulated."""
+        """World that the environment simulates."""
         ...
 
     def reset(self) -> Any:
@@ -128,36 +128,36 @@ class ViewedEnvironment(Protocol):
         ...
 
     def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, Mapping[str, Any]]:
-        """One step with actions (N, A): observation, reward, terminated, truncated, info."""
+        """Take one step with actions (N, A), and return observation, reward, terminated, truncated and info."""
         ...
 
 
 class ViewerTool(Protocol):
-    """What a page has besides the scene and the panel."""
+    """Extra part of a page, next to the scene and the panel."""
 
     def update(self) -> None:
-        """Called in the simulation's thread before each step, and some times a second while paused."""
+        """Update the page; called in the simulation's thread before each step, and regularly while paused."""
         ...
 
 
 class Viewer:
-    """Shows an environment that an actor drives, in real time, at a web address of this computer alone.
+    """Viewer of an environment that an actor drives, in real time, at a web address of this computer.
 
     Args:
-        env: what to show.
-        agent: gives the actions.
-        host: network address to listen at; the default is not reachable from other computers. Another one asks for the
-            token that :attr:`url` carries.
+        env: environment to show.
+        agent: actor that gives the actions.
+        host: network address to listen on; the default is not reachable from other computers. Any other one requires
+            the token that :attr:`url` carries.
         port: if taken, the next free one is used.
-        title: stands over the panel.
+        title: title of the panel.
         information: more rows for the panel's table, given an environment's number;
             :func:`orbit_viewer.cli.view.task_information` makes one.
         paused: wait for the person to press play.
         frames: begin with axes at the robots' bases, end effectors, finger tips, feet and wheels.
-        tool: makes what the page has besides, given its server and scene.
-        pages: that the server has besides this one.
-        views: draw pictures (H, W, 3) of the first environment by name, which the panel begins with beside what the
-            scene's cameras see; called in the simulation's thread.
+        tool: makes an extra part of the page, given its server and scene.
+        pages: more pages of the server.
+        views: functions by name that draw pictures (H, W, 3) of the first environment. The panel shows them at first,
+            together with what the scene's cameras see. They are called in the simulation's thread.
 
     Raises:
         ConfigurationError: the web server's library is not installed.
@@ -181,8 +181,8 @@ class Viewer:
         self._agent = agent
         self._information = information
         self._views = _camera_views(env.world)
-        beside = {name: lambda _, draw=draw: draw() for name, draw in (views or {}).items()}
-        self._views |= beside
+        extra = {name: lambda _, draw=draw: draw() for name, draw in (views or {}).items()}
+        self._views |= extra
         self.controls = Controls(env.num_envs, paused)
         self.controls.select(frames=frames)
         self._server, token = _start_server(host, port, title, pages)
@@ -190,9 +190,9 @@ class Viewer:
         self.url = f"{root}/{query}" if token else root
         """Address of the page, with a token where other computers reach it."""
         self.page_urls = tuple(f"{root}{page.path}{query}" for page in pages)
-        """Addresses of the other pages, likewise."""
+        """Addresses of the other pages, with the same token."""
         self._scene = SceneView(self._server, env.world.layout)
-        self._panel = Panel(self._server, self.controls, env.num_envs, list(self._views), title, bool(beside))
+        self._panel = Panel(self._server, self.controls, env.num_envs, list(self._views), title, bool(extra))
         self._tool = tool(self._server, self._scene) if tool else None
         self._pacer = Pacer()
         self._drawn = Selection()
@@ -200,15 +200,15 @@ class Viewer:
         self._drawn_picture = 0
         self._mark = (time.perf_counter(), 0.0)
         self.steps = 0
-        """Taken since the last reset of all environments."""
+        """Steps since the last reset of all environments."""
         self._reward = 0.0
         self._episodes = self._successes = 0
         self._speed = 0.0
 
     def run(self, max_steps: int | None = None) -> None:
-        """Simulate until the interrupt key, :meth:`Controls.stop`, or that many steps.
+        """Simulate until the interrupt key, :meth:`Controls.stop`, or ``max_steps``.
 
-        A step is one of all environments. The environment is reset first.
+        A step is one step of all environments. The environment is reset first.
         """
         left = math.inf if max_steps is None else max_steps
         self._reset()
@@ -225,6 +225,7 @@ class Viewer:
                     self._pacer.wait(self._env.step_dt / self.controls.speed)
                 else:
                     self._show(soon=self.controls.selection != self._drawn)
+                    # Sleep instead of drawing: a request wakes the loop, and tools still update 20 times a second.
                     self.controls.wait(0.05)
         except KeyboardInterrupt:
             self.controls.stop()
@@ -254,6 +255,7 @@ class Viewer:
         self._show(soon=True)
 
     def _step(self) -> None:
+        # Environments begin new episodes by themselves, so that ends only count.
         _, reward, _, _, info = self._env.step(self._agent.act())
         self.steps += 1
         self._reward = float(reward[self.controls.selection.first])
@@ -267,6 +269,7 @@ class Viewer:
     def _show(self, soon: bool) -> None:
         """Draw what is due; ``soon`` draws it now."""
         now = time.perf_counter()
+        # The scene, the panel and pictures each have their own period, because their costs differ.
         if soon or now - self._frame_time >= FRAME_PERIOD:
             self._frame_time = now
             self._show_scene(self.controls.selection)
@@ -301,18 +304,21 @@ class Viewer:
         self._panel.show_reward()
 
     def _show_pictures(self, now: float, soon: bool) -> None:
-        """The next picture that is due; they take turns, so that no step waits for all of them."""
+        """Draw the next picture that is due; they take turns, so that no step waits for all of them."""
         names = self._panel.pictures
         if not names or not (soon or now >= self._picture_time):
             return
         self._drawn_picture += 1
+        # After a reset or a change all pictures are drawn, so that none shows an old state.
         for name in names if soon else (names[self._drawn_picture % len(names)],):
             self._panel.show_picture(name, self._views[name](self.controls.selection.first))
         taken = time.perf_counter() - now
+        # A picture that takes long to draw is drawn less often, so that the simulation keeps its pace.
         self._picture_time = now + max(PANEL_PERIOD / len(names), taken / _DRAWING)
 
     def _status(self, index: int, seconds: float, now: float) -> dict[str, str]:
         marked, simulated = self._mark
+        # The speed is a mean over a second: that of single steps would flicker too fast to read.
         if now - marked >= 1.0:
             self._speed = (seconds - simulated) / (now - marked)
             self._mark = (now, seconds)
@@ -329,7 +335,7 @@ class Viewer:
 
 
 def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tuple[ViserServer, str]:
-    """Return a server that answers its own pages alone and is never shared over the internet; and its token."""
+    """Return a server that answers only its own pages and is never shared over the internet, and its token."""
     try:
         from viser import ViserServer
 
@@ -338,23 +344,24 @@ def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tu
         raise ConfigurationError(f"the viewer needs viser: {install_extra('viewer')}") from None
     if not 0 <= port <= 65535:
         raise ConfigurationError(f"port must be from 0 to 65535, not {port}")
-    try:  # the library would wait for ever for a server that cannot begin
+    try:  # viser waits for ever for a server that cannot start
         socket.create_server((host, 0), family=socket.getaddrinfo(host, None)[0][0]).close()
     except OSError as error:
         raise ConfigurationError(f"the viewer cannot listen at '{host}': {error}") from None
     guard = Guard(host, pages)
     with guarded(guard):
         server = ViserServer(host, port, label=title, verbose=False)
+    # Any page may send this request, and a public tunnel would bypass the guard of loopback addresses.
     server.request_share_url = _share_nothing
     return server, guard.token
 
 
 def _share_nothing(verbose: bool = True) -> None:
-    """In place of opening a public tunnel to this computer, which any page that is shown may ask for."""
+    """Replace viser's request of a public tunnel to this computer, which any shown page may send."""
 
 
 def _camera_views(world: ViewedWorld) -> dict[str, Callable[[int], Picture]]:
-    """By camera and channel, what draws the picture of an environment."""
+    """Return functions that draw an environment's picture, by camera and channel."""
     return {
         f"{name}: {channel.value}": partial(_seen, sensor, channel)
         for name, sensor in world.sensors.items()

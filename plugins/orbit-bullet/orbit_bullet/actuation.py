@@ -1,4 +1,4 @@
-"""What moves the joints of a client's environments: drives, damping and armature through wheels, and plain torques."""
+"""Actuation of joints of a client's environments: drives, damping and armature through wheels, and torques."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Actuation:
         self.stiffness = np.tile(np.where(own, parameters.drive_stiffness, 0.0), (stage.count, 1)).reshape(shape)
         self.damping = np.tile(np.where(own, parameters.drive_damping, 0.0), (stage.count, 1)).reshape(shape)
         self._limit = parameters.effort_limit
-        # Light links of fingers, each between its gear and a wheel of its own, would be solved slowly, and the fingers
+        # Light links of fingers, each between its gear and its wheel, would be solved slowly, and the fingers
         # be bent by what they hold: leaders bear it all.
         self._armature = on_leaders(layout, parameters.armature)
         self._carried_over = self._armature - parameters.armature
@@ -113,7 +113,7 @@ class Actuation:
                 self._drives[slot, entity].set(self._inertia[slot, columns], self._limit[columns])
 
     def set_gains(self, slots: npt.NDArray[np.int64], joints: npt.NDArray[np.int64], k: Any, d: Any) -> None:
-        """Gains (n, k) of joints (k,); a mimic joint has no drive of its own."""
+        """Set gains (n, k) of joints (k,); a mimic joint has no drive."""
         own = self._own[joints]
         joints = joints[own]
         self.stiffness[np.ix_(slots, joints)] = k[:, own]

@@ -60,7 +60,7 @@ def private_buffers(shapes: Shapes) -> Buffers:
 
 
 def shared_buffers(shapes: Shapes, path: Path) -> Buffers:
-    """Buffers in a file that several processes map; its memory goes with the last of them, whatever its name does."""
+    """Create buffers in a file that several processes map; the last of them frees its memory."""
     size = sum(int(np.prod(shape)) for shape in shapes.values())
     block = np.memmap(path, dtype=np.float32, mode="r+" if path.exists() else "w+", shape=(max(size, 1),))
     arrays, start = {}, 0

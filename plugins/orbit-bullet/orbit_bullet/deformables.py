@@ -2,7 +2,7 @@
 
 Cloth is a net of springs along the edges of its mesh; a soft body is a Neo-Hookean solid on tetrahedra that fill its
 surface. Both are integrated explicitly, so that stiffness, step and mass have to fit; this is checked when built.
-Bullet can set positions of particles but not velocities, so a reset loads the body anew.
+Bullet can set positions of particles but not velocities, so a reset loads the body again.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def lame_parameters(soft: SoftBody) -> tuple[float, float]:
 
 
 def deformable_report(layout: SceneLayout) -> list[Approximation]:
-    """What of the deformables Bullet does not take as it is."""
+    """List the approximations in Bullet of deformables."""
     found: list[Approximation] = []
     for deformable in _simulated(layout):
         subject = f"'{deformable.name}'"
@@ -118,7 +118,7 @@ class _Body:
 
 
 class Deformables:
-    """Those of a world's one environment; ``buffers`` take their particles."""
+    """Deformables of a world's one environment; ``buffers`` receive their particles."""
 
     def __init__(self, stage: Stage, buffers: Buffers) -> None:
         self._stage = stage
@@ -233,7 +233,7 @@ class Deformables:
             self._buffers.particle_velocities[0, body.columns] = velocities
 
     def sound(self) -> bool:
-        """Whether every deformable still has about its size."""
+        """Return True if every deformable still has about its initial size."""
         for body in self._bodies:
             positions = self._buffers.particle_positions[0, body.columns]
             rest = np.ptp(np.asarray(body.spec.mesh.vertices), axis=0).max()

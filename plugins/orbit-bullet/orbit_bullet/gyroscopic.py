@@ -4,7 +4,7 @@ Bullet takes the gyroscopic torque ``- w x L`` of a body at the beginning of a s
 without end. Here a torque before the step makes Bullet turn the body with the velocity of the step's middle, where
 ``w = I(exp(w h / 2) R)^-1 L`` with the orientation R, the step of h seconds and the angular momentum L (implicit
 midpoint). After the step the velocity becomes the one that L, with what the step added to it, has in the new
-orientation: ``w = I(R)^-1 L``. A free body then keeps its angular momentum to rounding, whatever its speed, and its
+orientation: ``w = I(R)^-1 L``. A free body then keeps its angular momentum to rounding at any speed, and its
 energy does not drift as long as a step turns it by less than about 45 degrees, which is the most that Bullet does.
 """
 
@@ -52,7 +52,7 @@ class Gyroscopes:
         self.refresh()
 
     def refresh(self) -> None:
-        """Read the moments about principal axes anew, after they were changed."""
+        """Read the moments about principal axes again, after they were changed."""
         moments = {body: np.array(self._client.getDynamicsInfo(body, -1)[2]) for body in self._bodies}
         self._moments = {body: own for body, own in moments.items() if np.ptp(own) > _ROUND * own.max()}
 

@@ -42,7 +42,7 @@ def bullet() -> Any:
 
 
 class Client:
-    """A connection of its own: every function and constant of the module, bound to it."""
+    """Separate connection: every function and constant of the module, bound to it."""
 
     def __init__(self) -> None:
         self._module = bullet()

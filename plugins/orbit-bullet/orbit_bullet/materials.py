@@ -51,7 +51,7 @@ class PairProducts:
         return np.exp(self._solve @ np.concatenate((asked, 0.5e-4 * logarithms)))
 
     def lengths(self, values: FloatArray, factors: FloatArray) -> FloatArray:
-        """Torsional or rolling friction (n,) in metres that, beside ``factors`` of friction, stand for values (n,)."""
+        """Return torsional or rolling friction (n,) in metres that, with ``factors`` of friction, yield values (n,)."""
         if not len(self._pairs) or not values.any():
             return np.zeros_like(values)
         sliding = np.maximum(factors[self._pairs].prod(axis=1), _LEAST_SLIDING)
@@ -59,7 +59,7 @@ class PairProducts:
         return factors * np.maximum(shares, 0.0)
 
     def report_lengths(self, what: str, values: FloatArray, factors: FloatArray) -> list[Approximation]:
-        """What sums of lengths miss: one line, about the pair that is furthest off."""
+        """Report the error of sums of lengths: one line, about the worst pair."""
         lengths = self.lengths(values, factors)
         first, second = self._pairs.T
         got = lengths[first] * factors[second] + lengths[second] * factors[first]
@@ -67,7 +67,7 @@ class PairProducts:
         return self._worst(what, values, got, _LEAST_LENGTH, why)
 
     def report(self, what: str, values: FloatArray) -> list[Approximation]:
-        """What the products miss: one line, about the pair that is furthest off."""
+        """Report the error of the products: one line, about the worst pair."""
         if not len(self._pairs) or not values.any():
             return []
         factors = self.factors(values)
@@ -116,7 +116,7 @@ def _rolling_friction(shape: Shape) -> float:
 
 
 def material_report(layout: SceneLayout) -> list[Approximation]:
-    """What of single materials Bullet does not take as it is."""
+    """List the approximations in Bullet of single materials."""
     found: list[Approximation] = []
     groups = [link.collisions for link in layout.links] + [(shape,) for shape in layout.scene.terrain]
     for subject, shapes in zip(_subjects(layout), groups, strict=True):

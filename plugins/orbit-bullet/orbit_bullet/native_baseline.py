@@ -1,4 +1,4 @@
-"""Bullet's stepping without ORBIT: the same worlds, drives, substeps and read-back, and nothing else.
+"""Bullet's stepping without ORBIT: the same worlds, drives, substeps and read-back only.
 
 The yardstick of ``benchmarks/overhead.py``. One way calls PyBullet by hand in this process; the other has worker
 processes do their steps, without what the core does around them.

@@ -104,7 +104,7 @@ def release(opengl: OpenGl) -> None:
 
 @functools.cache
 def loads() -> bool:
-    """Return True if Bullet draws with OpenGL here, which a process of its own tries.
+    """Return True if Bullet draws with OpenGL here, which a separate process tries.
 
     Where EGL finds no device, the plugin ends the process that loads it, without a word.
     """

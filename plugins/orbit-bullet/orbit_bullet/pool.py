@@ -114,7 +114,7 @@ class ProcessPool(Pool):
             with ScratchFolder(f"orbit-bullet-{os.getpid()}-", parent) as folder:
                 memory = folder / "state"
                 self.buffers = shared_buffers(shapes, memory)
-                # In a thread of its own: an exception that a signal raises here would cut a start short, and the
+                # In a separate thread: an exception that a signal raises here would cut a start short, and the
                 # worker would complain of half a message.
                 with ThreadPoolExecutor(1) as starter:
                     starter.submit(self._start_workers).result()
@@ -263,7 +263,7 @@ def _refuse_too_many(clients: int, workers: int, num_envs: int, config: BulletCo
 
 
 def _available_memory() -> float:
-    """Bytes that the machine can give; infinite where it does not tell."""
+    """Bytes that the machine can give; infinite where it does not report it."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:

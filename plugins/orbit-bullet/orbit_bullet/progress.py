@@ -1,4 +1,4 @@
-"""What a long build tells while it lasts, on stderr: how far it is, what remains, and the memory that it takes."""
+"""Progress of a long build on stderr: how far it is, what remains, and the memory that it takes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class BuildProgress:
         self._began = self._told = 0.0
 
     def add(self, environments: int) -> None:
-        """Count some more, and tell if nothing was told for long; the first ones start the clock."""
+        """Count some more, and report if the last report is long ago; the first ones start the clock."""
         now = time.monotonic()
         if not self._built:
             self._built = self._first = environments

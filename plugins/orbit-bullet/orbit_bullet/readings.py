@@ -30,7 +30,7 @@ class Readings:
 
     @staticmethod
     def of(layout: SceneLayout, count: int) -> Readings:
-        """Nothing read yet."""
+        """Create readings without values."""
         joints, links = len(layout.joints), len(layout.links)
         return Readings(np.zeros((count, links, 13)), np.zeros((count, joints)), np.zeros((count, joints)))
 
@@ -41,7 +41,7 @@ class Readings:
     def convert(
         self, buffers: Buffers, rows: slice | npt.NDArray[np.int64], offsets: FloatArray, origins: FloatArray
     ) -> None:
-        """Fill the rows of ``buffers`` that tell of joints and links.
+        """Fill the rows of joints and links in ``buffers``.
 
         Args:
             buffers: Of the same K environments.

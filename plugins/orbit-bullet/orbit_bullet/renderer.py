@@ -97,7 +97,7 @@ class BulletRenderer(HostRenderer):
         self._moving = np.flatnonzero(~still)
 
     def _drawing(self) -> contextlib.AbstractContextManager[None]:
-        """Whatever reaches OpenGL happens within."""
+        """Return a context in which all calls of OpenGL happen."""
         return contextlib.nullcontext() if self._opengl is None else self._opengl.current()
 
     def draw_pictures(self, request: HostRequest) -> Pictures:
@@ -239,7 +239,7 @@ class BulletRenderer(HostRenderer):
 
 
 def _suits_opengl(cameras: Sequence[CameraSpec]) -> bool:
-    """Whether pictures are large, and none needs a depth finer than the 16 bits of Bullet's OpenGL."""
+    """Return True if pictures are large, and none needs a depth finer than the 16 bits of Bullet's OpenGL."""
     largest = max((camera.width * camera.height for camera in cameras), default=0)
     measured = any({Channel.DEPTH, Channel.POSITION, Channel.NORMALS} & set(camera.channels) for camera in cameras)
     return largest > _TINY_PIXELS and not measured

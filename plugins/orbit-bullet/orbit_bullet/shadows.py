@@ -61,7 +61,7 @@ class MapCamera:
         return 2.0 * math.atan(self.half / _AWAY)
 
     def reached(self, points: _Array, cosines: _Array, depths: _Array) -> npt.NDArray[np.bool_]:
-        """Whether the light meets points (P, 3) first; outside of the map it does.
+        """Return a mask (P,) of points (P, 3) that the light reaches; outside of the map it does.
 
         Args:
             points: on surfaces.

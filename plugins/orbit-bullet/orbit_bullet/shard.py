@@ -1,4 +1,4 @@
-"""The environments of one process: a few Bullet worlds, told apart by rows."""
+"""The environments of one process: a few Bullet worlds, identified by rows."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Shard:
         config: BulletConfig,
         built: Callable[[int], None],
     ) -> None:
-        """Build them; ``built`` is told, after each world, how many environments it has."""
+        """Build them; ``built`` is called after each world with its number of environments."""
         count = len(buffers.link_poses)
         self._buffers = buffers
         self._readings = Readings.of(layout, count)

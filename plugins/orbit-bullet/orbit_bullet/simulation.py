@@ -318,7 +318,7 @@ class Simulation:
             self.actuation.set_gains(rows, joints, stiffness, damping)
 
     def set_friction(self, rows: Rows, links: Rows, coefficients: FloatArray) -> None:
-        """(n, k) of links (k,); TERRAIN stands for all terrain shapes."""
+        """Set friction (n, k) of links (k,); TERRAIN selects all terrain shapes."""
         self._surfaces.set_friction(rows, links, coefficients)
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------

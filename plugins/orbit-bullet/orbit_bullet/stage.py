@@ -53,7 +53,7 @@ _GEAR_ERP = 0.2
 
 @dataclass(frozen=True)
 class SceneFiles:
-    """What every world of a scene is loaded from."""
+    """Files that every world of a scene is loaded from."""
 
     folder: Path
     entities: tuple[Path, ...]
@@ -299,8 +299,11 @@ class Stage:
             self._let_rebound(body, link)
 
     def _let_rebound(self, body: int, link: int) -> None:
-        """Bullet takes from a rebound what lies between the two before the impact, and adds what it removes of their
-        overlap: so it is to look at shapes that do overlap alone, and to remove hardly anything."""
+        """Let a link rebound by its coefficient.
+
+        Bullet subtracts the gap before the impact from a rebound, and adds the overlap that it removes: so it processes
+        only shapes that do overlap, and removes hardly any of it.
+        """
         damping = _REBOUND_STIFFNESS * self.layout.scene.physics_dt * (1.0 / _REBOUND_ERP - 1.0)
         self.client.changeDynamics(
             body, link, contactProcessingThreshold=0.0, contactStiffness=_REBOUND_STIFFNESS, contactDamping=damping

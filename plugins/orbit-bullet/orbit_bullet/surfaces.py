@@ -32,7 +32,7 @@ class Surfaces:
         self.apply_friction(np.arange(count))
 
     def set_friction(self, rows: Rows, links: Rows, coefficients: FloatArray) -> None:
-        """Set the coefficients (n, k) of links (k,) in environments (n,); ``TERRAIN`` stands for all terrain shapes."""
+        """Set the coefficients (n, k) of links (k,) in environments (n,); ``TERRAIN`` selects all terrain shapes."""
         count = len(self._layout.links)
         for column, link in enumerate(links):
             chosen = slice(count, None) if link == TERRAIN else slice(link, link + 1)

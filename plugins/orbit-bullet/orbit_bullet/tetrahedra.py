@@ -79,7 +79,7 @@ def _lattice(lower: FloatArray, upper: FloatArray, spacing: float) -> FloatArray
 
 
 def _inside(points: FloatArray, vertices: FloatArray, faces: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-    """Whether points lie inside, by the solid angle that the surface covers (van Oosterom and Strackee, 1983)."""
+    """Return a mask of points inside, by the solid angle that the surface covers (van Oosterom and Strackee, 1983)."""
     arms = vertices[faces][None] - points[:, None, None]
     a, b, c = (arms[:, :, i] for i in range(3))
     la, lb, lc = (np.linalg.norm(arm, axis=-1) for arm in (a, b, c))

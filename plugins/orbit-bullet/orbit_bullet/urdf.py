@@ -137,7 +137,7 @@ def write_urdf(robot: ET.Element, path: Path) -> None:
     """Write a URDF file with a line for each element.
 
     Bullet reads lines into a buffer of 8,192 bytes and puts line breaks between what it read, so that a longer line is
-    cut in two wherever the buffer ends: within a word, or a number. No element is nearly as long.
+    cut in two where the buffer ends: within a word, or a number. No element is nearly as long.
     """
     ET.indent(robot, space="")
     ET.ElementTree(robot).write(path)

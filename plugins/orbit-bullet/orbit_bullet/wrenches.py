@@ -1,4 +1,4 @@
-"""What joints transmit, from the balance of momentum of all that hangs on them.
+"""Wrenches that joints transmit, from the balance of momentum of all links beyond them.
 
 Bullet's own joint sensors leave out what constraints do. The parent's wrench is the rate of change of the momentum of
 the links beyond the joint over the last step, less gravity, applied wrenches, and the forces of contacts and of joints

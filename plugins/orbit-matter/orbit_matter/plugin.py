@@ -50,6 +50,7 @@ class OrbitMatter(MatterSolver):
     """Cloth and rope by small-step XPBD, elastic solids by implicit finite elements."""
 
     name = "orbit-matter"
+    contract = (1, 0)
     config_type = MatterConfig
 
     def capabilities(self) -> Capabilities:

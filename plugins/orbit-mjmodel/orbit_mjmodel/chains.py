@@ -1,4 +1,4 @@
-"""A rope's particles and the coordinates of the chain of ball joints that stands for it.
+"""A rope's particles and the coordinates of the chain of ball joints that represents it.
 
 Each piece's frame has its origin in the piece's first particle and its x axis along the piece. Frames follow each other
 without twist. Arrays have a row for each environment; loops run along the rope.

@@ -4,7 +4,7 @@ MuJoCo's implicit integrators take a drive's damping d at the end of a step and 
 joint of inertia m and a step h, with ``a = h^2 k / m`` and ``b = h d / m``, a step of position and velocity is a linear
 map of determinant ``1 / (1 + b)`` and trace ``1 + (1 - a) / (1 + b)``. Its motion grows without end where
 ``a > 4 + 2 b``. Damping of at least ``h k - m / h``, which is ``b >= a - 1``, keeps both between 0 and 2: the joint
-comes to rest at its target, in fewer steps the stiffer its drive. A drive below one radian of natural frequency per
+settles at its target, in fewer steps the stiffer its drive. A drive below one radian of natural frequency per
 step, ``a < 1``, or damped that much by itself, is left as it is.
 
 m is the inertia that the joint shows while all others are free, one over ``dof_invweight0``, at zero joint positions.
@@ -70,7 +70,7 @@ def damping_bias(bias: _Array, inverse_inertia: _Array, time_step: float) -> _Ar
 
 
 def hold_drives(model: mujoco.MjModel, addresses: Addresses, layout: SceneLayout) -> list[Approximation]:
-    """Give a compiled model's drives the damping that they need, and tell of those that have or lack it."""
+    """Give a compiled model's drives the damping that they need, and report those that have or lack it."""
     step, bias = model.opt.timestep, model.actuator_biasprm
     inverse_inertia = model.dof_invweight0[addresses.joint_velocities]
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE:

@@ -39,7 +39,7 @@ class GeomBuilder:
         self._spec = spec
         self._hulls: dict[Mesh, str] = {}
         self._fields: dict[Mesh, str] = {}
-        self._numbers = itertools.count()  # of meshes: a specification lists all of its own to tell how many they are
+        self._numbers = itertools.count()  # of meshes: a specification lists all of them to count them
 
     def add(self, body: mujoco.MjsBody, part: Part, contact: ContactParameters, name: str = "") -> mujoco.MjsGeom:
         """Add ``part`` to ``body``, under a name or none."""
@@ -150,7 +150,7 @@ class GeomBuilder:
 
 
 def geometry_approximations(shape: Shape, subject: str) -> list[Approximation]:
-    """What of the shape's geometry MuJoCo does not take as it is."""
+    """List the approximations in MuJoCo of a shape's geometry."""
     if not (isinstance(shape.geometry, Mesh) and shape.geometry.collision is MeshCollision.TRIANGLES):
         return []
     got = f"prisms that reach {1000 * PRISM_DEPTH:.0f} mm inward"

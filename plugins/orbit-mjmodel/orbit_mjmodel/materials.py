@@ -59,7 +59,7 @@ def contact_parameters(
 
 
 def material_approximations(shape: Shape, subject: str, one_step: bool) -> list[Approximation]:
-    """What of the shape's material MuJoCo does not take as it is; ``one_step``: it rebounds by explicit pairs."""
+    """List the approximations in MuJoCo of a shape's material; ``one_step``: it rebounds by explicit pairs."""
     material = shape.material
     found: list[Approximation] = []
     if material.static_friction != material.dynamic_friction:

@@ -1,9 +1,9 @@
 """Cloth and rope as parts of a MuJoCo model: cloth a flex of triangles, a rope a chain of capsules on ball joints.
 
-Cloth follows its membrane stiffness E t, Poisson's ratio nu and bending stiffness D. MuJoCo's two-dimensional flex of
-Young's modulus Y, ratio p and thickness h has, as stretched strips and cantilevers show, the membrane's ``E t = Y h
-(1 + 2 p) / (4 (1 + p))`` and ``nu = 2 p``, and a bending stiffness of ``Y h^3 / (12 (1 + p))`` over
-:data:`_BENDING`; these are solved for Y, p and h.
+Cloth follows its membrane stiffness E t, Poisson's ratio nu and bending stiffness D. MuJoCo 3's two-dimensional
+flex of Young's modulus Y, ratio p and thickness h has, as stretched strips and cantilevers show, the membrane's
+``E t = Y h (1 + 2 p) / (4 (1 + p))`` and ``nu = 2 p``, and a bending stiffness of ``Y h^3 / (12 (1 + p))`` over
+:data:`_BENDING`; MuJoCo 4 has the same bending, and ``E t = Y h`` and ``nu = p``. These are solved for Y, p and h.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -39,6 +39,7 @@ deep, when the fingers had opened. Six times as stiff, cloth that slides on a sl
 _FASTEST = 0.004
 """Time constant of contacts in seconds, where two steps are not longer."""
 _SELF_CONTACT = int(mujoco.mjtFlexSelf.mjFLEXSELF_AUTO)
+_EXACT_MEMBRANE = int(mujoco.__version__.partition(".")[0]) >= 4
 _STRETCH_AND_BEND, _STRETCH = 3, 2
 """Of MuJoCo's ``elastic2d``."""
 _CLEARANCE = 3.0
@@ -68,7 +69,7 @@ without which a whipping chain gains energy. The slowest wave of 50 pieces loses
 
 @dataclass(frozen=True, eq=False)
 class MatterAddresses:
-    """Where one deformable stands in MuJoCo's arrays; each is a range, in the order of its particles or pieces."""
+    """Addresses of one deformable in MuJoCo's arrays; each is a range, in the order of its particles or pieces."""
 
     spec: Cloth | Rope
     particles: slice
@@ -179,9 +180,12 @@ def _add_cloth(spec: mujoco.MjSpec, index: int, cloth: Cloth, solref: tuple[floa
 
 
 def flex_material(cloth: Cloth) -> tuple[float, float, float]:
-    """Young's modulus in Pa, Poisson's ratio and thickness in m that MuJoCo wants for a cloth's stiffnesses."""
+    """Return Young's modulus in Pa, Poisson's ratio and thickness in m of a flex with a cloth's stiffnesses."""
     stretch, nu = cloth.membrane_stiffness, cloth.poissons_ratio
-    bending = cloth.bending_stiffness or 1e-6  # any: a membrane alone has a thickness too
+    bending = cloth.bending_stiffness or 1e-6  # any: a membrane without bending has a thickness too
+    if _EXACT_MEMBRANE:
+        thickness = math.sqrt(12.0 * _BENDING * bending * (1.0 + nu) / stretch)
+        return stretch / thickness, nu, thickness
     thickness = math.sqrt(3.0 * _BENDING * bending * (1.0 + nu) / stretch)
     return 4.0 * stretch * (1.0 + 0.5 * nu) / ((1.0 + nu) * thickness), 0.5 * nu, thickness
 
@@ -323,7 +327,7 @@ def _report_held(thing: Cloth | Rope) -> list[Approximation]:
 
 
 def _own_place(thing: Cloth | Rope, particle: int) -> npt.NDArray[np.float64]:
-    """Of a particle in the body that carries it, as the constraint's data; the place in the other one is set later."""
+    """Return a particle's position in the body that carries it, as constraint data; that in the other is set later."""
     data = np.zeros(mujoco.mjNEQDATA)
     if isinstance(thing, Rope) and particle == len(thing.rest_positions) - 1:
         data[0] = piece_lengths(thing)[-1]
@@ -341,7 +345,7 @@ def _carrier(index: int, thing: Cloth | Rope, particle: int) -> str:
 def spare_holders(model: mujoco.MjModel, layout: SceneLayout) -> None:
     """Have cloth and the links that hold it pass each other by, for flexes know no excluded pairs.
 
-    Each such cloth collides by a bit of its own, which all geoms and flexes but those links' answer to.
+    Each such cloth collides by a separate bit, which all geoms and flexes but those links' answer to.
     """
     flex, bit = 0, 1
     for thing in simulated(layout):
@@ -365,8 +369,8 @@ def firm_contacts(
     """Have contacts of cloth give way less; its impedance, of which MuJoCo takes no more than 0.9999, does not do it.
 
     Args:
-        of_bodies: (..., bodies, 2) ``body_invweight0`` as MuJoCo computes it, changed in place: from it follows how far
-            contacts give way, and nothing else.
+        of_bodies: (..., bodies, 2) ``body_invweight0`` as MuJoCo computes it, changed in place: it determines only how
+            far contacts give way.
         of_freedoms: (..., nv) ``dof_invweight0``, likewise.
         matter: all deformables.
     """

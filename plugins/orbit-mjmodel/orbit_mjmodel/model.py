@@ -1,7 +1,7 @@
 """One environment's scene as a MuJoCo model: bodies, joints, drives, collision shapes and sensors.
 
 Every link is a body. A fixed base is a mocap body, so that each environment may place it; a free root has a free joint.
-Every movable joint has an actuator of its own number: ``force = ctrl - stiffness q - damping qd``, limited to the
+Every movable joint has an actuator with the same index: ``force = ctrl - stiffness q - damping qd``, limited to the
 effort limit, with ``ctrl = stiffness target + damping velocity target + effort``.
 """
 
@@ -10,7 +10,7 @@ effort limit, with ``ctrl = stiffness target + damping velocity target + effort`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
 from orbit_core.plugin_kit.bodies import inertia_approximations, is_massless
-from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, Shape
+from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, PhysicsMaterial, Pose, Shape
 from orbit_core.scene.inertias import solid_moments
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
@@ -33,8 +33,8 @@ from orbit_mjmodel.drives import (
     report_swings,
     throwing_wheels,
 )
-from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
-from orbit_mjmodel.materials import contact_parameters, material_approximations
+from orbit_mjmodel.geometry import GeomBuilder, Part, geometry_approximations
+from orbit_mjmodel.materials import ContactParameters, contact_parameters, material_approximations
 from orbit_mjmodel.matter import (
     MatterAddresses,
     add_matter,
@@ -44,9 +44,97 @@ from orbit_mjmodel.matter import (
     slow_spins,
     spare_holders,
 )
-from orbit_mjmodel.rebounds import Collider, add_rebound_pairs, rebounds_in_one_step
-from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
+
+_LIFT = 0.005
+"""Stiffness of the spring that lifts what has sunk in, as a share of ``1 / dt^2``. An impact sinks in by up to one
+step's way, so that the spring adds up to this to the restitution; half of it is taken off in advance."""
+_GRIP = 0.9
+"""Share of the speed of slip that friction may remove in a step, up to Coulomb's limit. The larger it is, the more of
+an impact's slip is stopped, and the higher hops what slides on: MuJoCo's convex cone adds ``mu`` times the share that
+friction could not remove to the speed along the normal."""
+_ONE_STEP = ("implicitfast", "implicit", "euler")
+"""Integrators that turn the acceleration at the beginning of a step into the speed at its end."""
+# Less, and a box on four contacts rebounds too fast; more, and single precision loses momentum.
+_IMPEDANCE = (0.997, 0.997, 0.001, 0.5, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Collider:
+    """A geom of a shape that is the same in all kinds of environments."""
+
+    geom: mujoco.MjsGeom
+    body: str
+    movable: bool
+    material: PhysicsMaterial
+
+
+def rebounds_in_one_step(integrator: str, cone: str) -> bool:
+    """Return True if a reference of ``-(1 + e) v / dt`` gives the rebound, and friction may have a separate one."""
+    return integrator in _ONE_STEP and cone == "elliptic"
+
+
+def add_rebound_pairs(
+    spec: mujoco.MjSpec, colliders: Sequence[Collider], excluded: Collection[frozenset[str]], dt: float
+) -> None:
+    """Write out the pairs of ``colliders`` that may touch and of which one rebounds.
+
+    Args:
+        spec: to which the pairs are added.
+        colliders: all geoms whose pairs may be written out; they are given names.
+        excluded: pairs of names of bodies that pass through each other.
+        dt: the physics step, in seconds.
+    """
+    for number, collider in enumerate(colliders):
+        collider.geom.name = f"collider{number}"
+    for one, other in combinations(colliders, 2):
+        restitution = max(one.material.restitution, other.material.restitution)
+        if restitution == 0.0 or one.material.compliance or other.material.compliance:
+            continue
+        apart = one.body == other.body or frozenset((one.body, other.body)) in excluded
+        if apart or not (one.movable or other.movable):
+            continue
+        sliding, torsional, rolling = np.maximum(one.geom.friction, other.geom.friction)
+        spec.add_pair(
+            geomname1=one.geom.name,
+            geomname2=other.geom.name,
+            condim=max(one.geom.condim, other.geom.condim),
+            friction=(sliding, sliding, torsional, rolling, rolling),
+            solref=(-_LIFT / dt**2, -(1.0 + restitution - 0.5 * _LIFT) / dt),
+            solreffriction=(0.0, -_GRIP / dt),
+            solimp=_IMPEDANCE,
+        )
+
+
+GRAIN = 1e-5
+"""Metres."""
+ABSENT = "absent"
+"""Begins the names of geoms that only other kinds of environments have."""
+
+
+@dataclass(frozen=True)
+class Slot:
+    """The place of one geom in one kind of environment."""
+
+    part: Part
+    contact: ContactParameters
+    absent: bool = False
+
+
+def slots(own: Sequence[Slot], kinds: Iterable[Sequence[Slot]]) -> Iterator[Slot]:
+    """A body's geoms: its ``own``, and grains for what other ``kinds`` have, in an order that is all kinds'."""
+    kinds = list(kinds)
+    middle = own[0].part[3] if own else Pose()
+    for kind in sorted({int(slot.part[0]) for slots_of in kinds for slot in slots_of}):
+        each = [[slot for slot in slots_of if slot.part[0] == kind] for slots_of in kinds]
+        most = max(each, key=len)
+        mine = [slot for slot in own if slot.part[0] == kind]
+        yield from mine
+        for slot in most[len(mine) :]:
+            _, _, asset, _ = slot.part
+            size = (0.0, 0.0, 0.0) if asset else (GRAIN, GRAIN, GRAIN)
+            yield Slot((mujoco.mjtGeom(kind), size, asset, middle), slot.contact, absent=True)
+
 
 AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
 _UNLIMITED = 1e10
@@ -182,7 +270,7 @@ class _Builder:
         self.spec.add_key(name="home")
 
     def set_options(self, solver: str, disabled: int) -> None:
-        """Tell MuJoCo how to step the model."""
+        """Set MuJoCo's options for stepping the model."""
         spec, config = self.spec, self.config
         spec.compiler.degree = False
         spec.compiler.fusestatic = False

@@ -51,7 +51,7 @@ def _seen(entity: Entity) -> list[tuple[Shape, ...]]:
 
 
 def looks_spec(layout: SceneLayout) -> mujoco.MjSpec:
-    """What to compile and draw: :func:`drawn_shapes` in their order, then those of the markers.
+    """Return the specification to compile and draw: :func:`drawn_shapes` in their order, then the markers' shapes.
 
     Body 0 carries the terrain; then come the links' bodies, then the markers', each with the next mocap index.
     """

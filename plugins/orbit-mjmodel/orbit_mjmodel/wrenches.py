@@ -15,7 +15,7 @@ from orbit_mjmodel.addresses import body_name
 
 
 def add_wrench_sensors(spec: mujoco.MjSpec, layout: SceneLayout) -> None:
-    """For each of the layout's wrench links a force, then a torque sensor at its frame: rows (W, 6) of sensor data."""
+    """Add a force and a torque sensor at the frame of each wrench link of the layout: rows (W, 6) of sensor data."""
     for number, link in enumerate(layout.wrench_links):
         site = f"wrench{number}"
         spec.body(body_name(link)).add_site(name=site)

@@ -1,14 +1,25 @@
-"""What the plugin registers. MuJoCo is imported only when an engine or a renderer is made."""
+"""Backend that the plugin registers: its capabilities, its declared gaps, and its engines. MuJoCo is imported only when
+an engine or a renderer is made.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
-from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, Gap
-from orbit_mujoco.capabilities import CAPABILITIES
+from orbit_core.interfaces import (
+    EXACT,
+    Backend,
+    Capabilities,
+    Capability,
+    ConfigurationError,
+    Gap,
+    approximate,
+    unsupported,
+)
+from orbit_mjmodel.capabilities import shared_support
+from orbit_mjmodel.gaps import CONTACT, MOTION
 from orbit_mujoco.config import MujocoConfig
-from orbit_mujoco.gaps import GAPS
 
 if TYPE_CHECKING:
     import torch
@@ -16,11 +27,77 @@ if TYPE_CHECKING:
     from orbit_core.interfaces import Engine, Renderer, SceneLayout
     from orbit_core.scene import CameraSpec
 
+CAPABILITIES = Capabilities(
+    shared_support("MuJoCo")
+    | {
+        Capability.SIGNED_DISTANCE_FIELDS: approximate(
+            "distances are interpolated in an octree whose finest cells are 2^-7 of the mesh's box, and contacts are "
+            "found by descent from 40 points, other ones from step to step: what rests on them creeps and trembles"
+        ),
+        Capability.HEIGHT_FIELDS: approximate(
+            "prism by prism, whose sides are felt: on a level floor of cells of 0.1 m a ball at 1 m/s loses 0.06 of "
+            "its speed and turns by 0.045 rad in 1.2 s, and a box stops after 0.5 to 0.9 of its way; exact where the "
+            "whole field has no more than eight planes"
+        ),
+        Capability.COPIED_STATES: EXACT,
+        Capability.DETERMINISTIC: EXACT,
+        Capability.SHADOWS: approximate(
+            "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"
+        ),
+        Capability.RAY_TRACED_RGB: unsupported("MuJoCo rasterises"),
+        Capability.CLOTH: approximate(
+            "a flex that stretches and bends as the scene says, within 5 %; edges of solids poke through between its "
+            "particles; its elasticity is integrated implicitly, which takes 9 % of a turning cloth's energy in a "
+            "second; its friction creeps, a finger that opens may keep hold of it, and joint wrenches do not feel what "
+            "touches it"
+        ),
+        Capability.ROPES: approximate(
+            "a chain of stiff capsules on ball joints, which does not stretch, resists twist as it resists bending, "
+            "does not roll, and does not meet the links that it is attached to in the scene; its friction creeps"
+        ),
+        Capability.GPU: unsupported("this backend simulates on the CPU"),
+    }
+)
+
+_IMPLICIT = (
+    "the elasticity of cloth is integrated implicitly, which damps waves and turning in first order: half as much at "
+    "half the step"
+)
+_EDGE = "it is of first order in the step, with contacts of two steps' time constant: half as much at half the step"
+_CORNERS = "a piece that comes on the edge meets it as a chord, and is pushed out over four steps: 3 to 20 % off"
+_SOFT = "a rope's edges are constraints that act over several steps: they give way under a swing, and damp it"
+
+_MATTER = (
+    Gap("cloth_free", "angular_momentum", 0.9, _IMPLICIT),
+    Gap("cloth_free", "energy", 0.14, _IMPLICIT),
+    Gap("cloth_edge", "slid", 0.5, _EDGE),
+    Gap("rope_edge", "slid", 0.25, _CORNERS),
+    Gap("rope_bobs", "energy", 0.07, _SOFT),
+    Gap("rope_bobs", "length", 0.04, _SOFT),
+    Gap("rope_bobs", "folding", 0.8, _SOFT),
+)
+
+_PRISMS = (
+    "MuJoCo collides a height field prism by prism, and feels the sides between them; fields of up to eight planes in "
+    "all are made of their flat faces and are as level as a plane"
+)
+
+_FIELDS = (
+    Gap("level_height_field", "speed", 0.12, _PRISMS),
+    Gap("level_height_field", "turn", 0.1, _PRISMS),
+    Gap("level_height_field", "way", 0.8, _PRISMS),
+    Gap("level_height_field", "aside", 0.25, _PRISMS),
+    Gap("height_field_bowl", "amplitude", 0.3, _PRISMS),
+)
+
+GAPS: tuple[Gap, ...] = (*MOTION, *CONTACT, *_FIELDS, *_MATTER)
+
 
 class MujocoBackend(Backend):
     """MuJoCo on the CPU, one thread per core."""
 
     name: ClassVar[str] = "mujoco"
+    contract: ClassVar[tuple[int, int]] = (1, 0)
     config_type: ClassVar[type] = MujocoConfig
 
     def capabilities(self) -> Capabilities:

@@ -177,7 +177,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         )
 
     def _named(self, warning: int, place: int) -> str:
-        """Whose coordinate ``place`` of a warning is, for a message; empty where the warning is of something else."""
+        """Name the owner of coordinate ``place`` of a warning, for a message; empty where it has no owner."""
         model = self._model
         if warning == mujoco.mjtWarning.mjWARN_BADQPOS.value:
             body = model.jnt_bodyid[np.searchsorted(model.jnt_qposadr, place, side="right") - 1]

@@ -147,7 +147,7 @@ class NativeMatter:
         self._active[block(rows, self._matter[deformable].anchors.start + particles)] = 0.0
 
     def held(self, rows: HostRows) -> FloatArray:
-        """Which constraints hold, to be put back after a reset."""
+        """Mask of the active constraints, restored after a reset."""
         return self._active[rows].copy() if self._matter else np.zeros(0)
 
     def hold_again(self, held: FloatArray, rows: HostRows) -> None:
@@ -158,7 +158,7 @@ class NativeMatter:
             self.hold(rows)
 
     def hold(self, rows: HostRows) -> None:
-        """What is held is from now on held where it is."""
+        """Hold the particles of active constraints at their current positions."""
         if not any(self._active[rows, one.anchors].any() for one in self._matter):
             return
         self._state.derive()

@@ -20,7 +20,7 @@ Command = npt.NDArray[np.float64]
 
 
 class RawStepper:
-    """A batch of its own of an engine's model; parameters randomised per environment are not copied."""
+    """Separate batch of an engine's model; parameters randomised per environment are not copied."""
 
     def __init__(self, engine: MujocoEngine, threads: int, persistent: bool) -> None:
         model, self._source = engine.native

@@ -1,7 +1,7 @@
 """Physical parameters that differ between environments.
 
 A field of the model is given a value per environment when it is first set. Constants that follow from masses are
-computed anew, once, before they are next needed.
+computed again, once, before they are next needed.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -61,7 +61,7 @@ class Parameters:
                 self._hold_drives()
 
     def _firm_contacts(self) -> None:
-        """Make firm what MuJoCo has just computed anew."""
+        """Make contacts firm again after MuJoCo has recomputed its constants."""
         weights = [self._batch.expand(name) for name in ("body_invweight0", "dof_invweight0")]
         own = [weight[self._constants_due] for weight in weights]
         firm_contacts(own[0], own[1], self._matter)
@@ -92,7 +92,7 @@ class Parameters:
             self.field("pair_friction")[rows, :, :2] = larger[..., None]
 
     def set_drive_gains(self, joints: Indices, stiffness: FloatArray, damping: FloatArray, rows: HostRows) -> None:
-        driven = self._model.actuator_gainprm[joints, 0] > 0  # a mimic joint has no drive of its own
+        driven = self._model.actuator_gainprm[joints, 0] > 0  # a mimic joint has no drive
         index = block(rows, joints[driven])
         bias = self.field("actuator_biasprm")
         bias[(*index, STIFFNESS)] = -stiffness[:, driven]

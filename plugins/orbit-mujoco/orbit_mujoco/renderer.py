@@ -74,7 +74,7 @@ class MujocoRenderer(HostRenderer):
         self._own_colors = self._model.geom_rgba.copy()
         bodies = self._model.geom_bodyid
         links = np.where(bodies > 0, bodies - 1, TERRAIN)
-        # At the geom's index plus one; zero stands for nothing.
+        # At the geom's index plus one; zero is the background.
         self._link_of_geom = np.concatenate(((BACKGROUND,), links)).astype(np.int32)
         self._links_of_geoms = np.where(self._is_marker, TERRAIN, links)
         self._albedo_of_geom = albedo_table(layout)
@@ -137,7 +137,7 @@ class MujocoRenderer(HostRenderer):
         return self._measured(request, depth, np.where(seen, np.array(geoms).reshape(codes.shape), 0))
 
     def _measured(self, request: HostRequest, depth: _Array, geoms: _Array, normals: _Array | None = None) -> Pictures:
-        """With links and albedo of geoms (n, H, W) that count from one."""
+        """Return pictures with links and albedo of geoms (n, H, W), counted from one."""
         links = self._link_of_geom[geoms]
         albedo = repainted(self._albedo_of_geom[geoms], links, request.colors)
         return Pictures(depth=depth, normals=normals, links=links[..., None], albedo=albedo)
@@ -211,7 +211,7 @@ class MujocoRenderer(HostRenderer):
     # The rest --------------------------------------------------------------------------------------------------------
 
     def _codes(self, kind: int) -> npt.NDArray[np.int32]:
-        """The geom's index plus one of each number in an id picture of a kind; zero stands for nothing."""
+        """Return the geom's index plus one for each number in an id picture of a kind; zero is the background."""
         self._show(self._shown[kind])
         self._update_scene()
         geoms = np.zeros(self._scene.ngeom + 1, np.int32)

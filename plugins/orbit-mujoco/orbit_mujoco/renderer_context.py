@@ -13,7 +13,7 @@ _HEADLESS = ("egl", "osmesa")
 
 
 class GlContext(Protocol):
-    """What MuJoCo's classes for OpenGL contexts have in common."""
+    """Interface that MuJoCo's classes for OpenGL contexts share."""
 
     def make_current(self) -> None: ...
 

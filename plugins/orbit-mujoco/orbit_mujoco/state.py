@@ -62,7 +62,7 @@ class State:
 
     @property
     def bounded(self) -> bool:
-        """Whether every number is within the bounds of divergence; what is not a number is not."""
+        """Return True if every number is within the bounds of divergence; NaN is not."""
         # The ufuncs' own reductions: the arrays' methods go through functions of Python.
         lowest, highest = np.minimum.reduce, np.maximum.reduce
         return bool(

@@ -1,4 +1,4 @@
-"""Newton's solvers other than MuJoCo-Warp, each as a backend of its own.
+"""Newton's solvers other than MuJoCo-Warp, each as a separate backend.
 
 Importing this package imports neither Newton nor Warp.
 """

@@ -1,4 +1,4 @@
-"""What the plugin registers for Newton's solvers. Newton is imported only when an engine is made."""
+"""Backends that the plugin registers, one for each solver. Newton is imported only when an engine is made."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 class NewtonBackend(Backend):
     """One of Newton's solvers, on ``cpu`` or ``cuda``."""
 
+    contract: ClassVar[tuple[int, int]] = (1, 0)
     solver_capabilities: ClassVar[Capabilities]
     solver_gaps: ClassVar[tuple[Gap, ...]]
 

@@ -97,7 +97,7 @@ class NewtonEngine(PartedEngine[State, Parameters]):
         self._state.settle()
         with self._graphs.stream():
             self._plant.meter.clear()
-        for _ in range(steps):  # one recording whatever the number: recording takes long
+        for _ in range(steps):  # one recording for any number of steps: recording takes long
             self._graphs.run("step", self._take)
         self._plant.meter.average(steps * self._dynamics.solver_steps)
         self._graphs.run("finish", self._finish)

@@ -160,14 +160,14 @@ def note_divergence(
 
 @wp.kernel(enable_backward=False)
 def note_overflow(count: wp.array[int], most: int, summary: wp.array[int]):
-    """Whether more contacts were found than the buffer holds."""
+    """Record if more contacts were found than the buffer holds."""
     if count[0] > most:
         wp.atomic_or(summary, 0, 2)
 
 
 @wp.kernel(enable_backward=False)
 def mark_articulations(environments: wp.array[bool], articulations: wp.array[bool]):
-    """Those of the environments marked."""
+    """Mark the articulations of the marked environments."""
     articulation = wp.tid()
     per_env = articulations.shape[0] / environments.shape[0]
     articulations[articulation] = environments[articulation / per_env]

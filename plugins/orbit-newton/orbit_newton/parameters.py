@@ -34,7 +34,7 @@ class Parameters:
         self._due = False
 
     def settle(self) -> None:
-        """Tell the solver of masses that were set."""
+        """Notify the solver of masses that were set."""
         if self._due:
             self._masses_changed()
             self._due = False

@@ -95,5 +95,5 @@ class Dynamics:
 
     @property
     def memory(self) -> tuple[Tensor, ...]:
-        """The memory of the past on which the continuation depends, besides the plant's state."""
+        """Tensors of the past that the next step depends on, in addition to the plant's state."""
         return ()

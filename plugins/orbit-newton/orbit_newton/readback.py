@@ -14,7 +14,7 @@ from orbit_newton.builder import BuiltModel
 def read_back(built: BuiltModel, num_envs: int, maximal: bool) -> HeldModel:
     """The numbers of the first environment, whose replicas the others are.
 
-    Where a solver is ``maximal``, inertias are those of links and motors together, and are not told.
+    Where a solver is ``maximal``, inertias are those of links and motors together, and are not read.
     """
     model, dofs = built.model, built.velocities
 

@@ -152,7 +152,7 @@ class State:
     # Writing ---------------------------------------------------------------------------------------------------------
 
     def mark_written(self, rows: Rows) -> None:
-        """What is derived no longer holds in these environments."""
+        """Invalidate derived quantities of these environments."""
         self._written[rows] = True
         self._current = False
 

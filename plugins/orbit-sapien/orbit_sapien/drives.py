@@ -75,7 +75,7 @@ class Drives:
         self._settle()
 
     def to(self, device: torch.device) -> Drives:
-        """The same, with the tensors of its law on another device; what it told PhysX stays told."""
+        """Return a copy with the tensors of its law on another device; values already sent to PhysX stay valid."""
         for name, value in vars(self).items():
             if isinstance(value, Tensor):
                 setattr(self, name, value.to(device))
@@ -138,7 +138,7 @@ class Drives:
         return self.passive, self.friction, self.armature, self.springs, self.limits
 
     def forget(self, rows: list[int]) -> None:
-        """Send everything anew to these environments."""
+        """Send all values again to these environments at the next :meth:`send`."""
         self.sent[:, rows] = np.nan
 
     def _settle(self) -> None:
@@ -203,7 +203,7 @@ class Drives:
         return torch.stack((shifted, speeds, forces))
 
     def send(self, commands: Tensor) -> None:
-        """Write what differs from what PhysX was last told."""
+        """Write the values that differ from those last sent to PhysX."""
         wanted = commands.numpy()
         changed = wanted != self.sent
         for row, column in zip(*(indices.tolist() for indices in np.nonzero(changed[0])), strict=True):

@@ -249,7 +249,7 @@ class SapienEngine(PartedEngine[State, Parameters]):
 
     @property
     def command(self) -> npt.NDArray[np.float32]:
-        """(3, N, J) drive targets, velocity targets and generalised forces that PhysX was last told."""
+        """(3, N, J) drive targets, velocity targets and generalised forces that were last sent to PhysX."""
         return self._drives.sent
 
     def close(self) -> None:

@@ -67,7 +67,7 @@ def collision_shape(
 def _surface(
     vertices: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], material: physx.PhysxMaterial
 ) -> physx.PhysxCollisionShapeTriangleMesh:
-    if not len(faces):  # of which PhysX would make a triangle of its own
+    if not len(faces):  # of which PhysX would make an additional triangle
         raise RuntimeError("it has no triangles")
     return physx.PhysxCollisionShapeTriangleMesh(
         vertices.astype(np.float32), faces.astype(np.uint32), _UNSCALED, material
@@ -77,7 +77,7 @@ def _surface(
 def _hull_approximation(
     vertices: npt.NDArray[np.floating], made: physx.PhysxCollisionShapeConvexMesh, subject: str
 ) -> list[Approximation]:
-    """How far the cooked hull's support is from the one asked for, over directions spread evenly on the sphere."""
+    """Compare the cooked hull's support with the requested one, over directions spread evenly on the sphere."""
     index = np.arange(256) + 0.5
     height, turn = 1 - index / 128, math.pi * (1 + math.sqrt(5)) * index
     width = np.sqrt(1 - height**2)

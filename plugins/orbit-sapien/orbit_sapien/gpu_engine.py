@@ -166,7 +166,7 @@ class SapienGpuEngine(Engine):
             self._contacts.add()
         self._contacts.average(steps * self._dt)
         self._fetch()
-        # PhysX's own step waits for the GPU, so that this look at the result costs no wait of its own.
+        # PhysX's own step waits for the GPU, so that reading the result costs no further wait.
         failed = diverged(self.link_poses, self.link_velocities).nonzero().flatten().tolist()
         if failed and self.raises_divergence:
             raise divergence_error(failed)

@@ -16,7 +16,7 @@ _EXCLUSION_BITS = 32
 
 
 def grid_offset(index: int, spacing: float) -> npt.NDArray[np.float64]:
-    """The offset of an environment on a square spiral, the same whatever the number of environments."""
+    """The offset of an environment on a square spiral, the same for any number of environments."""
     if index == 0:
         return np.zeros(3)
     ring = math.ceil((math.sqrt(index + 1) - 1) / 2)

@@ -8,7 +8,7 @@ Torsional friction is PhysX's patch friction: a single point of contact under th
 the normal with up to ``mu r N``, with ``mu`` the pair's sliding coefficient and ``r`` the larger patch radius of its
 shapes. A pair is to have the torque ``c N`` with the larger torsional coefficient ``c``, so it wants the radius
 ``c / mu``. Each group is given the least that one of its pairs wants: no pair then has more than it wants, and each has
-just that wherever any choice of radii gives it to all.
+just that if some choice of radii gives it to all.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class PairRule:
         return np.maximum(asked + correction @ self._inverse.T, 0.0)
 
     def patch_radii(self, friction: FloatArray) -> FloatArray:
-        """Radii (..., groups) in metres to give PhysX beside dynamic friction (..., groups) as asked."""
+        """Return radii (..., groups) in metres for PhysX, given dynamic friction (..., groups) as requested."""
         wanted = self._larger(self.asked("torsional"))
         sliding = self.given(friction) @ self._averages.T
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -56,7 +56,7 @@ class NativeEntity:
 
     @cached_property
     def free(self) -> bool:
-        """Whether it is a single body that moves."""
+        """True if it is a single body that moves."""
         return isinstance(self.bodies[0], physx.PhysxRigidDynamicComponent)
 
 
@@ -94,7 +94,7 @@ def build_world(layout: SceneLayout, num_envs: int, config: SapienConfig, system
 
 
 def configure_physx(layout: SceneLayout, config: SapienConfig, *, enable_enhanced_determinism: bool) -> None:
-    """PhysX's defaults, which whatever is made from now on takes over."""
+    """Set PhysX's defaults, which apply to everything created from now on."""
     physx.set_scene_config(
         gravity=np.asarray(layout.scene.gravity, np.float32),
         bounce_threshold=config.bounce_threshold,

@@ -1,8 +1,8 @@
-"""Velocities of free bodies as the last step's motion tells them.
+"""Velocities of free bodies, computed from the motion of the last step.
 
 PhysX's TGS solver moves bodies in as many small steps as it has position iterations, and keeps the velocity of the
 last one: under load that is off by some cm/s, even where nothing moves. Over the whole step a body moved at the mean of
-those velocities, which is what engines tell whose poses follow from one velocity a step. PhysX's own number stands
+those velocities, which is what engines report whose poses follow from one velocity a step. PhysX's own number stands
 where there is but one, without contacts, for poses are rounded to single precision; and after a blow, for then the mean
 is of before and after.
 """

@@ -20,7 +20,7 @@ Command = npt.NDArray[np.float32]
 
 
 class RawStepper:
-    """A world of its own like an engine's; parameters randomised per environment are not copied."""
+    """Separate world like an engine's; parameters randomised per environment are not copied."""
 
     def __init__(self, engine: SapienEngine, workers: int) -> None:
         self._source = engine

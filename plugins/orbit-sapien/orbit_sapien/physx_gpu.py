@@ -1,7 +1,7 @@
 """PhysX's GPU library: where it must be, and ``python -m orbit_sapien.physx_gpu install``, which puts it there.
 
 SAPIEN's package has no such library, and would download it unasked. Here nothing is downloaded but by that command,
-which prints what it does and installs only an archive of the SHA-256 that it was told.
+which prints what it does and installs only an archive of the given SHA-256.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def install(url: str, sha256: str | None) -> Path:
 
     Args:
         url: of a zip archive with the library in it.
-        sha256: of the archive, in hexadecimal; None downloads, tells the checksum and installs nothing.
+        sha256: of the archive, in hexadecimal; None downloads, prints the checksum and installs nothing.
 
     Raises:
         ConfigurationError: no checksum was given, or it is another; the download fails, or holds no library.
@@ -128,7 +128,7 @@ def _extract(archive: Path, target: Path) -> None:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """The command; 2 for what the user can mend."""
+    """Run the command; return 2 for a fault that the user can fix."""
     parser = argparse.ArgumentParser(prog="python -m orbit_sapien.physx_gpu", description=__doc__)
     parser.add_argument("command", choices=("install", "where"), help="download the library, or say where it belongs")
     parser.add_argument("--sha256", help="of the archive; without it nothing is installed")

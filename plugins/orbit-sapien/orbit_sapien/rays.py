@@ -1,6 +1,6 @@
-"""Ray casts in a world of their own that holds one environment's shapes.
+"""Ray casts in a separate world that holds one environment's shapes.
 
-PhysX's rays stop at whatever they meet first, other environments' shapes included. This world is posed as each
+PhysX's rays stop at the first shape that they meet, other environments' shapes included. This world is posed as each
 environment is in turn, so that rays meet that environment alone and physics is not disturbed. Rays on the side of a
 cylinder, which PhysX has as a prism, are carried back to the cylinder around it: what is left of the prism is the
 outline, which rays within 0.5 % of the radius miss.

@@ -1,14 +1,19 @@
-"""Pictures of a scene from poses alone, whatever engine they come from: rasterised, or by path tracing."""
+"""Pictures of a scene from poses only, of any engine: rasterised, or by path tracing."""
 
 # pyright: reportAttributeAccessIssue=false
-
 # SAPIEN's stubs ask for shapes of arrays that NumPy's types cannot express.
 # pyright: reportArgumentType=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
 
 from __future__ import annotations
 
+import functools
 import math
+import re
+import shutil
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,12 +21,108 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
-from orbit_core.scene import CameraSpec, Color
+from orbit_core.plugin_kit.scratch import ScratchFolder
+from orbit_core.scene import CameraSpec, Color, DirectionalLight, Rgb, Scene, Sky
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.native import NativePose, sapien
-from orbit_sapien.renderer_lights import Lights
-from orbit_sapien.renderer_shaders import shader_pack
 from orbit_sapien.renderer_shapes import base_color, marker_shapes, render_shape
+
+_DISTANCE = 10.0
+"""Metres from a light that casts shadows to the middle of its shadows."""
+_REACH = 3.0
+"""Metres around the middle that shadows reach."""
+_GAMMA = 2.2
+
+
+class Lights:
+    """All lights of a scene.
+
+    Tier ``fast`` takes the scene's numbers as they are, for its shader works in the picture's. The others compute in
+    linear light, where light adds up otherwise: theirs is such that what is in no directional light, and what faces
+    a single one, is as bright as with ``fast``.
+    """
+
+    def __init__(self, native: sapien.Scene, scene: Scene, config: SapienConfig) -> None:
+        ambient, lamps = scene.ambient, scene.directional_lights
+        linear = config.tier != "fast"
+        native.set_ambient_light([part**_GAMMA for part in ambient] if linear else list(ambient))
+        self._casting: list[tuple[npt.NDArray[np.float64], Any]] = []
+        for lamp in lamps:
+            color = _linear(lamp, ambient) if linear else lamp.radiance
+            casts = lamp.shadows and (config.shadow_size > 0 or config.tier == "rt")
+            made = native.add_directional_light(
+                lamp.unit_direction, list(color), shadow=casts, shadow_scale=_REACH, shadow_near=0.1,
+                shadow_far=2.5 * _DISTANCE, shadow_map_size=max(config.shadow_size, 1),
+            )  # fmt: skip
+            if casts:
+                self._casting.append((np.array(lamp.unit_direction), made.entity))
+
+    def point_at(self, middle: npt.NDArray[Any]) -> None:
+        """Draw shadows around a place (3,)."""
+        for direction, entity in self._casting:
+            entity.set_pose(NativePose((middle - _DISTANCE * direction).astype(np.float32), entity.pose.q))
+
+
+def _linear(lamp: DirectionalLight, ambient: Rgb) -> list[float]:
+    pairs = zip(lamp.radiance, ambient, strict=True)
+    return [math.pi * ((light + around) ** _GAMMA - around**_GAMMA) for light, around in pairs]
+
+
+_OWN = Path(__file__).parent / "shaders"
+_TABLE = re.compile(r"^layout\(.*samplerBRDFLUT;\s*$", re.MULTILINE)
+_LOOK_UP = "vec2 envBRDF = texture(samplerBRDFLUT, vec2(roughness, dotNV)).xy;"
+_SHADOW = "float shadow = 0.0f;"
+_LIT_OUTSIDE = "if (projCoord.xy != clamp(projCoord.xy, 0.0f, 1.0f)) return 1.0f;"
+_FIT = """
+  vec4 fit = roughness * vec4(-1, -0.0275, -0.572, 0.022) + vec4(1, 0.0425, 1.04, -0.04);
+  float edge = min(fit.x * fit.x, exp2(-9.28 * dotNV)) * fit.x + fit.y;
+  vec2 envBRDF = vec2(-1.04, 1.04) * edge + fit.zw;
+"""
+
+
+@functools.cache
+def shader_pack(tier: str, sky: Sky) -> str:
+    """The folder of a tier's shaders under a sky, made once a process.
+
+    Raises:
+        ConfigurationError: the installed SAPIEN has other shaders than those that this was written for.
+    """
+    installed = Path(str(sapien.__file__)).parent / "vulkan_shader"
+    if tier == "rt":
+        return str(installed / "rt")
+    folder = _root().path
+    if not (folder / "common").exists():
+        shutil.copytree(installed / "common", folder / "common")
+        shadows = folder / "common" / "shadow.glsl"
+        shadows.write_text(shadows.read_text().replace(_SHADOW, f"{_LIT_OUTSIDE}\n  {_SHADOW}"))
+    pack = Path(tempfile.mkdtemp(prefix=f"{tier}-", dir=folder))
+    shutil.copytree(installed / "minimal", pack, dirs_exist_ok=True)
+    composite = (_OWN / "composite0.frag").read_text()
+    (pack / "composite0.frag").write_text(
+        composite.replace("SKY_ABOVE", _vector(sky.above)).replace("SKY_BELOW", _vector(sky.below))
+    )
+    if tier == "fast":
+        shutil.copy(_OWN / "gbuffer.frag", pack)
+    else:
+        source = (pack / "gbuffer.frag").read_text()
+        if _LOOK_UP not in source or not _TABLE.search(source):
+            raise ConfigurationError(
+                "the installed SAPIEN has unknown shaders: install sapien==3.0.3, or use tier 'fast'"
+            )
+        (pack / "gbuffer.frag").write_text(_TABLE.sub("", source).replace(_LOOK_UP, _FIT))
+    return str(pack)
+
+
+def _vector(color: Rgb) -> str:
+    red, green, blue = (float(part) for part in color)
+    return f"vec3({red!r}, {green!r}, {blue!r})"
+
+
+@functools.cache
+def _root() -> ScratchFolder:
+    """Removed when the process ends."""
+    return ScratchFolder("orbit-sapien-shaders-")
+
 
 _Array = npt.NDArray[Any]
 _AWAY = NativePose([0.0, 0.0, -1e4])

@@ -69,7 +69,7 @@ def render_shape(shape: Shape, reach: float) -> sapien.render.RenderShape:
 
 
 def marker_shapes(marker: MarkerSpec) -> list[sapien.render.RenderShape]:
-    """What a marker is made of, in its own frame."""
+    """Return the shapes of a marker, in its own frame."""
     return [render_shape(shape, marker.size) for shape in meshes.marker_shapes(marker)]
 
 

@@ -1,7 +1,7 @@
 """Mimic joints as PhysX's fixed tendons.
 
 A tendon is a spring on a weighted sum of joint positions. It pulls each of its links along the axis of the link's
-joint, and the reaction acts on the link at its root, whatever joints lie between. So that these feel nothing, their
+joint, and the reaction acts on the link at its root, across all joints between. So that these feel nothing, their
 links are pulled as well.
 """
 

@@ -171,7 +171,7 @@ def test_a_stiff_drive_sags_as_much_as_its_declaration_says() -> None:
         world = simulate(scene, 1, "sapien", {"position_iterations": iterations})
         world.step(600)
         sag = world.robots["chain"].joint_positions[0, 0].item()
-        assert 1e3 * sag == pytest.approx(expected, abs=0.05), "declared in capabilities.py and README.md"
+        assert 1e3 * sag == pytest.approx(expected, abs=0.05), "declared in backend.py and README.md"
         world.close()
 
 

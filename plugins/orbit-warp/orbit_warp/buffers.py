@@ -39,7 +39,7 @@ class BufferSizes:
 
 
 def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpConfig) -> BufferSizes:
-    """What the settings say, or what the scene is likely to need, never more than it can."""
+    """Return the sizes of the settings, or estimates for the scene, limited to what it can need."""
     pairs = device_model.nxn_geom_pair_filtered.numpy()
     possible = int(_contacts_of_pairs(model, pairs).sum()) if len(pairs) else 0
     touching = np.unique(pairs) if len(pairs) else np.zeros(0, dtype=int)

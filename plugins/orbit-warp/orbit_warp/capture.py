@@ -33,7 +33,7 @@ class WarpCapture(CaptureFacet):
     def _prepare(self) -> None:
         self._prepare_step()
         self._state.refresh()  # so that a recording need not
-        self._state.mark_stepped()  # and so that it derives bodies itself, whatever was asked for meanwhile
+        self._state.mark_stepped()  # and so that it derives bodies itself, even if they were derived meanwhile
 
 
 class _Recording:
@@ -66,7 +66,7 @@ class _Recording:
     def _replay(self) -> None:
         try:
             self._graphs.run_mixed(self, self._operations)
-        except Exception as error:  # whatever Torch, Warp or the driver cannot record
+        except Exception as error:  # Torch, Warp or the driver cannot record it
             self._failed = True
             warnings.warn(
                 f"the step is not recorded as one graph, for {type(error).__name__}: {error}; its operations are "

@@ -229,7 +229,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
         return rows_of(env_ids)
 
     def _indices(self, env_ids: Tensor | None) -> Tensor:
-        """Indices of environments given by index or by mask; -1 stands for one outside of the mask."""
+        """Return indices of environments given by index or by mask; -1 for those outside of the mask."""
         if env_ids is None:
             return self._all
         return torch.where(env_ids, self._all, -1) if env_ids.dtype == torch.bool else env_ids

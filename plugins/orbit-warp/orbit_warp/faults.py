@@ -1,4 +1,4 @@
-"""What went wrong in a step: numbers beyond the bounds of divergence, and buffers that were full.
+"""Faults of a step: numbers beyond the bounds of divergence, and buffers that were full.
 
 A kernel notes it on the device. On a CPU the note is read after the step. On a GPU it travels to the host by itself and
 is read when the next step begins, so that no step waits for it: an error comes one step late.

@@ -87,13 +87,13 @@ class FieldContacts:
 
 
 def plain_model(model: mjw.Model) -> mjw.Model:
-    """The model as MuJoCo-Warp steps it by itself, whoever finds contacts with height fields in this one."""
+    """Return the model as MuJoCo-Warp alone would step it, with its own contacts of height fields."""
     fields = model.callback.contactfilter
     return fields.undone(model) if isinstance(fields, FieldContacts) else model
 
 
 def _of_fields(model: mjw.Model) -> npt.NDArray[np.bool_]:
-    """Which pairs are of a height field with a shape, and not measured by a sensor of contacts."""
+    """Return a mask of the pairs of a height field with a shape that no contact sensor measures."""
     pairs, ids = model.nxn_geom_pair_filtered.numpy(), model.nxn_pairid_filtered.numpy()
     if not len(pairs):
         return np.zeros(0, dtype=bool)
@@ -117,7 +117,7 @@ def _near(pairs: int, triangles: int) -> Near:
 
 
 def _polytopes(threads: int, iterations: int) -> Polytopes:
-    """As large as MuJoCo-Warp has them."""
+    """Allocate polytopes of the same size as MuJoCo-Warp's."""
     vertices, faces = 10 + 2 * iterations, 6 + MJ_MAX_EPAFACES * iterations
     polytopes = Polytopes()
     polytopes.vertices = wp.empty((threads, vertices), dtype=wp.vec3)

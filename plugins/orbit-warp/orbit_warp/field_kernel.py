@@ -1,4 +1,4 @@
-"""Where shapes meet height fields: contacts of spheres, and which triangles other shapes come near.
+"""Contacts of shapes with height fields: of spheres in closed form, and triangles near other shapes.
 
 MuJoCo takes a height field's triangle for the top of a prism that goes down to the field's base, and looks for
 contacts of a shape with each prism under it by a general search. A sphere's are found here in closed form; other shapes
@@ -26,7 +26,7 @@ _SAME = wp.constant(1e-6)
 
 @wp.struct
 class Scene:
-    """What a MuJoCo model and its state tell of shapes and height fields."""
+    """Shapes and height fields of a MuJoCo model and its state."""
 
     types: wp.array[int]
     data_ids: wp.array2d[int]
@@ -43,7 +43,7 @@ class Scene:
 
 @wp.struct
 class Materials:
-    """What a MuJoCo model tells of how contacts behave."""
+    """Contact parameters of a MuJoCo model."""
 
     condim: wp.array[int]
     priority: wp.array[int]
@@ -206,7 +206,7 @@ def nearest_on_triangle(a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 @wp.func
 def is_below(scene: Scene, field: Field) -> bool:
-    """Whether the shape's center is below the surface."""
+    """Return True if the shape's center is below the surface."""
     row = wp.clamp(int(wp.floor(-field.front / field.depth)), field.first_row, field.end_row - 1)
     column = wp.clamp(int(wp.floor(-field.left / field.width)), field.first_column, field.end_column - 1)
     here = corner(scene, field, row, column)
@@ -217,7 +217,7 @@ def is_below(scene: Scene, field: Field) -> bool:
 
 @wp.func
 def is_reported(scene: Scene, field: Field, row: int, column: int, half: int, point: wp.vec3) -> bool:
-    """Whether no triangle that shares this point of a triangle's rim comes nearer, nor is the same and told before."""
+    """Return True unless a triangle that shares this rim point is nearer, or is equal and reported before."""
     here = wp.length(point)
     for other_row in range(field.first_row, field.end_row):
         for other_column in range(field.first_column, field.end_column):
@@ -308,7 +308,7 @@ def near_triangles(
     scene: Scene, field: Field, axes: wp.mat33, half_size: wp.vec3, lowest: float, bound: float, near: Near, pair: int,
     start: int,
 ) -> int:  # fmt: skip
-    """How many triangles have planes that a box reaches below; lists them from ``start`` on unless that is negative.
+    """Count the triangles whose planes a box reaches below; list them from ``start`` unless that is negative.
 
     ``lowest`` is the z of the box's lowest point from its center.
     """

@@ -38,7 +38,7 @@ class Meshes:
 
 @wp.struct
 class Polytopes:
-    """What a search writes into, for each of the threads that run at a time."""
+    """Buffers that a search writes, one set for each thread that runs at a time."""
 
     vertices: wp.array2d[wp.vec3]
     indices: wp.array2d[int]
@@ -115,7 +115,7 @@ def search_triangles(
 
 @wp.kernel(module="unique", enable_backward=False)
 def choose_contacts(scene: Scene, materials: Materials, contacts: Contacts, near: Near):
-    """Of each pair's contacts keep four, as MuJoCo-Warp does: the deepest, and those that span most around it."""
+    """Keep four of each pair's contacts, as MuJoCo-Warp does: the deepest, and those that span most around it."""
     pair = wp.tid()
     if pair >= near.count[0]:
         return
@@ -149,7 +149,7 @@ def choose_contacts(scene: Scene, materials: Materials, contacts: Contacts, near
 
 @wp.func
 def span(near: Near, number: int, item: int, first: int, second: int, third: int) -> float:
-    """How far a contact is from those chosen: from the first, from the line of two, from the sides of a triangle."""
+    """Return a contact's distance from the chosen: from one, from the line of two, or from a triangle's sides."""
     away = near.points[item] - near.points[first]
     if number == 1:
         return wp.length(away)

@@ -1,8 +1,8 @@
-"""What ORBIT adds to MuJoCo-Warp's own kernels: commands in, state, contact forces and faults out, resets.
+"""Kernels in addition to MuJoCo-Warp's: commands in, state, contact forces and faults out, resets.
 
 Each is one launch over environments (and links or contacts); quaternions are (w, x, y, z), as MuJoCo-Warp stores them
 in ``wp.quat``.
-A negative index of an environment stands for none: a mask becomes indices without counting them.
+A negative index of an environment selects none: a mask becomes indices without counting them.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false

@@ -21,7 +21,7 @@ _STATE = ("qpos", "qvel", "qacc_warmstart", "mocap_pos", "mocap_quat", "xfrc_app
 
 
 class RawStepper:
-    """Data of its own for an engine's model, in buffers of the same sizes."""
+    """Separate data of an engine's model, in buffers of the same sizes."""
 
     def __init__(self, engine: WarpEngine) -> None:
         native, sizes = engine.native, engine.buffer_sizes

@@ -1,7 +1,7 @@
 """Physical parameters that differ between environments.
 
 A field of the model is given a value per environment when it is first set, after which recordings that use it are made
-anew. Constants that follow from masses are computed once, before they are next needed.
+again. Constants that follow from masses are computed once, before they are next needed.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Parameters:
     def set_drive_gains(self, joints: Tensor, stiffness: Tensor, damping: Tensor, rows: Rows) -> None:
         bias = self._field("actuator_biasprm")
         index = block(rows, joints)
-        driven = self._driven[joints]  # a mimic joint has no drive of its own
+        driven = self._driven[joints]  # a mimic joint has no drive
         for number, gains in ((STIFFNESS, stiffness), (DAMPING, damping), (ASKED_DAMPING, damping)):
             bias[(*index, number)] = torch.where(driven, -gains, 0.0)
         self._hold_drives()

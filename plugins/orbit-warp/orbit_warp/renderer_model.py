@@ -1,4 +1,4 @@
-"""What is drawn: the scene's looks, then its markers, as the geoms of a MuJoCo model that is never stepped."""
+"""Drawn model: the scene's looks, then its markers, as the geoms of a MuJoCo model that is never stepped."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is an extension module without type information.

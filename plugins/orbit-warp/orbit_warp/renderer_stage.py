@@ -19,7 +19,7 @@ from orbit_warp.renderer_model import PictureModel
 
 @wp.struct
 class StageArrays:
-    """What a ray needs to know. Rows of colours are of kinds of environments: row i modulo their number is i's."""
+    """Inputs of a ray cast. Colours have a row for each kind; environment i uses row i modulo their number."""
 
     geom_type: wp.array[int]
     geom_dataid: wp.array2d[int]

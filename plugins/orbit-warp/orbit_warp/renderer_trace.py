@@ -58,7 +58,7 @@ def byte(value: float) -> wp.uint8:
 
 
 def _cast(geom_types: tuple[int, ...], first_hit: bool) -> wp.Function:
-    """A ray cast of MuJoCo-Warp, told of the stage; ``colors`` say what is seen at all."""
+    """Return MuJoCo-Warp's ray cast bound to the stage; ``colors`` decide which shapes are visible."""
     cast_ray = _make_cast_ray(geom_types, first_hit)
 
     @wp.func

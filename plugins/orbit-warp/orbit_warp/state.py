@@ -1,7 +1,7 @@
 """Positions and velocities, read and written.
 
-What MuJoCo-Warp holds as the contract asks for it is handed out as it lies; poses and velocities of links are derived
-by the step's own graph, or, after a write, when they are next read.
+Quantities that MuJoCo-Warp stores in the contract's form are handed out without a copy; poses and velocities of links
+are derived by the step's own graph, or, after a write, when they are next read.
 """
 
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false
@@ -51,11 +51,11 @@ class State:
         self._current = self._bodies_current = self._bodies_derived = False
 
     def mark_written(self) -> None:
-        """What is derived no longer holds."""
+        """Invalidate derived quantities."""
         self._current = self._bodies_current = False
 
     def mark_stepped(self) -> None:
-        """:meth:`derive` was run by a graph, after whatever moved the bodies."""
+        """Record that a graph ran :meth:`derive` after the bodies moved."""
         self._current, self._bodies_current = True, False
 
     def refresh(self) -> None:

@@ -10,5 +10,5 @@ from torch import Tensor
 
 
 def array_of(values: Tensor | None, otherwise: wp.array) -> wp.array:
-    """``values`` as a kernel takes them, or what stands for none."""
+    """Return ``values`` as a kernel takes them; an empty array for None."""
     return otherwise if values is None else wp.from_torch(values.contiguous())

@@ -1,7 +1,7 @@
 """Sequences of launches, recorded once and replayed as a graph, on a CPU and on a GPU alike.
 
-Torch and Warp share the stream: whatever is issued here runs after what Torch was told before, and before what it is
-told next, without any waiting on the host.
+Torch and Warp share the stream: work issued here runs after Torch's earlier work and before its later work, and the
+host does not wait.
 """
 
 # pyright: reportArgumentType=false
@@ -75,7 +75,7 @@ class Graphs:
 
     @property
     def recording(self) -> bool:
-        """Whether what is launched now becomes part of a graph."""
+        """True if launches are being recorded into a graph."""
         if self._own is None:
             return False
         with self.stream() as stream:
@@ -84,7 +84,7 @@ class Graphs:
     def run_mixed(self, key: Hashable, operations: Callable[[], None]) -> None:
         """Run as :meth:`run` does, for a mixture of Torch's operations and Warp's launches on a GPU.
 
-        Torch's temporary tensors come from a pool of the recording's own, so that nothing else is given their memory.
+        Torch's temporary tensors come from the recording's pool, so that no other tensor is given their memory.
         """
         with self.stream() as stream:
             if key not in self._recorded:
@@ -128,7 +128,7 @@ class Graphs:
 
     @contextlib.contextmanager
     def _capturing(self, stream: wp.Stream) -> Iterator[wp.ScopedCapture]:
-        """Where a capture fails the driver drops the graph, and Warp, if a loop is in it, must not do so again."""
+        """Capture a graph. Where that fails the driver drops it, and Warp must not drop one with a loop again."""
         capture, graph = wp.ScopedCapture(stream=stream), None
         try:
             with capture:
@@ -155,7 +155,7 @@ def _without_garbage_collection() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _announced(device: wp.Device) -> Iterator[None]:
-    """Tell the user when compilation takes long, and what it took."""
+    """Report when compilation takes long, and how long it took."""
     begun = time.perf_counter()
     what = f"orbit-warp: compiling kernels for {device}, kept in {wp.config.kernel_cache_dir} (about a minute, once)"
     timer = threading.Timer(_SILENT_FOR, lambda: print(what, file=sys.stderr, flush=True))

@@ -1,6 +1,6 @@
-"""What engines in Warp do alike: joints read, commands and measurements reset, numbers judged against their bounds.
+"""Kernels that engines in Warp share: reading joints, resetting commands and measurements, checking bounds.
 
-Each kernel is one launch over environments (and joints). A negative index of an environment stands for none: a mask
+Each kernel is one launch over environments (and joints). A negative index of an environment selects none: a mask
 becomes indices without counting them.
 """
 
@@ -22,7 +22,7 @@ SPEED_BOUND = wp.constant(MAX_SPEED)
 
 @wp.func
 def within(value: float, bound: float) -> bool:
-    """Whether a number is no larger than the bound; what is not a number is not."""
+    """Return True if a number's magnitude is within the bound; NaN is not."""
     return wp.abs(value) <= bound
 
 

@@ -17,7 +17,7 @@ def load_kernels(what: str, modules: Sequence[ModuleType], device: wp.Device) ->
     """Load the kernels of some modules for a device, from Warp's cache or by compiling them.
 
     Args:
-        what: whose kernels they are, for the lines on standard error that tell what is compiled and how long it took.
+        what: whose kernels they are, for the lines on standard error that report what is compiled and how long it took.
         modules: that define kernels.
         device: on which they will run, in Warp's own blocks: of 256 threads on a GPU, of one on a CPU.
     """
@@ -34,7 +34,7 @@ def load_kernels(what: str, modules: Sequence[ModuleType], device: wp.Device) ->
 
 
 def _is_cached(module: ModuleType, block: int) -> bool:
-    """Whether Warp's cache has a folder for the module as it is now, launched in blocks of that many threads."""
+    """Return True if Warp's cache holds the current module for blocks of that many threads."""
     folder = wp.get_module(module.__name__).get_module_identifier(block)
     return Path(wp.config.kernel_cache_dir or "", folder).is_dir()
 

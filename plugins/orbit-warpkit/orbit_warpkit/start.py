@@ -16,7 +16,7 @@ _NO_DRIVER = "Could not find or load the NVIDIA CUDA driver"
 
 @functools.cache
 def start() -> None:
-    """Initialise Warp; it tells of warnings, not of each module that it loads. A second call does nothing."""
+    """Initialise Warp so that it logs warnings, but not each module that it loads. A second call does nothing."""
     wp.config.log_level = wp.LOG_WARNING
     with _without_lines(_NO_DRIVER):
         wp.init()
@@ -26,7 +26,7 @@ def start() -> None:
 def _without_lines(words: str) -> Iterator[None]:
     """Hold back what the process writes to standard error, and afterwards let pass the lines without ``words``.
 
-    Warp's library writes that line from C, past Python's ``sys.stderr`` and whatever level of its log was chosen.
+    Warp's library writes that line from C, past Python's ``sys.stderr`` and regardless of its log level.
     """
     sys.stderr.flush()
     with tempfile.TemporaryFile() as held:

@@ -62,9 +62,8 @@ def origin(parent: Element, pose: Pose) -> None:
 def roll_pitch_yaw(pose: Pose) -> Vector3:
     """Return fixed-axis angles in radians, the inverse of :meth:`Pose.from_euler`.
 
-    Where pitch is a quarter turn, yaw is arbitrary; roll is computed from the yaw that was chosen, so that the rotation
-    is
-    exact near that singularity as well.
+    Where pitch is a quarter turn, yaw is arbitrary; roll is computed from the chosen yaw, so that the rotation is also
+    exact near that singularity.
     """
     r = pose.rotation_matrix()
     yaw = math.atan2(r[1, 0], r[0, 0])
@@ -237,6 +236,7 @@ def _link(root: Element, link: Link, shapes: ShapeWriter) -> None:
         # inertia: the file gives the moments themselves, and turns the origin to their axes.
         moments, axes = solid_moments(link.inertia)
         SubElement(inertial, "origin", xyz=numbers(link.center_of_mass), rpy=numbers(roll_pitch_yaw(axes)))
+        # repr writes the shortest text that reads back as the same number.
         SubElement(inertial, "mass", value=repr(float(link.mass)))
         entries = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (*moments, 0.0, 0.0, 0.0), strict=True)
         SubElement(inertial, "inertia", {key: repr(float(value)) for key, value in entries})
@@ -254,6 +254,7 @@ def _joint(root: Element, joint: Joint) -> None:
         return
     SubElement(element, "axis", xyz=numbers(joint.axis))
     limit = {"effort": joint.effort_limit, "velocity": joint.velocity_limit}
+    # URDF's continuous joints have no bounds, but still limits of effort and velocity.
     if joint.type is not JointType.CONTINUOUS:
         limit |= {"lower": joint.lower_limit, "upper": joint.upper_limit}
     SubElement(element, "limit", {key: _limit(value) for key, value in limit.items()})
@@ -265,6 +266,7 @@ def _joint(root: Element, joint: Joint) -> None:
 
 
 def _frame(root: Element, frame: Frame, taken: set[str]) -> None:
+    # URDF has no frames: a massless link on a fixed joint is the usual substitute.
     name = f"{frame.name}_frame"
     while name in taken:
         name += "_"

@@ -120,6 +120,7 @@ class _Scope:
         methods = methods_of(owner)
         if node.attr in methods:
             return methods[node.attr].bound(owner)
+        # xacro allows a dot for the entries of dictionaries, such as those of YAML files.
         if isinstance(owner, dict):
             try:
                 return known(owner[node.attr], node.attr)
@@ -173,8 +174,8 @@ class _Scope:
             raise TypeError(f"a sign before {type(value).__name__}")
         return _SIGNS[type(node.op)](value)
 
-    # Stops at the first value that decides, as Python does.
     def _boolean(self, node: ast.BoolOp) -> Any:
+        # Stops at the first value that decides, as Python does, and returns the value itself.
         value: Any = None
         for part in node.values:
             value = self.value(part)
@@ -185,7 +186,7 @@ class _Scope:
     def _compare(self, node: ast.Compare) -> bool:
         left = self.value(node.left)
         for kind, part in zip(node.ops, node.comparators, strict=True):
-            right = self.value(part)
+            right = self.value(part)  # once, although it is compared to both neighbours
             if not _COMPARISONS[type(kind)](left, right):
                 return False
             left = right
@@ -220,11 +221,12 @@ class _Scope:
                 made += items_of(self.value(node.value))
             else:
                 made.append(self.value(node))
-            _check_count(made)
+            _check_count(made)  # in the loop, before a long list takes the memory
         return made
 
     def _call(self, node: ast.Call) -> Any:
         function = self.value(node.func)
+        # Only functions that this package offers are of that type, so that no other object can be called.
         if not isinstance(function, Function):
             raise TypeError(f"'{ast.unparse(node.func)}' is no function")
         arguments = self._items(node.args)

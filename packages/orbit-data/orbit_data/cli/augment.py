@@ -46,7 +46,7 @@ class AugmentSettings(ReadSettings):
 
 
 def main(words: Sequence[str]) -> None:
-    """Augment, with a progress bar, and tell the yield.
+    """Augment, with a progress bar, and print the yield.
 
     Raises:
         OrbitError: of many kinds; each names the setting.

@@ -38,30 +38,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaySettings(ReadSettings):
-    """Replay recorded episodes from the states that they began with, and measure how far that leads apart."""
+    """Replay recorded episodes from their initial states, and measure how far they deviate."""
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
     """An HDF5 file that orbit record wrote."""
     backend: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """Engine to replay on; repeatable, and the one that it was recorded on if left out."""
     mode: Literal["actions", "states"] = "actions"
-    """Whether actions are taken again, open loop, or states are set one after the other."""
+    """Whether actions are repeated, open loop, or states are set one after the other."""
     episodes: int = 16
-    """How many of the dataset's first ones."""
+    """Number of episodes, from the dataset's first one on."""
     num_envs: int = 16
     """Environments stepped together."""
     device: Annotated[str, arg(metavar="NAME")] = "cpu"
     """Torch device that holds all state."""
     set: KeyValues = ()
-    """A field of the task over those of the dataset."""
+    """A field of the task that overrides the dataset's."""
     json: File = None
     """Write the result here."""
     plot: File = None
     """Draw the distances over time here, as PNG."""
     video: File = None
-    """Write an mp4 of the first four episodes here; of one engine."""
+    """Write an mp4 of the first four episodes here; only for one engine."""
     overwrite: bool = False
-    """Replace files of those names that are there already."""
+    """Replace existing files of those names."""
 
 
 def play(words: Sequence[str]) -> None:
@@ -76,7 +76,7 @@ def play(words: Sequence[str]) -> None:
     for path, suffix in ((settings.json, ".json"), (settings.plot, ".png"), (settings.video, ".mp4")):
         check_output(path, suffix, settings.overwrite)
     if settings.plot is not None:
-        _figure_type()
+        _figure_type()  # now: a missing matplotlib would otherwise be noticed after the replay
     check_positive("episodes", settings.episodes)
     check_positive("num_envs", settings.num_envs)
     if settings.video is not None and len(settings.backend) > 1:
@@ -142,10 +142,10 @@ def _plain(result: ReplayResult) -> dict[str, Any]:
 
 
 def _figure_type() -> type[Figure]:
-    """What plots are drawn on.
+    """Return matplotlib's figure type.
 
     Raises:
-        ConfigurationError: it is not installed.
+        ConfigurationError: matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure
@@ -155,7 +155,7 @@ def _figure_type() -> type[Figure]:
 
 
 def _draw(results: Sequence[ReplayResult], path: Path) -> None:
-    """Median and quartiles of the distances, a panel a thing and a line an engine."""
+    """Draw median and quartiles of the distances, with a panel for each object and a line for each engine."""
     from orbit_core.files import written_whole
 
     things = [*results[0].distances]
@@ -167,6 +167,7 @@ def _draw(results: Sequence[ReplayResult], path: Path) -> None:
             (line,) = panel.plot(result.times, middle, label=result.backend)
             panel.fill_between(result.times, low, high, color=line.get_color(), alpha=0.2)
         panel.set(title=thing, xlabel="s", ylabel="m from where it was recorded")
+        # Linear around zero, where distances begin, and logarithmic above, where they span powers of ten.
         panel.set_yscale("symlog", linthresh=1e-4)
         panel.grid(alpha=0.3)
     panels[0, 0].legend(title=f"{results[0].mode} of {', '.join(results[0].recorded_on)} on")
@@ -180,7 +181,7 @@ _HDF5 = (".hdf5", ".h5")
 
 @dataclass(frozen=True, kw_only=True)
 class InfoSettings(ReadSettings):
-    """Tell what a dataset holds: task, robot, engine, versions, success, lengths, arrays."""
+    """Show what a dataset contains: task, robot, engine, versions, success, lengths, arrays."""
 
     dataset: Source
     """An HDF5 file in robomimic's layout, a folder in LeRobot's, or a Zarr replay buffer."""
@@ -192,21 +193,21 @@ class InfoSettings(ReadSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class _Written(ReadSettings):
-    """What is written of one dataset or several."""
+    """Options of commands that write a dataset."""
 
     output: Annotated[Path, arg(metavar="PATH")]
     """HDF5 where the name ends in .hdf5, else a folder in LeRobot's layout."""
     compression: Literal["gzip", "lzf"] | None = None
-    """Of all arrays of an HDF5 file; pictures alone, by lzf, if left out."""
+    """Compression of all arrays of an HDF5 file; if left out, only pictures are compressed, by lzf."""
     rate: float | None = None
-    """Steps in a second, for LeRobot, where the dataset does not say it."""
+    """Steps per second, for LeRobot, if the dataset does not state them."""
     overwrite: bool = False
-    """Replace the dataset that is there already, once the new one is whole."""
+    """Replace an existing dataset once the new one is complete."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertSettings(_Written):
-    """Write a dataset in another format, or compressed otherwise."""
+    """Write a dataset in another format, or with another compression."""
 
     dataset: Source
     """An HDF5 file in robomimic's layout, a folder in LeRobot's, or a Zarr replay buffer."""
@@ -222,7 +223,7 @@ class MergeSettings(_Written):
 
 @dataclass(frozen=True, kw_only=True)
 class FilterSettings(ConvertSettings):
-    """Keep the episodes of a dataset that are wanted; all that is asked for must hold."""
+    """Keep the episodes of a dataset that meet all given conditions."""
 
     success: bool = False
     """Those that reached the goal."""
@@ -245,18 +246,20 @@ class SplitSettings(ReadSettings):
     valid: float = 0.1
     """Share of the episodes that validation gets."""
     seed: int = 0
-    """Of the drawing."""
+    """Seed of the random choice."""
 
 
 def main(words: Sequence[str]) -> None:
     """Run one of the commands on datasets.
 
     Raises:
-        UnknownNameError: there is no such command.
+        UnknownNameError: the command does not exist.
     """
     if not words or words[0] in ("-h", "--help"):
-        told = "\n".join(f"  {name:<8} {about}" for name, (_, about) in _COMMANDS.items())
-        print(f"usage: orbit data COMMAND ...\n\n{told}\n\n'orbit data COMMAND --help' describes a command's options.")
+        listed = "\n".join(f"  {name:<8} {about}" for name, (_, about) in _COMMANDS.items())
+        print(
+            f"usage: orbit data COMMAND ...\n\n{listed}\n\n'orbit data COMMAND --help' describes a command's options."
+        )
         return
     if words[0] not in _COMMANDS:
         raise UnknownNameError("command of orbit data", words[0], _COMMANDS)
@@ -294,7 +297,7 @@ def _convert(words: Sequence[str]) -> None:
 def _merge(words: Sequence[str]) -> None:
     settings = parse_words(MergeSettings, words, "orbit data merge")
     if len(settings.datasets) < 2:
-        raise ConfigurationError("name two datasets at least: orbit data merge ONE OTHER --output BOTH")
+        raise ConfigurationError("name at least two datasets: orbit data merge ONE OTHER --output BOTH")
     with _opened(settings.datasets, settings.budget) as datasets:
         _write(settings, datasets, None)
 
@@ -307,7 +310,7 @@ def _filter(words: Sequence[str]) -> None:
     with _opened((settings.dataset,), settings.budget) as (dataset,):
         positions = _wanted(settings, dataset)
         if not positions:
-            raise ConfigurationError(f"no episode of {settings.dataset} is what is asked for: ask for less")
+            raise ConfigurationError(f"no episode of {settings.dataset} meets the conditions: relax them")
         _write(settings, (dataset,), positions)
 
 
@@ -328,17 +331,12 @@ def _split(words: Sequence[str]) -> None:
     console().print(f"{settings.dataset}: {sizes} episodes", soft_wrap=True)
 
 
-def _play(words: Sequence[str]) -> None:
-
-    play(words)
-
-
 _COMMANDS: dict[str, tuple[Callable[[Sequence[str]], None], str]] = {
-    "info": (_info, "Tell what a dataset holds"),
+    "info": (_info, "Show what a dataset contains"),
     "convert": (_convert, "Write it in another format: HDF5 as robomimic's, or LeRobot's"),
-    "play": (_play, "Replay its episodes on any engine, and measure how far that leads apart"),
+    "play": (play, "Replay its episodes on any engine, and measure how far they deviate"),
     "merge": (_merge, "Put datasets together"),
-    "filter": (_filter, "Keep the episodes that are wanted"),
+    "filter": (_filter, "Keep the episodes that meet conditions"),
     "split": (_split, "Divide it into training and validation"),
 }
 
@@ -352,7 +350,7 @@ def _opened(paths: Sequence[Path], budget: ReadBudget) -> Iterator[list[Dataset]
 
 
 def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[int] | None) -> None:
-    """The episodes of several datasets, or some of one, in a new place."""
+    """Write the episodes of several datasets, or some of one, to a new place."""
     from orbit_data.formats import check_target, common_manifest, read_all, write_dataset
     from orbit_data.recording import RecordingFile
 
@@ -361,6 +359,7 @@ def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[
         raise ConfigurationError(f"rate must be above zero and finite, not {settings.rate:g}")
     if output.exists() and not settings.overwrite:
         raise ConfigurationError(f"{output} is there already: give another name, or --overwrite")
+    # Datasets are read while the output is written, so that neither may be within the other.
     check_apart(output, [dataset.path for dataset in datasets])
     check_target(output)
     RecordingFile(output).check_none()
@@ -368,6 +367,7 @@ def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[
     make_folder(output)
     (first, *_) = datasets
     episodes = read_all(datasets) if positions is None else map(first.read, positions)
+    # Merged datasets have no common subsets.
     masks = None if positions is None or output.suffix not in _HDF5 else _moved(first, positions)
     left_out = write_dataset(output, episodes, manifest, settings.rate, masks, settings.compression)
     console().print(f"{output} is written", soft_wrap=True)
@@ -382,7 +382,7 @@ def _moved(dataset: Dataset, positions: Sequence[int]) -> dict[str, list[int]]:
 
 
 def _wanted(settings: FilterSettings, dataset: Dataset) -> list[int]:
-    """Return positions of the episodes that are asked for."""
+    """Return the positions of the episodes that meet the conditions."""
     if settings.subset is not None and settings.subset not in dataset.masks:
         raise UnknownNameError("subset", settings.subset, dataset.masks, str(dataset.path))
     tests = {

@@ -26,22 +26,22 @@ class RecordSettings(EnvironmentSettings):
     episodes: int = 100
     """Episodes in the dataset, divided evenly over the environments, so that short ones are not preferred."""
     agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
-    """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
+    """Agent that acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
     output: Annotated[Path, arg(metavar="FILE")] = Path("out/demonstrations.hdf5")
-    """The dataset, HDF5 in robomimic's layout; its card is written beside it."""
+    """The dataset, HDF5 in robomimic's layout; its card is written next to it."""
     group: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """An observation group to record; repeatable, all if left out."""
     noise: float = 0.0
     """Standard deviation of noise on the executed actions, in their units, each episode between none and twice this;
     the demonstrator's own actions are kept as clean_actions, the labels that cloning learns."""
     resume: bool = False
-    """Go on with what is there: a recording that was cut off, or one that shall be longer."""
+    """Continue an interrupted recording, or extend a complete one."""
     overwrite: bool = False
-    """Replace a dataset or a recording of that name that is there already, once the new one is whole."""
+    """Replace an existing dataset or recording of that name once the new one is complete."""
 
 
 def main(words: Sequence[str]) -> None:
-    """Record, with a progress bar, and say what the dataset holds."""
+    """Record, with a progress bar, and show what the dataset contains."""
     record(parse_settings(RecordSettings, words, "orbit record"))
 
 

@@ -36,7 +36,7 @@ class TeleopSettings(EnvironmentSettings):
     """Drive a task's robot yourself, see it in the browser, and record demonstrations."""
 
     input_device: Annotated[str, arg(name="device", metavar="{browser,keyboard,gamepad,spacemouse,leader}")] = "browser"
-    """What you move."""
+    """Device that you move."""
     device: Annotated[str, arg(name="torch-device", metavar="NAME")] = "cpu"
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
     output: Annotated[Path, arg(metavar="FILE")] = Path("out/teleoperation.hdf5")
@@ -44,19 +44,19 @@ class TeleopSettings(EnvironmentSettings):
     resume: bool = False
     """Add to the dataset of that name."""
     overwrite: bool = False
-    """Replace a dataset of that name that is there already, once an episode is saved and the session ends."""
+    """Replace an existing dataset of that name once an episode is saved and the session ends."""
     seconds: float = 60.0
-    """Length of an episode, in the place of the task's own."""
+    """Length of an episode, instead of the task's own."""
     linear_speed: float = 0.25
-    """m/s of the hand at a device's full deflection."""
+    """Speed of the hand in m/s at a device's full deflection."""
     angular_speed: float = 1.0
-    """rad/s of the hand at a device's full deflection."""
+    """Angular speed of the hand in rad/s at a device's full deflection."""
     leader_port: int = 8090
     """Port at 127.0.0.1 where a leader arm connects; 0 takes a free one."""
     views: bool = True
-    """Pictures beside the scene: from the hand, and from the robot's right."""
+    """Show pictures next to the scene: from the hand, and from the robot's right."""
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines, such as a phone, take part."""
+    """Address to listen on; 0.0.0.0 lets other computers, such as a phone, connect."""
     port: int = 8080
     """Port of the page."""
     max_steps: Annotated[int | None, arg(metavar="INT")] = None
@@ -64,7 +64,7 @@ class TeleopSettings(EnvironmentSettings):
 
 
 def main(words: Sequence[str]) -> None:
-    """Let a person drive until interrupted, or for ``max_steps``; then gather what was kept."""
+    """Let a person drive until interrupted, or for ``max_steps``; then gather the kept episodes."""
     teleop(parse_settings(TeleopSettings, words, "orbit teleop"))
 
 
@@ -107,8 +107,8 @@ def teleop(settings: TeleopSettings) -> None:
                 _show(settings, session, device, driver)
             finally:
                 kept = session.close()
-                told = f"{kept} episodes are in {settings.output}" if kept else "no episode was saved"
-                console().print(told, soft_wrap=True)
+                outcome = f"{kept} episodes are in {settings.output}" if kept else "no episode was saved"
+                console().print(outcome, soft_wrap=True)
         finally:
             device.close()
             file.release()

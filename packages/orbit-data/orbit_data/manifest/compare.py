@@ -1,4 +1,4 @@
-"""How an environment differs from what data or a policy was made with: every difference by its path, and how grave."""
+"""Comparison of an environment with the one of data or a policy: every difference by its path, and its severity."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from orbit_data.manifest.plain import ROUNDED
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
+# Relative difference of numbers that counts as none: that of single precision.
 _CLOSE = 1e-6
-"""Relative difference of numbers that counts as none: single precision's."""
 
 
 class Kind(Enum):
-    """How grave a difference is."""
+    """Severity of a difference."""
 
     ERROR = "error"
-    """Numbers mean something else: another order of joints, other terms, scales or rates."""
+    """Numbers have another meaning: another order of joints, other terms, scales or rates."""
     WARNING = "warning"
-    """The same numbers lead elsewhere: other gains, limits, masses, gravity, matter."""
+    """The same numbers have other effects: other gains, limits, masses, gravity, matter."""
     NOTE = "note"
-    """Where it comes from: the engine, versions, seeds, rewards and events of the task."""
+    """Another origin: the engine, versions, seeds, rewards and events of the task."""
 
 
-# The first that matches a path counts.
+# Patterns of paths, of which the first match counts.
 _RULES: tuple[tuple[str, Kind], ...] = (
     (r"(action_terms|observations)(\..*)?\.(low|high)", Kind.WARNING),
     (r"(action_terms|observations)\..*\.(formula|frame|order|decoding|rate|clip|leads)", Kind.NOTE),
@@ -45,32 +45,32 @@ _RULES: tuple[tuple[str, Kind], ...] = (
 
 @dataclass(frozen=True)
 class Difference:
-    """One thing that is not as it was."""
+    """Difference of one value."""
 
     kind: Kind
     path: str
-    """Within the manifest."""
+    """Path within the manifest."""
     recorded: Any
-    """What the manifest says; None where it says nothing."""
+    """Value in the manifest; None if it has none."""
     present: Any
-    """What the environment says; None where it says nothing."""
+    """Value of the environment; None if it has none."""
 
     def __str__(self) -> str:
         return f"{self.path} was {_shown(self.recorded)} and is {_shown(self.present)}"
 
 
 def differences(recorded: Manifest, present: Manifest, groups: Collection[str] | None = None) -> list[Difference]:
-    """All differences, the gravest first.
+    """Return all differences, the most severe first.
 
     Args:
-        recorded: with the data or policy.
-        present: of the environment.
+        recorded: manifest of the data or policy.
+        present: manifest of the environment.
         groups: observation groups that matter; all if None.
     """
     old, new = (_reduced(manifest.document(), groups) for manifest in (recorded, present))
     for name, group in old["observations"].items():
         if not group["concatenated"] and (other := new["observations"].get(name)):
-            # A dictionary's reader takes the terms that it knows.
+            # A reader of a dictionary takes the terms that it knows, so that additional ones are no difference.
             other["terms"] = {term: other["terms"][term] for term in group["terms"] if term in other["terms"]}
     return sorted(_differences(old, new, ""), key=lambda difference: [*Kind].index(difference.kind))
 
@@ -78,16 +78,16 @@ def differences(recorded: Manifest, present: Manifest, groups: Collection[str] |
 def check_manifest(
     recorded: Manifest, environment: Environment, what: str, groups: Collection[str] | None = None
 ) -> list[Difference]:
-    """Hold an environment against what was recorded; warns of what leads elsewhere, and returns all differences.
+    """Compare an environment with a manifest, warn of other effects, and return all differences.
 
     Args:
-        recorded: with the data or policy.
-        environment: that it is to be used in.
+        recorded: manifest of the data or policy.
+        environment: environment in which it will be used.
         what: the data or policy, for messages.
         groups: observation groups that matter; all if None.
 
     Raises:
-        ConfigurationError: numbers would mean something else; names every such difference.
+        ConfigurationError: numbers would have another meaning; the message names every such difference.
     """
     found = differences(recorded, Manifest.of(environment, recorded.task, recorded.seed), groups)
     errors = [str(difference) for difference in found if difference.kind is Kind.ERROR]
@@ -95,12 +95,12 @@ def check_manifest(
         raise ConfigurationError(f"{what} does not fit this environment: {'; '.join(errors)}")
     graver = [str(difference) for difference in found if difference.kind is Kind.WARNING]
     if graver:
-        warnings.warn(f"{what} was made otherwise: {'; '.join(graver)}", stacklevel=2)
+        warnings.warn(f"{what} was made with other settings: {'; '.join(graver)}", stacklevel=2)
     return found
 
 
 def renamed_group(manifest: Manifest, name: str, other: str) -> Manifest:
-    """The manifest with an observation group under another name, for who shows the same in another group."""
+    """Return a manifest with an observation group renamed, for environments with the same terms in another group."""
     groups = {other if group == name else group: terms for group, terms in manifest.observations.items()}
     return replace(manifest, observations=groups)
 
@@ -112,7 +112,7 @@ def _reduced(document: dict[str, Any], groups: Collection[str] | None) -> dict[s
 
 
 def _differences(old: Any, new: Any, path: str) -> Iterator[Difference]:
-    """All differences below a path. Lists are one thing, and so are the order of terms and what only one side has."""
+    """Yield the differences below a path; lists, the order of terms and values of one side count as one difference."""
     if not (isinstance(old, dict) and isinstance(new, dict)):
         if not _same(old, new):
             yield Difference(_kind(path) if _comparable(path, old, new) else Kind.NOTE, path, old, new)
@@ -133,9 +133,10 @@ def _same(old: Any, new: Any) -> bool:
 
 
 def _comparable(path: str, old: Any, new: Any) -> bool:
-    """Not what manifests did not say before, nor digests of assets of which one is of every bit, as they were."""
+    """Return whether two values can be compared: not fields that old manifests lack, nor digests of different kinds."""
     if re.fullmatch(r"observations\..*\.(components|offset)", path) and not old:
         return False
+    # Old digests are of every bit, new ones (ROUNDED) of nine significant digits: they differ for equal assets.
     digests = path.startswith("assets.") and isinstance(old, str) and isinstance(new, str)
     return not digests or old.startswith(ROUNDED) == new.startswith(ROUNDED)
 

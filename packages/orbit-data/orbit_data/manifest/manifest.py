@@ -1,4 +1,4 @@
-"""The manifest: what a dataset, a policy or an export was made with, as typed data that describes itself."""
+"""Manifest: the environment that made a dataset, a policy or an export, as typed data that describes itself."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 """Version of the manifest; another is refused."""
+# Shortest plausible time in seconds, and the reciprocal of the longest.
 _LEAST = 1e-9
-"""Shortest time in seconds, and the reciprocal of the longest."""
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 Limits = tuple[float | None, ...]
-"""Numbers of which those that are infinite are None, for JSON has no infinity."""
+"""Numbers, with None instead of infinity, because JSON has no infinity."""
 
 
 @dataclass(frozen=True)
 class RobotManifest:
-    """A robot that is in the scene; all lists are in the order of its joints."""
+    """Robot of the scene; all lists are in the order of its joints."""
 
     model: str
     joint_names: tuple[str, ...]
     home_positions: tuple[float, ...]
-    """rad or m: the default pose."""
+    """Default positions in rad or m."""
     lower_limits: Limits
     """rad or m"""
     upper_limits: Limits
@@ -51,80 +51,80 @@ class RobotManifest:
     effort_limits: Limits
     """N m or N"""
     stiffness: tuple[float, ...]
-    """N m/rad or N/m of the joint's actuator; 0 where it has none."""
+    """Stiffness of the joint's actuator in N m/rad or N/m; 0 if it has none."""
     damping: tuple[float, ...]
     """N m s/rad or N s/m"""
     actuators: tuple[str, ...]
-    """Kind of each joint's actuator; empty where it has none."""
+    """Type of each joint's actuator; empty if it has none."""
     agent: bool
-    """Whether it acts in the task."""
+    """Whether the robot acts in the task."""
 
 
 @dataclass(frozen=True)
 class ObservationTermManifest:
-    """A term of an observation group, as it is seen."""
+    """Term of an observation group, as the policy sees it."""
 
     shape: tuple[int, ...]
-    """Of one environment's value, the history included."""
+    """Shape of one environment's value, including the history."""
     dtype: str
     unit: str
-    """Before ``scale``; empty where the task does not say."""
+    """Unit before ``scale``; empty if the task does not state it."""
     scale: float
     history: int
-    """Steps that are seen, the oldest first."""
+    """Number of steps that are seen, the oldest first."""
     low: float | None
-    """Least that it shows; None where nothing bounds it."""
+    """Least value; None if unbounded."""
     high: float | None
     formula: str = ""
-    """The quantity, in a sentence; what is seen is ``scale * (measured - offset)``."""
+    """Quantity in a sentence; the policy sees ``scale * (measured - offset)``."""
     frame: str = ""
-    """Frame that it is expressed in; empty where it has none, as joints have, and where the task does not say."""
+    """Frame that the term is expressed in; empty if it has none (joints), or the task does not state it."""
     components: tuple[str, ...] = ()
-    """Name of each number of one step, in order; none of pictures, whose order is row, column, channel."""
+    """Names of the numbers of one step, in order; empty for pictures, whose order is row, column, channel."""
     offset: tuple[float, ...] = ()
-    """What is subtracted from each of these numbers as it is measured, in ``unit``."""
+    """Offset that is subtracted from each of these numbers as it is measured, in ``unit``."""
     order: str = ""
-    """Order of the numbers where several steps are seen."""
+    """Order of the numbers if several steps are seen."""
 
 
 @dataclass(frozen=True)
 class GroupManifest:
-    """An observation group: its terms by name, in order."""
+    """Observation group: its terms by name, in order."""
 
     concatenated: bool
-    """Whether the terms stand side by side in one vector, or in a dictionary."""
+    """Whether the terms are concatenated in one vector, or separate in a dictionary."""
     terms: dict[str, ObservationTermManifest]
 
 
 @dataclass(frozen=True)
 class ActionTermManifest:
-    """A part of the action; its components are in [-1, 1]."""
+    """Part of the action; its components are in [-1, 1]."""
 
     generator: str
     """Name of the motion generator."""
     robot: str
     joints: tuple[str, ...]
-    """The joints that it moves."""
+    """Joints that the term moves."""
     components: tuple[str, ...]
-    """What each component is called."""
+    """Names of the components."""
     offset: tuple[float, ...] | None
-    """rad or m: where targets of joints are ``offset + scale * command``; None where they are anything else."""
+    """Offset in rad or m if joint targets are ``offset + scale * command``; None if they are not."""
     scale: tuple[float, ...] | None
     lower_limits: Limits
-    """rad or m: least that a command may ask of each joint."""
+    """Least position of each joint that a command can request, in rad or m."""
     upper_limits: Limits
     settings: dict[str, Any]
     """All fields of the term's configuration."""
     decoding: str = ""
-    """What a command does, with the formulas; names in it are those of ``settings``."""
+    """Effect of a command, with formulas that use the names in ``settings``."""
     frame: str = ""
     """Frame that the components are expressed in."""
     leads: Limits = ()
-    """rad or m by which the target of each joint may lead its measured position; empty or None: by any."""
+    """Limit in rad or m of each target's lead over the measured position; empty or None: unlimited."""
     clip: tuple[float, float] = (-1.0, 1.0)
     """Bounds that each component is clipped to before it is decoded."""
     rate: float = 0.0
-    """Hz at which commands are taken."""
+    """Rate in Hz at which commands are applied."""
 
 
 _Term = TypeVar("_Term", ObservationTermManifest, ActionTermManifest)
@@ -132,7 +132,7 @@ _Term = TypeVar("_Term", ObservationTermManifest, ActionTermManifest)
 
 @dataclass(frozen=True)
 class Manifest:
-    """All that a reader must know to use what was made with an environment, and all that made it."""
+    """Description of an environment that is sufficient to use its data and policies, and to make it again."""
 
     task: str
     configuration: dict[str, Any]
@@ -140,7 +140,7 @@ class Manifest:
     robots: dict[str, RobotManifest]
     observations: dict[str, GroupManifest]
     action_terms: dict[str, ActionTermManifest]
-    """In the order of the action's components."""
+    """Action terms, in the order of the action's components."""
     step_dt: float
     """Seconds between two actions."""
     physics_dt: float
@@ -149,34 +149,35 @@ class Manifest:
     gravity: tuple[float, float, float]
     backend: str
     settings: dict[str, Any]
-    """Of the backend."""
+    """Settings of the backend."""
     matter: str
-    """The matter solver; empty where there is none."""
+    """Matter solver; empty if there is none."""
     versions: dict[str, str]
     device: str
     num_envs: int
     seed: int
     assets: dict[str, str]
-    """Digests of everything that is simulated, by its name in the scene: links, masses, shapes, joints, meshes."""
+    """Digests of all simulated entities by name, over links, masses, shapes, joints and meshes."""
     input_device: str = ""
-    """What a person moved, where one acted."""
+    """Device that a person used; empty if no person acted."""
     made_later: str = ""
-    """When and of what it was made, where that was not when it says: of what was made before there were manifests."""
+    """Date and source of a manifest that was made later, for data that is older than manifests."""
     format: int = field(default=FORMAT)
 
     @staticmethod
     def of(environment: Environment, task: str, seed: int) -> Manifest:
-        """The manifest of an environment.
+        """Return the manifest of an environment.
 
         Args:
-            environment: that data is made with.
-            task: the name that it was made by.
-            seed: that its random streams were started from.
+            environment: environment that makes the data.
+            task: name that the environment was made by.
+            seed: seed of its random streams.
         """
         own, world = environment.task, environment.world
         scene, groups = world.scene, groups_of(own)
         configuration = as_plain(own)
         terms = zip(environment.actions.terms.items(), environment.actions.generators, strict=True)
+        # Backends that only draw, and worlds without settings, simulate nothing, so no engine belongs to the data.
         simulated = not (world.backend in renderer_names() or world.settings is None)
         return Manifest(
             task=task,
@@ -203,12 +204,12 @@ class Manifest:
 
     @property
     def explains(self) -> bool:
-        """True if every term says what its numbers mean, which manifests did not from the beginning."""
+        """True if every term describes its numbers, which the first manifests did not."""
         seen = [term for group in self.observations.values() for term in group.terms.values()]
         return all(term.formula for term in seen) and all(term.decoding for term in self.action_terms.values())
 
     def explained_by(self, present: Manifest) -> Manifest:
-        """The manifest with what it does not say of its terms' numbers taken from another one of the same terms."""
+        """Return the manifest with missing descriptions of its terms taken from another one of the same terms."""
         groups = {
             name: dataclasses.replace(
                 group,
@@ -220,23 +221,23 @@ class Manifest:
         return dataclasses.replace(self, observations=groups, action_terms=actions)
 
     def encode(self) -> bytes:
-        """As JSON."""
+        """Return the manifest as JSON."""
         return msgspec.json.encode(self)
 
     def document(self) -> dict[str, Any]:
-        """As plain data."""
+        """Return the manifest as plain data."""
         return msgspec.to_builtins(self)
 
     @staticmethod
     def decode(data: bytes | str | Mapping[str, Any], where: str) -> Manifest:
-        """What :meth:`encode` or :meth:`document` gave.
+        """Read a manifest from the result of :meth:`encode` or :meth:`document`.
 
         Args:
-            data: that was read.
-            where: the file, for messages.
+            data: JSON or plain data.
+            where: name of the file for messages.
 
         Raises:
-            ConfigurationError: it is no manifest, or of another format; says where in it.
+            ConfigurationError: the data is not a manifest, or of another format; the message names the place.
         """
         try:
             if isinstance(data, str | bytes) and len(data) > MAX_DOCUMENT:
@@ -251,6 +252,7 @@ class Manifest:
             manifest = msgspec.convert(values, Manifest)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigurationError(f"{where} holds no manifest: {error}") from None
+        # These are divided by, or multiplied into counts of steps.
         for name in ("step_dt", "physics_dt", "decimation", "episode_length"):
             if not _LEAST <= getattr(manifest, name) <= 1.0 / _LEAST:
                 raise ConfigurationError(f"{where} holds no manifest: its {name} is not from {_LEAST} to {1 / _LEAST}")
@@ -258,7 +260,7 @@ class Manifest:
 
 
 def _assets(scene: Scene) -> dict[str, str]:
-    """Digests by name; what a reader noted on the way, such as the file's place, is no part of an asset."""
+    """Compute digests by name, without a reader's notes, which depend on where the files are."""
     bodies = {e.name: [dataclasses.replace(a, notes=()) for a in e.alternatives] for e in scene.entities}
     return {name: digest(body) for name, body in {**bodies, **{d.name: d for d in scene.deformables}}.items()}
 
@@ -297,6 +299,7 @@ def _term(
     history = group.history if term.history is None else term.history
     meaning, size = meaning_of(term), math.prod(shown.shape) // history
     given = (environment, *(() if term.agent is None else (term.agent,)))
+    # A picture has three dimensions, and one more for its history unless the group joins that with the channels.
     picture = len(shown.shape) - (history > 1 and not group.concatenate) >= 3
     components = meaning.components(*given) if callable(meaning.components) else meaning.components
     offset = [0.0] * size if meaning.offset is None else meaning.offset(*given).flatten().tolist()
@@ -317,7 +320,8 @@ def _term(
 
 
 def _named(size: int, unit: str) -> tuple[str, ...]:
-    """Return names for numbers whose task gives none: those of a pose or a vector, or else their places."""
+    """Return names for numbers that the task does not name: those of a pose or a vector, otherwise indices."""
+    # Poses before vectors: the first match counts.
     for names, units in ((_POSE, (POSE,)), (_POSE[:3], ("m", "m/s", "rad/s", "m/s^2", "N"))):
         if unit in units and size % len(names) == 0:
             several = size > len(names)
@@ -347,13 +351,13 @@ def _action(name: str, term: ActionTerm, generator: MotionGenerator, step_dt: fl
 
 
 def _decoding(kind: type[ActionTerm]) -> str:
-    """Return what the docstrings of an action term's classes say of its command."""
+    """Return the docstrings of an action term's classes, which describe its command."""
     own = [base for base in kind.__mro__[: kind.__mro__.index(ActionTerm)] if base.__doc__]
     return " ".join(" ".join(base.__doc__.split()) for base in own if base.__doc__)
 
 
 def _explained(term: _Term, present: _Term) -> _Term:
-    """Return a term whose fields that are empty, as those are that were added later, hold what another's hold."""
+    """Return a term with its empty fields, which were added to the format later, taken from another term."""
     own = {field.name: getattr(term, field.name) for field in dataclasses.fields(term)}
     missing = {name: getattr(present, name) for name, value in own.items() if value in ("", (), 0.0)}
     return dataclasses.replace(term, **missing)

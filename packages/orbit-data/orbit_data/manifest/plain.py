@@ -1,4 +1,4 @@
-"""Any configuration as plain data for JSON: dataclasses, functions with what they have bound, arrays by digest."""
+"""Configurations as plain data for JSON: dataclasses, functions with their bound values, arrays by digest."""
 
 from __future__ import annotations
 
@@ -16,31 +16,46 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+# Limit of the numbers of an array that are written out; larger arrays become digests.
 _LISTED = 64
-"""Most numbers of an array that are written out; of more, the digest stands."""
+# Hexadecimal digits of a digest, 64 bits of SHA-256.
 _DIGITS = 16
-"""Hexadecimal digits of a digest, 64 bits of SHA-256."""
 ROUNDED = "~"
 """What a digest begins with whose numbers are rounded; those of before were of every bit."""
+# Types that have moved, by the names that digests have known them by since before: a robot of a dataset or policy that
+# was recorded then is the same robot, whatever module describes its joints now.
+_FIRST_NAMES = {
+    f"orbit_core.scene.{module}.{name}": f"orbit_core.scene.{first}.{name}"
+    for module, first, names in (
+        ("articulation", "joints", ("DriveGains", "Joint", "LoopJoint", "Mimic")),
+        ("actuators", "motors", ("Transmission", "Windings")),
+        ("shapes", "materials", ("Compliance", "PhysicsMaterial")),
+        ("shapes", "textures", ("Texture",)),
+        ("entities", "active", ("ActiveModel", "MagneticSeal")),
+        ("scene", "lights", ("AmbientLight", "DirectionalLight", "Sky")),
+        ("scene", "markers", ("MarkerSpec",)),
+    )
+    for name in names
+}
+# Significant digits of numbers in a digest: processors and versions of Python differ in the last bits.
 _KEPT = 9
-"""Significant digits of numbers in a digest: processors and versions of Python differ in the last bits."""
+# Limit below which numbers are zero in a digest, because they are remainders of cancellation.
 _NOTHING = 1e-12
-"""What is smaller is zero in a digest: what remains where numbers cancel."""
 
 
 def as_plain(value: Any, for_digest: bool = False) -> Any:
-    """A value as JSON can hold it, the same on every machine and in every process.
+    """Convert a value to data for JSON, the same on every machine and in every process.
 
-    A dataclass becomes an object of its fields, with its ``type``; a function its module and name, with the values that
-    it has bound. What is none of these is told by its type alone.
+    A dataclass becomes an object of its fields, with its ``type``; a function its module and name, with its bound
+    values. Values of other types become only the name of their type.
 
     Args:
-        value: of any type.
-        for_digest: whether numbers have nine significant digits, of an array's largest number where it is one, and
-            fields that are None are left out: what does not use a field that was added later is what it was before.
+        value: value of any type.
+        for_digest: round numbers to nine significant digits (of an array's largest number), and leave out fields that
+            are None, so that a field that is added later changes no digest of data that does not use it.
     """
     plain = functools.partial(as_plain, for_digest=for_digest)
-    if value is None or isinstance(value, bool | int | str):
+    if value is None or isinstance(value, bool | int | str):  # of numbers only those without rounding
         return value
     if isinstance(value, float | np.generic):
         return _number(value, for_digest)
@@ -54,10 +69,11 @@ def as_plain(value: Any, for_digest: bool = False) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         own = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
         told = {name: plain(each) for name, each in own.items() if not (for_digest and each is None)}
-        return {"type": _name(type(value)), **told}
+        name = _name(type(value))
+        return {"type": _FIRST_NAMES.get(name, name) if for_digest else name, **told}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, set | frozenset):
+    if isinstance(value, set | frozenset):  # sorted, because its order depends on the process
         return sorted((plain(item) for item in value), key=str)
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
@@ -65,9 +81,10 @@ def as_plain(value: Any, for_digest: bool = False) -> Any:
 
 
 def digest(value: Any) -> str:
-    """``~`` and 16 hexadecimal digits that differ where plain data differs in anything, the numbers of arrays included,
-    but for what is beyond nine significant digits, and for fields that are None: the same computation on another
-    machine gives the same, and so does data from before a field was there that it does not use.
+    """Compute a digest, ``~`` and 16 hexadecimal digits, of plain data, including the numbers of arrays.
+
+    Differences beyond nine significant digits, and fields that are None, do not change it: the same computation on
+    another machine has the same digest, and so has data from before an unused field was added.
     """
     text = json.dumps(as_plain(value, for_digest=True), sort_keys=True)
     return ROUNDED + hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
@@ -85,7 +102,7 @@ def _number(value: Any, rounded: bool) -> Any:
 
 
 def _rounded(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Multiples of one power of ten, to as many digits as the largest number keeps."""
+    """Round to multiples of one power of ten, so that the largest number keeps its significant digits."""
     values = np.asarray(array, np.float64)
     largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
     if largest < _NOTHING:
@@ -104,7 +121,7 @@ def _array(array: np.ndarray[Any, Any]) -> Any:
 def _function(value: Any, plain: Callable[[Any], Any]) -> Any:
     if isinstance(value, functools.partial):
         return {"function": plain(value.func), "bound": plain([value.args, value.keywords])}
-    value = inspect.unwrap(value)  # a cache around a function is not what it computes
+    value = inspect.unwrap(value)  # a cache around a function does not change its results
     bound = inspect.getclosurevars(value).nonlocals if inspect.isfunction(value) else {}
     return {"function": _name(value), "bound": plain(bound)} if bound else _name(value)
 

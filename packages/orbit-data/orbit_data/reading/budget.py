@@ -1,4 +1,4 @@
-"""Limits on what reading a file of data may take of the machine, and the account of one reading."""
+"""Limits of the memory and time for reading a data file, and the account of one reading."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from dataclasses import dataclass
 from orbit_core.interfaces import ConfigurationError
 
 SMALL = 1 << 24
-"""Bytes of an array, or of a chunk of it, that are read however little is stored of them."""
+"""Bytes of an array, or of a chunk, up to which the compression ratio does not matter."""
 DENSEST = 1000
-"""Most bytes of an array for each byte that is stored of it, about as many as gzip makes of zeros."""
+"""Limit of the compression ratio, about that of gzip for zeros."""
 MAX_DOCUMENT = 1 << 22
-"""Most bytes of a JSON document that describes data."""
+"""Limit of the bytes of a JSON document that describes data."""
+# Bytes of a file up to which the budget's seconds apply.
 _USUAL = 1 << 28
-"""Bytes of a file of which the budget's seconds are asked."""
+# Limit of the characters of a name in a file.
 _MOST_CHARACTERS = 200
-"""Most characters of a name in a file."""
 
 
 @dataclass(frozen=True)
 class ReadBudget:
-    """Limits on what reading datasets and recordings may take; more is refused before it is taken."""
+    """Limits of the memory and time for reading datasets and recordings; more is refused before it is used."""
 
     bytes: int = 2**30
-    """Most bytes of an episode's arrays, or of a recording, once unpacked."""
+    """Limit of the bytes of an episode's arrays, or of a recording, once unpacked."""
     pixels: int = 2**24
-    """Most pixels of one picture of a video."""
+    """Limit of the pixels of one picture of a video."""
     seconds: float = 10.0
-    """Longest time that opening a dataset, or reading one episode or recording, may take, s.
+    """Limit in s of opening a dataset, or of reading one episode or recording.
 
-    A file of HDF5 of more than 256 MiB may take as many times longer to open: it may hold as many more episodes.
+    The limit of opening an HDF5 file above 256 MiB grows with its size, because it may contain more episodes.
     """
 
     def __post_init__(self) -> None:
         """Check the limits.
 
         Raises:
-            ConfigurationError: one is not above zero.
+            ConfigurationError: a limit is not above zero.
         """
         for name in ("bytes", "pixels", "seconds"):
             if not getattr(self, name) > 0:
@@ -50,12 +50,12 @@ TRUSTED = ReadBudget(bytes=2**62, pixels=2**62, seconds=math.inf)
 
 
 class ReadAccount:
-    """Bytes and time that one reading has taken of its budget.
+    """Account of the bytes and time that one reading uses of its budget.
 
     Args:
-        budget: that the reading is held to.
-        where: the file, for messages.
-        size: bytes on the disk of what is opened, where the time may grow with it.
+        budget: budget of the reading.
+        where: name of the file for messages.
+        size: bytes of the file on the disk, if the time limit grows with them.
     """
 
     def __init__(self, budget: ReadBudget, where: str, size: int = 0) -> None:
@@ -63,19 +63,20 @@ class ReadAccount:
         self.where = where
         self._left = budget.bytes
         self._seconds = budget.seconds * max(1.0, size / _USUAL)
-        self._end = time.monotonic() + self._seconds
+        self._end = time.monotonic() + self._seconds  # monotonic, because the wall clock can be set
 
     def take(self, name: str, size: int, stored: int | None = None) -> None:
-        """Count bytes before memory is taken for them.
+        """Count bytes before memory is allocated for them.
 
         Args:
-            name: of the array, for messages.
-            size: bytes of it.
-            stored: bytes of the file that it is unpacked from, where they can be fewer.
+            name: name of the array for messages.
+            size: bytes of the array.
+            stored: bytes of the file that the array is unpacked from, if it may be compressed.
 
         Raises:
-            ConfigurationError: the budget does not hold so many, or next to nothing is stored of them.
+            ConfigurationError: the budget is exceeded, or the compression ratio is too high to be honest.
         """
+        # Before the budget: a larger budget would not help against a file that is made to fill the memory.
         if stored is not None and size > max(SMALL, DENSEST * stored):
             raise ConfigurationError(
                 f"'{name}' of {self.where} would be {size / 1e9:.3g} GB, of which next to nothing is stored: the file "
@@ -92,7 +93,7 @@ class ReadAccount:
         """Stop a reading that has taken too long.
 
         Raises:
-            ConfigurationError: it has.
+            ConfigurationError: the time limit has passed.
         """
         if time.monotonic() > self._end:
             raise ConfigurationError(
@@ -104,7 +105,7 @@ class ReadAccount:
         """Refuse a picture that has too many pixels.
 
         Raises:
-            ConfigurationError: names the video and the size.
+            ConfigurationError: the picture is too large; the message names the video and the size.
         """
         if width * height > self.budget.pixels:
             raise ConfigurationError(
@@ -114,10 +115,14 @@ class ReadAccount:
 
 
 def check_name(name: str, where: str) -> None:
-    """Refuse a name that could not be printed or that is a path.
+    """Refuse a name that cannot be printed or that is a path.
+
+    Args:
+        name: name of an array.
+        where: name of the file for messages.
 
     Raises:
-        ConfigurationError: shows it.
+        ConfigurationError: the name is refused; the message shows it.
     """
     if not name.isprintable() or name in ("", ".", "..") or "/" in name or len(name) > _MOST_CHARACTERS:
         raise ConfigurationError(f"{where} holds {name[:60]!a}, which is no name of an array")

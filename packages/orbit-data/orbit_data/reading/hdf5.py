@@ -1,7 +1,7 @@
 """Numbers and texts of an HDF5 file, read within a budget; nothing outside of the file is opened.
 
-HDF5 may refer to other files (soft and external links, external and virtual data), name a thing twice, hold Python
-objects, and unpack a few bytes to as many as it likes. All of these are refused before the library acts on them.
+HDF5 can refer to other files (soft and external links, external and virtual data), give an object two names, contain
+Python objects, and unpack a few bytes to any number. All of these are refused before h5py acts on them.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from orbit_data.reading.budget import SMALL, ReadAccount, check_name
 
 Array = npt.NDArray[Any]
 
+# Errors that h5py raises for damaged files.
 _FAULTS = (
     OSError, RuntimeError, KeyError, AttributeError, ValueError, TypeError, MemoryError, OverflowError, IndexError,
     NotImplementedError, RecursionError, zlib.error,
 )  # fmt: skip
-"""Errors that h5py raises for damaged files."""
 _GZIP, _SHUFFLE, _CHECKSUM, _LZF = 1, 2, 3, 32000
+# Limits of each compression's ratio: of deflate by its format, of lzf by its longest copy.
 _RATIOS = {_GZIP: 1032, _LZF: 90}
-"""Most bytes that each compression makes of one."""
+# Bytes up to which a chunk is read without a trial: HDF5 itself does not stop unpacking at the chunk's size.
 _UNCHECKED = 1 << 28
-"""Bytes that a chunk may unpack to without being tried first: the library does not stop at the chunk's size."""
+# Bytes that are read between two checks of the time.
 _SLAB = 1 << 25
-"""Bytes that are read at a time, after which the clock is looked at."""
+# Limit of the nesting of groups.
 _DEEPEST = 16
-"""Groups within each other."""
 
 
 class Hdf5File:
-    """An HDF5 file opened to read its groups, attributes and arrays of numbers.
+    """HDF5 file opened to read its groups, attributes and arrays of numbers.
 
     Args:
-        path: of the file.
-        what: of the file, for messages: "dataset" or "recording".
+        path: path of the file.
+        what: kind of the file for messages: "dataset" or "recording".
 
     Raises:
-        ConfigurationError: h5py is not installed, there is no such file, or it is no HDF5.
+        ConfigurationError: h5py is not installed, the file does not exist, or it is not HDF5.
     """
 
     def __init__(self, path: Path, what: str) -> None:
@@ -76,10 +76,10 @@ class Hdf5File:
         return found
 
     def group(self, group: Any, name: str) -> Any:
-        """Return the group of that name, or None if there is none.
+        """Return a group by name, or None if it does not exist.
 
         Raises:
-            ConfigurationError: it is a link or an array, or has another name too.
+            ConfigurationError: the name belongs to a link or an array, or the group has a second name.
         """
         found = self.child(group, name)
         if found is not None and not self.is_group(found):
@@ -87,10 +87,10 @@ class Hdf5File:
         return found
 
     def child(self, group: Any, name: str) -> Any:
-        """Return the group or array of that name, or None if there is none; a link is not followed.
+        """Return a group or array by name, or None if it does not exist; links are not followed.
 
         Raises:
-            ConfigurationError: it is a link, neither of the two, or has another name too.
+            ConfigurationError: the name belongs to a link or another type, or the object has a second name.
         """
         link = group.get(name, getlink=True)
         if link is None:
@@ -117,8 +117,13 @@ class Hdf5File:
     def text(self, group: Any, name: str, most: int) -> str | None:
         """Return an attribute that is one text, or None if there is none.
 
+        Args:
+            group: group with the attribute.
+            name: name of the attribute.
+            most: limit of its characters.
+
         Raises:
-            ConfigurationError: it is longer than ``most`` characters.
+            ConfigurationError: the text is longer.
         """
         value = self._attribute(group, name)
         if isinstance(value, str) and len(value) > most:
@@ -134,13 +139,13 @@ class Hdf5File:
         """Read an array.
 
         Args:
-            group: that it is in.
-            name: of it.
-            account: that its bytes are counted on.
-            kinds: letters of the NumPy types that it may have; ``S`` for texts of fixed length.
+            group: group with the array.
+            name: name of the array.
+            account: account of the bytes and time that are used.
+            kinds: letters of the allowed NumPy types; ``S`` for texts of fixed length.
 
         Raises:
-            ConfigurationError: there is none, it holds anything else, or the budget does not allow it; says what.
+            ConfigurationError: the array does not exist, has another type, or exceeds the budget.
         """
         dataset = self._checked(group, name, kinds)
         stored = dataset.id.get_storage_size()
@@ -149,6 +154,7 @@ class Hdf5File:
             return np.asarray(dataset[()])
         found = np.empty(dataset.shape, dataset.dtype)
         row = dataset.nbytes // len(dataset)
+        # Whole chunks of rows at a time, so that none is unpacked twice.
         step = dataset.chunks[0] if dataset.chunks else 1
         step *= max(1, _SLAB // (row * step))
         for begin in range(0, len(dataset), step):
@@ -161,19 +167,19 @@ class Hdf5File:
         """Read a list of texts, of fixed or variable length.
 
         Args:
-            group: that it is in.
-            name: of it.
-            most: texts that there may be, and characters of each.
+            group: group with the list.
+            name: name of the list.
+            most: limit of the number of texts, and of the characters of each.
 
         Raises:
-            ConfigurationError: it is none, or longer.
+            ConfigurationError: there is no such list, or it is longer.
         """
         dataset = self._checked(group, name, "SO")
         where = f"'{dataset.name}' of {self.path}"
         if self._h5py.check_string_dtype(dataset.dtype) is None or dataset.ndim != 1 or len(dataset) > most:
             raise ConfigurationError(f"{where} is no list of at most {most:,} texts")
         found: list[str] = []
-        for place in range(len(dataset)):  # one by one, for all may be the same long text
+        for place in range(len(dataset)):  # one by one, because all may refer to the same long text
             text = dataset.asstr()[place]
             if len(text) > most:
                 raise ConfigurationError(f"{where} holds a text of {len(text):,} characters")
@@ -198,16 +204,17 @@ class Hdf5File:
     def _attribute(self, group: Any, name: str) -> Any:
         if name not in group.attrs:
             return None
-        told = group.attrs.get_id(name)
-        if told.shape != () or told.dtype.kind not in "OSiu" or told.get_storage_size() > SMALL:
+        # By its id: reading an attribute through h5py would already unpack its value.
+        attribute = group.attrs.get_id(name)
+        if attribute.shape != () or attribute.dtype.kind not in "OSiu" or attribute.get_storage_size() > SMALL:
             return None
         return group.attrs[name]
 
     def _checked(self, group: Any, name: str, kinds: str) -> Any:
-        """Return an array that may be read, of one of these kinds of types.
+        """Return an array after checking its type and storage.
 
         Raises:
-            ConfigurationError: there is none, or it may not; says why.
+            ConfigurationError: the array does not exist, or must not be read.
         """
         dataset = self.child(group, name)
         where = f"'{group.name.rstrip('/')}/{name}' of {self.path}"
@@ -221,16 +228,17 @@ class Hdf5File:
         return dataset
 
     def _check_storage(self, dataset: Any, where: str) -> None:
-        """Refuse filters and chunks that could unpack to more than the array has.
+        """Refuse filters and chunks that could unpack to more than the array's size.
 
         Raises:
-            ConfigurationError: says which.
+            ConfigurationError: the storage is refused; the message names the reason.
         """
         if dataset.id.get_storage_size() > self.path.stat().st_size:
             raise ConfigurationError(f"{where} would be larger than its file: it is truncated or damaged")
         if not dataset.chunks:
             return
         chunk = math.prod(dataset.chunks) * dataset.dtype.itemsize
+        # HDF5 allocates whole chunks, even for an array of a few numbers.
         if chunk > max(SMALL, dataset.nbytes):
             raise ConfigurationError(
                 f"{where} has {dataset.nbytes:,} bytes in chunks of {chunk:,}: the file is made to fill the memory"
@@ -238,6 +246,7 @@ class Hdf5File:
         plan = dataset.id.get_create_plist()
         filters = {number: values for number, _, values, _ in map(plan.get_filter, range(plan.get_nfilters()))}
         compressed = [number for number in filters if number in _RATIOS]
+        # Two compressions multiply their ratios. The dictionary hides a filter that comes twice, so compare the count.
         if (
             not filters.keys() <= {*_RATIOS, _SHUFFLE, _CHECKSUM}
             or len(filters) < plan.get_nfilters()
@@ -260,6 +269,7 @@ class Hdf5File:
 
         dataset.id.chunk_iter(gather)
         for info in large:
+            # lzf unpacks to the size in its settings, which is checked above; deflate must be tried.
             if packing == _LZF:
                 small = info.size <= 2 * chunk
             else:

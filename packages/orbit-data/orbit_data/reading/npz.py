@@ -1,4 +1,4 @@
-"""Arrays of an ``.npz`` archive, read within a budget: NumPy itself takes the memory that a header claims."""
+"""Arrays of an ``.npz`` archive, read within a budget: NumPy itself allocates the memory that a header claims."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ FAULTS = (
     OSError, ValueError, KeyError, TypeError, RuntimeError, NotImplementedError, EOFError, OverflowError, MemoryError,
     SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
 )  # fmt: skip
-"""What :func:`read_npz` raises of damaged archives, besides the errors of the budget."""
+"""Errors of :func:`read_npz` for damaged archives, in addition to those of the budget."""
 _SUFFIX = ".npy"
+# Bytes that are read between two checks of the time.
 _SLAB = 1 << 24
-"""Bytes that are read at a time, after which the clock is looked at."""
 
 
 def read_npz(path: Path, account: ReadAccount) -> dict[str, npt.NDArray[Any]]:
-    """Return all arrays by name; they hold numbers or texts.
+    """Return all arrays of numbers or texts, by name.
 
     Args:
-        path: of the archive.
-        account: that bytes are counted on.
+        path: path of the archive.
+        account: account of the bytes and time that are used.
 
     Raises:
-        ConfigurationError: the budget does not allow so many.
-        FAULTS: it is no archive, or damaged.
+        ConfigurationError: the budget is exceeded.
+        FAULTS: the file is not an archive, or damaged.
     """
     if not zipfile.is_zipfile(path):
         raise ValueError("it is no NPZ archive, as numpy.savez writes them")
@@ -53,10 +53,12 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, account: ReadAccount)
         if read_header is None:
             raise ValueError(f"{info.filename} is of a version that is not read")
         shape, by_columns, dtype = read_header(file)
+        # No objects ("O"): NumPy stores them as pickles, which can execute code.
         if dtype.kind not in "fiubcUS":
             raise ValueError(f"{info.filename} holds {dtype}, and no numbers or texts")
         if any(extent < 0 for extent in shape):
             raise ValueError(f"{info.filename} has shape {shape}")
+        # In Python's integers, which do not overflow.
         size = math.prod(shape) * dtype.itemsize
         if size != info.file_size - file.tell():
             raise ValueError(f"{info.filename} would have {size:,} bytes, and holds {info.file_size - file.tell():,}")

@@ -1,7 +1,7 @@
 """Columns of numbers of a Parquet file, read within a budget.
 
-The library unpacks each page to as many bytes as the page's own header says, whatever the rest of the file says of it.
-So these headers, of Thrift's compact protocol (https://parquet.apache.org/docs/file-format/), are read first.
+pyarrow unpacks each page to as many bytes as the page's own header states, even if the rest of the file contradicts it.
+Therefore these headers, of Thrift's compact protocol (https://parquet.apache.org/docs/file-format/), are read first.
 """
 
 from __future__ import annotations
@@ -15,37 +15,38 @@ from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.reading.budget import ReadAccount
 
-# Bytes of a number of each type; columns of others, such as texts, are not read.
+# Bytes of a number of each type; columns of other types, such as texts, are not read.
 _SIZES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
-# Structures of a page's header within each other.
+# Limit of the nesting of structures in a page's header.
 _DEEPEST = 8
 _MOST_COLUMNS = 10_000
 
 
 def read_columns(path: Path, wanted: Callable[[str], bool], account: ReadAccount) -> Any:
-    """Return a table of those columns that hold numbers, or lists of numbers.
+    """Return a table of the columns that contain numbers, or lists of numbers.
 
     Args:
-        path: of the file.
-        wanted: says of a column's name whether it is read.
-        account: that bytes are counted on.
+        path: path of the file.
+        wanted: returns whether the column of a name is read.
+        account: account of the bytes and time that are used.
 
     Raises:
-        ConfigurationError: pyarrow is not installed, or the budget does not allow so many.
+        ConfigurationError: pyarrow is not installed, or the budget is exceeded.
     """
     arrow, parquet = arrow_modules()
     with parquet.ParquetFile(path) as file:
-        told, schema = file.metadata, file.schema_arrow
-        if told.num_columns > _MOST_COLUMNS:
-            raise ConfigurationError(f"{path} has {told.num_columns:,} columns, more than {_MOST_COLUMNS:,}")
+        metadata, schema = file.metadata, file.schema_arrow
+        if metadata.num_columns > _MOST_COLUMNS:
+            raise ConfigurationError(f"{path} has {metadata.num_columns:,} columns, more than {_MOST_COLUMNS:,}")
         names = [field.name for field in schema if wanted(field.name) and _is_numeric(arrow, field.type)]
         with path.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            for number in range(told.num_row_groups):
-                group = told.row_group(number)
-                for column in map(group.column, range(told.num_columns)):
+            for number in range(metadata.num_row_groups):
+                group = metadata.row_group(number)
+                for column in map(group.column, range(metadata.num_columns)):
                     account.check_time()
                     if column.path_in_schema.split(".")[0] in {name.split(".")[0] for name in names}:
                         _check_column(data, column, path.name, account)
+        # One thread, so that one page at a time is unpacked: the account counts the largest page once.
         return file.read(columns=names, use_threads=False)
 
 
@@ -71,7 +72,7 @@ def _is_numeric(arrow: Any, kind: Any) -> bool:
 
 
 def _check_column(data: mmap.mmap, column: Any, where: str, account: ReadAccount) -> None:
-    """Count what a column of a row group takes: its values, and the largest of its pages."""
+    """Count the memory of a column of a row group: its values, and the largest of its pages."""
     name = f"{column.path_in_schema} of {where}"
     size = _SIZES.get(column.physical_type)
     if size is None:
@@ -88,9 +89,10 @@ def _check_column(data: mmap.mmap, column: Any, where: str, account: ReadAccount
 
 
 class _Page:
-    """Sizes that a page's header gives."""
+    """Sizes in a page's header."""
 
     def __init__(self, header: dict[int, Any]) -> None:
+        # Field numbers of PageHeader in parquet.thrift; 5, 7 and 8 describe data, dictionary and version 2 data pages.
         self.unpacked, self.packed = int(header[2]), int(header[3])
         details = next((header[field] for field in (5, 7, 8) if field in header), {})
         self.values = int(details.get(1, 0))
@@ -121,6 +123,7 @@ def _structure(data: mmap.mmap, place: int, depth: int) -> tuple[dict[int, Any],
     field = 0
     while (head := data[place]) != 0:
         place += 1
+        # The upper four bits are the difference to the last field's number, or zero if the number follows.
         if head >> 4:
             field += head >> 4
         else:
@@ -148,7 +151,7 @@ def _value(data: mmap.mmap, place: int, kind: int, depth: int) -> tuple[Any, int
 
 def _integer(data: mmap.mmap, place: int) -> tuple[int, int]:
     value, place = _varint(data, place)
-    return value >> 1 ^ -(value & 1), place
+    return value >> 1 ^ -(value & 1), place  # zigzag: the sign is the lowest bit
 
 
 def _varint(data: mmap.mmap, place: int) -> tuple[int, int]:

@@ -1,6 +1,6 @@
-"""What a Zarr group says of its arrays, checked before the library acts on it, and a store that checks each chunk.
+"""Check of a Zarr group's descriptions before zarr acts on them, and a store that checks each chunk.
 
-Among the library's codecs is Python's pickle, and others unpack a few bytes to as many as these like.
+zarr's codecs include Python's pickle, which executes code, and others unpack a few bytes to any number.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from orbit_data.reading.budget import DENSEST, MAX_DOCUMENT, SMALL, ReadAccount
 _DESCRIPTIONS = (".zarray", ".zgroup", ".zattrs", ".zmetadata", "zarr.json")
 _NUMBERS = re.compile(r"[<>|]?(b1|[iu][1248]|f[248])|bool|u?int(8|16|32|64)|float(16|32|64)")
 _HARMLESS = ("bytes", "transpose", "shuffle", "crc32c")
-# Bytes of checksums within a chunk.
+# Bytes that a chunk's checksums may add.
 _MARGIN = 64
-# Most chunks of an array that may be missing, each of which takes the library some 60 microseconds.
+# Limit of an array's missing chunks, each of which takes zarr some 60 microseconds.
 _MOST_MISSING = 100_000
 # First bytes of a frame of Zstandard, and the most bytes of a block.
 _ZSTD_FRAME, _ZSTD_BLOCK = b"\x28\xb5\x2f\xfd", 1 << 17
@@ -38,12 +38,12 @@ _ZSTD_FRAME, _ZSTD_BLOCK = b"\x28\xb5\x2f\xfd", 1 << 17
 
 @dataclass(frozen=True)
 class ArrayLayout:
-    """What is said of an array before anything of it is read."""
+    """Description of an array, before any of its data is read."""
 
     name: str
-    """Its path within the group."""
+    """Path within the group."""
     packing: str
-    """The codec that packs its chunks; empty if none does."""
+    """Codec that packs the chunks; empty if none does."""
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
     itemsize: int
@@ -66,31 +66,31 @@ class ArrayLayout:
 
 @dataclass(frozen=True)
 class _Stored:
-    """A file of the group."""
+    """File of the group."""
 
     key: str
     packed: int
-    """Bytes that it takes on the disk."""
+    """Bytes on the disk."""
     size: int
-    """Bytes that it has once an archive is unpacked."""
+    """Bytes after unpacking from an archive."""
     read: Callable[[], bytes]
 
 
 class ZarrFiles:
-    """The files of a Zarr group, in a folder or an archive.
+    """Files of a Zarr group, in a folder or an archive.
 
     Args:
-        path: of the folder or the archive.
-        account: of opening it.
+        path: path of the folder or archive.
+        account: account of the opening.
 
     Raises:
-        ConfigurationError: something in it is a link, or an array is stored in a way that is not read; names it.
+        ConfigurationError: a file is a link, or an array is stored in an unsupported way; the message names it.
     """
 
     def __init__(self, path: Path, account: ReadAccount) -> None:
         self.path = path
         self.layouts: dict[str, ArrayLayout] = {}
-        """The arrays by their path within the group."""
+        """Arrays by their path within the group."""
         stored: dict[str, list[int]] = {}
         for file in self._files(account):
             account.check_time()
@@ -106,15 +106,19 @@ class ZarrFiles:
             self._check(layout, count, packed, max((sizes[2] for sizes in below), default=0))
 
     def store(self) -> Any:
-        """Return a store for the library, which checks each chunk before it is unpacked."""
+        """Return a store for zarr, which checks each chunk before it is unpacked."""
         inner = ZipStore(self.path, mode="r") if self.path.is_file() else LocalStore(self.path, read_only=True)
         return _CheckedStore(inner, self)
 
     def check_chunk(self, key: str, data: bytes) -> None:
-        """Refuse a chunk that unpacks to more than its array has a place for.
+        """Refuse a chunk that unpacks to more bytes than a chunk of its array.
+
+        Args:
+            key: path of the chunk within the group.
+            data: stored bytes.
 
         Raises:
-            ConfigurationError: names it.
+            ConfigurationError: the chunk is too large.
         """
         layout = next((each for each in self.layouts.values() if key.startswith(f"{each.name}/")), None)
         if layout is None:
@@ -147,13 +151,14 @@ class ZarrFiles:
             raise ConfigurationError(f"{file.key} of {self.path} has {file.size:,} bytes, which no description needs")
         name = file.key.rpartition("/")[2]
         if folder.count("/") != 1 or name not in (".zarray", "zarr.json"):
-            return  # of no array that is read
-        told = json.loads(file.read())
+            return  # not an array that is read
+        described = json.loads(file.read())
         if name == ".zarray":
-            self.layouts[folder] = self._layout(folder, told, told["dtype"], told["chunks"], _packings_of_v2(told))
-        elif told["node_type"] == "array":
-            grid = told["chunk_grid"]["configuration"]["chunk_shape"]
-            self.layouts[folder] = self._layout(folder, told, told["data_type"], grid, _packings_of_v3(told))
+            packings = _packings_of_v2(described)
+            self.layouts[folder] = self._layout(folder, described, described["dtype"], described["chunks"], packings)
+        elif described["node_type"] == "array":
+            grid, packings = described["chunk_grid"]["configuration"]["chunk_shape"], _packings_of_v3(described)
+            self.layouts[folder] = self._layout(folder, described, described["data_type"], grid, packings)
 
     def _layout(self, name: str, told: Any, dtype: Any, chunks: Any, packings: list[str]) -> ArrayLayout:
         where = f"'{name}' of {self.path}"
@@ -163,7 +168,7 @@ class ZarrFiles:
             if packing not in (*_HARMLESS, *_UNPACKED):
                 raise ConfigurationError(f"{where} is stored by the codec '{packing[:60]}', which is not read")
         packed = [place for place, each in enumerate(packings) if each in _UNPACKED]
-        # What comes after a packing would be packed itself; only a checksum may follow it.
+        # A codec after a packing would be applied to packed bytes; only a checksum is useful there.
         if len(packed) > 1 or (packed and {*packings[packed[0] + 1 :]} - {"crc32c"}):
             raise ConfigurationError(f"{where} is packed more than once, which is not read: {', '.join(packings)}")
         extents = (*told["shape"], *chunks)
@@ -189,7 +194,7 @@ class ZarrFiles:
 
 
 class _CheckedStore(WrapperStore[Any]):
-    """A store whose chunks are checked."""
+    """Store that checks chunks."""
 
     def __init__(self, store: Any, files: ZarrFiles) -> None:
         super().__init__(store)
@@ -199,7 +204,7 @@ class _CheckedStore(WrapperStore[Any]):
         return _CheckedStore(store, self._files)
 
     async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
-        """Return what is stored under a key, None if nothing is."""
+        """Return the data under a key, None if there is none."""
         found = await super().get(key, prototype, byte_range)
         if found is not None and key.rpartition("/")[2] not in _DESCRIPTIONS:
             self._files.check_chunk(key, found.to_bytes())
@@ -207,12 +212,12 @@ class _CheckedStore(WrapperStore[Any]):
 
 
 def _packings_of_v2(told: Any) -> list[str]:
-    """Codecs of an array of format 2, in the order of packing."""
+    """Return the codecs of an array of format 2, in the order of packing."""
     return [_codec_name(each) for each in (*(told.get("filters") or ()), told.get("compressor")) if each is not None]
 
 
 def _packings_of_v3(told: Any) -> list[str]:
-    """Codecs of an array of format 3, in the order of packing."""
+    """Return the codecs of an array of format 3, in the order of packing."""
     others = ["storage transformers"] if told.get("storage_transformers") else []
     return [*(_codec_name(each) for each in told["codecs"]), *others]
 
@@ -221,7 +226,7 @@ def _codec_name(codec: Any) -> str:
     name = codec if isinstance(codec, str) else codec.get("id", codec.get("name"))
     settings = {} if isinstance(codec, str) else {**codec, **(codec.get("configuration") or {})}
     if name in ("lzma", "numcodecs.lzma") and (settings.get("format", 1) != 1 or settings.get("filters")):
-        return "lzma without a header"  # which may ask for any memory
+        return "lzma without a header"  # whose settings can request any memory
     return str(name).removeprefix("numcodecs.")
 
 
@@ -229,11 +234,11 @@ def _unpacked_by(make: Callable[[], Any], ratio: int) -> Callable[[bytes, int], 
     """Return a function that counts the bytes, up to one more than ``most``, that a stream unpacks to."""
 
     def count(data: bytes, most: int) -> int:
-        if ratio * len(data) <= SMALL:
+        if ratio * len(data) <= SMALL:  # no trial: even the highest ratio would be harmless
             return 0
         size = 0
         while data and size <= most:
-            unpacker = make()
+            unpacker = make()  # a new one for each stream: these formats allow several one after the other
             size += len(unpacker.decompress(data, most + 1 - size))
             data = unpacker.unused_data if unpacker.eof else b""
         return size
@@ -242,19 +247,19 @@ def _unpacked_by(make: Callable[[], Any], ratio: int) -> Callable[[bytes, int], 
 
 
 def _zstd_size(data: bytes, most: int) -> int:
-    """Count the bytes of a frame of Zstandard (RFC 8878): as its header says, or else as its blocks can hold."""
+    """Count the bytes of a frame of Zstandard (RFC 8878): by its header, or by the most that its blocks can hold."""
     if data[:4] != _ZSTD_FRAME or len(data) < 6:
         return 0
     flag, single = data[4] >> 6, data[4] >> 5 & 1
     place = 5 + (not single) + (0, 1, 2, 4)[data[4] & 3]
     if width := (single, 2, 4, 8)[flag]:
         return int.from_bytes(data[place : place + width], "little") + 256 * (flag == 1)
-    size, last = -_ZSTD_BLOCK, False  # of which the last may hold next to nothing
+    size, last = -_ZSTD_BLOCK, False  # the last block may be almost empty, so it does not count
     while not last and place + 3 <= len(data) and size <= most:
         header = int.from_bytes(data[place : place + 3], "little")
-        last, kind, told = bool(header & 1), header >> 1 & 3, header >> 3
-        size += _ZSTD_BLOCK if kind == 2 else told
-        place += 3 + (1 if kind == 1 else told)
+        last, kind, length = bool(header & 1), header >> 1 & 3, header >> 3
+        size += _ZSTD_BLOCK if kind == 2 else length  # 2 is a compressed block, which does not state its size
+        place += 3 + (1 if kind == 1 else length)  # 1 is one byte that is repeated
     return size
 
 

@@ -1,4 +1,4 @@
-"""The viewer's page as a device: a gizmo for the hand, sliders for joints, keys, and a second page with sticks."""
+"""Viewer's page as a device: a gizmo for the hand, sliders for joints, keys, and a second page with sticks."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from viser._messages import HotkeyKey
 
 PATH = "/pad"
-# s that sticks count as held after they were last heard of; a held pad is heard of 20 times a second.
+# Seconds that sticks count as held after their last message; a held pad sends 20 messages a second.
 _PAD_HELD = 0.25
-# s from one telling of how things stand to the next.
+# Period in s of messages about the session's state.
 _TOLD = 0.2
-# Bytes of a frame; who sends more is no pad.
+# Limit of a frame's bytes; pads send fewer.
 _LONGEST = 1024
 _REST = (0.0,) * 6, (0.0,) * 3
 
 
 class PadFrame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What a pad says: shares in [-1, 1] of the hand's twist and of the base's (forward, left, turn), and a wish."""
+    """Frame of a pad: shares in [-1, 1] of the hand's twist and of the base's (forward, left, turn), and an event."""
 
     hand: tuple[float, float, float, float, float, float]
     base: tuple[float, float, float]
@@ -43,10 +43,10 @@ class PadFrame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Pad:
-    """The pad's page, and what was last heard of its sticks.
+    """Page of the pad, and the last state of its sticks.
 
     Args:
-        heard: called, in the web server's thread, with what a frame asks for, after it was taken over.
+        heard: called in the web server's thread with the event of each frame, after the sticks' state was updated.
     """
 
     def __init__(self, heard: Callable[[Event | None], None]) -> None:
@@ -55,13 +55,13 @@ class Pad:
         self._shares: tuple[tuple[float, ...], tuple[float, ...]] = _REST
         self._time = -math.inf
         self.rows: Mapping[str, str] = {}
-        """How things stand, for the person."""
+        """State of the session, for the person."""
         html = Path(__file__).with_name("pad.html").read_bytes()
         self.page = Page(PATH, html, self._listen)
 
     @property
     def shares(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Six of the hand's twist and three of the base's speeds; zeros where nobody holds a stick."""
+        """Six shares of the hand's twist and three of the base's speeds; zeros while no stick is held."""
         with self._lock:
             return self._shares if time.perf_counter() - self._time < _PAD_HELD else _REST
 
@@ -83,29 +83,29 @@ class Pad:
                 await asyncio.sleep(_TOLD)
 
     def _take(self, message: str | bytes) -> str:
-        """Take over what a frame says; why not, if it cannot be."""
+        """Apply a frame, and return why it is refused; empty if it is not."""
         if len(message) > _LONGEST:
             return f"a frame has {_LONGEST} bytes at most"
         try:
             frame = msgspec.json.decode(message, type=PadFrame)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-            return f"no frame: {error}"
+            return f"invalid frame: {error}"
         if not all(abs(share) <= 1.0 for share in (*frame.hand, *frame.base)):
-            return "shares lie in [-1, 1]"
+            return "shares must be from -1 to 1"
         with self._lock:
             self._shares, self._time = (frame.hand, frame.base), time.perf_counter()
         self._heard(frame.event)
         return ""
 
 
-# s that a button counts as held after it was last heard of; it is heard of 30 times a second.
+# Seconds that a button counts as held after its last message; a held one sends 30 messages a second.
 _HELD = 0.12
-# s after a person's last move of gizmo or sliders from which on they follow the robot again.
+# Seconds after a person's last action until gizmo and sliders follow the robot again.
 _RESTS = 0.4
-# s from one time that sliders follow the robot to the next: each is a message to the page.
+# Period in s of updates of sliders: each is a message to the page.
 _SHOWN = 0.1
 _PAD = f'<iframe src="{PATH}" title="gamepad" style="width:100%;height:22em;border:0;border-radius:6px"></iframe>'
-# rad: a joint without limits is moved by a turn either way.
+# Range in rad of the slider of a joint without limits: a turn either way.
 _TURN = 6.28
 _HAND_BUTTONS = (
     ("Forward", 0, 1.0), ("Back", 0, -1.0), ("Left", 1, 1.0), ("Right", 1, -1.0), ("Up", 2, 1.0), ("Down", 2, -1.0),
@@ -120,7 +120,7 @@ _EVENTS: dict[Event, tuple[str, HotkeyKey, str]] = {
     Event.RECORD: ("Record", "R", "Begin a new episode, and record it"),
     Event.SAVE: ("Save", "V", "End the recorded episode, and keep it"),
     Event.DISCARD: ("Discard", "X", "Forget the recorded episode"),
-    Event.RESET: ("Start over", "Z", "Begin the episode anew"),
+    Event.RESET: ("Start over", "Z", "Begin the episode again"),
     Event.SUCCESS: ("Mark success", "M", "Say that the episode succeeded, or take it back"),
     Event.GRIPPER: ("Open or close", "G", "The gripper"),
     Event.NEXT: ("Next hand", "N", "Drive another end effector or robot"),
@@ -128,11 +128,11 @@ _EVENTS: dict[Event, tuple[str, HotkeyKey, str]] = {
 
 
 class Browser(Device):
-    """What a person does on the viewer's page; :meth:`attach` puts it there.
+    """Device on the viewer's page; :meth:`attach` adds it there.
 
     Args:
-        speeds: of the hand, by buttons.
-        driver: whose robots are driven.
+        speeds: speeds of the hand while buttons are held.
+        driver: driver of the robots.
     """
 
     def __init__(self, speeds: Speeds, driver: Driver) -> None:
@@ -148,12 +148,12 @@ class Browser(Device):
         self._server: Any = None
         self._gizmo: Any = None
         self._sliders: dict[str, dict[str, Any]] = {}
-        """By the name of what is driven, and of the joint."""
+        """Sliders by the names of the driven choice and of the joint."""
         self._folders: dict[str, Any] = {}
         self._shown = -_SHOWN
         self._pad = Pad(self._padded)
         self.pages = (self._pad.page,)
-        """What the server has besides the viewer's page: the gamepad, which a phone may show by itself."""
+        """Pages in addition to the viewer's: the gamepad, which a phone can show alone."""
 
     def read(self) -> Reading:
         now = time.perf_counter()
@@ -174,7 +174,7 @@ class Browser(Device):
         return reading
 
     def attach(self, server: ViserServer, scene: SceneView) -> Browser:
-        """Put everything on the page; gives what the viewer brings up to date."""
+        """Add everything to the page, and return the tool that the viewer updates."""
         self._server = server
         self._gizmo = server.scene.add_transform_controls(
             "/teleoperation/gizmo", scale=0.15, visible=False, depth_test=False
@@ -205,7 +205,7 @@ class Browser(Device):
         self._pad.rows = rows
 
     def update(self) -> None:
-        """Let gizmo and sliders follow the robot while nobody moves them. Called in the simulation's thread."""
+        """Move gizmo and sliders with the robot while no person moves them; called in the simulation's thread."""
         now, hand = time.perf_counter(), self._driver.hand
         if self._gizmo is None or self._dragging or now - self._last < _RESTS:
             return
@@ -233,13 +233,14 @@ class Browser(Device):
         with self._lock:
             self._dragging = event.phase != "end"
             pose = (*map(float, self._gizmo.position), *map(float, self._gizmo.wxyz))
-            if not within_reach(pose) or not any(pose[3:]):  # no gizmo sends that
+            if not within_reach(pose) or not any(pose[3:]):  # a page other than ours sent it: no gizmo does
                 return
             self._pose, self._joints = pose, None
             self._heard()
 
     def _slid(self, name: str, event: Any) -> None:
-        if event.client is None or not within_reach((event.target.value,)):  # a program set it, or it is no slider's
+        # Without a client this program moved the slider. No slider sends values out of reach.
+        if event.client is None or not within_reach((event.target.value,)):
             return
         with self._lock:
             self._joints = {**(self._joints or {}), name: float(event.target.value)}
@@ -254,7 +255,7 @@ class Browser(Device):
         with self._lock:
             if event:
                 self._events.add(event)
-            self._pose = self._joints = None
+            self._pose = self._joints = None  # sticks take over from gizmo and sliders
             self._heard()
 
     def _hold(self, which: tuple[str, int, float]) -> None:
@@ -275,7 +276,7 @@ class Browser(Device):
                 button.on_hold(lambda _, which=(kind, axis, sign): self._hold(which), callback_hz=30.0)
 
     def _add_sliders(self, gui: Any, hand: Hand) -> dict[str, Any]:
-        """Return a slider for each joint of the arm, and of a hand with fingers of its own."""
+        """Add sliders for the joints of the arm, and for the fingers of hands that have finger tips."""
         fingers = hand.fingers if hand.effector.finger_tips or not hand.arm else []
         sliders: dict[str, Any] = {}
         for joint in (*hand.arm, *fingers):

@@ -1,4 +1,4 @@
-"""What every device gives: readings of what a person asks for now."""
+"""Interface of all devices: readings of a person's current requests."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from enum import Enum
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
 
 FARTHEST = 1e4
-"""m, rad, m/s or rad/s: the largest number that a device may ask for. Beyond it single precision has no millimetres."""
+"""Largest number (m, rad, m/s or rad/s) in a request. Beyond it single precision cannot represent millimetres."""
 MOST_EVENTS = 32
-"""Events that wait for the next step; a person asks for one or two."""
+"""Limit of events that wait for the next step; a person causes one or two."""
 
 
 class DeviceLostError(OrbitError):
-    """A device was unplugged, or its other end went away."""
+    """Error of a device that was unplugged, or whose other end disappeared."""
 
 
 class Event(Enum):
-    """What a person asks for once, by a key or a button; the value is its word in messages and frames."""
+    """Request that a person makes once, by a key or a button; the value is its word in messages and frames."""
 
     RECORD = "record"
     """Begin a new episode, and record it."""
     SAVE = "save"
     """End the episode that is recorded, and keep it."""
     DISCARD = "discard"
-    """Forget the episode that is recorded, and begin anew without recording."""
+    """Discard the recorded episode, and begin a new one without recording."""
     RESET = "reset"
-    """Begin a new episode; one that is recorded is forgotten, and its successor recorded."""
+    """Begin a new episode; a recorded one is discarded, and the new one recorded."""
     SUCCESS = "success"
-    """Mark the episode that is recorded as successful, or take the mark back."""
+    """Mark the recorded episode as successful, or remove the mark."""
     GRIPPER = "gripper"
     """Open or close the gripper."""
     NEXT = "next"
-    """Drive the next end effector, of the same robot or another, where there are several."""
+    """Drive the next end effector, of the same robot or another, if there are several."""
 
 
 def within_reach(numbers: Iterable[float]) -> bool:
@@ -44,7 +44,7 @@ def within_reach(numbers: Iterable[float]) -> bool:
 
 
 class EventQueue:
-    """Events that wait for the next reading, :data:`MOST_EVENTS` at most."""
+    """Queue of events that wait for the next reading, at most :data:`MOST_EVENTS`."""
 
     def __init__(self) -> None:
         self._waiting: list[Event] = []
@@ -60,47 +60,49 @@ class EventQueue:
         return True
 
     def take(self) -> tuple[Event, ...]:
-        """Return all of them, oldest first, and forget them."""
+        """Remove and return all events, oldest first."""
         waiting, self._waiting = self._waiting, []
         return tuple(waiting)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What a person asks for at one moment; None where the device says nothing of it.
+    """Requests of a person at one moment; None where the device has none.
 
     Raises:
         ConfigurationError: a number is not finite or beyond :data:`FARTHEST`, or a quaternion has no length.
     """
 
     twist: tuple[float, ...] | None = None
-    """Six: m/s and rad/s of the end effector, in world axes."""
+    """Twist of the end effector: six numbers in m/s and rad/s, in world axes."""
     pose: tuple[float, ...] | None = None
-    """Seven: position (m) and quaternion (w, x, y, z) of the end effector, in the environment's frame."""
+    """Pose of the end effector: position (m) and quaternion (w, x, y, z), in the environment's frame."""
     joints: Mapping[str, float] | None = None
-    """rad or m by the robot's joint names."""
+    """Positions in rad or m by the robot's joint names."""
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """(forward, left, turn) of a base, as shares of its limits."""
+    """Command (forward, left, turn) of a base, as shares of its limits."""
     gripper_open: bool | None = None
     events: tuple[Event, ...] = ()
     moved_at: float | None = None
-    """``time.perf_counter()`` of the oldest move of the person that the reading holds."""
+    """``time.perf_counter()`` of the person's oldest action in the reading."""
 
     def __post_init__(self) -> None:
         joints = self.joints or {}
         for what, numbers in (("twist", self.twist), ("pose", self.pose), ("base", self.base)):
             if not within_reach(numbers or ()):
-                raise ConfigurationError(f"the device asks for {what} {numbers}: give numbers up to {FARTHEST:g}")
+                raise ConfigurationError(f"the device requests {what} {numbers}: the limit is {FARTHEST:g}")
         for name, value in joints.items():
             if not within_reach((value,)):
-                raise ConfigurationError(f"the device wants joint '{name}' at {value}, which is no position")
+                raise ConfigurationError(
+                    f"the device requests position {value} of joint '{name}': the limit is {FARTHEST:g}"
+                )
         if self.pose is not None and not any(self.pose[3:]):
-            raise ConfigurationError("the device asks for a pose whose quaternion is zero")
+            raise ConfigurationError("the device requests a pose whose quaternion is zero")
 
 
 @dataclass(frozen=True)
 class Speeds:
-    """How fast the hand moves at a device's full deflection."""
+    """Speeds of the hand at a device's full deflection."""
 
     linear: float = 0.25
     """m/s"""
@@ -114,18 +116,18 @@ class Speeds:
 
 
 class Device(ABC):
-    """Something that a person moves."""
+    """Device that a person moves."""
 
     @abstractmethod
     def read(self) -> Reading:
-        """What is asked for now; waits for nothing.
+        """Return the current requests without waiting.
 
         Raises:
-            DeviceLostError: the device is gone.
+            DeviceLostError: the device has disappeared.
         """
 
     def tell(self, rows: Mapping[str, str]) -> None:
-        """Let the person know how things stand, where the device has a way to."""
+        """Show the person the session's state, if the device can."""
 
     def close(self) -> None:
-        """Give the device back."""
+        """Release the device."""

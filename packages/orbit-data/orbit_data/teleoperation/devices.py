@@ -1,4 +1,4 @@
-"""Devices by name: keyboard, gamepad and SpaceMouse of this computer, and those of other modules.
+"""Devices by name: keyboard, gamepad and SpaceMouse of this computer, and devices of other modules.
 
 The keyboard is read as characters of the terminal, so that it works over ssh and without a screen. The gamepad has the
 order of axes and buttons that SDL gives an Xbox controller on Linux. A SpaceMouse of 3Dconnexion is read by its HID
@@ -37,20 +37,21 @@ KEY_EVENTS = {
     " ": Event.GRIPPER, "r": Event.RECORD, "v": Event.SAVE, "x": Event.DISCARD, "z": Event.RESET, "m": Event.SUCCESS,
     "n": Event.NEXT,
 }  # fmt: skip
-# s that a key counts as held after its last character: longer than a terminal's repetition, of some 30 a second.
+# Seconds that a key counts as held after its last character: longer than the period of a terminal's repetition, of
+# some 30 a second.
 _HELD = 0.15
 _KEY = re.compile(r"\x1b\[[A-D]|.", re.DOTALL)
 
 
 class Keyboard(Device):
-    """Keys of :data:`HAND`, :data:`BASE` and :data:`EVENTS`, typed into a terminal.
+    """Keys of :data:`HAND`, :data:`BASE` and :data:`KEY_EVENTS`, typed into a terminal.
 
     Args:
-        speeds: of the hand.
-        descriptor: of the terminal; standard input if None.
+        speeds: speeds of the hand.
+        descriptor: file descriptor of the terminal; standard input if None.
 
     Raises:
-        ConfigurationError: it is no terminal.
+        ConfigurationError: the file is not a terminal.
     """
 
     def __init__(self, speeds: Speeds, descriptor: int | None = None) -> None:
@@ -60,12 +61,12 @@ class Keyboard(Device):
             import termios
             import tty
         except ImportError:
-            raise ConfigurationError("the keyboard is read from a POSIX terminal: take --device browser here") from None
+            raise ConfigurationError("the keyboard is read from a POSIX terminal: use --device browser here") from None
         if not os.isatty(self._file):
-            raise ConfigurationError("the keyboard is read from a terminal, and standard input is none: take another "
+            raise ConfigurationError("the keyboard is read from a terminal, and standard input is not one: use another "
                                      "--device, such as browser")  # fmt: skip
         self._restore = termios.tcsetattr, (self._file, termios.TCSADRAIN, termios.tcgetattr(self._file))
-        tty.setcbreak(self._file)
+        tty.setcbreak(self._file)  # characters without waiting for a line; Ctrl-C still interrupts
         self._held: dict[str, float] = {}
 
     def read(self) -> Reading:
@@ -112,20 +113,21 @@ _DEAD = 0.1
 
 
 class Gamepad(Device):
-    """The left stick moves the hand over the plane, the triggers up (right) and down (left), the right stick turns it.
+    """Gamepad: the left stick moves the hand over the plane, the triggers up and down, the right stick turns it.
 
-    With the right bumper held, the sticks drive the base: forward and left, and turning. The left bumper rolls the hand
-    in place of pitching it.
+    The right trigger is up. While the right bumper is held, the sticks drive the base: forward and left, and turning.
+    The left bumper rolls the hand instead of pitching it.
 
     Args:
-        speeds: of the hand.
-        events: what happened since it was called last: events of pygame, of which ``type`` and either ``axis`` and
-            ``value`` or ``button`` count; :func:`open_gamepad` has those of a real one.
-        types: the numbers of pygame's events for axes, buttons pressed, buttons let go, and a pad that is gone.
+        speeds: speeds of the hand.
+        events: returns events since its last call: pygame's, of which ``type`` and either ``axis`` and ``value`` or
+            ``button`` are read; :func:`open_gamepad` passes those of a real gamepad.
+        types: numbers of pygame's events for axes, pressed buttons, released buttons, and removed gamepads.
     """
 
     def __init__(self, speeds: Speeds, events: Callable[[], Iterable[Any]], types: tuple[int, int, int, int]) -> None:
         self._speeds, self._events, self._types = speeds, events, types
+        # SDL reports -1 for a trigger that is not pressed.
         self._axes = dict.fromkeys(range(6), 0.0) | {_LEFT_TRIGGER: -1.0, _RIGHT_TRIGGER: -1.0}
         self._pressed: set[int] = set()
 
@@ -154,7 +156,7 @@ class Gamepad(Device):
         return Reading(self._speeds.twist(shares), base=base, events=tuple(asked), moved_at=_now_if(moved))
 
     def _stick(self, x: int, y: int) -> tuple[float, float]:
-        """(forward, left) of a stick, whose own axes point right and back."""
+        """Return (forward, left) of a stick, whose own axes point right and back."""
         values = (-self._axes[y], -self._axes[x])
         return (values[0] if abs(values[0]) > _DEAD else 0.0, values[1] if abs(values[1]) > _DEAD else 0.0)
 
@@ -163,7 +165,7 @@ def open_gamepad(speeds: Speeds) -> Gamepad:
     """Return the first gamepad of this computer.
 
     Raises:
-        ConfigurationError: there is none, or pygame is not installed.
+        ConfigurationError: no gamepad was found, or pygame is not installed.
     """
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # events need a video driver, not a screen
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
@@ -175,7 +177,7 @@ def open_gamepad(speeds: Speeds) -> Gamepad:
     pygame.display.init()
     pygame.joystick.init()
     if not pygame.joystick.get_count():
-        raise ConfigurationError("there is no gamepad: plug one in, or take another --device, such as browser")
+        raise ConfigurationError("no gamepad was found: plug one in, or use another --device, such as browser")
     pad = pygame.joystick.Joystick(0)
     types = (pygame.JOYAXISMOTION, pygame.JOYBUTTONDOWN, pygame.JOYBUTTONUP, pygame.JOYDEVICEREMOVED)
     number = pad.get_instance_id()
@@ -195,13 +197,13 @@ _BUTTONS = (Event.GRIPPER, Event.RECORD, Event.SAVE, Event.DISCARD, Event.RESET,
 
 
 class SpaceMouse(Device):
-    """The cap moves and turns the hand as it is moved and turned itself, seen from behind the robot.
+    """SpaceMouse, whose cap moves and turns the hand the same way, seen from behind the robot.
 
     Args:
-        speeds: of the hand.
-        report: the next report that waits, its number first; empty if none does. Raises OSError where the device is
-            gone.
-        release: gives the device back.
+        speeds: speeds of the hand.
+        report: returns the next waiting report, its number first; empty if there is none. Raises OSError if the device
+            has disappeared.
+        release: releases the device.
     """
 
     def __init__(self, speeds: Speeds, report: Callable[[], bytes], release: Callable[[], None] = lambda: None) -> None:
@@ -243,7 +245,7 @@ def open_spacemouse(speeds: Speeds) -> SpaceMouse:
     """Return the first SpaceMouse of this computer.
 
     Raises:
-        ConfigurationError: there is none that this user may open, or hidapi is not installed.
+        ConfigurationError: no SpaceMouse was found, the user must not open it, or hidapi is not installed.
     """
     try:
         hid: Any = importlib.import_module("hid")
@@ -251,14 +253,14 @@ def open_spacemouse(speeds: Speeds) -> SpaceMouse:
         raise ConfigurationError(f"a SpaceMouse needs hidapi: {install_extra('teleoperation')}") from None
     found = [each for each in hid.enumerate() if each["product_id"] in _MAKERS.get(each["vendor_id"], ())]
     if not found:
-        raise ConfigurationError("there is no SpaceMouse: plug one in, or take another --device, such as browser")
+        raise ConfigurationError("no SpaceMouse was found: plug one in, or use another --device, such as browser")
     device = hid.device()
     try:
         device.open_path(found[0]["path"])
     except OSError as error:
         raise ConfigurationError(
-            f"the SpaceMouse at {found[0]['path'].decode()} cannot be opened ({error}): give this user the right to "
-            "read it (a udev rule for hidraw)"
+            f"the SpaceMouse at {found[0]['path'].decode()} cannot be opened ({error}): give this user the permission "
+            "to read it (a udev rule for hidraw)"
         ) from None
     device.set_nonblocking(True)
     return SpaceMouse(speeds, lambda: bytes(device.read(64)), device.close)
@@ -273,17 +275,14 @@ def _browser(speeds: Speeds, driver: Driver, port: int) -> Device:
 
 
 def _keyboard(speeds: Speeds, driver: Driver, port: int) -> Device:
-
     return Keyboard(speeds)
 
 
 def _gamepad(speeds: Speeds, driver: Driver, port: int) -> Device:
-
     return open_gamepad(speeds)
 
 
 def _spacemouse(speeds: Speeds, driver: Driver, port: int) -> Device:
-
     return open_spacemouse(speeds)
 
 
@@ -305,21 +304,27 @@ DEVICES: dict[str, Callable[[Speeds, Driver, int], Device]] = {
 
 
 def check_device(name: str) -> None:
-    """Refuse a name that is no device's.
+    """Refuse an unknown name of a device.
 
     Raises:
-        UnknownNameError: tells the nearest.
+        UnknownNameError: no device has the name; the message gives the nearest.
     """
     if name not in DEVICES:
         raise UnknownNameError("device", name, DEVICES)
 
 
 def open_device(name: str, speeds: Speeds, driver: Driver, leader_port: int) -> Device:
-    """Return the device of that name, ready to be read.
+    """Open a device.
+
+    Args:
+        name: name of the device, of :data:`DEVICES`.
+        speeds: speeds of the hand at full deflection.
+        driver: driver of the robots.
+        leader_port: port that a leader arm sends to.
 
     Raises:
-        UnknownNameError: there is no such name.
-        ConfigurationError: it is not plugged in, or what reads it is not installed.
+        UnknownNameError: no device has the name.
+        ConfigurationError: the device is not plugged in, or the package that reads it is not installed.
     """
     check_device(name)
     return DEVICES[name](speeds, driver, leader_port)

@@ -22,18 +22,19 @@ from orbit_data.teleoperation.device import Event, Reading
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
-# m and rad by which the pose that is asked for may lead the measured one.
+# Limits in m and rad of the lead of the requested pose over the measured one. A longer lead would make a hand that was
+# held back jump once it is free.
 _LEADS = (0.1, 0.5)
-# rad or m, likewise of joints.
+# Limit in rad or m of the same lead of joints.
 _JOINT_LEAD = 0.2
 
 
 class Hand:
-    """What is wanted of one end effector, and of its gripper.
+    """Target of one end effector and its gripper.
 
     Args:
-        robot: in one environment.
-        effector: one of the robot's.
+        robot: robot in one environment.
+        effector: one of the robot's end effectors.
     """
 
     def __init__(self, robot: Robot, effector: EndEffector) -> None:
@@ -41,42 +42,47 @@ class Hand:
         self.frame = effector.frame
         gripper = effector.gripper
         self.arm = _driven(robot, effector.arm_joints)
-        """Indices of the joints that move it."""
+        """Indices of the joints that move the end effector."""
         self.fingers = _driven(robot, gripper.joints if gripper else ())
         """Indices of its gripper's joints."""
         self.gripper_open = True
         self.by_joints = False
-        """Whether joint values are wanted, and the pose follows from them."""
+        """True if joint values were requested, and the pose follows from them."""
         self.target = self.measured
-        """(1, 7) the pose that is wanted."""
+        """Target pose (1, 7)."""
 
     @property
     def measured(self) -> Tensor:
-        """(1, 7) the end effector's pose."""
+        """Measured pose (1, 7) of the end effector."""
         return self.robot.frame_pose(self.frame).clone()
 
     @property
     def led(self) -> Tensor:
-        """(1, 7) on the way to the target, no further from the measured pose than may be led by."""
+        """Pose (1, 7) on the way to the target, within the allowed lead of the measured pose."""
         measured = self.measured
         return displaced(measured, _shortened(pose_error(measured, self.target)))
 
     def move(self, twist: Sequence[float], dt: float) -> None:
-        """Move the target by six of m/s and rad/s, in world axes, for ``dt`` seconds."""
+        """Move the target.
+
+        Args:
+            twist: six numbers in m/s and rad/s, in world axes.
+            dt: seconds for which the target moves.
+        """
         displacement = dt * torch.tensor([twist], dtype=torch.float32, device=self.target.device)
         measured = self.measured
-        # A hand that is held back does not gather a debt.
+        # The lead is limited here too, so that a hand that is held back does not have to catch up later.
         self.target = displaced(measured, _shortened(pose_error(measured, displaced(self.target, displacement))))
         self.by_joints = False
 
     def place(self, pose: Sequence[float]) -> None:
-        """Want a pose: position and quaternion (w, x, y, z), of any length but zero."""
+        """Set the target to a pose: position and quaternion (w, x, y, z) of any length except zero."""
         target = torch.tensor([pose], dtype=torch.float32, device=self.target.device)
         self.target = torch.cat((target[:, :3], torch.nn.functional.normalize(target[:, 3:], dim=1)), 1)
         self.by_joints = False
 
     def grip(self) -> Tensor:
-        """(1, k) positions of the gripper's joints, open or closed."""
+        """Return the positions (1, k) of the gripper's joints, open or closed."""
         gripper = self.effector.gripper
         assert gripper is not None
         value = gripper.open_position if self.gripper_open else gripper.closed_position
@@ -85,12 +91,12 @@ class Hand:
 
 
 class Body:
-    """What is wanted of all joints of one robot, and of its hands. Joints that nobody asks anything of hold.
+    """Targets of all joints of one robot, and of its hands. Joints without requests hold their positions.
 
     Args:
-        robot: in one environment.
-        effectors: those of its end effectors that the action moves.
-        carried: whether its base is driven, and takes the poses that are wanted along.
+        robot: robot in one environment.
+        effectors: the robot's end effectors that the action moves.
+        carried: whether the base is driven, and moves the target poses with it.
     """
 
     def __init__(self, robot: Robot, effectors: Sequence[EndEffector], carried: bool) -> None:
@@ -101,14 +107,14 @@ class Body:
         self.hold()
 
     def hold(self) -> None:
-        """Want what is, grippers open."""
+        """Set all targets to the measured state, with open grippers."""
         self._posture = self.robot.joint_positions.clone()
         self._base = self._base_pose()
         for hand in self.hands:
             hand.target, hand.by_joints, hand.gripper_open = hand.measured, False, True
 
     def carry(self) -> None:
-        """Let the poses that are wanted go along with a base that is driven."""
+        """Move the target poses with a driven base."""
         if not self._carried:
             return
         base = self._base_pose()
@@ -118,13 +124,18 @@ class Body:
         self._base = base
 
     def take(self, reading: Reading, hand: Hand, dt: float) -> None:
-        """Take over what a reading asks of a hand, over ``dt`` seconds, and of any joints.
+        """Apply a reading to a hand and to joints.
+
+        Args:
+            reading: reading of the device.
+            hand: hand that the person drives.
+            dt: seconds that the reading lasts.
 
         Raises:
-            UnknownNameError: the reading names a joint that the robot lacks.
+            UnknownNameError: the reading names a joint that the robot does not have.
         """
         opened = hand.gripper_open if reading.gripper_open is None else reading.gripper_open
-        opened ^= reading.events.count(Event.GRIPPER) % 2 == 1
+        opened ^= reading.events.count(Event.GRIPPER) % 2 == 1  # two presses within one step cancel
         if opened != hand.gripper_open:
             hand.gripper_open = opened
             if hand.fingers:
@@ -137,7 +148,12 @@ class Body:
             hand.move(reading.twist, dt)
 
     def encode(self, generator: MotionGenerator, hand: Hand | None) -> Tensor:
-        """(1, k) the command of a generator that comes nearest to what is wanted; ``hand`` is the one that it moves."""
+        """Compute the command (1, k) of a generator that comes nearest to the targets.
+
+        Args:
+            generator: generator of a part of the action.
+            hand: hand that the generator moves; None if it moves none.
+        """
         if (encode := getattr(generator, "encode_positions", None)) is not None:
             return encode(self._positions()[:, generator.joints])
         if hand is None:
@@ -155,6 +171,7 @@ class Body:
                 raise UnknownNameError("joint", name, names)
         asked = {names.index(name): value for name, value in values.items()}
         for hand in self.hands:
+            # The arm's other joints start from where they are: their last targets may be old.
             if not hand.by_joints and not asked.keys().isdisjoint(hand.arm):
                 self._posture[:, hand.arm] = self.robot.joint_positions[:, hand.arm]
                 hand.by_joints = True
@@ -166,9 +183,10 @@ class Body:
                 hand.target = self._pose_at(hand, self._posture)
 
     def _positions(self) -> Tensor:
-        """(1, J) wanted of all joints, arms no further ahead of the measured ones than may be led by."""
+        """Return target positions (1, J) of all joints, within the allowed lead of the measured ones."""
         here = self.robot.joint_positions
         wanted = self._posture.clone()
+        # Arms whose pose was requested follow it by inverse kinematics; other joints go straight to their values.
         led = [hand for hand in self.hands if hand.arm and not hand.by_joints]
         for hand in led:
             wanted[:, hand.arm] = here[:, hand.arm] + towards_pose(self.robot, hand.arm, hand.led)
@@ -178,11 +196,12 @@ class Body:
         rest = sorted(others)
         way = wanted[:, rest] - here[:, rest]
         if rest:
+            # One factor for all joints, so that they move along a straight line and arrive together.
             wanted[:, rest] = here[:, rest] + way * (_JOINT_LEAD / way.abs().amax(1, keepdim=True)).clamp(max=1.0)
         return wanted
 
     def _pose_at(self, hand: Hand, positions: Tensor) -> Tensor:
-        """(1, 7) the end effector's pose, were the joints at ``positions`` (1, J)."""
+        """Compute the end effector's pose (1, 7) at joint ``positions`` (1, J)."""
         return self._tree.frame_pose(self._tree.forward(self.robot.root_pose, positions), hand.frame)
 
     def _base_pose(self) -> Tensor:
@@ -190,13 +209,13 @@ class Body:
 
 
 def _driven(robot: Robot, patterns: Sequence[str]) -> list[int]:
-    """Return indices of the joints of those names that are moved by actuators of their own."""
+    """Return indices of the joints with those names that have their own actuators."""
     driven = {*driven_joints(robot.spec)}
     return [joint for joint in robot.find_joints(*patterns) if joint in driven] if patterns else []
 
 
 def _shortened(displacement: Tensor) -> Tensor:
-    """(1, 6) metres and radians, each no longer than may be led by."""
+    """Shorten a displacement (1, 6) in m and rad to the allowed leads."""
     parts = displacement.view(1, 2, 3)
     leads = torch.tensor(_LEADS, device=parts.device).view(1, 2, 1)
     lengths = torch.linalg.vector_norm(parts, dim=-1, keepdim=True)
@@ -208,26 +227,26 @@ _BASE = ("forward", "left", "turn")
 
 @dataclass(frozen=True)
 class _Part:
-    """A stretch of the action."""
+    """Part of the action."""
 
     generator: MotionGenerator
     robot: str
     base: tuple[int, ...] | None
-    """The components of a base that it takes, by place; None where it moves none."""
+    """Indices of a base's components that the generator takes; None if it moves no base."""
     frame: str | None
-    """Of the end effector that it moves first; None where it moves none."""
+    """Frame of the first end effector that the generator moves; None if it moves none."""
 
 
 class Driver:
-    """Drives the robots of one environment by readings.
+    """Driver of the robots of one environment by readings.
 
-    A twist moves the pose that is wanted of one end effector; a pose is that pose; joint values are followed by joint
-    spaces, and by their hand's pose in all others. Components of the action called forward, left and turn are a base's,
-    and a base that drives takes the poses that are wanted along. What is not driven holds still. ``Event.NEXT`` goes on
-    to the next end effector, of the same robot or another.
+    A twist moves the target pose of one end effector; a pose sets it. Joint spaces follow joint values, and all other
+    spaces the hand's pose at these values. Components of the action called forward, left and turn belong to a base, and
+    a driven base moves the target poses with it. Everything else holds still. ``Event.NEXT`` switches to the next end
+    effector, of the same robot or another.
 
     Args:
-        environment: with a single environment.
+        environment: a single environment.
 
     Raises:
         ConfigurationError: there are several environments, or nothing that a person could drive.
@@ -253,7 +272,7 @@ class Driver:
         based = {part.robot for part in self._parts if part.base is not None}
         self._bodies = {n: Body(robot, _in_order(robot, effectors[n]), n in based) for n, robot in robots.items()}
         self.hands: dict[str, Hand] = {}
-        """What can be moved by poses and grips, by the name of its robot, and where that has several by theirs too."""
+        """Hands by the name of their robot, or by the robot's and the frame's names if a robot has several."""
         choices: dict[str, str] = {}
         for name, body in self._bodies.items():
             own = {name if len(body.hands) == 1 else f"{name} {hand.frame}": hand for hand in body.hands}
@@ -261,7 +280,7 @@ class Driver:
             choices |= dict.fromkeys(own or ([name] if name in based else []), name)
         self._robot_of = choices
         self.choices = tuple(choices)
-        """Names of what can be driven, one after the other: end effectors with their robots' bases, or bases alone."""
+        """Names of the choices that can be driven in turn: end effectors with their robots' bases, or only bases."""
         if not self.choices:
             lost = [name for name, robot in robots.items() if robot.spec.articulation.joints]
             raise ConfigurationError(
@@ -269,24 +288,24 @@ class Driver:
                 "and no base; choose another, such as --action locomotion for a walking robot"
             )
         self.active = self.choices[0]
-        """Name of what readings drive."""
+        """Name of the choice that readings drive."""
 
     @property
     def hand(self) -> Hand | None:
-        """The end effector that readings drive."""
+        """End effector that readings drive."""
         return self.hands.get(self.active)
 
     def restart(self) -> None:
-        """Everything holds where it is, grippers open: an episode has begun."""
+        """Hold everything where it is, with open grippers, because an episode has begun."""
         for body in self._bodies.values():
             body.hold()
 
     def act(self, reading: Reading) -> Tensor:
-        """(1, A) the action that does what is asked for.
+        """Compute the action (1, A) that does what the reading requests.
 
         Raises:
-            UnknownNameError, ConfigurationError: joint values of other joints than the robot's, or of a robot without
-                end effector.
+            UnknownNameError: the reading names a joint that the robot does not have.
+            ConfigurationError: the reading has joint values, and the robot no end effector.
         """
         for _ in range(reading.events.count(Event.NEXT)):
             self.active = self.choices[(self.choices.index(self.active) + 1) % len(self.choices)]
@@ -299,9 +318,9 @@ class Driver:
         return torch.cat([self._command(part, reading) for part in self._parts], 1).clamp(-1.0, 1.0)
 
     def reach_problem(self) -> str:
-        """Which hands rest away from what is asked of them, for it is out of reach, and by how much; empty for none.
+        """Describe which hands cannot reach their targets, and by how much; empty if all can.
 
-        A hand that rests so is looked at by a search, which takes as long as several steps.
+        Each hand that rests away from its target costs a search, which takes as long as several steps.
         """
         followers = [part.generator for part in self._parts if isinstance(part.generator, PoseFollower)]
         return "; ".join(filter(None, (each.reach_problem() for each in followers if bool(each.resting_off()[0]))))

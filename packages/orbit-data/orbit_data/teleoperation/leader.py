@@ -1,4 +1,4 @@
-"""A leader arm: joint values as lines of JSON over a socket of this computer."""
+"""Leader arm: joint values as lines of JSON over a socket of this computer."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ import msgspec
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.teleoperation.device import FARTHEST, Device, DeviceLostError, Event, EventQueue, Reading, within_reach
 
-# Bytes of a line; who sends more is no leader.
+# Limit of a line's bytes; a leader sends fewer.
 _LONGEST = 65536
-# s that a connection has to send the token.
+# Seconds within which a connection must send the token.
 _PATIENCE = 5.0
-# Connections that may be without the token at a time; one more pushes the oldest out.
+# Limit of connections without the token at a time; one more closes the oldest, so that strangers cannot use up all.
 _STRANGERS = 16
 
 
 class LeaderToken(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """The first line: ``{"token": "..."}``."""
+    """First line: ``{"token": "..."}``."""
 
     token: str
 
 
 class LeaderFrame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A later line: ``{"joints": {"panda_joint1": 0.1}, "gripper_open": true, "event": "record"}``, all optional."""
+    """Later line: ``{"joints": {"panda_joint1": 0.1}, "gripper_open": true, "event": "record"}``, all optional."""
 
     joints: dict[str, float] = {}
-    """rad or m by the robot's joint names; joints that are not named hold."""
+    """Positions in rad or m by the robot's joint names; other joints hold."""
     gripper_open: bool | None = None
     event: Event | None = None
 
 
 class Leader(Device):
-    """Listens for one leader at a time, which knows the token.
+    """Server for one leader at a time, which must know the token.
 
-    A page of the web can make a browser connect to this computer, and so can every user of it. They do not know the
-    token, and what they send, their silence and their leaving change nothing. A line of the leader that is no frame is
-    answered by ``{"error": ...}`` and changes nothing either.
+    A web page can make a browser connect to this computer, and so can every user of it. They do not know the token, and
+    their messages, silence and disconnection have no effect. A leader's invalid line is answered by ``{"error": ...}``
+    and has no effect either.
 
     Args:
-        joint_names: that frames may name.
-        port: at 127.0.0.1; 0 takes a free one.
+        joint_names: joints that frames may name.
+        port: port at 127.0.0.1; 0 takes a free one.
 
     Raises:
         ConfigurationError: the port is taken.
@@ -56,7 +56,7 @@ class Leader(Device):
 
     def __init__(self, joint_names: tuple[str, ...], port: int) -> None:
         self.token = secrets.token_urlsafe(24)
-        """Which a leader sends first."""
+        """Token that a leader sends first."""
         self._names = joint_names
         self._lock = threading.Lock()
         self._joints: dict[str, float] | None = None
@@ -78,7 +78,7 @@ class Leader(Device):
 
     @property
     def greeting(self) -> str:
-        """The first line of a leader, without its end."""
+        """First line of a leader, without its end."""
         return msgspec.json.encode(LeaderToken(self.token)).decode()
 
     def read(self) -> Reading:
@@ -108,7 +108,7 @@ class Leader(Device):
             for task in (tasks := asyncio.all_tasks(self._loop)):
                 task.cancel()
             self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
-        self._loop.run_until_complete(asyncio.sleep(0))  # closes the sockets of what was cancelled
+        self._loop.run_until_complete(asyncio.sleep(0))  # closes the sockets of cancelled tasks
         self._loop.close()
         self._socket.close()
 
@@ -132,7 +132,7 @@ class Leader(Device):
             writer.close()
 
     async def _greet(self, reader: asyncio.StreamReader) -> str:
-        """Wait for the token; return why this is no leader, if it is none."""
+        """Wait for the token, and return why the connection is refused; empty if it is not."""
         task = asyncio.current_task()
         assert task is not None
         self._strangers.append(task)
@@ -145,6 +145,7 @@ class Leader(Device):
             given = ""
         finally:
             self._strangers.remove(task)
+        # In constant time, so that answers do not reveal how much of a guess is right.
         if not secrets.compare_digest(given.encode(errors="replace"), self.token.encode()):
             return 'the first line must be {"token": "..."}, with the token that was printed where the session began'
         if self._connected:
@@ -165,11 +166,11 @@ class Leader(Device):
                 self._lost = "the leader arm's connection was closed"
 
     def _take(self, line: bytes) -> str:
-        """Take over what a line says; return why not, if it cannot be."""
+        """Apply a line, and return why it is refused; empty if it is not."""
         try:
             frame = msgspec.json.decode(line, type=LeaderFrame)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-            return f"no frame: {error}"
+            return f"invalid frame: {error}"
         strange = [name for name in frame.joints if name not in self._names]
         if strange:
             return f"the robot has no joint '{strange[0]}'; it has {', '.join(self._names)}"
@@ -181,12 +182,12 @@ class Leader(Device):
             if frame.joints:
                 self._joints = {**(self._joints or {}), **frame.joints}
             self._gripper = self._gripper if frame.gripper_open is None else frame.gripper_open
-            self._moved = self._moved or time.perf_counter()
+            self._moved = self._moved or time.perf_counter()  # the oldest: latency counts from the first move
         return ""
 
 
 async def _line(reader: asyncio.StreamReader) -> bytes:
-    """Read a line; one that is too long comes without its end."""
+    """Read a line; one that is too long is returned without its end."""
     try:
         return await reader.readline()
     except ValueError:  # asyncio has thrown the line away

@@ -1,4 +1,4 @@
-"""Session of a person who drives the robot by a device: recording of episodes, and pictures shown meanwhile."""
+"""Session of a person who drives the robot by a device: recording of episodes, and pictures for the person."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
 Picture = npt.NDArray[np.uint8]
 _HAND = CameraSpec(name="hand view", width=160, height=120, vertical_fov=1.2, far=5.0)
 _SIDE = CameraSpec(name="side view", width=160, height=120, vertical_fov=0.8)
-# In the end effector's frame, whose z leads out of the hand.
+# Pose of the hand's camera in the end effector's frame, whose z points out of the hand.
 _BESIDE_FINGERS = look_at(eye=(0.1, 0.0, -0.12), target=(0.045, 0.0, 0.03), up=(1.0, 0.0, 0.0))
-# m from what is looked at to the camera: before the robot, to its right; the page's own camera stands to its left.
+# Offset in m of the side camera: before the robot, to its right. The page's own camera is to its left.
 _FROM = (0.75, -0.85, 0.5)
 
 
 class Views:
-    """Draws what a person sees of one environment, whatever cameras the task has.
+    """Pictures of one environment for a person, independent of the task's cameras.
 
     Args:
-        world: of the environment.
-        driver: whose hand is looked from and at.
+        world: world of the environment.
+        driver: driver whose hand one camera follows, and the other looks at.
     """
 
     def __init__(self, world: World, driver: Driver) -> None:
@@ -48,7 +48,7 @@ class Views:
         hand = driver.hand
         self._middle = hand.measured[0, :3].clone() if hand else world.link_poses[0, :, :3].mean(0)
         self.pictures: dict[str, Callable[[], Picture]] = {"side": self._side}
-        """Each draws a picture (H, W, 3)."""
+        """Functions that draw pictures (H, W, 3), by name."""
         if hand:
             self.pictures = {"hand": self._hand, **self.pictures}
 
@@ -68,6 +68,7 @@ class Views:
 
     def _drawn(self, spec: CameraSpec, pose: Tensor) -> Picture:
         world = self._world
+        # Renderers belong to the thread that makes them, and pictures are drawn in the simulation's.
         if self._renderer is None:
             self._renderer = world.create_renderer((_HAND, _SIDE))
         markers = world.marker_poses if world.markers else None
@@ -79,23 +80,23 @@ class Views:
         return torch.tensor([(*pose.position, *pose.orientation)], device=self._world.device)
 
 
-# s from one telling of how things stand to the next.
+# Period in s of showing the session's state on the device.
 _TOLD = 0.2
-# s from one look whether what is asked for is out of reach to the next.
+# Period in s of the search for targets out of reach, which takes as long as several steps.
 _LOOKED = 1.0
 
 
 class Session:
-    """What the viewer shows and steps: an environment that a device drives, whose episodes are recorded on demand.
+    """Environment that a device drives, for the viewer, whose episodes are recorded on request.
 
     Args:
-        environment: with a single environment.
-        driver: of its robots.
-        device: that is read at every step.
-        name: of the device, for the manifest.
-        file: takes the episodes.
-        task: the name that the environment was made by.
-        seed: of its random stream.
+        environment: a single environment.
+        driver: driver of its robots.
+        device: device that is read at every step.
+        name: name of the device, for the manifest.
+        file: recording that receives the episodes.
+        task: name that the environment was made by.
+        seed: seed of its random stream.
 
     Raises:
         ConfigurationError: the file was recorded with another environment.
@@ -120,34 +121,34 @@ class Session:
         self._moved: float | None = None
         self._lost: DeviceLostError | None = None
         infos = file.infos()
-        if infos:  # the next episode begins otherwise than those that are recorded
+        if infos:  # the random stream continues, so that the next episode differs from the recorded ones
             environment.world.random.begin(torch.tensor([max(infos)], device=environment.device))
         self.kept = len(infos)
-        """Episodes in the file."""
+        """Number of episodes in the file."""
         self.message = ""
-        """What became of the person's last wish."""
+        """Outcome of the person's last request."""
         self.latencies: deque[float] = deque(maxlen=50)
-        """s from a person's last moves to the end of the step that did what they asked for."""
+        """Seconds from a person's last actions to the end of the steps that executed them."""
         self._stepped: deque[float] = deque(maxlen=50)
         self._told_at = -_TOLD
         self._looked_at, self._reach = 0.0, ""
 
     @property
     def recording(self) -> bool:
-        """Whether the episode is being recorded."""
+        """True while the episode is recorded."""
         return self._recorder is not None
 
     # What the viewer calls
 
     def reset(self) -> None:
-        """Begin a new episode; one that is recorded is forgotten, and its successor recorded."""
+        """Begin a new episode; a recorded one is discarded, and the new one recorded."""
         self._begin(self.recording)
 
     def act(self) -> Tensor:
-        """(1, A) what the device asks for now; where it is gone the robot holds still for a step.
+        """Return the action (1, A) of the device's requests; if it disappears the robot holds still for a step.
 
         Raises:
-            DeviceLostError: the device went away before the last step.
+            DeviceLostError: the device disappeared before the last step.
         """
         if self._lost:
             raise self._lost
@@ -164,7 +165,7 @@ class Session:
         return self._driver.act(reading)
 
     def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, Mapping[str, Any]]:
-        """One step of the environment."""
+        """Take one step, and return observation, reward, terminated, truncated and info."""
         result = self._environment.step(action)
         now = time.perf_counter()
         self._stepped.append(now)
@@ -181,6 +182,7 @@ class Session:
             self.message = self._told("its time was over" if bool(result[3].any()) else "the task ended it")
             self._recorder = None
             self._driver.restart()
+        # Once a second at most: the search would lower the rate of steps.
         if now - self._looked_at >= _LOOKED:
             self._looked_at, self._reach = now, self._driver.reach_problem()
         if now - self._told_at >= _TOLD:
@@ -204,7 +206,7 @@ class Session:
         return rows | ({"last": self.message} if self.message else {})
 
     def close(self) -> int:
-        """Forget an open episode, gather what was kept; gives the number of episodes in the file."""
+        """Discard an open episode, gather the kept ones, and return the number of episodes in the file."""
         self._recorder = None
         if self._file.parts.files:
             self.kept = self._file.gather()
@@ -219,12 +221,12 @@ class Session:
             self.message = "recording"
         elif event is Event.RESET:
             self._begin(self.recording)
-            self.message = "began anew"
+            self.message = "started over"
         elif event is Event.SUCCESS and self.recording:
             self._success = not self._success
             self.message = "marked a success" if self._success else "no longer marked a success"
         elif event in (Event.SAVE, Event.DISCARD, Event.SUCCESS) and not self.recording:
-            self.message = f"nothing is being recorded that '{event.value}' could be about"
+            self.message = f"'{event.value}' has no effect: no episode is being recorded"
         elif event is Event.SAVE:
             self._save()
         elif event is Event.DISCARD:
@@ -245,7 +247,7 @@ class Session:
         environment, recorder = self._environment, self._recorder
         assert recorder is not None
         if int(environment.state.episode_step[0]) == 0:
-            self.message = "nothing has happened yet that could be saved"
+            self.message = "the episode has no steps yet, so nothing was saved"
             return
         sums = environment.reward_sums.unbind()
         success = environment.task.success(environment)

@@ -1,4 +1,4 @@
-"""Actuator networks at run time: one network for some joints of all environments."""
+"""Actuator networks in simulation: one network for some joints of all environments."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class NetworkModel(ActuatorModel):
     """Efforts (N, k) of the joints that share an actuator network's file.
 
     Args:
-        context: joints whose groups are :class:`~orbit_core.scene.ActuatorNetwork`, of one file.
+        context: joints whose groups are :class:`~orbit_core.scene.ActuatorNetwork` of the same file.
 
     Raises:
-        ConfigurationError: the file cannot be read; or the network is of another rate, or for joints of another unit.
+        ConfigurationError: the file cannot be read, or the network has another rate or unit.
     """
 
     def __init__(self, context: ActuatorContext) -> None:
@@ -39,7 +39,8 @@ class NetworkModel(ActuatorModel):
                 )
         self._size = (num_envs, len(self.joints))
         self.past = self._network.past(num_envs * len(self.joints), device)
-        """(depth, N k, ...) what the network remembers."""
+        """Past (depth, N k, ...) of the network."""
+        # A view of the same memory with environments first, so that resets clear it by environment.
         self.memory["past"] = self.past.unflatten(1, self._size).transpose(0, 1)
         self._upper = context.effort_limits
         self._lower = -self._upper
@@ -49,9 +50,9 @@ class NetworkModel(ActuatorModel):
         return group.file
 
     def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
-        """(N, k) from measured state (N, k) and position, velocity and effort targets (N, k) each."""
+        """Compute efforts (N, k) from the measured state (N, k) and targets (N, k) of position, velocity and effort."""
         inputs = torch.stack((targets[0] - position, velocity), 2).flatten(0, 1)
         with torch.no_grad():
             efforts, past = self._network.step(inputs, self.past)
-        self.past.copy_(past)
+        self.past.copy_(past)  # in place: a captured step keeps the tensor's address
         return torch.clamp(efforts.view(self._size) + targets[2], self._lower, self._upper)

@@ -1,12 +1,12 @@
-"""Learned actuator models: networks that give a joint's effort from its error of position, velocity, and their past.
+"""Learned actuator models: networks that compute a joint's effort from its position error, velocity, and their past.
 
 Two architectures, as published for the series-elastic ANYdrive: a perceptron that sees the present and some earlier
 steps (Hwangbo et al., Learning Agile and Dynamic Motor Skills for Legged Robots, 2019), and a recurrent network of long
 short-term memory that sees the present alone and remembers (Rudin et al., Learning to Walk in Minutes Using Massively
-Parallel Deep Reinforcement Learning, 2021). One network serves all joints of a kind, each with a past of its own.
+Parallel Deep Reinforcement Learning, 2021). One network serves all joints of a kind, each with its own past.
 
-A file holds the weights as safetensors and, as JSON in the header, a :class:`NetworkDescription`; reading one executes
-nothing.
+A file contains the weights as safetensors and, as JSON in the header, a :class:`NetworkDescription`; reading it
+executes no code.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_data.tensor_file import read_tensors, write_tensors
 
 _MOST_UNITS, _MOST_LAYERS, _MOST_HISTORY = 1024, 8, 64
-# Error of position and velocity.
+# Number of inputs of a step: position error and velocity.
 _INPUTS = 2
-# Part of the rate.
+# Relative difference of rates that counts as none.
 _RATE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkDescription:
-    """What an actuator network is, and what it was fitted to."""
+    """Description of an actuator network, and of the data that it was fitted to."""
 
     kind: Literal["mlp", "lstm"]
     hidden_sizes: tuple[int, ...]
-    """Units of the hidden layers; of an LSTM all the same."""
+    """Units of the hidden layers; equal in all layers of an LSTM."""
     history: tuple[int, ...] = (0,)
     """Steps back that a perceptron sees, from 0, the present."""
     rate: float
-    """Hz: steps a second that it was fitted at, and is evaluated at."""
+    """Rate in Hz at which the network was fitted, and is evaluated."""
     unit: Literal["rad", "m"] = "rad"
-    """Of the joints' positions."""
+    """Unit of the joints' positions."""
     scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """What error (rad or m), velocity (rad/s or m/s) and effort (N m or N) are divided by."""
+    """Scales of error (rad or m), velocity (rad/s or m/s) and effort (N m or N), which are divided by them."""
     fitted_to: tuple[str, ...] = ()
     """Names of the joints in the recordings."""
 
@@ -54,7 +54,7 @@ class NetworkDescription:
         """Check the numbers.
 
         Raises:
-            ConfigurationError: one is out of its range.
+            ConfigurationError: a number is out of its range.
         """
         sizes, history = self.hidden_sizes, self.history
         if not (1 <= len(sizes) <= _MOST_LAYERS and all(1 <= size <= _MOST_UNITS for size in sizes)):
@@ -71,12 +71,12 @@ class NetworkDescription:
             raise ConfigurationError(f"rate {self.rate:g} Hz and scales {self.scales} must be above zero and finite")
 
     def build(self) -> ActuatorModule:
-        """Return the network, with weights of its own."""
+        """Return the network with new weights."""
         return MlpActuator(self) if self.kind == "mlp" else LstmActuator(self)
 
 
 class ActuatorModule(nn.Module, ABC):
-    """A network for B joints, whose past is one tensor (*past_shape, B, ...), zero at first."""
+    """Network for B joints, whose past is one tensor (*past_shape, B, ...), initially zero."""
 
     def __init__(self, description: NetworkDescription) -> None:
         super().__init__()
@@ -86,11 +86,11 @@ class ActuatorModule(nn.Module, ABC):
 
     @abstractmethod
     def past(self, joints: int, device: torch.device) -> Tensor:
-        """Memory of B joints that have none; joints are its second dimension."""
+        """Return the initial past of B joints; joints are its second dimension."""
 
     @abstractmethod
     def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
-        """Return efforts (B,) from errors and velocities (B, 2), and the past that comes of it."""
+        """Return efforts (B,) from errors and velocities (B, 2), and the next past."""
 
     @abstractmethod
     def sequence(self, inputs: Tensor) -> Tensor:
@@ -98,7 +98,7 @@ class ActuatorModule(nn.Module, ABC):
 
 
 class MlpActuator(ActuatorModule):
-    """A perceptron with softsign units. What is not known of the past is taken to have been as it is now."""
+    """Perceptron with softsign units. Steps before the first are assumed to equal it."""
 
     def __init__(self, description: NetworkDescription) -> None:
         super().__init__(description)
@@ -108,11 +108,12 @@ class MlpActuator(ActuatorModule):
         self._depth = description.history[-1]
 
     def past(self, joints: int, device: torch.device) -> Tensor:
-        """(steps, B, 3): error, velocity, and 1 where they were measured."""
+        """Return the initial past (steps, B, 3): error, velocity, and 1 where they were measured."""
         return torch.zeros(self._depth, joints, _INPUTS + 1, device=device)
 
     def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
         newest = torch.cat((inputs, torch.ones_like(inputs[:, :1])), 1)[None]
+        # Steps before the first measurement equal the newest, so that an episode does not begin with a jump.
         known = torch.where(past[..., 2:] > 0.0, past, newest)
         line = torch.cat((newest, known))
         seen = torch.cat([line[back, :, :_INPUTS] for back in self.description.history], 1)
@@ -125,7 +126,7 @@ class MlpActuator(ActuatorModule):
         return self.efforts(torch.cat(seen, 2).flatten(0, 1)).view(inputs.shape[:2])
 
     def efforts(self, seen: Tensor) -> Tensor:
-        """(B,) of what is seen (B, 2 H)."""
+        """Compute efforts (B,) from the present and past inputs (B, 2 H)."""
         scaled = seen / self._in.repeat(len(self.description.history))
         return self.layers(scaled).squeeze(1) * self.description.scales[2]
 
@@ -140,11 +141,11 @@ class LstmActuator(ActuatorModule):
         self.out = nn.Linear(self._units, 1)
 
     def past(self, joints: int, device: torch.device) -> Tensor:
-        """(2 layers, B, units): hidden states, then cell states."""
+        """Return the initial past (2 layers, B, units): hidden states, then cell states."""
         return torch.zeros(2 * self._layers, joints, self._units, device=device)
 
     def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
-        # Written out, so that a captured step is made of plain operations; the weights are torch's own.
+        # Written out, because a captured step needs plain operations; the weights are those of torch's module.
         value, hidden, cells = inputs / self._in, [], []
         for layer in range(self._layers):
             weight = [
@@ -163,7 +164,7 @@ class LstmActuator(ActuatorModule):
 
 
 def write_network(path: Path | str, network: ActuatorModule) -> None:
-    """Write what :func:`read_network` reads.
+    """Write a network for :func:`read_network`.
 
     Raises:
         StorageError: the disk is full, or the folder cannot be written.
@@ -176,8 +177,8 @@ def read_network(path: Path | str) -> ActuatorModule:
     """Return a network from its file.
 
     Raises:
-        ConfigurationError: there is no such file, it holds no actuator network, or its weights are not of the sizes
-            that its description says.
+        ConfigurationError: the file does not exist, contains no actuator network, or its weights do not have the sizes
+            of its description.
         NonFiniteError: a weight is NaN or infinite.
     """
     document, tensors = read_tensors(path)
@@ -194,7 +195,7 @@ def read_network(path: Path | str) -> ActuatorModule:
         name = next(name for name in [*wanted, *found] if wanted.get(name) != found.get(name))
         raise ConfigurationError(
             f"actuator network {path}: weight '{name}' is {_shape(found.get(name))}, and an {description.kind} of "
-            f"hidden sizes {list(description.hidden_sizes)} has {_shape(wanted.get(name))}: fit it anew"
+            f"hidden sizes {list(description.hidden_sizes)} has {_shape(wanted.get(name))}: fit it again"
         )
     network.load_state_dict(tensors)
     return network.requires_grad_(False)
@@ -203,8 +204,13 @@ def read_network(path: Path | str) -> ActuatorModule:
 def check_rate(path: str, description: NetworkDescription, physics_dt: float) -> None:
     """Refuse a network in a world of another rate.
 
+    Args:
+        path: path of the network's file, for messages.
+        description: network's description.
+        physics_dt: length of the world's physics steps in seconds.
+
     Raises:
-        ConfigurationError: names both rates.
+        ConfigurationError: the rates differ.
     """
     if abs(description.rate * physics_dt - 1.0) > _RATE_TOLERANCE:
         raise ConfigurationError(

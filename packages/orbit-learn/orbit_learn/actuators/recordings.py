@@ -1,6 +1,6 @@
-"""Logged joint data that actuator networks are fitted to, from CSV, NPZ and HDF5 files.
+"""Logged joint data for fitting actuator networks, from CSV, NPZ and HDF5 files.
 
-A file is one recording at an even rate. NPZ and HDF5 hold ``time`` (T,) in seconds, and ``position_target``,
+A file is one recording at a constant rate. NPZ and HDF5 contain ``time`` (T,) in seconds, and ``position_target``,
 ``position``, ``velocity`` and ``effort`` (T, k) in rad, rad/s and N m (m, m/s and N), with the joints' names in
 ``joints`` (k,). A CSV has a column ``time`` and, for each joint, four columns ``JOINT.position_target`` and so on.
 """
@@ -27,42 +27,42 @@ from orbit_data.reading.npz import FAULTS, read_npz
 
 QUANTITIES = ("position_target", "position", "velocity", "effort")
 _LEAST_STEPS = 50
-# Largest number, whose square a network can still be fitted to.
+# Limit of numbers, to whose squares a network can still be fitted in single precision.
 _LARGEST = 1e12
-# Most joints, and most characters of their names.
+# Limit of joints, and of the characters of their names.
 _MOST_NAMES = 1000
-# Most characters of a line of a table.
+# Limit of the characters of a table's line.
 _LONGEST_LINE = 1 << 20
-# Rows of a table that are read at a time, after which the clock is looked at.
+# Rows of a table between two checks of bytes and time.
 _ROWS = 1000
-# Part of a step by which steps may differ in length.
+# Relative difference that the lengths of steps may have.
 _UNEVEN = 0.02
 
 
 @dataclass(frozen=True)
 class Recording:
-    """T steps of k joints."""
+    """Recording of T steps of k joints."""
 
     joints: tuple[str, ...]
     rate: float
-    """Hz"""
+    """Rate in Hz."""
     inputs: Tensor
-    """(T, k, 2) error of position, velocity."""
+    """Position errors and velocities (T, k, 2)."""
     efforts: Tensor
-    """(T, k)"""
+    """Efforts (T, k)."""
 
 
 def read_recording(path: Path | str, budget: ReadBudget = ReadBudget()) -> Recording:
     """Read a recording from its file.
 
     Args:
-        path: of the file.
-        budget: limits on the bytes and the time that it may take.
+        path: path of the file.
+        budget: limits of bytes and time.
 
     Raises:
-        ConfigurationError: there is no such file, of none of the three formats; something is missing in it or of
-            another length; it is shorter than 50 steps; its steps are not even; or it is beyond the budget.
-        NonFiniteError: a number is NaN or infinite; names where.
+        ConfigurationError: the file does not exist or has none of the three formats, an array is missing or has another
+            length, there are fewer than 50 steps, steps are uneven, or the budget is exceeded.
+        NonFiniteError: a number is NaN or infinite; the message names the place.
     """
     path = as_path(path)
     if not path.is_file():
@@ -80,10 +80,10 @@ def read_recording(path: Path | str, budget: ReadBudget = ReadBudget()) -> Recor
 
 
 def common_rate(recordings: Sequence[Recording]) -> float:
-    """Hz: the rate that all recordings have.
+    """Return the common rate of recordings in Hz.
 
     Raises:
-        ConfigurationError: there are none, or they differ.
+        ConfigurationError: there are no recordings, or their rates differ.
     """
     rates = [recording.rate for recording in recordings]
     if not rates:
@@ -100,6 +100,7 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
     joints = _names(path, data["joints"])
     if not joints:
         raise ConfigurationError(f"recording {path} names no joint")
+    # Two columns of one name would be fitted as two joints with the same data.
     if len({*joints}) < len(joints):
         raise ConfigurationError(f"recording {path} names a joint twice: {', '.join(joints)}")
     time = _real(path, "time", data["time"])
@@ -116,11 +117,13 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
             raise NonFiniteError(
                 f"recording {path}: {name} is not finite in step {np.argwhere(~np.isfinite(array))[0][0]}"
             )
+    # Numbers that no joint reaches in SI units are a sign of other units, or of damage.
     largest = max(float(np.abs(array).max(initial=0.0)) for array in (time, *arrays.values()))
     if largest > _LARGEST:
         raise ConfigurationError(f"recording {path} holds {largest:g}, which no joint reaches: use SI units")
     if len(time) < _LEAST_STEPS:
         raise ConfigurationError(f"recording {path} has {len(time)} steps: {_LEAST_STEPS} are the fewest")
+    # A constant effort has no scale to normalise by, and nothing to learn.
     if not np.ptp(arrays["effort"]):
         raise ConfigurationError(f"recording {path} has one effort throughout: record joints that are driven")
     return Recording(joints, _rate(path, time), *_tensors(arrays))
@@ -145,7 +148,7 @@ def _real(path: Path, name: str, values: Any) -> npt.NDArray[np.float64]:
 
 def _rate(path: Path, time: npt.NDArray[np.float64]) -> float:
     steps = np.diff(time)
-    step = float(np.median(steps))
+    step = float(np.median(steps))  # not the mean, which a single gap would move
     if (steps <= 0.0).any():
         raise ConfigurationError(f"recording {path}: time does not rise after {time[int(steps.argmin())]:g} s")
     if np.abs(steps - step).max() > _UNEVEN * step:
@@ -165,12 +168,12 @@ def _tensors(arrays: Mapping[str, npt.NDArray[np.float64]]) -> tuple[Tensor, Ten
 
 
 def _read_csv(path: Path, account: ReadAccount) -> dict[str, Any]:
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets begin a file with a byte order mark
         rows = (row for row in csv.reader(_lines(file)) if row)
         header = next(rows, None)
         if header is None:
             raise ValueError("it is empty")
-        values = Growing("d")
+        values = Growing("d")  # 8 bytes a number, where a list of floats takes 32
         for number, row in enumerate(rows, 1):
             if len(row) != len(header):
                 raise ValueError(f"row {number} has {len(row)} values, and the header names {len(header)} columns")
@@ -192,7 +195,7 @@ def _read_csv(path: Path, account: ReadAccount) -> dict[str, Any]:
 
 
 def _lines(file: TextIO) -> Iterator[str]:
-    """Yield the lines of a table, none of which is longer than a row can be."""
+    """Yield the lines of a table, and refuse lines longer than any row."""
     while line := file.readline(_LONGEST_LINE + 1):
         if len(line) > _LONGEST_LINE:
             raise ValueError(f"a line has more than {_LONGEST_LINE:,} characters")

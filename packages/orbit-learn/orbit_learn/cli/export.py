@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     from orbit_data.manifest.manifest import Manifest
     from orbit_learn.policy import Policy
 
-# Settings of a training that make its environment's numbers, beside what the policy itself tells.
+# Settings of a training that determine its environment's numbers, in addition to the policy's own description.
 _OF_A_TRAINING = ("robot", "action", "fields", "set", "settings", "setting")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSettings:
-    """Write a learned policy as safetensors and ONNX, with the description of observation and action beside them."""
+    """Write a learned policy as safetensors and ONNX, with a description of observation and action."""
 
     policy: Annotated[Positional[Path], arg(metavar="POLICY")]
-    """File policy_<iteration>.safetensors, the folder of a training, which stands for its last, or a kept policy's name
+    """File policy_<iteration>.safetensors, the folder of a training (its last policy), or a kept policy's name
     ('orbit list policies')."""
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
-    """Takes policy.safetensors, policy.onnx and policy.json."""
+    """Folder for policy.safetensors, policy.onnx and policy.json."""
     overwrite: bool = False
-    """Replace files of those names that are there already."""
+    """Replace existing files of those names."""
     amend: bool = False
-    """Export nothing: write into the policy's own file the manifest that it lacks, since it is older than manifests."""
+    """Export nothing, but add the missing manifest to the policy's own file, which is older than manifests."""
 
 
 def main(words: Sequence[str]) -> None:
@@ -57,20 +57,21 @@ def main(words: Sequence[str]) -> None:
     described, weights, onnx = (settings.output / f"policy{suffix}" for suffix in (".json", ".safetensors", ".onnx"))
     make_folder(described)
     for target in (described, weights, onnx):
+        # Exporting a policy onto itself would replace the file that is read.
         check_apart(target, [path] if path.is_file() else [])
         check_output(target, target.suffix, settings.overwrite)
     if policy.manifest is None:
         try:
             policy = dataclasses.replace(policy, manifest=_present(policy, path))
-            told = f"the files get that of its environment as it is today, on {policy.description.backend}"
+            outcome = f"the files get that of its environment as it is today, on {policy.description.backend}"
         except OrbitError as error:
-            told = f"the files have none either: {error}"
-        warnings.warn(f"{path} holds no manifest of where it was learned: {told}", stacklevel=2)
+            outcome = f"the files have none either: {error}"
+        warnings.warn(f"{path} holds no manifest of where it was learned: {outcome}", stacklevel=2)
     elif not policy.manifest.explains:
         policy = dataclasses.replace(policy, manifest=_explained(policy, policy.manifest, path))
     manifest = {} if policy.manifest is None else {"manifest": policy.manifest.document()}
     document = json.dumps({**policy.description.document()["policy"], **manifest}, indent=2)
-    # All three are written before the first takes its place, so that they are of one policy whatever goes wrong.
+    # All three are written before the first takes its place, so that they belong to one policy even after an error.
     with written_whole(described) as text, written_whole(weights) as tensors, written_whole(onnx) as graph:
         text.write_text(document + "\n", encoding="utf-8")
         policy.save(tensors)
@@ -95,9 +96,16 @@ def _amend(policy: Policy, path: Path) -> None:
 
 
 def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
-    """Return the manifest of a file that is older than what manifests say of their numbers, with that of the
-    environment as it is today, where this has the same joints, home positions and terms; else as it was, with a
-    warning.
+    """Complete a manifest that does not describe its numbers by that of today's environment.
+
+    Args:
+        policy: policy of the manifest.
+        recorded: manifest that is completed.
+        path: path of the policy.
+
+    Returns:
+        The completed manifest if the environment has the same joints, home positions and terms; otherwise the manifest
+        as it was, with a warning.
     """
     from orbit_data.manifest.compare import Kind, differences
 
@@ -110,34 +118,36 @@ def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
             return dataclasses.replace(recorded, observations={group: recorded.observations[group]}).explained_by(
                 present
             )
-        told = "; ".join(wrong)
+        reason = "; ".join(wrong)
     except OrbitError as error:
-        told = str(error)
-    warnings.warn(f"{path} does not say what its numbers mean, nor does its environment today: {told}", stacklevel=3)
+        reason = str(error)
+    warnings.warn(f"{path} does not say what its numbers mean, nor does its environment today: {reason}", stacklevel=3)
     return recorded
 
 
 def _present(policy: Policy, path: Path) -> Manifest:
-    """Return the manifest of the environment that a policy fits today, for files of before there were manifests. What
-    the training's record beside the file tells, it tells too.
+    """Return the manifest of the environment that a policy fits today, for files that are older than manifests.
+
+    Facts of the training's record next to the file are included.
 
     Raises:
-        OrbitError: there is no such environment here.
+        OrbitError: the environment cannot be made here.
     """
     from orbit_data.manifest.compare import renamed_group
     from orbit_data.manifest.manifest import Manifest
 
     learned, training = policy.description, training_record(path)
+    # A policy of a backend that is not installed gets the manifest of the default one.
     installed = learned.backend in backend_names()
-    told = {key: value for key in _OF_A_TRAINING if (value := training.get("settings", {}).get(key)) and installed}
+    trained = {key: value for key in _OF_A_TRAINING if (value := training.get("settings", {}).get(key)) and installed}
     made = EnvironmentSettings(
         **{
-            **told,
+            **trained,
             "task": learned.task,
             "robot": learned.robot,
             "action": learned.action,
             "backend": learned.backend if installed else None,
-            "fields": {**told.get("fields", {}), **policy_fields(path)},
+            "fields": {**trained.get("fields", {}), **policy_fields(path)},
         }
     )
     environment = make_environment(made, 1)
@@ -146,6 +156,7 @@ def _present(policy: Policy, path: Path) -> Manifest:
         manifest = renamed_group(Manifest.of(environment, learned.task, made.seed), group, learned.group)
     finally:
         environment.close()
+    # These do not change what numbers mean, so that the training's own values are more true than today's.
     known = {key: training["settings"][key] for key in ("seed", "num_envs", "device") if training}
     known |= {"versions": training["versions"]} if training else {}
     of = f"; {', '.join(known)} and settings are those that its training recorded" if known else ""

@@ -21,26 +21,29 @@ def main(words: Sequence[str]) -> None:
 
 
 def played(settings: PlaySettings) -> PlaySettings:
-    """Return the settings with all that the policy was learned for in the place of what they leave open.
+    """Complete the settings by those that the policy was trained with.
 
     Raises:
-        UnknownNameError: there is no such file, folder or kept policy.
-        ConfigurationError: it is no policy.
+        UnknownNameError: the file, folder or kept policy does not exist.
+        ConfigurationError: the file is not a policy.
     """
     return restored_settings(settings).settings
 
 
 def restored_settings(settings: PlaySettings) -> Restored:
-    """As :func:`played`, with what differs from the training. Of a kept policy ``policy.toml`` says the fields.
+    """Complete the settings as :func:`played`, and list the differences from the training.
+
+    The fields of a kept policy come from ``policy.toml``.
 
     Raises:
-        UnknownNameError: there is no such file, folder or kept policy.
-        ConfigurationError: it is no policy, or the file beside it is no record of a training.
+        UnknownNameError: the file, folder or kept policy does not exist.
+        ConfigurationError: the file is not a policy, or the training's record next to it is invalid.
     """
     from orbit_learn.policy import load_policy
 
     path = policy_path(settings.policy)
     learned = load_policy(path).description
+    # A kept policy is played as its policy.toml states, even if the training's record is next to it.
     record = {} if is_kept(path) else training_record(path).get("settings", {})
     restored = restore(settings, record, settings.task or learned.task)
     own = restored.settings

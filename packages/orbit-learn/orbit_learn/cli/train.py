@@ -33,7 +33,7 @@ class TrainSettings(EnvironmentSettings):
     """Learn a task."""
 
     num_envs: int = 64
-    """Environments stepped together, on each GPU where there are several."""
+    """Environments stepped together, on each GPU if there are several."""
     library: Annotated[str, arg(metavar="NAME")] = "rsl-rl"
     """Learning library ('orbit list libraries'); distill imitates a teacher, imitation clones demonstrations."""
     algorithm: Annotated[str | None, arg(metavar="NAME")] = None
@@ -41,10 +41,10 @@ class TrainSettings(EnvironmentSettings):
     dataset: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
     """Demonstrations, for imitation ('orbit record' makes them); repeatable."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
-    """Teacher, for distill: a kept policy's name ('orbit list policies'), a policy's file, a training's folder, or
+    """Teacher for distill: a kept policy's name ('orbit list policies'), a policy's file, a training's folder, or
     expert, the task's own."""
     iterations: Annotated[int | None, arg(metavar="INT")] = None
-    """Iterations of collecting and learning in all; the task's own number if left out."""
+    """Total iterations of collecting and learning; the task's own number if left out."""
     ppo: KeyValues = ()
     """A setting of the algorithm, such as learning_rate=3e-4 ('orbit info TASK')."""
     distillation: KeyValues = ()
@@ -52,24 +52,24 @@ class TrainSettings(EnvironmentSettings):
     imitation: KeyValues = ()
     """A setting of library imitation, such as chunk=16."""
     diverged: Literal["reset", "stop"] = "reset"
-    """What becomes of environments whose simulation diverges: they begin new episodes and are counted, unless one in a
+    """Reaction to environments whose simulation diverges: they begin new episodes and are counted, unless one in a
     hundred does in an iteration; or the training ends."""
     save_every: int = 100
     """Iterations between checkpoints."""
     output: File = None
     """Folder of this training; out/train/<task>-<time> if left out."""
     resume: File = None
-    """Folder of a training to go on with; give the same task and settings."""
+    """Folder of a training to continue; give the same task and settings."""
 
 
 def main(words: Sequence[str]) -> None:
-    """Train, with a progress bar, and say where the policy lies."""
+    """Train, with a progress bar, and print where the policy is."""
     settings = parse_settings(TrainSettings, words, "orbit train")
     train(settings)
 
 
 def train(settings: TrainSettings) -> Path:
-    """Train as the settings say; returns the folder.
+    """Train by settings, and return the folder.
 
     Raises:
         OrbitError: of many kinds; each names the setting.
@@ -81,6 +81,7 @@ def train(settings: TrainSettings) -> Path:
     check_positive("save_every", settings.save_every)
     if settings.output is not None and settings.resume is not None:
         raise ConfigurationError("a training resumes in its own folder: leave --output out")
+    # The rank before the folder: only one process may check and write it.
     settings, leader = _ranked(for_training(settings))
     if leader and settings.output is not None:
         check_new(settings.output)
@@ -103,8 +104,8 @@ def train(settings: TrainSettings) -> Path:
 
 
 def _run(training: Training, iterations: int, settings: TrainSettings) -> Progress | None:
-    """Under a progress bar; returns how far it came in the end, for the process that leads."""
-    last: list[Progress] = []
+    """Train under a progress bar, and return the last progress; None in processes that do not lead."""
+    last: list[Progress] = []  # a list, because the inner function assigns to it
     with progress_bar() as bar:
         line = bar.add_task(f"{settings.task}", total=iterations, visible=training.leader)
 
@@ -122,7 +123,7 @@ def _run(training: Training, iterations: int, settings: TrainSettings) -> Progre
 
 
 def for_training(settings: TrainSettings) -> TrainSettings:
-    """With the fields that the task sets in training, under what the user sets."""
+    """Add the fields that the task sets in training; the user's own take precedence."""
     if settings.task is None:
         return settings
     fields = {**task_entry(settings.task).task_type().metadata.training, **settings.fields}
@@ -130,12 +131,13 @@ def for_training(settings: TrainSettings) -> TrainSettings:
 
 
 def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
-    """Under torchrun: a GPU and a seed of this process's own; also whether this process leads."""
+    """Give each process of torchrun its own GPU and seed, and return whether this process leads."""
     rank, local = int(os.environ.get("RANK", "0")), os.environ.get("LOCAL_RANK")
     if local is None or _processes() == 1:
         return settings, True
     if not settings.device.startswith("cuda"):
         raise ConfigurationError("several processes train on several GPUs: add --device cuda")
+    # Seeds are far apart, so that no process repeats another's random streams.
     return dataclasses.replace(settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank), rank == 0
 
 
@@ -145,7 +147,7 @@ def _processes() -> int:
 
 
 def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], ppo: PpoSettings) -> Any:
-    """Return the settings that the library takes: the task's own, or its class's, with the user's over them.
+    """Return the library's settings: the task's own, or the class's defaults, overridden by the user's.
 
     Raises:
         ConfigurationError: an option is of another library.
@@ -188,11 +190,11 @@ def _success(progress: Progress) -> str:
 
 
 def _left(training: Training) -> str:
-    """What an interrupted training has left behind."""
+    """Describe what an interrupted training has written."""
     if training.saved is None:
         return "interrupted before the first iteration ended: there is no checkpoint"
     folder = training.trainer.folder
-    return f"interrupted: {training.saved} is written; --resume {folder} goes on, with the same task and settings"
+    return f"interrupted: {training.saved} is written; --resume {folder} continues it, with the same task and settings"
 
 
 def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
@@ -205,7 +207,7 @@ def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
     if not math.isnan(last.success_rate):
         table.add_row("success of the last episodes, exploring", f"{_success(last)} of {last.episodes}")
     if last.diverged:
-        table.add_row("episodes that diverged, and were begun anew", f"{last.diverged:,}")
+        table.add_row("episodes that diverged, and were replaced", f"{last.diverged:,}")
     if not math.isnan(last.loss):
         table.add_row("mean loss of the last iteration", f"{last.loss:.5f}")
     table.add_row("play it", f"orbit play {folder}")

@@ -22,7 +22,7 @@ class TrainActuatorSettings(ReadSettings):
     recordings: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...")]
     """CSV, NPZ or HDF5 files with time, position_target, position, velocity and effort of joints."""
     output: Annotated[Path, arg(metavar="FILE")] = Path("out/actuator.safetensors")
-    """Takes the network."""
+    """File of the network."""
     kind: Literal["mlp", "lstm"] = "lstm"
     """Architecture: a perceptron that sees some steps back, or a recurrent network."""
     hidden_sizes: tuple[int, ...] = ()
@@ -30,19 +30,19 @@ class TrainActuatorSettings(ReadSettings):
     history: tuple[int, ...] = (0, 2, 4)
     """Steps back that a perceptron sees, the present being 0."""
     unit: Literal["rad", "m"] = "rad"
-    """Of the joints' positions."""
+    """Unit of the joints' positions."""
     passes: int = 150
     """Passes over the recordings."""
     learning_rate: float = 5e-3
-    """At first; it falls to a hundredth."""
+    """Initial learning rate; it falls to a hundredth."""
     seed: int = 0
-    """Of the weights at first."""
+    """Seed of the initial weights."""
     overwrite: bool = False
     """Replace a file of that name."""
 
 
 def main(words: Sequence[str]) -> None:
-    """Fit, write the file, and say how far the network is off."""
+    """Fit, write the file, and print the network's error."""
     from orbit_learn.actuators.fitting import FitSettings, fit
     from orbit_learn.actuators.networks import write_network
     from orbit_learn.actuators.recordings import read_recording
@@ -66,7 +66,7 @@ def main(words: Sequence[str]) -> None:
         found = fit(recordings, chosen, lambda done, loss: bar.update(line, completed=done + 1))
     write_network(settings.output, found.network)
     unit = "N m" if settings.unit == "rad" else "N"
-    table = new_table("over what was held out", "", title=f"{settings.kind} in {settings.output}")
+    table = new_table("over the held-out ends", "", title=f"{settings.kind} in {settings.output}")
     table.add_row("rate", f"{found.network.description.rate:g} Hz")
     table.add_row("efforts, root mean square", f"{found.effort:.4g} {unit}")
     table.add_row("error of the network", f"{found.error:.4g} {unit}")

@@ -19,8 +19,8 @@ from orbit_data.reading.budget import MAX_DOCUMENT
 from orbit_data.tensor_file import parse_json
 
 OF_TRAINING_ALONE = ("curriculum_enabled", "expert_starts")
-"""Fields of a task that only learning is for: a curriculum begins with the easiest episodes again, and an expert's way
-is no start that a policy is measured from. So are those that a task sets in training by itself."""
+"""Fields of a task that are only for learning: a curriculum would begin with the easiest episodes again, and a policy
+is not measured from starts on an expert's way. Fields that a task sets in training are treated the same."""
 _TASKS = "the task's own"
 _RECORD = "training.json"
 
@@ -30,8 +30,8 @@ class PlaySettings(RunSettings):
     """Run a learned policy's task with it, on any backend, and report success, metrics, return and speed."""
 
     policy: Annotated[Positional[Path], arg(metavar="POLICY")]
-    """File policy_<iteration>.safetensors or .onnx, the folder of a training, which stands for its last, or a kept
-    policy's name ('orbit list policies')."""
+    """File policy_<iteration>.safetensors or .onnx, the folder of a training (its last policy), or a kept policy's name
+    ('orbit list policies')."""
     task: Name = None
     """Another task than the one it was learned for."""
     agent: Suppress[str] = ""
@@ -39,13 +39,13 @@ class PlaySettings(RunSettings):
 
 
 def training_record(path: Path) -> Mapping[str, Any]:
-    """Return what the file beside a policy says of its training; empty without one.
+    """Read the record of a policy's training; empty if there is none.
 
     Args:
-        path: of the policy's file, or of its folder.
+        path: path of the policy's file, or of its folder.
 
     Raises:
-        ConfigurationError: the file is no record of a training.
+        ConfigurationError: the file is not a record of a training.
     """
     file = (path if path.is_dir() else path.parent) / _RECORD
     if not file.exists():
@@ -61,19 +61,19 @@ def training_record(path: Path) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class Restored:
-    """Settings that play a policy as it was learned, and what differs, a line each."""
+    """Settings that play a policy as it was learned, and a line for each difference."""
 
     settings: PlaySettings
     differences: tuple[str, ...]
 
 
 def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Restored:
-    """Fill what the settings leave open with what a training was done with.
+    """Complete settings by those of a training.
 
     Args:
-        settings: of playing; what they say wins.
-        record: the settings of the training, as ``training.json`` has them.
-        task: the task that is played.
+        settings: settings of playing; these take precedence.
+        record: settings of the training, from ``training.json``.
+        task: task that is played.
     """
     if not record:
         return Restored(settings, ())
@@ -89,9 +89,12 @@ def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Res
     played = replace(settings, fields={**fields, **settings.fields})
     for name, installed in (("backend", backend_names()), ("renderer", renderer_names()), ("matter", None)):
         learned, own = record.get(name), getattr(settings, name)
+        # A backend that is not installed here is left open, so that the policy can still be played on another.
         if own is None and learned is not None and (installed is None or learned in installed):
             played, own = replace(played, **{name: learned}), learned
+        # Options of a backend are called --setting, those of others --renderer-setting and --matter-setting.
         words, table = ("setting", "settings") if name == "backend" else (f"{name}_setting", f"{name}_settings")
+        # Settings belong to one backend: they are restored only with it.
         given = {**record.get(table, {}), **assignments(record.get(words, ()), name, "setting")}
         if own == learned:
             played = replace(played, **{table: {**given, **getattr(settings, table)}})
@@ -110,9 +113,10 @@ def _fields(record: Mapping[str, Any], task: str) -> tuple[dict[str, Any], list[
         for name, value in {**table, **words}.items()
         if name in OF_TRAINING_ALONE or (name not in words and name in by_itself and by_itself[name] == value)
     }
+    # Words of --set override fields, in training as here.
     fields = {name: value for name, value in {**table, **words}.items() if name not in alone}
     lines = [
-        f"{name} = {_told({**table, **words}[name])} left out, for it belongs to training" for name in sorted(alone)
+        f"{name} = {_told({**table, **words}[name])} left out, because it belongs to training" for name in sorted(alone)
     ]
     return fields, lines
 

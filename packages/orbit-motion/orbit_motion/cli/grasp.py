@@ -1,4 +1,4 @@
-"""``orbit grasp``: a person has an arm grasp, in the browser."""
+"""``orbit grasp``: a person directs an arm that grasps, in the browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scripted experts: phases of a task that a motion planner or a pursuit carries out."""
+"""Scripted experts: phases of a task, executed by a motion planner or straight pursuit of poses."""
 
 from orbit_motion.experts.expert import Expert, Phase, Retry
 

@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from orbit_core.actions.base import MotionGenerator
     from orbit_core.interfaces import World
 
-# Metres from a place at which the next one is headed for. What a base on two wheels lacks then, it lacks for good.
+# Metres from a place at which the base heads for the next. A base on two wheels cannot correct the rest sideways.
 _NEAR, _NEAR_ON_WHEELS = 0.1, 0.03
 
 
 class DrivenBase:
-    """Leads one robot's base to one place after another, in each environment by itself.
+    """Driver of one robot's base to one place after another, in each environment independently.
 
     Args:
         robot: that drives.
@@ -61,9 +61,10 @@ class DrivenBase:
                 "joint_position, or another robot, such as base_omni_franka_panda"
             )
         sideways = bool(limits[0][1] > 0.0)
+        # Without sideways motion a command is forward velocity and yaw rate: the first and the last component.
         self._components = slice(None) if sideways else slice(None, None, 2)
         tolerance = _NEAR if sideways else _NEAR_ON_WHEELS
-        # Robots walk best ahead.
+        # Legged robots walk best forwards.
         face_way = bool(robot.spec.feet)
         self._follower = BasePathFollower(f"{robot.name}_base", robot, limits[0], tolerance, face_way=face_way)
         self._link = robot.link_names.index(robot.spec.base_link)
@@ -82,49 +83,51 @@ class DrivenBase:
         self._target[env_ids] = target[env_ids]
         here = self._robot.link_poses[:, self._link, :2]
         paths: dict[int, Tensor] = {}
+        # Planned per environment, and only when a phase begins: paths differ.
         for env in env_ids.tolist():
             goal = target[env, :2]
             paths[env] = goal[None] if self._planner is None else self._planner.plan(here[env], goal, env)[1:]
         self._follower.load(paths, {env: float(target[env, 2]) for env in paths})
 
     def command(self) -> Tensor:
-        """(N, 3), or (N, 2) on two wheels, that drives on, or keeps the base where it is to be."""
+        """Return the command (N, 3), or (N, 2) on two wheels, that continues the path, or keeps the base at its end."""
         return self._follower.compute({})["command"][:, self._components]
 
     @property
     def distances(self) -> Tensor:
-        """(N, 2) m and rad from where the base was told to go; infinite as long as it is on its way there."""
+        """Distances (N, 2) in m and rad from the target; infinite while the base is on its way."""
         pose = self._robot.link_poses[:, self._link]
         away = torch.linalg.vector_norm(self._target[:, :2] - pose[:, :2], dim=1)
+        # atan2 of sine and cosine wraps the difference to (-pi, pi].
         turn = self._target[:, 2] - yaw_angle(pose[:, 3:])
         left = torch.stack((away, torch.atan2(turn.sin(), turn.cos()).abs()), 1)
         return torch.where(self._follower.finished[:, None], left, math.inf)
 
     def reset(self, env_ids: Tensor | None) -> None:
-        """Stand still in some environments until a phase drives."""
+        """Stop the base in some environments until a phase drives."""
         self._follower.reset(env_ids)
 
     def memory(self) -> Mapping[str, Tensor]:
-        """For :meth:`orbit_core.interfaces.Node.memory`."""
+        """Return the tensors of :meth:`orbit_core.interfaces.Node.memory`."""
         return {**self._follower.memory(), "target": self._target}
 
 
-# rad or m by which the joint that travels most leads on a free way.
+# rad or m by which the joint that travels most may lead on a free way.
 _JOINT_LEAD = 0.5
-# rad or m within which all joints are at the end of a free way, although a base that sways may have moved its end.
+# rad or m within which a free way counts as finished, although a swaying base may have moved its end.
 _THERE = 0.1
 
 
 @dataclass(frozen=True)
 class Retry:
-    """What to do where a phase, once it is over, has not brought about what the next one needs."""
+    """Repetition of phases when a phase has ended without its effect."""
 
     phases: int
-    """How many phases to go back: 1 does the phase itself again."""
+    """Number of phases to go back: 1 repeats the phase itself."""
     unless: TermFunction
-    """(N,) bool: where it holds, all is well."""
+    """Returns (N,) bool: True where the phase had its effect."""
     most: int = 2
-    """How often in an episode; after that the expert goes on all the same."""
+    """Most repetitions in an episode; after that the expert continues anyway."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,7 @@ class Phase:
     The phase is over once the hand is within both tolerances and ``dwell`` seconds have passed since it began; or, if
     ``timeout`` is given, after that many seconds. Then ``retry`` may lead back. The last phase goes on for ever.
 
-    An expert that teaches asks for ``least`` metres until the hand is there: whoever learns asks for less, or for none.
+    A teaching expert commands at least ``least`` metres until the hand is there, for a student commands less.
     """
 
     target: TermFunction | None = None
@@ -161,23 +164,23 @@ class Phase:
 
 
 class Expert(Node):
-    """Runs each environment through its phases and turns the hand's next pose into an action of the task's own space.
+    """State machine that leads each environment through its phases, as actions of the task's own space.
 
-    The pose asked for runs ahead of the hand by at most ``position_lead`` (m) and ``rotation_lead`` (rad), so that the
-    same expert suits absolute and relative action spaces; how fast the hand follows is the drives' affair.
+    The commanded pose runs ahead of the hand by at most ``position_lead`` (m) and ``rotation_lead`` (rad), so that the
+    same expert suits absolute and relative action spaces; the drives determine how fast the hand follows.
 
     Where several robots act, ``phases`` holds as many for each, by agent. They wait for each other: a phase is over
     once it is over for all.
 
-    Bases drive around what stands on the floor where a ``planner`` says how, else straight.
+    Bases drive around obstacles on the floor if a ``planner`` is given, else straight.
 
     A joint that is too slow for that lead turns the hand off its straight way; with ``straight`` all wait for it.
 
-    Drives whose arm's weight nothing cancels hold it only by what they lack to their targets. With a ``sag_rate`` (1/s)
-    what the hand lacks near its target is summed up at that rate, and asked for on top.
+    Without gravity compensation the drives hold an arm with a position error. With a ``sag_rate`` (1/s)
+    the error near the target is integrated, and added to the command.
 
-    While it :attr:`teaches`, the phase is what ``stage``, if given, says of the state alone: where another leads, who
-    may be slow, phases that end by time would answer one state in several ways.
+    While it :attr:`teaches`, ``stage``, if given, derives the phase from the state only: where a slow student leads,
+    phases that end by time would label one state in several ways.
 
     Raises:
         ConfigurationError: an agent has no phases, or another number than the others; a phase is to be retried that
@@ -221,7 +224,7 @@ class Expert(Node):
         self._sag_share = sag_rate * self._dt
         self._stage = stage
         self.teaches = False
-        """Whether it only says what it would do, and another leads."""
+        """True if it only labels states, and another policy leads."""
         self.phase = torch.zeros(env.num_envs, dtype=torch.int64, device=env.device)
         self._elapsed = torch.zeros(env.num_envs, device=env.device)
         self._tries = torch.zeros(env.num_envs, len(self._retries), dtype=torch.int64, device=env.device)
@@ -243,8 +246,10 @@ class Expert(Node):
         return own
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        # Reset by the step count: the node runs inside a step that is captured, without a call per episode.
         self.reset((self._env.state.episode_step == 0).nonzero().squeeze(-1))
         stage = self._stage(self._env) if self.teaches and self._stage is not None else None
+        # The clock restarts where the state is in another phase than before.
         if stage is not None:
             self._elapsed.masked_fill_(stage != self.phase, 0.0)
             self.phase.copy_(stage)
@@ -261,7 +266,7 @@ class Expert(Node):
         return {"action": torch.cat(commands, dim=1).clamp(-1.0, 1.0)}
 
     def _back(self, over: Tensor) -> Tensor:
-        """(N,) by how many phases to go back, where phases are over (N,) that have not done what they should."""
+        """Return the number of phases (N,) to go back, for phases (N,) that are over without their effect."""
         back = torch.zeros_like(self.phase)
         for (number, retry), tries in zip(self._retries, self._tries.unbind(1), strict=True):
             failed = over & (self.phase == number) & ~retry.unless(self._env) & (tries < retry.most)
@@ -290,6 +295,7 @@ class _Arm:
         self._robot = world.robots[agent]
         self._frame = self._robot.spec.end_effector.frame
         self._generators = [generator for generator in env.actions.generators if generator.robot is self._robot]
+        # Row numbers pick each environment's phase out of the stacked targets.
         self._rows = torch.arange(world.num_envs, device=world.device)
         tolerances = [(phase.position_tolerance, phase.rotation_tolerance) for phase in phases]
         self._tolerances = torch.tensor(tolerances, device=world.device)
@@ -309,10 +315,10 @@ class _Arm:
                 "alone, and nothing balances its legs: choose an arm, or a task whose expert walks, like Mobile-Reach"
             )
         self.sag = torch.zeros(world.num_envs, 6, device=world.device)
-        """(N, 6) m and rad asked for on top."""
+        """Correction (N, 6) in m and rad that is added to the command."""
 
     def reset(self, env_ids: Tensor | None) -> None:
-        """Forget where the base was going, and how much the arm sags."""
+        """Reset the base's target and the correction for sag."""
         self.sag[slice(None) if env_ids is None else env_ids] = 0.0
         if self.base is not None:
             self.base.reset(env_ids)
@@ -328,6 +334,7 @@ class _Arm:
         """
         hand = self._robot.frame_pose(self._frame)
         targets = [hand if own.target is None else own.target(self._env) for own in self._phases]
+        # All phases' targets are computed and one is picked: a branch per environment could not be captured.
         target = torch.stack(targets)[phase, self._rows]
         error = pose_error(hand, target)
         distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
@@ -336,6 +343,7 @@ class _Arm:
             asked = torch.where(distances > self._tolerances[phase], asked.maximum(self._least[phase]), asked)
         step = error.view(-1, 2, 3) * (asked / distances.clamp_min(1e-9))[..., None]
         if sag_share:
+            # The integral is bounded by half the lead, so that it cannot wind up.
             most = 0.5 * self._lead[:, None]
             self.sag += sag_share * error * (distances < self._lead).all(1, keepdim=True)
             self.sag.copy_((self.sag.view(-1, 2, 3).clamp(-most, most)).view(-1, 6))
@@ -363,7 +371,7 @@ class _Arm:
         return torch.cat(commands, dim=1), arrived | (elapsed >= self._timeouts[phase])
 
     def _drive(self, base: DrivenBase, commands: list[Tensor], phase: Tensor, begun: Tensor, hand: Tensor) -> Tensor:
-        """Put the base's command among the others; (N, 2) distances of what each phase (N,) leads, hand or base."""
+        """Insert the base's command; return distances (N, 2) of the phase's (N,) hand or base."""
         for number, own in enumerate(self._phases):
             begins = begun & (phase == number)
             if own.base is not None and bool(begins.any()):
@@ -389,9 +397,9 @@ class _Route:
         self._solver = FullIk(self._tree, self._frame, self._joints, limits, robot.home_positions)
         self._goal = robot.joint_positions.clone()
         self.known = torch.zeros(len(self._goal), dtype=torch.bool, device=self._goal.device)
-        """(N,) whether the pose can be reached."""
+        """True (N,) if the pose can be reached."""
         self.reached = torch.zeros_like(self.known)
-        """(N,) whether the joints have been at the end of the way."""
+        """True (N,) if the joints have been at the end of the way."""
 
     def plan(self, target: Tensor, rows: Tensor) -> None:
         """Find the way to poses ``target`` (N, 7), in the environments of ``rows`` (N,) bool."""
@@ -399,6 +407,7 @@ class _Route:
         if not len(env_ids):
             return
         self.reached[env_ids] = False
+        # The solver works in the root's frame, for the root may be anywhere.
         local = pose_multiply(pose_inverse(self._robot.root_pose[env_ids]), target[env_ids])
         solution = self._solver.solve(local, self._robot.joint_positions[env_ids])
         goal = self._robot.joint_positions[env_ids]
@@ -407,8 +416,14 @@ class _Route:
         self.known[env_ids] = solution.converged
 
     def way(self, home: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, J) rad or m that the joints have to go, those of the arm to their home where ``home`` (N,); and (N,) bool
-        whether they are as good as there."""
+        """Return the way left for the joints.
+
+        Args:
+            home: (N,) bool; True leads the arm's joints home.
+
+        Returns:
+            The way (N, J) in rad or m, and (N,) bool: True where it is as good as finished.
+        """
         here = self._robot.joint_positions
         resting = here.clone()
         resting[:, self._joints] = self._robot.home_positions[self._joints]

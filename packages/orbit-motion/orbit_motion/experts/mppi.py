@@ -1,4 +1,4 @@
-"""A policy that tries actions out in copies of the world: model-predictive path integral control."""
+"""Model-predictive path integral control: a policy that samples actions in copies of the world."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from orbit_core.interfaces import ConfigurationError, Node, Port
 
 @dataclass(frozen=True, kw_only=True)
 class MppiConfig:
-    """How actions are sampled, and how what they come to is weighed."""
+    """Sampling of actions and weighting of their returns."""
 
     horizon: int = 20
-    """Steps of the environment that are looked ahead."""
+    """Environment steps of each sample."""
     noise: float = 0.5
     """Standard deviation of the samples' actions from the plan, in units of action."""
     correlation: float = 0.7
-    """Share of the noise that one step hands on to the next; 0 is white."""
+    """Correlation of the noise between one step and the next; 0 is white."""
     temperature: float = 0.1
-    """In standard deviations of the samples' returns: the lower, the more the best ones count."""
+    """Temperature in standard deviations of the samples' returns: the lower, the more the best ones count."""
     discount: float = 1.0
-    """Of a reward by each step that it comes later."""
+    """Factor of a reward per step of delay."""
     seed: int = 0
 
 
 class Mppi(Node):
-    """Chooses the next action of each environment by rolling samples out in a second one of the same task.
+    """Node that chooses each environment's next action by rolling samples out in a second environment of the same task.
 
     The plan U of ``horizon`` actions becomes ``sum_s w_s A_s`` over sampled action sequences A_s, with weights ``w_s``
     proportional to ``exp(R_s / lambda)`` of their returns R_s (Williams et al., Information Theoretic MPC for
@@ -42,7 +42,7 @@ class Mppi(Node):
     Args:
         environment: that acts, N environments.
         model: another environment of the same task, on any backend and device: N times as many environments as samples
-            are wanted. Those that are stepped are the samples' of the first environment, then of the next. Its state
+            are wanted. The environments are the samples' of the first environment, then of the next. Its state
             begins with :meth:`orbit_core.interfaces.World.copy_state`, and with the task's own tensors.
         config: how to sample.
 
@@ -74,10 +74,12 @@ class Mppi(Node):
         self._random = torch.Generator(model.device).manual_seed(config.seed)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        """One turn: plan, and give the first action (N, A)."""
+        """Plan, and return the first action (N, A)."""
+        # A new episode begins without a plan.
         write_rows(self._plan, 0.0, (self._environment.state.episode_step == 0).to(self._plan.device))
         actions = (self._plan.unsqueeze(1) + self._noise()).clamp(-1.0, 1.0)
         returns = self._returns(actions)
+        # Relative to the spread of returns, one temperature suits tasks of any scale of reward.
         spread = returns.std(1, keepdim=True).clamp_min(1e-6)
         weights = torch.softmax((returns - returns.amax(1, keepdim=True)) / (self.config.temperature * spread), 1)
         plan = torch.einsum("ns,nsha->nha", weights, actions)
@@ -92,20 +94,21 @@ class Mppi(Node):
         return {"plan": self._plan}
 
     def _noise(self) -> Tensor:
-        """(N, samples, horizon, A), zero in the first sample."""
+        """Sample correlated noise (N, samples, horizon, A), zero in the first sample."""
         count, horizon, size = self._plan.shape
         shape = (horizon, count, self.samples, size)
         white = self.config.noise * torch.randn(shape, generator=self._random, device=self._plan.device)
         share = self.config.correlation
         steps = [white[0]]
         for drawn in white[1:]:
+            # The factor keeps the variance the same at all steps.
             steps.append(share * steps[-1] + (1.0 - share**2) ** 0.5 * drawn)
         noise = torch.stack(steps, 2)
         noise[:, 0] = 0.0
         return noise
 
     def _returns(self, actions: Tensor) -> Tensor:
-        """(N, samples) of action sequences (N, samples, horizon, A), from the present state on."""
+        """Compute returns (N, samples) of action sequences (N, samples, horizon, A), from the present state."""
         model, count = self._model, self._environment.num_envs
         self._begin()
         total = torch.zeros(count * self.samples, device=model.device)
@@ -113,12 +116,13 @@ class Mppi(Node):
         for action in actions.flatten(0, 1).unbind(1):
             _, reward, terminated, truncated, _ = model.step(action)
             total = total + weight * running * reward
+            # After an episode's end a sample earns nothing: the model has reset itself.
             running = running * (~(terminated | truncated)).to(total.dtype)
             weight *= self.config.discount
         return total.view(count, self.samples)
 
     def _begin(self) -> None:
-        """Put the environment's state into its samples."""
+        """Copy the environment's state into its samples."""
         environment, model, samples = self._environment, self._model, self.samples
         for env in range(environment.num_envs):
             rows = torch.arange(env * samples, (env + 1) * samples, device=model.device)

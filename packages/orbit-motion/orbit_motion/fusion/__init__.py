@@ -1,4 +1,4 @@
-"""Functions of a few numbers for each environment, as one kernel: a loop on a CPU, a launch on a GPU."""
+"""Functions of a few numbers per environment as one kernel: a loop on a CPU, a launch on a GPU."""
 
 from orbit_motion.fusion.fused import Fused
 

@@ -1,4 +1,4 @@
-"""Arithmetic on the numbers of one environment, as a graph in which nothing is computed twice, and zeros vanish."""
+"""Expression graphs of the arithmetic of one environment, with common subexpressions shared and zeros removed."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class Expression:
     operation: str
     operands: tuple[Expression, ...] = ()
     value: Number = 0.0
-    """Of a constant."""
+    """Value of a constant."""
     place: tuple[str, int] = ("", 0)
-    """Of an element: the name of the row, and the place in it."""
+    """Name of the row and index in it, of an element."""
     is_bool: bool = False
     number: int = 0
-    """Of those that were made before it."""
+    """Number of expressions that were created before it."""
 
     @property
     def constant(self) -> bool:
-        """Whether it is the same in all environments, and known."""
+        """True if the value is known and the same in all environments."""
         return self.operation == "constant"
 
     def __add__(self, other: Expression) -> Expression:
@@ -66,12 +66,12 @@ FOLDED: dict[str, Callable[..., Number]] = {
     "not": lambda a: not a,
     "where": lambda c, a, b: a if c else b,
 }
-"""Every operation, on known numbers."""
+"""All operations, for constant operands."""
 _BOOLEAN = {"lt", "le", "eq", "and", "or", "not"}
 
 
 class Builder:
-    """Makes expressions, simplified as far as signs, zeros, ones and constants go."""
+    """Factory of expressions, simplified by signs, zeros, ones and constants."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], Expression] = {}
@@ -81,10 +81,11 @@ class Builder:
         """Return a known number; a bool stays one."""
         if isinstance(value, bool):
             return self._made("constant", value=value, is_bool=True)
+        # Adding 0.0 turns -0.0 into 0.0, which would be another constant.
         return self._made("constant", value=float(value) + 0.0)
 
     def element(self, row: str, place: int) -> Expression:
-        """What stands at a place of a row of inputs."""
+        """Return the scalar input at index ``place`` of input buffer ``row``."""
         return self._made("element", place=(row, place))
 
     def apply(self, operation: str, *operands: Expression) -> Expression:
@@ -104,7 +105,7 @@ class Builder:
         return self.apply("where", value, self.constant(1.0), self.constant(0.0)) if value.is_bool else value
 
     def add(self, a: Expression, b: Expression) -> Expression:
-        """``a + b``"""
+        """Return ``a + b``."""
         if _is(a, 0.0):
             return b
         if _is(b, 0.0):
@@ -116,14 +117,14 @@ class Builder:
         return self.apply("add", *self._ordered(a, b))
 
     def total(self, numbers: Sequence[Expression]) -> Expression:
-        """Return a sum as a balanced tree, which makes short chains of additions, but of one that is there with an end
-        added.
+        """Return a sum as a balanced tree of short dependency chains, extending a known sum where one is a part of it.
 
-        So sums along a robot's branch, of which each has one link more than another, cost an addition each.
+        So sums along a robot's branch, each of which has one link more than another, cost one addition each.
         """
         parts = tuple(number for number in numbers if not _is(number, 0.0)) or (self.constant(0.0),)
         if parts in self._sums:
             return self._sums[parts]
+        # The longest known part first: it saves the most additions.
         for length in range(len(parts) - 1, 1, -1):
             for known, rest in ((parts[:length], parts[length:]), (parts[-length:], parts[:-length])):
                 if known in self._sums:
@@ -139,7 +140,7 @@ class Builder:
         return parts[0]
 
     def multiply(self, a: Expression, b: Expression) -> Expression:
-        """``a b``; nothing times zero is zero."""
+        """Return ``a b``; zero times anything is zero."""
         a, b = self.number(a), self.number(b)
         for one, other in ((a, b), (b, a)):
             if _is(one, 0.0):
@@ -150,12 +151,13 @@ class Builder:
                 return self.negative(other)
             if one.operation == "neg":
                 return self.negative(self.multiply(one.operands[0], other))
+            # Signs move outwards, so that a product with 2 and one with -2 share their factors.
             if one.constant and isinstance(one.value, float) and one.value < 0.0:
                 return self.negative(self.multiply(self.constant(-one.value), other))
         return self.apply("mul", *self._ordered(a, b))
 
     def negative(self, a: Expression) -> Expression:
-        """``-a``"""
+        """Return ``-a``."""
         if a.operation == "neg":
             return a.operands[0]
         if a.operation == "sub":
@@ -163,13 +165,15 @@ class Builder:
         return self.apply("neg", a)
 
     def _subtracted(self, a: Expression, b: Expression) -> Expression:
-        if a is b:
+        if a is b:  # equal expressions are one object
             return self.constant(0.0)
         return self.negative(b) if _is(a, 0.0) else self.apply("sub", a, b)
 
     @staticmethod
     def _ordered(a: Expression, b: Expression) -> tuple[Expression, Expression]:
-        """Return the same for ``a b`` and ``b a``, and in every run, so that what was compiled is found again."""
+        """Order the operands of a commutative operation, equally in every run, so that compiled kernels are found
+        again.
+        """
         return (a, b) if a.number <= b.number else (b, a)
 
     def _made(
@@ -180,6 +184,7 @@ class Builder:
         place: tuple[str, int] = ("", 0),
         is_bool: bool = False,
     ) -> Expression:
+        # Identity of operands is equality: each expression exists once.
         key = (operation, *map(id, operands), value, place, is_bool)
         found = self._known.get(key)
         if found is None:

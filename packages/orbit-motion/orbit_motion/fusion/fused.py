@@ -28,9 +28,9 @@ from orbit_motion.fusion.expression import Expression
 from orbit_motion.fusion.operations import Unfusable, expressions
 
 LANES = 8
-"""Environments in one register of a CPU."""
+"""Environments per register of a CPU: eight floats are 256 bits."""
 ROWS = {"own": "({0})", "env": "({0}) / {1}", "part": "({0}) % {1}"}
-"""Rows of inputs: of each environment's each part, of each environment, and of each part in all environments."""
+"""Index of an input's row: one per environment and part, one per environment, or one per part in all environments."""
 _READ_ON_CPU = (
     "    auto {row} = [&](int place) {{ V r; "
     "for (int i = 0; i < lanes; i++) r[i] = in_{row}[{which} * {width} + place]; return r; }};"
@@ -105,7 +105,7 @@ extern "C" __global__ void fused({parameters}float* out, int count) {{
 
 @dataclass(frozen=True)
 class Program:
-    """What the numbers of one environment, or of one part of it, become.
+    """Computation of one environment, or of one part of it: input rows and output expressions.
 
     Attributes:
         widths: numbers in each row of inputs, by the row's name, one of :data:`ROWS`.
@@ -121,18 +121,18 @@ class Program:
 
     @property
     def on_cpu(self) -> bool:
-        """Whether it is for a CPU."""
+        """True if the program is for a CPU."""
         return self.device.type == "cpu"
 
     def room(self, sizes: torch.Size) -> torch.Tensor:
-        """Memory (*sizes, W) for the rows of W numbers that come of so many environments and parts."""
+        """Allocate output memory (*sizes, W) for W numbers per row, in the layout of the device."""
         if self.on_cpu:
             return torch.empty(*sizes, len(self.outputs))
         return torch.empty(len(self.outputs), *sizes, device=self.device).movedim(0, -1)
 
     def source(self) -> str:
-        """Return text with a function ``fused`` of pointers to rows, to what becomes of them, and how many come of
-        them.
+        """Return source text of a function ``fused``; its arguments are pointers to input rows, output memory and a
+        count.
         """
         on_cpu = self.on_cpu
         parameters = "".join(f"const float* in_{row}, " for row in self.widths)
@@ -147,7 +147,7 @@ class Program:
         return frame.format(body="\n".join(self._body()), parameters=parameters, **sizes)
 
     def operations(self) -> int:
-        """How many there are for one environment."""
+        """Return the number of arithmetic operations per environment."""
         return sum(bool(expression.operands) for expression in _in_order(self.outputs))
 
     def _body(self) -> list[str]:
@@ -173,14 +173,16 @@ def _text(expression: Expression, names: dict[int, str]) -> str:
 def _literal(expression: Expression) -> str:
     if expression.is_bool:
         return "1" if expression.value else "0"
+    # Beyond the largest float, C reads infinity, whose name differs between compilers.
     text = {"inf": "1.0e39f", "-inf": "-1.0e39f"}.get(repr(expression.value))
     return f"K({text or f'{expression.value!r}f'})"
 
 
 def _in_order(outputs: Sequence[Expression]) -> list[Expression]:
-    """Return all that outputs are made of, each after what it is made of itself."""
+    """Return all expressions that the outputs depend on, operands before their uses."""
     done: set[int] = set()
     order: list[Expression] = []
+    # A stack instead of recursion: chains of thousands of operations exceed Python's limit.
     waiting = list(reversed(outputs))
     while waiting:
         expression = waiting[-1]
@@ -195,19 +197,20 @@ def _in_order(outputs: Sequence[Expression]) -> list[Expression]:
     return order
 
 
-# Of a block on a GPU: few, so that a few thousand environments fill all multiprocessors.
+# Threads per block of a GPU: few, so that a few thousand environments occupy all multiprocessors.
 _THREADS = 32
 GPU_FLAGS = ["--prec-div=false", "--prec-sqrt=false"]
-"""Quotients and roots to two units in the last place, as in what inductor compiles, and without calls for them."""
+"""Quotients and roots to two units in the last place, as inductor compiles them, and without calls for them."""
+# Without errno and traps the compiler may vectorise roots and comparisons.
 _FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-w")
 
 
 Launch = Callable[[Sequence[Tensor], Tensor], None]
-"""Of rows of inputs, and memory for the rows that come of them."""
+"""Called with rows of inputs, and memory for the output rows."""
 
 
 def launcher(source: str, inputs: int, device: torch.device) -> Launch:
-    """Runs a program that has so many inputs.
+    """Compile a program with this number of inputs, and return its launcher.
 
     Raises:
         Unfusable: the compiler refuses it, or there is none.
@@ -216,11 +219,12 @@ def launcher(source: str, inputs: int, device: torch.device) -> Launch:
 
 
 def _compiled(source: str) -> Path:
-    """Return a library of the source, from the cache beside that of torch's compiler if it was made before."""
+    """Compile the source to a library, next to the cache of torch's compiler; reuse an earlier one."""
     from torch._inductor.cpp_builder import get_cpp_compiler
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 
     compiler = get_cpp_compiler()
+    # The processor's features are part of the key, for -march=native code runs on no other kind.
     name = hashlib.sha256("\n".join((source, compiler, *_FLAGS, _processor())).encode()).hexdigest()[:32]
     folder = Path(cache_dir()) / "orbit_fusion"
     library = folder / f"{name}.so"
@@ -233,7 +237,7 @@ def _compiled(source: str) -> Path:
         run = subprocess.run([compiler, *_FLAGS, "-o", str(made), str(text)], capture_output=True, text=True)
         if run.returncode:
             raise Unfusable(f"{compiler} refuses it: {next(iter(run.stderr.splitlines()), '')}")
-        os.replace(made, library)  # at once, for other processes may be looking
+        os.replace(made, library)  # atomic, for other processes may look for it
     return library
 
 
@@ -253,6 +257,7 @@ def _of_library(library: Path, inputs: int) -> Launch:
 
 def _of_gpu(source: str) -> Launch:
     try:
+        # Private in torch, and the only NVRTC binding that is always installed with it.
         compile_kernel = torch.cuda._compile_kernel  # pyright: ignore[reportPrivateUsage]
         kernel: Any = compile_kernel(source, "fused", nvcc_options=GPU_FLAGS)
     except Exception as error:  # torch's release has none, there is no NVRTC, or it refuses the source
@@ -267,18 +272,18 @@ def _of_gpu(source: str) -> Launch:
 
 
 class Fused(Traceable):
-    """``function(**inputs)`` as it is, or, within :func:`orbit_core.capture.replay.fusing`, as one kernel.
+    """A function that runs as it is, or, within :func:`orbit_core.capture.replay.fusing`, as one kernel.
 
-    A compiler for whole steps makes loops of what it finds, and calls libraries for products and factors of matrices;
+    A compiler for whole steps generates loops, and calls libraries for products and factors of matrices;
     what a servo does to the few numbers of each environment is then a hundred launches, most of them for work of a
-    microsecond. Here the function is followed once, number by number: what constants make zero is left out,
-    what occurs twice is computed once, and the rest is a straight line of arithmetic.
+    microsecond. Here the function is executed symbolically once: terms that constants make zero are removed,
+    common terms are computed once, and the rest is straight-line arithmetic.
 
     Args:
         function: of float or bool tensors (N, ...), by name, that gives float tensors (N, ...). Environments do not
             look at each other; every other tensor that it uses is a constant, and how many environments there are it
             asks of its inputs alone.
-        in_parts: whether tensors are (N, S, ...), of S parts of each environment, each of which is a row of its own;
+        in_parts: True if tensors are (N, S, ...), of S parts of each environment, each of which has a separate row;
             (N, 1, ...) where all parts of an environment have the same, (1, S, ...) where all environments have.
     """
 
@@ -291,15 +296,15 @@ class Fused(Traceable):
         self._shapes: list[torch.Size] = []
         self._sizes = torch.Size()
         self.refusal = ""
-        """Why there is no kernel; empty if there is, or none was asked for."""
+        """Reason why there is no kernel; empty if there is one, or none was requested."""
 
     @property
     def operations(self) -> int:
-        """Of arithmetic for each row in the kernel; zero without one."""
+        """Arithmetic operations per row in the kernel; zero without one."""
         return 0 if self._launch is None or self._program is None else self._program.operations()
 
     def __call__(self, **inputs: Tensor) -> tuple[Tensor, ...]:
-        """What the function gives."""
+        """Return the function's results."""
         if not kernels_wanted() or not self._ready(inputs):
             return self._function(**inputs)
         rows = [
@@ -319,7 +324,7 @@ class Fused(Traceable):
         self._launch([row.contiguous() for row in rows], outputs)
 
     def _ready(self, inputs: Mapping[str, Tensor]) -> bool:
-        """Whether there is a kernel, made now if there was none."""
+        """Return True if there is a kernel; compile it at the first call."""
         if self._launch is None and not self.refusal:
             try:
                 with _disable_current_modes():  # what is followed here is no part of a step that is traced
@@ -337,6 +342,7 @@ class Fused(Traceable):
             list(inputs.values()), rows, leading,
         )  # fmt: skip
         self._rows = {row: [name for name, other in zip(names, rows, strict=True) if other == row] for row in rows}
+        # Inputs of one kind of row are concatenated, so that a kernel has at most three input pointers.
         widths = {
             row: sum(inputs[name].shape[leading:].numel() for name in members) for row, members in self._rows.items()
         }
@@ -348,7 +354,7 @@ class Fused(Traceable):
 
 
 def _row_of(shape: torch.Size, sizes: torch.Size) -> str:
-    """Which of :data:`ROWS` an input lies in."""
+    """Return the kind of row (:data:`ROWS`) of an input."""
     if shape == sizes:
         return "own" if len(sizes) > 1 else "env"
     return "env" if shape[0] == sizes[0] else "part"

@@ -20,16 +20,17 @@ Numbers = npt.NDArray[np.object_]
 
 
 def _array(builder: Builder, value: Any) -> Numbers:
-    """Return a tensor's numbers, or a number of Python's as one."""
+    """Return a tensor's expressions, or a Python number as an array of one."""
     if isinstance(value, np.ndarray):
         return value
     result = np.empty((), dtype=object)
+    # ``np.array`` would try to iterate the value.
     result[()] = value if isinstance(value, Expression) else builder.constant(value)
     return result
 
 
 def _elementwise(function: Callable[..., Expression]) -> Callable[..., Numbers]:
-    """Return an operation number by number, with torch's rules of broadcasting, which are numpy's."""
+    """Apply a function element by element, with torch's rules of broadcasting, which are numpy's."""
 
     def apply(builder: Builder, *operands: Any, **_: Any) -> Numbers:
         arrays = np.broadcast_arrays(*(_array(builder, operand) for operand in operands))
@@ -74,6 +75,7 @@ def _power(builder: Builder, a: Numbers, exponent: float) -> Numbers:
     if exponent < 0:
         return _inverse(builder, _power(builder, a, -exponent))
     if exponent != int(exponent) or not 1 <= exponent <= 8:
+        # Higher powers are rounding-sensitive products that no servo uses.
         raise NotImplementedError(f"a power of {exponent}")
     return functools.reduce(lambda x, y: _product(builder, x, y), [a] * int(exponent))
 
@@ -88,7 +90,7 @@ def _reduced(function: Callable[[Sequence[Expression]], Expression], a: Numbers,
     kept = [axis for axis in range(a.ndim) if axis not in axes]
     rows = a.transpose([*kept, *axes]).reshape([a.shape[axis] for axis in kept] + [-1])
     result = np.empty(rows.shape[:-1], dtype=object)
-    # Short rows first, for longer ones are made of them.
+    # Short rows first: longer sums are built from them.
     for place in sorted(np.ndindex(result.shape), key=lambda place: sum(not x.constant for x in rows[place])):
         result[place] = function(rows[place].tolist())
     return np.expand_dims(result, axes) if keepdim else result
@@ -108,6 +110,7 @@ def _norm(builder: Builder, a: Numbers, ord: float = 2, dim: Any = None, keepdim
 
 
 def _matmul(builder: Builder, a: Numbers, b: Numbers) -> Numbers:
+    # All products at once by broadcasting; zeros of sparse matrices vanish in the sum.
     products = _product(builder, a[..., :, :, None], b[..., None, :, :])
     return _sum(builder, products, a.ndim - 1)
 
@@ -137,13 +140,14 @@ def _where(builder: Builder, condition: Numbers, a: Any, b: Any) -> Numbers:
 
 
 def _sign_of(builder: Builder, size: Any, sign: Any) -> Numbers:
-    """``copysign``, of zeros' signs the positive one."""
+    """Compute ``copysign``; both zeros count as positive."""
+    # The expressions have no bits to copy a sign from: a comparison takes their place.
     size = _plain("abs")(builder, size)
     return _where(builder, _plain("lt")(builder, sign, 0.0), _negative(builder, size), size)
 
 
 def _cholesky(builder: Builder, a: Numbers, **_: Any) -> tuple[Numbers, None]:
-    """Lower factors, column by column; where a matrix is not positive definite they are not finite."""
+    """Compute lower Cholesky factors, column by column; they are not finite if a matrix is not positive definite."""
     if a.ndim > 2:
         parts = [_cholesky(builder, matrix)[0] for matrix in a]
         return np.stack(parts), None
@@ -153,6 +157,7 @@ def _cholesky(builder: Builder, a: Numbers, **_: Any) -> tuple[Numbers, None]:
     for j in range(size):
         squares = [factors[j, k] * factors[j, k] for k in range(j)]
         factors[j, j] = builder.apply("sqrt", a[j, j] - builder.total(squares) if squares else a[j, j])
+        # One division for a column, because a multiplication is several times as fast.
         inverse = builder.apply("reciprocal", factors[j, j])
         for i in range(j + 1, size):
             products = [factors[i, k] * factors[j, k] for k in range(j)]
@@ -194,12 +199,13 @@ def _index(_: Builder, a: Numbers, indices: Sequence[Any]) -> Numbers:
 
 def _split(_: Builder, a: Numbers, sizes: int | Sequence[int], dim: int = 0) -> list[Numbers]:
     length = a.shape[dim]
+    # NumPy splits at places, torch by sizes.
     ends = np.cumsum(sizes)[:-1] if not isinstance(sizes, int) else np.arange(sizes, length, sizes)
     return np.split(a, ends, dim)
 
 
 def _expand(_: Builder, a: Numbers, shape: Sequence[int], **__: Any) -> Numbers:
-    ahead = len(shape) - a.ndim
+    ahead = len(shape) - a.ndim  # new dimensions come first, and -1 keeps an old size
     sizes = [a.shape[i - ahead] if size == -1 else size for i, size in enumerate(shape)]
     return np.broadcast_to(a, sizes)
 
@@ -220,7 +226,7 @@ def _diag_embed(builder: Builder, a: Numbers, offset: int = 0, dim1: int = -2, d
 
 def _full(builder: Builder, shape: Sequence[int], value: float, dtype: Any = None, **_: Any) -> npt.NDArray[Any]:
     if dtype in (torch.int64, torch.int32):
-        return np.full(tuple(shape), int(value))  # an index
+        return np.full(tuple(shape), int(value))  # indices stay integers
     return np.full(tuple(shape), builder.constant(value), dtype=object)
 
 
@@ -245,7 +251,7 @@ def _eye(builder: Builder, size: int, **_: Any) -> Numbers:
 
 
 def _argmax(builder: Builder, a: Numbers, dim: int, keepdim: bool = False) -> Numbers:
-    """Return the first of the largest, as a number."""
+    """Return the index of the first maximum, as a float."""
 
     def place(row: Sequence[Expression]) -> Expression:
         best, largest = builder.constant(0.0), row[0]
@@ -259,6 +265,7 @@ def _argmax(builder: Builder, a: Numbers, dim: int, keepdim: bool = False) -> Nu
 
 
 def _gather(builder: Builder, a: Numbers, dim: int, index: Numbers) -> Numbers:
+    # The index is an expression too: all elements are compared with it.
     result = np.empty(index.shape, dtype=object)
     for place in np.ndindex(index.shape):
         row = a[tuple(slice(None) if axis == dim % a.ndim else i for axis, i in enumerate(place))]
@@ -367,31 +374,32 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "lift_fresh_copy": _same,
     "getitem": lambda _, parts, index: operator.getitem(parts, index),
 }
-"""By the name of torch's operation, without its overload."""
+"""Operations by the name of torch's operation, without its overload."""
 
 
-"""Of expressions, in a tensor's shape."""
+"""Expressions in a tensor's shape."""
 
 
 class Unfusable(Exception):
-    """A function does what is not followed number by number; says what."""
+    """Raised when a function cannot be executed symbolically; says why."""
 
 
 def expressions(
     function: Callable[..., Sequence[Tensor]], inputs: Sequence[Tensor], rows: Sequence[str], leading: int
 ) -> list[Numbers]:
-    """What a function makes of one environment's numbers, or of one of several parts of an environment.
+    """Execute the function symbolically for one row, and return arrays of scalar expressions, one per output.
 
     Args:
-        function: of tensors (N, ...), or (N, S, ...), whose rows do not look at each other. All other tensors that it
-            uses are constants.
-        inputs: examples, float or bool; of bools rows hold zeros and ones.
-        rows: name of the row that each input lies in, after those before it in the same row.
-        leading: how many axes are of rows, 1 or 2.
+        function: of tensors (N, ...), or (N, S, ...), whose rows are independent. All other tensors that it uses are
+            constants.
+        inputs: examples, float or bool; rows hold zeros and ones for bools.
+        rows: name of the input buffer of each input, after those before it in the same buffer.
+        leading: number of row axes, 1 or 2.
 
     Raises:
-        Unfusable: an operation is not known here, or the rows depend on each other.
+        Unfusable: an operation is unknown, or the rows depend on each other.
     """
+    # One row suffices: the function does the same to all.
     examples = [tensor[(slice(1),) * leading].detach().clone() for tensor in inputs]
     builder = Builder()
     try:
@@ -399,7 +407,7 @@ def expressions(
         made = _followed(builder, graph, _elements(builder, examples, rows))
     except Unfusable:
         raise
-    except Exception as error:  # of many kinds, for it is anybody's function
+    except Exception as error:  # a user's function may raise anything
         what = next(iter(str(error).splitlines()), "")
         raise Unfusable(f"it cannot be followed, for {type(error).__name__}: {what}") from error
     for numbers in made:
@@ -434,9 +442,9 @@ def _followed(builder: Builder, graph: fx.GraphModule, given: Sequence[Numbers])
 
 
 def constants(builder: Builder, tensor: Tensor) -> Numbers:
-    """Return a known tensor's numbers."""
+    """Return the numbers of a constant tensor."""
     if tensor.dtype in (torch.int64, torch.int32):
-        return tensor.detach().cpu().numpy()  # an index
+        return tensor.detach().cpu().numpy()  # indices stay integers
     result = np.empty(tuple(tensor.shape), dtype=object)
     result.ravel()[:] = [builder.constant(value) for value in tensor.detach().cpu().reshape(-1).tolist()]
     return result

@@ -1,4 +1,4 @@
-"""Where a parallel gripper may take a thing, and how the arm gets there, holds it and goes."""
+"""Grasping by a parallel gripper: candidates on a surface, motions to them, and an interactive workflow."""
 
 from orbit_motion.grasping.antipodal import (
     GraspCandidates,

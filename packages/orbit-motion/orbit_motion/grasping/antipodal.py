@@ -24,7 +24,7 @@ from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.plugin_kit.meshes import triangles
 from orbit_core.scene import Gripper, HeightField, Link, Plane, RobotSpec
 
-# m along the approach from the frame, within which fingers limit the opening.
+# Metres along the approach from the frame within which fingers limit the opening.
 _NEAR = 0.01
 
 
@@ -35,11 +35,11 @@ class HandBoxes:
     boxes: Tensor
     opening: float
     points: Tensor
-    """(P, 3) m on the shapes themselves."""
+    """Points (P, 3) in m on the shapes themselves."""
 
     @staticmethod
     def of(spec: RobotSpec) -> HandBoxes:
-        """Of a robot's first end effector.
+        """Compute the boxes of a robot's first end effector, with its gripper open.
 
         Raises:
             ConfigurationError: it has no gripper, or nothing of it is on both sides of its frame.
@@ -55,14 +55,16 @@ class HandBoxes:
         return HandBoxes(stacked, _opening(stacked, spec.name), points)
 
     def touches(self, points: Tensor, margin: float = 0.0) -> Tensor:
-        """(...,) whether any of points (..., M, 3) in the end effector's frame is within ``margin`` m of a box."""
+        """Return True (...,) if any of the points (..., M, 3) in the end effector's frame is within ``margin`` m of a
+        box.
+        """
         low, high = self.boxes[:, 0] - margin, self.boxes[:, 1] + margin
         inside = (points[..., None, :] > low.to(points)) & (points[..., None, :] < high.to(points))
         return inside.all(-1).any(-1).any(-1)
 
 
 def _hand_links(spec: RobotSpec, gripper: Gripper) -> list[Link]:
-    """Those that the gripper moves, and those that carry them."""
+    """Return the links that the gripper moves, and the links that carry them."""
     moving = {link.name for link in gripping_links(spec, gripper)}
     carriers = {joint.parent for joint in spec.articulation.joints if joint.child in moving}
     return [link for link in spec.articulation.links if link.name in moving | carriers]
@@ -76,12 +78,13 @@ def _opening(boxes: Tensor, name: str) -> float:
     return float(boxes[left, 0, 1].min() - boxes[right, 1, 1].max())
 
 
+# Neighbours of a point in a cloud from which its normal is estimated.
 _NEIGHBOURS = 16
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points (M, 3) in metres and unit normals (M, 3) out of the thing, in one frame."""
+    """Points (M, 3) in metres and unit normals (M, 3) pointing outwards, in one frame."""
 
     points: Tensor
     normals: Tensor
@@ -95,7 +98,7 @@ class Surface:
 
 
 def surface_of(link: Link, count: int = 2000, seed: int = 0) -> Surface:
-    """``count`` points drawn evenly from a link's collision shapes, in the link's frame.
+    """Sample ``count`` points evenly from a link's collision shapes, in the link's frame.
 
     Raises:
         ArgumentError: the link has no collision shape of finite size.
@@ -119,7 +122,7 @@ def surface_of(link: Link, count: int = 2000, seed: int = 0) -> Surface:
 
 
 def surface_of_cloud(points: Tensor, eye: Tensor) -> Surface:
-    """Return points (M, 3) that a camera at ``eye`` (3,) saw, with normals towards it.
+    """Estimate normals of points (M, 3) that a camera at ``eye`` (3,) saw; they point towards it.
 
     A normal is the direction in which a point's 16 nearest vary least: Hoppe et al., Surface Reconstruction from
     Unorganized Points (SIGGRAPH 1992).
@@ -132,25 +135,26 @@ def surface_of_cloud(points: Tensor, eye: Tensor) -> Surface:
     nearest = torch.cdist(points, points).topk(_NEIGHBOURS, largest=False).indices
     around = points[nearest]
     spread = around - around.mean(1, keepdim=True)
+    # Eigenvalues ascend: the first eigenvector is the direction of least variation.
     _, axes = torch.linalg.eigh(spread.transpose(1, 2) @ spread)
     normals = axes[:, :, 0]
     away = ((points - eye) * normals).sum(1, keepdim=True) > 0.0
     return Surface(points, torch.where(away, -normals, normals))
 
 
-# m between an open finger and the thing, at least.
+# Least distance (m) between an open finger and the thing.
 _CLEARANCE = 0.002
-# m around the line between the fingers, within which the surface is judged.
+# Metres around the line between the fingers within which the surface is judged.
 _PATCH = 0.01
-# Points of the surface that are looked for in the hand and between its fingers.
+# Points of the surface that are tested against the hand.
 _CHECKED = 400
-# m that two points of a grasp are apart at least.
+# Least distance (m) between the two points of a grasp.
 _SPARSE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraspConfig:
-    """How candidates are drawn.
+    """Sampling of candidates.
 
     Raises:
         ArgumentError: a number is out of its range.
@@ -161,9 +165,9 @@ class GraspConfig:
     samples: int = 400
     """Points from which a line to the other side is drawn."""
     directions: int = 12
-    """From which the hand may come, evenly around each line."""
+    """Directions of approach, evenly around each line."""
     most: int = 64
-    """Candidates that are returned at most, the best ones."""
+    """Most candidates that are returned, the best ones."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -177,13 +181,13 @@ class GraspCandidates:
     """K grasps, the best first, in the frame of the surface."""
 
     poses: Tensor
-    """(K, 7) of the end effector: z along the approach, y from one finger to the other."""
+    """Poses (K, 7) of the end effector: z along the approach, y from one finger to the other."""
     widths: Tensor
-    """(K,) m between the two points."""
+    """Distances (K,) in m between the two points."""
     contacts: Tensor
-    """(K, 2, 3) m"""
+    """Contact points (K, 2, 3) in m."""
     scores: Tensor
-    """(K,) from 0 to 1."""
+    """Scores (K,) from 0 to 1."""
 
     def __len__(self) -> int:
         return len(self.scores)
@@ -192,10 +196,10 @@ class GraspCandidates:
 def grasp_candidates(
     surface: Surface, hand: HandBoxes, config: GraspConfig = GraspConfig(), up: Tensor | None = None
 ) -> GraspCandidates:
-    """Grasps of a surface by a hand, ranked by the mean of four scores.
+    """Find grasps of a surface by a hand, ranked by the mean of four scores.
 
     They are: how far inside the friction cones the line is; how near the line goes to the thing's middle, so that it
-    hardly turns in the hand; which part of the surface between the fingers faces them; and how much the hand comes from
+    hardly turns in the hand; which part of the surface between the fingers faces them; and how far the approach is from
     above, where ``up`` (3,) is given in the surface's frame.
 
     Raises:
@@ -220,6 +224,7 @@ def grasp_candidates(
     if up is not None:
         approach = _axes(poses)[:, :, 2]
         scores.append(0.5 - 0.5 * (approach @ normalize(up, dim=0)))
+    # Unweighted: none of the scores is a probability, and none has shown to matter more.
     score = torch.stack(scores).mean(0)
     best = score.argsort(descending=True, stable=True)[: config.most]
     width = torch.linalg.vector_norm(contacts[:, 1] - contacts[:, 0], dim=1)
@@ -227,12 +232,13 @@ def grasp_candidates(
 
 
 def _pairs(surface: Surface, opening: float, config: GraspConfig) -> Tensor:
-    """(K, 2) indices of points that face each other within the opening and the cones."""
+    """Return index pairs (K, 2) of points that face each other within the opening and the cones."""
     points, normals = surface.points, surface.normals
     generator = torch.Generator().manual_seed(config.seed)
     first = torch.randint(len(points), (config.samples,), generator=generator).to(points.device)
     angle = math.atan(config.friction)
     noise = torch.randn(config.samples, 3, generator=generator).to(points)
+    # A line within the friction cone: tilted from the normal by less than its angle.
     lean = torch.rand(config.samples, 1, generator=generator).to(points) * math.tan(angle)
     across = normalize(noise - (noise * normals[first]).sum(1, keepdim=True) * normals[first], dim=1)
     line = normalize(across * lean - normals[first], dim=1)
@@ -255,6 +261,7 @@ def _around(ends: Tensor, directions: int) -> tuple[Tensor, Tensor]:
     """Return poses (K D, 7) between points (K, 2, 3), and those points for each."""
     y = normalize(ends[:, 1] - ends[:, 0], dim=1)
     least = torch.nn.functional.one_hot(y.abs().argmin(1), 3).to(y)
+    # The axis that is least parallel to the line gives a well-conditioned side.
     side = normalize(torch.linalg.cross(y, least), dim=1)
     other = torch.linalg.cross(y, side)
     turns = torch.arange(directions, device=y.device) * (2.0 * math.pi / directions)
@@ -271,14 +278,14 @@ def _axes(poses: Tensor) -> Tensor:
 
 
 def _cone(contacts: Tensor, normals: Tensor, friction: float) -> Tensor:
-    """(K,) 1 where the line is along both normals, 0 at the edge of a cone."""
+    """Score (K,): 1 where the line is along both normals, 0 at the edge of a cone."""
     axis = normalize(contacts[:, 1] - contacts[:, 0], dim=1)
     cosine = torch.minimum(-(normals[:, 0] * axis).sum(1), (normals[:, 1] * axis).sum(1))
     return 1.0 - torch.arccos(cosine.clamp(-1.0, 1.0)) / math.atan(friction)
 
 
 def _central(contacts: Tensor, surface: Surface) -> Tensor:
-    """(K,) 1 where the line goes through the middle of the points, 0 at their farthest from it."""
+    """Score (K,): 1 where the line passes through the middle of the points, 0 at their farthest from it."""
     middle = surface.points.mean(0)
     size = torch.linalg.vector_norm(surface.points - middle, dim=1).max()
     axis = normalize(contacts[:, 1] - contacts[:, 0], dim=1)
@@ -288,7 +295,7 @@ def _central(contacts: Tensor, surface: Surface) -> Tensor:
 
 
 def _facing(local: Tensor, poses: Tensor, surface: Surface) -> Tensor:
-    """(K,) the mean part of the normals along the line, of the surface that the pads would meet."""
+    """Score (K,): mean component of the normals along the line, over the surface that the pads would touch."""
     between = (local[..., 0].abs() < _PATCH) & (local[..., 2].abs() < _PATCH)
     along = (surface.normals @ _axes(poses)[:, :, 1].transpose(0, 1)).transpose(0, 1).abs()
     return (along * between).sum(1) / between.sum(1).clamp_min(1)

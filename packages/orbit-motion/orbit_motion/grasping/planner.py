@@ -28,30 +28,30 @@ from orbit_motion.obstacles import TERRAIN
 from orbit_motion.planning import JointPlanner, JointTrajectory, PlannerConfig, StillWorld, time_optimal
 from orbit_motion.still import PlacedRobot, PlacedWorld
 
-# Postures along a straight part.
+# Postures along a straight part of the motion.
 _STRAIGHT = 8
-# Candidates whose inverse kinematics are solved together, so that the first plan does not wait for all.
+# Candidates per batch of inverse kinematics: few, so that the first plan does not wait for all.
 _AT_ONCE = 8
-# rad or m from one posture to the next on a straight part, beyond which the arm is on another branch.
+# rad or m between postures of a straight part beyond which the arm has changed its branch of solutions.
 _JUMP = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class GraspPlan:
-    """What the arm does for one candidate; between two rows joints go straight."""
+    """Motion for one candidate; between two rows joints move in straight lines."""
 
     candidate: int | None
-    """Its number among the candidates; None for a pose that was given."""
+    """Index among the candidates; None for a given pose."""
     reach: Tensor
-    """(P, k) joint positions to before the thing, around obstacles."""
+    """Joint positions (P, k) to the pre-grasp pose, around obstacles."""
     approach: Tensor
-    """(Q, k) from there along the hand's z axis to the thing; then the gripper closes."""
+    """Joint positions (Q, k) along the hand's z axis to the thing; then the gripper closes."""
     lift: Tensor
-    """(R, k) straight up with it."""
+    """Joint positions (R, k) straight up with it."""
 
 
 class GraspPlanner:
-    """Plans grasps for a robot's first end effector in one environment at a time.
+    """Planner of grasps for a robot's first end effector in one environment at a time.
 
     Args:
         world: of the robot; a :class:`~orbit_motion.planning.StillWorld` for plans in another thread.
@@ -79,6 +79,7 @@ class GraspPlanner:
         self._planner = JointPlanner(world, robot, joints, config or PlannerConfig())
         frame = robot.spec.end_effector.frame
         tree = KinematicTree(robot.spec.articulation, world.device)
+        # Far targets need many starts; the next one along a line is near the last solution.
         many = FullIkConfig(seeds=12, iterations=60)
         near = FullIkConfig(seeds=1, iterations=40)
         self._anywhere, self._nearby = (
@@ -102,7 +103,7 @@ class GraspPlanner:
             env: index of the environment.
 
         Raises:
-            PlanningError: no candidate has a plan; tells how many fail for which reason. It is raised at the end, after
+            PlanningError: no candidate has a plan; counts failures by reason. It is raised at the end, after
                 no plan was given.
         """
         poses = pose_multiply(thing.expand(len(candidates), 7), candidates.poses.to(thing))
@@ -127,12 +128,13 @@ class GraspPlanner:
         _check_reached(ways, row)
         self._check_hand(ways.poses[row], env)
         approach, lift = ways.positions[row, :_STRAIGHT], ways.positions[row, _STRAIGHT - 1 :]
+        # Cheap tests first: the path planner takes most of the time.
         if float(self._planner.clearances(approach[:1], env).min()) < self._planner.config.margin:
             raise _Touching(f"before the thing, {self._planner.touched(approach[0], env)}")
         return GraspPlan(candidate, self._planner.plan(approach[0], env), approach, lift)
 
     def _check_hand(self, poses: Tensor, env: int) -> None:
-        """Refuse a straight way (T, 7) on which the open hand enters an obstacle."""
+        """Reject a straight way (T, 7) on which the open hand enters an obstacle."""
         points = self._hand.points.to(poses)
         placed = quat_rotate(poses[:, None, 3:], points) + poses[:, None, :3]
         distances, _ = self._planner.obstacles.distances(placed, env)
@@ -150,6 +152,7 @@ class GraspPlanner:
         root = pose_inverse(self._robot.root_pose[env].expand(len(poses), 7))
         targets, parts, errors, jumps = [], [], [], []
         full = start.clone()
+        # The approach ends at the pose, from which the lift begins.
         for number, (way, rise) in enumerate([(float(w), 0.0) for w in ways] + [(0.0, float(r)) for r in rises]):
             shift = quat_rotate(poses[:, 3:], poses.new_tensor([0.0, 0.0, way]).expand(len(poses), 3))
             target = torch.cat((poses[:, :3] + shift + poses.new_tensor([0.0, 0.0, rise]), poses[:, 3:]), dim=1)
@@ -168,11 +171,11 @@ class GraspPlanner:
 
 
 class _Unreached(PlanningError):
-    """The arm does not get there."""
+    """Raised when the arm does not reach a pose."""
 
 
 class _Touching(PlanningError):
-    """Something is in the way."""
+    """Raised when something is in the way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,13 +183,13 @@ class _StraightWays:
     """Approach and lift for K poses, in T postures each."""
 
     poses: Tensor
-    """(K, T, 7) of the hand."""
+    """Poses (K, T, 7) of the hand."""
     positions: Tensor
-    """(K, T, k)"""
+    """Joint positions (K, T, k)."""
     missing: Tensor
-    """(K, T, 2) m and rad by which the hand misses its pose; zero where it reaches it."""
+    """Distances (K, T, 2) in m and rad by which the hand misses its pose; zero where it reaches it."""
     jumps: Tensor
-    """(K, T) rad or m that the joint which moves most moves from the posture before."""
+    """Largest joint motion (K, T) in rad or m from the previous posture."""
 
 
 def _check_reached(ways: _StraightWays, row: int) -> None:
@@ -203,29 +206,29 @@ def _check_reached(ways: _StraightWays, row: int) -> None:
         raise _Unreached("the arm would have to turn over on the straight way: take the thing from another side")
 
 
-# Share of the joints' velocity limits that is used.
+# Share of the joints' velocity limits that grasps use.
 _SPEED = 0.5
-# 1/s: accelerations over velocity limits.
+# Acceleration limits as multiples (1/s) of velocity limits.
 _SPEED_UP = 2.0
-# m around the line between the fingers, within which they must meet the thing.
+# Metres around the line between the fingers within which they must touch the thing.
 _BETWEEN = 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class GraspMotion:
-    """What the arm does for one grasp."""
+    """Timed motion of the arm for one grasp."""
 
     pose: Tensor
-    """(7,) of the hand in the environment when the gripper closes."""
+    """Pose (7,) of the hand in the environment when the gripper closes."""
     score: float | None
-    """From 0 to 1; None for a pose that a person gave."""
+    """Score from 0 to 1; None for a pose that a person gave."""
     reach: JointTrajectory
     approach: JointTrajectory
     lift: JointTrajectory
 
 
 class GraspSearch:
-    """Candidates for a thing of a copied world and motions to them.
+    """Grasp candidates for a thing of a copied world, and motions to them.
 
     Args:
         world: the copy.
@@ -243,14 +246,15 @@ class GraspSearch:
         self._pose = world.objects[thing].root_pose[0]
         self._hand = HandBoxes.of(world.robot.spec)
         self.opening = self._hand.opening
-        """m between the fingers."""
+        """Distance (m) between the fingers."""
         self._surface = surface_of(world.objects[thing].spec.articulation.links[0])
         up = quat_rotate_inverse(self._pose[None, 3:], self._pose.new_tensor([[0.0, 0.0, 1.0]]))[0]
         self.candidates = grasp_candidates(self._surface, self._hand, GraspConfig(most=32), up.cpu())
         self.poses = pose_multiply(self._pose.expand(len(self.candidates), 7), self.candidates.poses.to(self._pose))
-        """(K, 7) of the candidates in the environment, the best first."""
+        """Poses (K, 7) of the candidates in the environment, the best first."""
         self.place = self._pose[:3]
-        """(3,) m, where the thing was."""
+        """Position (3,) in m of the thing when the copy was made."""
+        # The thing itself is no obstacle to the hand that takes it.
         others = tuple(name for name in world.objects if name != thing)
         config = PlannerConfig(obstacles=(TERRAIN, *others), time_limit=5.0)
         self._planner = GraspPlanner(world, world.robot, joints, config=config)
@@ -259,7 +263,7 @@ class GraspSearch:
         """Yield a motion for each candidate that has one, the best first.
 
         Raises:
-            PlanningError: no candidate has one, and why.
+            PlanningError: no candidate has one; says why.
         """
         for plan in self._planner.plans(self.candidates, self._pose):
             assert plan.candidate is not None  # they are of candidates
@@ -270,7 +274,7 @@ class GraspSearch:
         """Return the motion for a pose (7,) of the hand that a person gave.
 
         Raises:
-            PlanningError: there is none, and why.
+            PlanningError: there is none; says why.
         """
         points = transform_points(self._pose[None], self._surface.points.to(pose)[None])[0]
         local = quat_rotate_inverse(pose[None, 3:], points - pose[:3])
@@ -283,6 +287,7 @@ class GraspSearch:
 
     def _timed(self, plan: GraspPlan, pose: Tensor, score: float | None) -> GraspMotion:
         limits = joint_limits(self._robot.spec, "velocity_limit")[self._joints]
+        # Joints without a velocity limit move at 1 rad/s or m/s.
         limits = np.where(np.isfinite(limits), limits, 1.0)
         parts = (
             time_optimal(part.cpu().numpy(), _SPEED * limits, _SPEED_UP * limits, self._dt)

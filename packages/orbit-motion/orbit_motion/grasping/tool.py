@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 _NOTHING = "(none)"
-# s that the ghost stays at the end of its motion.
+# Seconds that the ghost stays at the end of its motion.
 _PAUSE = 0.5
 
 
 class GraspedEnvironment:
-    """A task's world that a person works in: no episode ends, and the workflow drives the robot.
+    """A task's world in which a person works: no episode ends, and the workflow drives the robot.
 
     Args:
         environment: of the task, with one environment.
@@ -43,26 +43,26 @@ class GraspedEnvironment:
         self._zero, self._never = torch.zeros(1), torch.zeros(1, dtype=torch.bool)
 
     def reset(self) -> None:
-        """Place everything anew; nothing is chosen."""
+        """Reset the world and the workflow."""
         self._environment.reset()
         self.workflow.restart()
 
     def act(self) -> Tensor:
-        """(1, 0): the robot is told by the workflow."""
+        """Apply the workflow's commands, and return an empty action (1, 0)."""
         self.workflow.drive()
         return torch.zeros(1, 0)
 
     def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """One control step of the world."""
+        """Advance the world by one control step."""
         self.world.step(self._environment.task.decimation)
         return {}, self._zero, self._never, self._never, {}
 
 
 class GraspTool:
-    """What the viewer adds to its page, and brings up to date in the simulation's thread.
+    """Page elements for grasping, updated in the simulation's thread.
 
     Args:
-        workflow: what is driven.
+        workflow: that is controlled.
         server: of viser.
         scene: whose objects may be clicked.
     """
@@ -80,7 +80,7 @@ class GraspTool:
         scene.let_click(workflow.things, self._clicked)
 
     def update(self) -> None:
-        """Take up what the person asks, show what became of it, and move the ghost."""
+        """Handle the person's requests, show their results, and move the ghost."""
         self._work.update()
         if self._work.version != self._seen:
             self._seen = self._work.version
@@ -115,6 +115,7 @@ class GraspTool:
         self._work.select(thing)
 
     def _dragged(self, phase: str) -> None:
+        # While dragging, only steering follows at once: a new plan takes longer than a frame.
         if phase == "end" or (phase == "update" and self._work.stage is Stage.STEERING):
             pose = torch.tensor((*self._gizmo.position, *self._gizmo.wxyz), dtype=torch.float32)
             self._work.move(pose)
@@ -164,7 +165,7 @@ class GraspTool:
         )
 
     def _posture(self, motion: GraspMotion) -> Tensor:
-        """(J,) of the ghost now."""
+        """Return the ghost's joint positions (J,) at this time."""
         driver = self._work.driver
         parts = [part.positions for part in (motion.reach, motion.approach, motion.lift)]
         path = np.concatenate(parts)
@@ -191,6 +192,6 @@ def _fork(opening: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint3
 
 
 def _colors(scores: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    """(K, 3) from red for the worst to green for the best."""
+    """Return colours (K, 3) from red for the worst to green for the best."""
     share = (scores - scores.min()) / max(float(np.ptp(scores)), 1e-6)
     return np.stack((255 * (1 - share), 200 * share, np.full_like(share, 40)), axis=1).astype(np.uint8)

@@ -34,7 +34,7 @@ from orbit_motion.planning import JointTrajectory, StillWorld, TrajectoryFollowe
 
 
 class ArmDriver:
-    """Tells a robot's first arm and its gripper what to do, once a control step; without orders the arm holds still.
+    """Controller of a robot's first arm and gripper, once per control step; without orders the arm holds still.
 
     Args:
         world: of one environment.
@@ -63,7 +63,7 @@ class ArmDriver:
         self._follower = TrajectoryFollower("follow", robot, self.joints, 1.0 / step_dt)
         self._actuate = Actuate(robot, self._hand), Actuate(robot, self._gripper)
         self.gripper_open = True
-        """What the gripper is told."""
+        """Commanded state of the gripper."""
         self._goal: Tensor | None = None
 
     def follow(self, trajectory: JointTrajectory) -> None:
@@ -73,16 +73,16 @@ class ArmDriver:
 
     @property
     def arrived(self) -> bool:
-        """Whether the path's end was told."""
+        """True if the path's end was commanded."""
         return bool(self._follower.finished[0])
 
     def hold(self) -> None:
-        """Stay where the arm is."""
+        """Hold the arm where it is."""
         self._goal = None
         self._follower.reset()
 
     def steer(self, pose: Tensor) -> None:
-        """Bring the hand towards a pose (7,) in the environment, by differential inverse kinematics."""
+        """Move the hand towards a pose (7,) in the environment, by differential inverse kinematics."""
         self._goal = pose[None].to(self.robot.joint_positions)
 
     def advance(self) -> None:
@@ -93,20 +93,21 @@ class ArmDriver:
             self.robot.set_velocity_targets(targets[JointTarget.VELOCITY], self.joints)
         else:
             command = self._hand.encode(self._goal, torch.tensor([self.gripper_open]))
+            # Inverse kinematics commands positions only; an old velocity target would push the arm on.
             self._actuate[0].compute(self._hand.compute({"command": command}))
             self.robot.set_velocity_targets(torch.zeros_like(self._hand.positions), self.joints)
         opening = torch.full((1, 1), 1.0 if self.gripper_open else -1.0, device=self.robot.joint_positions.device)
         self._actuate[1].compute(self._gripper.compute({"command": opening}))
 
 
-# m by which a thing may have moved since its grasps were planned.
+# Metres by which a thing may have moved since its grasps were planned.
 _MOVED = 0.005
-# m above which a thing counts as lifted.
+# Height (m) above which a thing counts as lifted.
 _LIFTED = 0.05
 
 
 class Stage(Enum):
-    """Where the work stands."""
+    """Stage of the workflow."""
 
     CHOOSING = "choose an object"
     PLANNING = "looking for grasps"
@@ -116,7 +117,7 @@ class Stage(Enum):
 
 
 class GraspWorkflow:
-    """The work's state; one robot, one environment.
+    """State of the workflow; one robot, one environment.
 
     Args:
         world: of one environment.
@@ -141,13 +142,13 @@ class GraspWorkflow:
         self._motions: Iterator[GraspMotion] | None = None
         self._phases: Iterator[None] | None = None
         self.version = 0
-        """Grows whenever anything below changes."""
+        """Counter that grows with every change of the fields below."""
         self._begin()
 
-    # Wishes, from any thread
+    # Requests, from any thread
 
     def select(self, thing: str) -> None:
-        """Look for grasps of an object.
+        """Search grasps of an object.
 
         Raises:
             UnknownNameError: it is none that may be chosen.
@@ -157,41 +158,42 @@ class GraspWorkflow:
         self._wishes.put(partial(self._select, thing))
 
     def refuse(self) -> None:
-        """Ask for the next grasp."""
+        """Request the next grasp."""
         self._wishes.put(self._refuse)
 
     def accept(self) -> None:
-        """Have the grasp on offer done."""
+        """Execute the offered grasp."""
         self._wishes.put(self._accept)
 
     def move(self, pose: Tensor) -> None:
-        """In OFFERED, ask for a grasp with the hand at a pose (7,); in STEERING, bring the hand there.
+        """Request a grasp with the hand at a pose (7,) while OFFERED; move the hand there while STEERING.
 
         Raises:
-            ArgumentError: it is no pose.
+            ArgumentError: the values are not a pose.
         """
         if pose.shape != (7,) or not bool(pose.isfinite().all()):
             raise ArgumentError(f"a pose is 7 finite numbers, position and quaternion, not {pose.tolist()}")
         self._wishes.put(partial(self._move, pose.to(self._world.device, torch.float32)))
 
     def take(self) -> None:
-        """Have the arm at once, what it does being left off."""
+        """Stop the arm at once, and let the person steer it."""
         self._wishes.put(self._take)
 
     def set_gripper(self, opened: bool) -> None:
-        """In STEERING, open or close the gripper."""
+        """Open or close the gripper while STEERING."""
         self._wishes.put(partial(self._set_gripper, opened))
 
     # In the world's thread
 
     def restart(self) -> None:
-        """The world was reset."""
+        """Begin again after the world was reset."""
         self._begin()
 
     def update(self) -> None:
-        """Take up wishes and plans that are ready."""
+        """Handle requests, and plans that are ready."""
         while not self._wishes.empty():
             self._wishes.get()()
+        # The job is cleared first: its handler may start the next one.
         if self._job and self._job[0].done():
             (future, then), self._job = self._job, None
             try:
@@ -202,28 +204,29 @@ class GraspWorkflow:
 
     def drive(self) -> None:
         """Set the robot's targets of the next control step."""
+        # ``next`` with a default: exhaustion of the generator ends the execution.
         if self._phases is not None and next(self._phases, self) is self:
             self._phases = None
         self.driver.advance()
 
     def close(self) -> None:
-        """End the planning thread, once its plan is done."""
+        """Stop the planning thread, once its plan is done."""
         self._thread.shutdown(wait=True, cancel_futures=True)
 
     def hand_pose(self) -> Tensor:
-        """(7,) of the end effector."""
+        """Return the pose (7,) of the end effector."""
         return self.driver.robot.frame_pose(self._frame)[0].clone()
 
-    # What becomes of wishes
+    # Handling of requests
 
     def _begin(self) -> None:
         self._job = self._phases = self._motions = None
         self.thing: str | None = None
         self.search: GraspSearch | None = None
         self.motion: GraspMotion | None = None
-        """On offer."""
+        """The offered motion."""
         self.lifted: float | None = None
-        """m by which the last grasp lifted its thing."""
+        """Height (m) by which the last grasp lifted its thing."""
         self.driver.gripper_open = True
         self.driver.hold()
         self._tell(Stage.CHOOSING)
@@ -291,12 +294,13 @@ class GraspWorkflow:
             self._tell(Stage.STEERING)
 
     def _execution(self, motion: GraspMotion, thing: str) -> Iterator[None]:
-        """One turn a control step."""
+        """Execute a motion as a generator, one iteration per control step."""
         before = float(self._world.objects[thing].root_pose[0, 2])
         for part in (motion.reach, motion.approach):
             self.driver.follow(part)
             yield from self._until_there()
         self.driver.gripper_open = False
+        # Seconds in which the slowest gripper of the catalogue closes.
         yield from self._wait(0.8)
         self.driver.follow(motion.lift)
         yield from self._until_there()
@@ -309,6 +313,7 @@ class GraspWorkflow:
         yield
         while not self.driver.arrived:
             yield
+        # Let the arm settle before the next part.
         yield from self._wait(0.3)
 
     def _wait(self, seconds: float) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""Model-predictive control of whole bodies by crocoddyl: hands on arms that drive, and trunks on legs."""
+"""Model-predictive control of whole bodies by crocoddyl: hands on arms with a mobile base, and trunks on legs."""
 
 from orbit_motion.mpc.hand import HandMpc, HandMpcConfig
 from orbit_motion.mpc.predictive import Plan, Predictive, PredictiveConfig

@@ -1,4 +1,4 @@
-"""A hand that goes to its goal by arm, and by the base that carries it, as a plan ahead of time says."""
+"""Model-predictive control of a hand, moved by its arm and the base that carries it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from orbit_motion.mpc.predictive import Array, Plan, Predictive, PredictiveConfi
 
 @dataclass(frozen=True, kw_only=True)
 class HandMpcConfig(PredictiveConfig):
-    """A command is a pose of the hand, to which arm and planar base go as a plan says: model-predictive control.
+    """A command is a pose of the hand, to which arm and planar base follow a plan (model-predictive control).
 
-    At every turn of ``rate`` crocoddyl's solver BoxFDDP (Mastalli et al., Crocoddyl, ICRA 2020; Tassa, Mansard and
+    At each plan of ``rate`` crocoddyl's solver BoxFDDP (Mastalli et al., Crocoddyl, ICRA 2020; Tassa, Mansard and
     Todorov, Control-Limited Differential Dynamic Programming, ICRA 2014) minimises, over the efforts of ``nodes`` steps
     of ``node_time``, the squares of the hand's distance from the goal, of the joints' from home, of velocities and of
     efforts in shares of their limits. Efforts keep to their limits, positions and velocities are drawn back by a steep
-    cost beyond theirs. The arm is told positions and velocities, a base velocities. One environment.
+    cost beyond theirs. The arm gets positions and velocities, a base velocities. One environment.
     """
 
     name: ClassVar[str] = "hand_mpc"
@@ -51,6 +51,7 @@ class HandMpc(Predictive):
     def __init__(self, name: str, robot: Robot, config: HandMpcConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, config)
+        # A differential base cannot move sideways, which the model's joints could.
         if robot.spec.differential_base is not None and set(joints) & {
             robot.joint_names.index(joint) for joint in base_joints(robot.spec)
         }:
@@ -77,7 +78,7 @@ class HandMpc(Predictive):
         return self._pose.encode(pose)
 
     def measured(self) -> Array:
-        """(7 + 2 k,) pose of the root, then positions and velocities."""
+        """Return the root's pose, then positions and velocities (7 + 2 k,)."""
         parts = (self.robot.root_pose[0], self.positions[0], self.velocities[0])
         return np.concatenate([part.double().cpu().numpy() for part in parts])
 
@@ -85,19 +86,19 @@ class HandMpc(Predictive):
         return self._problem.solve(state, goal)
 
     def ordered(self, values: Array) -> Array:
-        """(k,) of the term's joints in the model's order."""
+        """Reorder values (k,) of the term's joints to the model's order."""
         result = np.empty_like(values)
         result[self._places] = values
         return result
 
     @property
     def places(self) -> npt.NDArray[np.int64]:
-        """(k,) where the model has each joint."""
+        """Index (k,) of each joint in the model."""
         return self._places
 
 
 class _HandProblem:
-    """The optimal control problem, made once, with the last solution to begin with."""
+    """The optimal control problem, built once, and warm-started by the last solution."""
 
     def __init__(self, owner: HandMpc, model: Any, home: Array) -> None:
         pinocchio, croc = libraries()
@@ -114,8 +115,10 @@ class _HandProblem:
         ends = np.concatenate((low, -speed)), np.concatenate((high, speed))
         still = np.concatenate((owner.ordered(home), np.zeros(size)))
         base = {*base_joints(owner.robot.spec)}
+        # A base's position has no home: only the arm is drawn back.
         free = owner.ordered(np.array([0.0 if name in base else 1.0 for name in limits.names]))
         weights = np.concatenate((config.posture_weight * free, np.full(size, config.velocity_weight)))
+        # A radian of rotation counts as much as 0.45 m.
         reaching = croc.ActivationModelWeightedQuad(np.array([1.0] * 3 + [0.2] * 3))
 
         def model_of(last: bool) -> Any:
@@ -124,6 +127,7 @@ class _HandProblem:
             def add(name: str, activation: Any, residual: Any, weight: float) -> None:
                 costs.addCost(name, croc.CostModelResidual(state, activation, residual), weight)
 
+            # The end counts more than the way, else the hand stops early.
             add("goal", reaching, self._goal, config.goal_weight * (1.0 if last else 0.3))
             add("rest", croc.ActivationModelWeightedQuad(weights), croc.ResidualModelState(state, still, size), 1.0)
             bounds = croc.ActivationBounds(*ends)
@@ -146,6 +150,7 @@ class _HandProblem:
         owner, count = self._owner, len(self._owner.joints)
         root, parts = measured[:7], measured[7:].reshape(2, count)
         state = np.concatenate([owner.ordered(part) for part in parts])
+        # The model's root is the robot's: the goal is given relative to it.
         self._goal.reference = _pose(self._pinocchio, root).inverse() * _pose(self._pinocchio, goal)
         self._problem.x0 = state
         nodes = self._problem.T
@@ -156,6 +161,7 @@ class _HandProblem:
         problem = owner.limits.problem(
             path[1:, :count][:, owner.places], path[1:, count:][:, owner.places], used[:, owner.places]
         )
+        # A broken plan is no good start for the next.
         self._warm = None if problem else (states, efforts)
         data = self._model.createData()
         self._pinocchio.framesForwardKinematics(self._model, data, path[-1, :count])

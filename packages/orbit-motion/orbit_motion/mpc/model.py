@@ -1,4 +1,4 @@
-"""Pinocchio's model of an articulation, from the description itself and not by way of a file."""
+"""Pinocchio's model of an articulation, built from the description, without a file in between."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import Articulation, JointType, Pose
 
 ROOT_JOINT = "root_joint"
-"""What crocoddyl looks for as the joint of a floating base, which no actuator drives."""
+"""Name by which crocoddyl finds the joint of a floating base, which no actuator drives."""
 
 
 def libraries() -> tuple[Any, Any]:
@@ -32,14 +32,14 @@ def libraries() -> tuple[Any, Any]:
 
 
 def pinocchio_model(articulation: Articulation, floating: bool = False) -> tuple[Any, dict[str, int]]:
-    """Return the model, and pinocchio's number of each movable joint; joints that follow others count as free.
+    """Return the model, and pinocchio's index of each movable joint; joints that follow others count as free.
 
     Every link and named frame is a frame of the model. A floating base has the joint :data:`ROOT_JOINT` at the root
     link's frame.
 
     Args:
         articulation: in topological order.
-        floating: whether the root link moves.
+        floating: True if the root link moves.
     """
     pinocchio: Any = import_module("pinocchio")
 
@@ -70,10 +70,12 @@ def pinocchio_model(articulation: Articulation, floating: bool = False) -> tuple
             kind = kinds.get(joint.type, pinocchio.JointModelRevoluteUnaligned)
             parent = model.addJoint(parent, kind(np.asarray(joint.axis)), before, joint.name)
             model.addJointFrame(parent)
+            # A link's body is placed in its joint's frame, in which pinocchio has it.
             ids[joint.name], before = parent, identity
         add_body(joint.child, parent, before * placement(joint.child_pose).inverse())
     for name in names:
         model.addFrame(pinocchio.Frame(name, parents[name], frames[name], pinocchio.FrameType.OP_FRAME))
+    # Frames with a link's name exist already.
     for frame in articulation.frames:
         if frame.name not in names:
             at = frames[frame.link] * placement(frame.pose)
@@ -88,14 +90,14 @@ def reduced_model(
     gravity: Sequence[float],
     floating: bool,
 ) -> tuple[Any, list[int]]:
-    """Return the model of some joints, and the place of each among its joints.
+    """Return the model of some joints, and the index of each among its joints.
 
     Args:
         articulation: the description.
-        joints: that move.
+        joints: names of those that move.
         positions: rad or m at which all others are held, by name.
         gravity: m/s^2, world axes.
-        floating: whether the root link moves.
+        floating: True if the root link moves.
     """
     pinocchio: Any = import_module("pinocchio")
     model, ids = pinocchio_model(articulation, floating)
@@ -105,5 +107,6 @@ def reduced_model(
         reference[model.joints[ids[name]].idx_q] = positions[name]
     model = pinocchio.buildReducedModel(model, [ids[name] for name in held], reference)
     model.gravity.linear = np.asarray(gravity, dtype=np.float64)
+    # A floating base has six velocity coordinates before the joints.
     base = 6 if floating else 0
     return model, [model.joints[model.getJointId(name)].idx_v - base for name in joints]

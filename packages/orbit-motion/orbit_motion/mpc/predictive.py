@@ -1,4 +1,4 @@
-"""Motion generator that plans ahead, at a rate and in a thread of its own, and follows its latest plan."""
+"""Motion generator that plans ahead, at its own rate and in its own thread, and follows its latest plan."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 
 Array = npt.NDArray[np.float64]
-# rad or m by which a plan may pass a limit of position: limits are costs, and costs yield a little.
+# rad or m by which a plan may pass a position limit: limits are costs, which yield slightly.
 _BEYOND = 0.02
-# Times a limit of velocity.
+# Factor by which a plan may exceed a velocity or effort limit.
 _TOO_FAST = 1.1
 
 
@@ -31,20 +31,20 @@ class Plan:
     """A motion of k joints from now on."""
 
     positions: Array
-    """(T + 1, k)"""
+    """Positions (T + 1, k)."""
     velocities: Array
-    """(T + 1, k)"""
+    """Velocities (T + 1, k)."""
     efforts: Array
-    """(T, k)"""
+    """Efforts (T, k)."""
     dt: float
-    """s from one to the next."""
+    """Seconds between rows."""
     missing: tuple[float, float]
-    """m and rad by which the end misses the goal."""
+    """Distance in m and rad by which the end misses the goal."""
     problem: str = ""
-    """The constraint that the plan breaks; empty if it keeps all."""
+    """Constraint that the plan breaks; empty if it keeps all."""
 
     def at(self, time: float) -> tuple[Array, Array, Array]:
-        """Return positions, velocities and efforts (k,) so many seconds on; the end is held."""
+        """Return positions, velocities and efforts (k,) ``time`` seconds later; the end is held."""
         place = min(time / self.dt, len(self.efforts))
         before = min(int(place), len(self.efforts) - 1)
         share = place - before
@@ -56,7 +56,7 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Of k joints, by name."""
+    """Limits of k joints, by name."""
 
     names: Sequence[str]
     lowest: Array
@@ -65,7 +65,7 @@ class Limits:
     effort: Array
 
     def problem(self, positions: Array, velocities: Array, efforts: Array) -> str:
-        """Return the limit that a motion (T, k) breaks most; empty if none."""
+        """Return the limit that a motion (T, k) exceeds most; empty if none."""
         if not all(np.isfinite(part).all() for part in (positions, velocities, efforts)):
             return "the solver found no motion: its numbers are not finite"
         beyond = np.maximum(self.lowest - positions, positions - self.highest).max(0)
@@ -82,7 +82,7 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class PredictiveConfig(PoseTermConfig):
-    """What predictive controllers have in common: how far they look ahead, and how often."""
+    """Settings of predictive controllers: horizon and rate."""
 
     above_zero: ClassVar[tuple[str, ...]] = (
         *PoseTermConfig.above_zero, "rate", "nodes", "node_time", "iterations", "goal_weight",
@@ -90,23 +90,23 @@ class PredictiveConfig(PoseTermConfig):
     none_below_zero: ClassVar[tuple[str, ...]] = ("posture_weight", "velocity_weight", "effort_weight")
 
     rate: float = 25.0
-    """Hz of plans. A plan is begun with the state that is measured, made while the world goes on, and taken up when the
-    next one is begun: what comes of it does not depend on how fast the computer is."""
+    """Plans per second. A plan starts from the measured state, is computed while the world continues, and is followed
+    from when the next one is begun: the result does not depend on the computer's speed."""
     nodes: int = 20
-    """Steps that are looked ahead."""
+    """Steps of the horizon."""
     node_time: float = 0.04
-    """s of a step."""
+    """Seconds of a step."""
     iterations: int = 5
     """Most iterations of the solver for each plan, which begins with the last one."""
     goal_weight: float = 100.0
     posture_weight: float = 0.005
     velocity_weight: float = 0.05
     effort_weight: float = 0.01
-    """Of efforts in shares of their limits."""
+    """Weight of efforts, as shares of their limits."""
 
 
 class Predictive(MotionGenerator):
-    """Targets along the newest plan; where that breaks a constraint joints hold still, and :attr:`problem` says why.
+    """Targets along the newest plan; if it breaks a constraint the joints hold still, and :attr:`problem` says why.
 
     Raises:
         ConfigurationError: the world has several environments; the rate does not divide that of commands; crocoddyl is
@@ -124,13 +124,13 @@ class Predictive(MotionGenerator):
             )
         self.config = config
         self.problem = ""
-        """Why the joints hold still; empty while they follow a plan."""
+        """Reason why the joints hold still; empty while they follow a plan."""
         self.plan: Plan | None = None
-        """The one that is followed."""
+        """The plan that is followed."""
         self._held: tuple[Array, Array, Array] | None = None
         self._turn, self._begun = 0, 0
         self._pending: Future[Plan] | None = None
-        # Made when the first plan is: a generator that is only described needs no thread.
+        # Created with the first plan: a generator that is only described needs no thread.
         self._thread: ThreadPoolExecutor | None = None
         limits = [joint_limits(robot.spec, what)[self.joints] for what in ("velocity_limit", "effort_limit")]
         for joint, effort in zip(self.joints, limits[1], strict=True):
@@ -139,6 +139,7 @@ class Predictive(MotionGenerator):
                     f"joint '{robot.joint_names[joint]}' of '{robot.name}' has effort limit {effort:g}, so that action "
                     f"term '{name}' cannot plan for it: raise the limit, or name other joints"
                 )
+        # Crocoddyl needs finite limits: these are beyond any motion.
         speed, effort = (np.where(np.isfinite(limit), limit, 1e4) for limit in limits)
         low, high = self.lower_limits.double().cpu().numpy(), self.upper_limits.double().cpu().numpy()
         names = [robot.joint_names[joint] for joint in self.joints]
@@ -146,16 +147,16 @@ class Predictive(MotionGenerator):
 
     @property
     def missing(self) -> tuple[float, float]:
-        """m and rad by which the end of the plan misses the goal."""
+        """Error of the end of the plan in m and rad, infinite while there is no plan."""
         return self.plan.missing if self.plan is not None else (float("inf"), float("inf"))
 
     @abstractmethod
     def goal(self, command: Tensor) -> Array:
-        """(7,) pose of the frame that a command (1, 6) asks for, world axes."""
+        """Return the pose (7,) of the frame that a command (1, 6) requests, world axes."""
 
     @abstractmethod
     def measured(self) -> Array:
-        """What :meth:`solve` begins with."""
+        """Return the state from which :meth:`solve` plans."""
 
     @abstractmethod
     def solve(self, state: Array, goal: Array, time: float) -> Plan:
@@ -172,7 +173,7 @@ class Predictive(MotionGenerator):
         self._step_dt = step_dt
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        # A number taken from a tensor, which says to a captured step that it cannot do without this Python.
+        # Reading a number from a tensor makes a captured step run this Python.
         finite = bool(torch.isfinite(inputs["command"]).all().item())
         if self._turn % self._period == 0:
             self._take_up(inputs["command"] if finite else None)
@@ -185,6 +186,7 @@ class Predictive(MotionGenerator):
         return {target.value: rows[_ORDER.index(target)] for target in self.targets}
 
     def reset(self, env_ids: Tensor | None = None) -> None:
+        # The thread must be done: it reads the problem that the next episode changes.
         if self._pending is not None:
             self._pending.result()
         self.plan, self._pending, self._held, self.problem, self._turn = None, None, None, "", 0
@@ -203,6 +205,7 @@ class Predictive(MotionGenerator):
             self._hold(plan.problem)
         else:
             self.plan, self.problem, self._held = plan, "", None
+        # A plan that was begun one period ago has been running since then.
         self._begun = begun - self._period if following else begun
         self._begin(command)
 
@@ -212,7 +215,7 @@ class Predictive(MotionGenerator):
         self._pending = self._thread.submit(self.solve, state, goal, time)
 
     def _hold(self, problem: str) -> None:
-        """Stay where the joints are."""
+        """Hold the joints where they are."""
         if self._held is None:
             positions = self.positions[0].double().cpu().numpy()
             self._held = positions, np.zeros_like(positions), np.zeros_like(positions)

@@ -23,9 +23,9 @@ from orbit_motion.mpc.predictive import Array, Limits, Plan, Predictive, Predict
 
 @dataclass(frozen=True, kw_only=True)
 class Gait:
-    """Phases that follow each other and begin anew after the last.
+    """Cycle of phases.
 
-    Each is its length in s and the feet that are in the air, by their places in the robot's ``feet``.
+    Each is a length in s and the feet in the air, as indices into the robot's ``feet``.
     """
 
     phases: Sequence[tuple[float, tuple[int, ...]]] = ((1.0, ()),)
@@ -33,7 +33,7 @@ class Gait:
     """m by which a foot is lifted in the middle of its swing."""
 
     def check(self, term: str, feet: int) -> None:
-        """Refuse what no robot with so many feet can do.
+        """Reject a gait that a robot with this number of feet cannot walk.
 
         Raises:
             ConfigurationError: a phase has no length, or names a foot that the robot has not, or no foot would stand.
@@ -60,15 +60,15 @@ def stance_at(gait: Gait, time: float) -> tuple[tuple[int, ...], float]:
     return gait.phases[-1][1], 1.0
 
 
-# Gradient's square over which the solver goes on.
+# Squared gradient below which the solver stops.
 _ENOUGH = 1e-5
-# Times the friction coefficient that a planned force may need at a foot: the cone is a cost, and yields a little.
+# Factor of the friction coefficient that a planned force may need: the cone is a cost, which yields slightly.
 _SLIDING = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrunkSettings(PredictiveConfig):
-    """What a trunk's plans are made with."""
+    """Settings of a trunk's plans."""
 
     above_zero: ClassVar[tuple[str, ...]] = (*PredictiveConfig.above_zero, "friction", "speed", "turn_speed")
     none_below_zero: ClassVar[tuple[str, ...]] = (*PredictiveConfig.none_below_zero, "sway_weight")
@@ -83,23 +83,23 @@ class TrunkSettings(PredictiveConfig):
     posture_weight: float = 0.05
     velocity_weight: float = 0.05
     sway_weight: float = 1.0
-    """Of the trunk's velocities."""
+    """Weight of the trunk's velocities."""
     speed: float = 0.1
-    """m/s at which what the trunk is drawn to goes to where the command wants it."""
+    """Speed (m/s) at which the goal moves to the commanded position."""
     turn_speed: float = 0.4
-    """rad/s"""
+    """Angular speed (rad/s) of the same."""
     gait: Gait = field(default_factory=Gait)
-    """Which feet stand when; all of them, always, unless given."""
+    """Contact sequence of the feet; all of them stand by default."""
     friction: float = 0.5
-    """Coefficient that forces on the feet are planned with; less than the ground's."""
+    """Friction coefficient of planned contact forces; less than the ground's."""
 
 
 class TrunkProblem:
-    """Plans of a legged robot's joints, each beginning with the last solution.
+    """Planner of a legged robot's joints, warm-started by its last solution.
 
     Args:
         robot: on feet.
-        joints: indices of those that move.
+        joints: indices of the joints that move.
         frame: whose pose is the goal.
         limits: of the joints.
         config: weights, gait and horizon.
@@ -141,6 +141,7 @@ class TrunkProblem:
         times = [time + node * config.node_time for node in range(nodes + 1)]
         data = self._model.createData()
         pinocchio.framesForwardKinematics(self._model, data, state[: 7 + count])
+        # The two lowest feet: others may be in the air.
         ground = float(np.mean(sorted(data.oMf[foot].translation[2] for foot in self._feet)[:2]))
         steps = [self._step(target, t, ground, t is times[-1]) for t in times]
         problem = self._croc.ShootingProblem(state, steps[:-1], steps[-1])
@@ -152,6 +153,7 @@ class TrunkProblem:
         positions, velocities = path[:, 7 : 7 + count][:, self._places], path[:, 13 + count :][:, self._places]
         efforts = used[:, self._places]
         problem_found = self._limits.problem(positions[1:], velocities[1:], efforts) or self._sliding(problem)
+        # A broken plan is no good start for the next.
         self._warm = None if problem_found else (list(solver.xs), list(solver.us))
         pinocchio.framesForwardKinematics(self._model, data, path[-1, : 7 + count])
         miss = data.oMf[self._frame].actInv(target)
@@ -159,6 +161,7 @@ class TrunkProblem:
         return Plan(positions, velocities, efforts, config.node_time, far, problem_found)
 
     def _state_of(self, measured: Array) -> Array:
+        # Velocities of a free flyer are in the body's axes in pinocchio.
         """Convert to the model: base position, quaternion (x, y, z, w), joints; velocities, the base's in its axes."""
         count = self._count
         turn = _placement(self._pinocchio, measured[:7]).rotation
@@ -170,7 +173,7 @@ class TrunkProblem:
         )
 
     def _begin_with(self, problem: Any, state: Array, nodes: int) -> tuple[list[Array], list[Array]]:
-        """Return the last solution, as much later as this plan is; or efforts that hold the robot where it is."""
+        """Return the last solution shifted to this plan's time, or efforts that hold the robot where it is."""
         if self._warm is None:
             return [state] * (nodes + 1), list(problem.quasiStatic([state] * nodes))
         shift = min(round(1.0 / (self._config.rate * self._config.node_time)), nodes)
@@ -178,7 +181,7 @@ class TrunkProblem:
         return states[shift:] + states[-1:] * shift, efforts[shift:] + efforts[-1:] * shift
 
     def _step(self, target: Any, time: float, ground: float, last: bool) -> Any:
-        """Return the model of one node, whose contacts are those of its time."""
+        """Build the model of one node, with the contacts at its time."""
         croc, state, config = self._croc, self._state, self._config
         size = self._actuation.nu
         lifted, share = stance_at(config.gait, time)
@@ -186,12 +189,14 @@ class TrunkProblem:
         costs = croc.CostModelSum(state, size)
         for number, foot in enumerate(self._feet):
             if number in lifted:
+                # A swing foot lands where it is below the trunk at home, on a half sine.
                 place = (target * self._pinocchio.SE3(np.eye(3), self._below[number])).translation.copy()
                 place[2] = ground + config.gait.step_height * np.sin(np.pi * share)
                 swing = croc.ResidualModelFrameTranslation(state, foot, place, size)
                 costs.addCost(f"swing {number}", croc.CostModelResidual(state, swing), 10.0 * config.goal_weight)
                 continue
             axes = self._pinocchio.LOCAL_WORLD_ALIGNED
+            # 40 1/s is the gain by which velocities of a contact decay (Baumgarte).
             contact = croc.ContactModel3D(state, foot, np.zeros(3), axes, size, np.array([0.0, 40.0]))
             contacts.addContact(f"foot {number}", contact)
             if not last:
@@ -207,12 +212,13 @@ class TrunkProblem:
         return step
 
     def _add_costs(self, costs: Any, target: Any, last: bool) -> None:
-        """Goal, rest, limits and efforts."""
+        """Add the costs of goal, rest, limits and efforts."""
         croc, state, config, count = self._croc, self._state, self._config, self._count
         size = self._actuation.nu
         goal = croc.ResidualModelFramePlacement(state, self._frame, target, size)
         reaching = croc.CostModelResidual(state, goal)
         costs.addCost("goal", reaching, config.goal_weight * (5.0 if last else 1.0))
+        # The base is free: it has no weight in the posture.
         rest = np.concatenate((np.zeros(3), [0.0, 0.0, 0.0, 1.0], self._home, np.zeros(6 + count)))
         weights = np.concatenate(
             (
@@ -227,6 +233,7 @@ class TrunkProblem:
         low, high, fast = np.empty((3, count))
         limits = self._limits
         low[self._places], high[self._places], fast[self._places] = limits.lowest, limits.highest, limits.velocity
+        # The base has no limits.
         free = np.full(6, 1e4)
         below = np.concatenate((-free, low - self._home, -free, -fast))
         above = np.concatenate((free, high - self._home, free, fast))
@@ -238,10 +245,11 @@ class TrunkProblem:
             costs.addCost("efforts", efforts, 1.0)
 
     def _sliding(self, problem: Any) -> str:
-        """Return the contact that a plan cannot have; empty if none."""
+        """Return the contact that the ground cannot give; empty if none."""
         friction = self._config.friction
         for data in problem.runningDatas:
             for name, contact in data.differential.multibody.contacts.contacts.todict().items():
+                # A tenth of the weight is tolerance for the solver's error.
                 x, y, z = contact.f.linear
                 if z < -0.1 * self._weight:
                     return f"{name} would have to pull at the ground with {-z:.3g} N"
@@ -250,7 +258,7 @@ class TrunkProblem:
         return ""
 
     def _feet_from_trunk(self) -> list[Array]:
-        """Where the feet are at home, in the frame whose pose is the goal."""
+        """Return positions of the feet at home, in the frame whose pose is the goal."""
         model, pinocchio = self._model, self._pinocchio
         data = model.createData()
         pinocchio.framesForwardKinematics(model, data, np.concatenate((np.zeros(6), [1.0], self._home)))
@@ -265,14 +273,14 @@ def _placement(pinocchio: Any, pose: Array) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class TrunkMpcConfig(TrunkSettings):
-    """A command is a pose of the trunk, which the legs bring it to as a plan says: model-predictive control.
+    """A command is a pose of the trunk, to which the legs move it along a plan (model-predictive control).
 
-    Zero is where the trunk was when the episode began, level; axes are those of its heading then. At every turn of
+    Zero is the trunk's place at the start of the episode, level, with the axes of its heading. At each plan of
     ``rate`` crocoddyl's solver BoxFDDP minimises, over the efforts of ``nodes`` steps, the squares of the trunk's
     distance from the goal, of the joints' from home, of velocities and of efforts, with the dynamics of the whole body
     and its contacts (Budhiraja, Carpentier, Mastalli and Mansard, Differential Dynamic Programming for Multi-Phase
     Rigid Contact Dynamics, Humanoids 2018). Standing feet do not move, and their forces stay in the friction cone by a
-    cost; feet in the air are lifted, and come down where they are below the trunk at home. Joints are told positions,
+    cost; feet in the air are lifted, and come down where they are below the trunk at home. Joints get positions,
     velocities and efforts. One environment, flat ground.
     """
 
@@ -306,7 +314,7 @@ class TrunkMpc(Predictive):
         super().__init__(name, robot, config.joint_indices(spec, name), config)
         config.gait.check(name, len(spec.feet))
         self.frame = config.frame_of(robot)
-        robot.frame_pose(self.frame)  # which refuses an unknown one
+        robot.frame_pose(self.frame)  # rejects an unknown frame
         self._scale = torch.tensor([config.position_scale] * 3 + [config.rotation_scale] * 3, device=self.device)
         self._fastest = torch.tensor([config.speed] * 3 + [config.turn_speed] * 3, device=self.device) / config.rate
         self._drawn = torch.zeros(1, 6, device=self.device)
@@ -332,7 +340,7 @@ class TrunkMpc(Predictive):
         return (local / self._scale).clamp(-1.0, 1.0)
 
     def measured(self) -> Array:
-        """(13 + 2 k,) pose and velocity of the root, then positions and velocities."""
+        """Return pose and velocity of the root, then positions and velocities (13 + 2 k,)."""
         robot = self.robot
         parts = (robot.root_pose[0], robot.root_velocity[0], self.positions[0], self.velocities[0])
         return np.concatenate([part.double().cpu().numpy() for part in parts])
@@ -346,13 +354,14 @@ class TrunkMpc(Predictive):
         self._drawn = torch.zeros_like(self._drawn)
 
     def _began(self) -> Tensor:
-        """(1, 7) the trunk's pose when the episode began, level."""
+        """Return the trunk's pose (1, 7) at the start of the episode, level."""
         if self._origin is None:
             pose = self.robot.frame_pose(self.frame)
             self._origin = torch.cat((pose[:, :3], quat_yaw(pose[:, 3:])), 1)
         return self._origin
 
     def _turned(self, local: Tensor) -> Tensor:
-        """Return a displacement (1, 6) in the origin's axes, in the world's."""
+        """Rotate a displacement (1, 6) from the origin's axes to the world's."""
+        # The inverse quaternion undoes ``quat_rotate_inverse``.
         inverse = self._began()[:, None, 3:] * torch.tensor([1.0, -1.0, -1.0, -1.0], device=self.device)
         return quat_rotate_inverse(inverse.expand(-1, 2, 4), local.unflatten(1, (2, 3))).flatten(1)

@@ -1,4 +1,4 @@
-"""Geometry from pictures: point clouds and truncated signed distance fields, in all environments at once."""
+"""Geometry from images: point clouds and truncated signed distance fields, in all environments at once."""
 
 from orbit_motion.perception.clouds import PointCloud, PointCloudConfig, Sampling, sample_point_cloud
 from orbit_motion.perception.nodes import CloudFrame, PointCloudNode, TsdfNode

@@ -14,7 +14,7 @@ from orbit_core.scene.pose import Vector3
 
 
 class Sampling(Enum):
-    """Which of the points that there are become part of the cloud, where there are more than asked for."""
+    """Selection of points for the cloud, where there are more than requested."""
 
     STRIDED = "strided"
     """Evenly spaced in the order of the pixels, row by row: the same at each call."""
@@ -24,7 +24,7 @@ class Sampling(Enum):
 
 @dataclass(frozen=True)
 class PointCloudConfig:
-    """How a picture becomes a cloud.
+    """Conversion of an image to a cloud.
 
     Args:
         points: how many points the cloud has (P).
@@ -58,17 +58,17 @@ class PointCloud:
     """P points of each of N environments; a pixel is in it at most once."""
 
     points: Tensor
-    """(N, P, 3) metres; zero where not valid."""
+    """Positions (N, P, 3) in metres; zero where not valid."""
     colors: Tensor | None
-    """(N, P, 3) from 0 to 1; zero where not valid. None where the pictures had no colour."""
+    """Colours (N, P, 3) from 0 to 1; zero where not valid. None where the images had no colour."""
     valid: Tensor
-    """(N, P) bool: the first ones hold points, the rest, where fewer were seen than asked for, none."""
+    """Validity (N, P) bool: the first ones hold points, the rest, where fewer were seen than requested, none."""
 
 
 def sample_point_cloud(
     points: Tensor, config: PointCloudConfig, rgb: Tensor | None = None, random: RandomStreams | None = None
 ) -> PointCloud:
-    """Clouds of the points (N, H, W, 3) that pixels show, such as those of :func:`orbit_core.sensors.point_cloud`.
+    """Sample clouds of the points (N, H, W, 3) of pixels, such as those of :func:`orbit_core.sensors.point_cloud`.
 
     Points that are not finite show nothing, and are left out. Sizes depend on no values and nothing waits for the
     device, so this may stand in a recorded step.
@@ -101,7 +101,7 @@ def sample_point_cloud(
 
 
 def _inside(points: Tensor, config: PointCloudConfig) -> Tensor:
-    """(N, H W) bool: which points are in the workspace."""
+    """Return True (N, H W) for points in the workspace."""
     there = points.isfinite().all(-1)
     if config.lower is None or config.upper is None:
         return there
@@ -111,8 +111,9 @@ def _inside(points: Tensor, config: PointCloudConfig) -> Tensor:
 
 
 def _strided(there: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Pixels (N, count), evenly spaced among those that are there, and whether there were as many."""
+    """Return evenly spaced pixels (N, count) of the valid ones, and True where there were enough."""
     place = torch.arange(count, device=there.device)
+    # Ranks by cumulative sum: the k-th valid pixel is found without a loop or a wait for the device.
     ranks = there.cumsum(1)
     total = ranks[:, -1:]
     wanted = torch.where(total > count, place * total // count, place)
@@ -121,9 +122,10 @@ def _strided(there: Tensor, count: int) -> tuple[Tensor, Tensor]:
 
 
 def _random(there: Tensor, count: int, random: RandomStreams | None) -> tuple[Tensor, Tensor]:
-    """Pixels (N, count) drawn from those that are there, and whether there were as many."""
+    """Draw pixels (N, count) from the valid ones; return True where there were enough."""
     if random is None:
         raise ConfigurationError("random sampling of a point cloud needs the environments' random streams")
+    # The largest of random keys are a draw without replacement.
     keys = torch.where(there, random.uniform((there.shape[1],)), -1.0)
     most = min(count, there.shape[1])
     keys, pixels = keys.topk(most, dim=1)

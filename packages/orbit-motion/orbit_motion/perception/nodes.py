@@ -1,4 +1,4 @@
-"""Perception as nodes of an agent: from a camera's pictures to clouds and distance fields."""
+"""Perception as nodes of an agent: from a camera's images to clouds and distance fields."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from orbit_motion.perception.tsdf import TsdfConfig, TsdfVolume
 
 
 class CloudFrame(Enum):
-    """The frame that a cloud's points are given in."""
+    """Frame of a cloud's points."""
 
     CAMERA = "camera"
-    """-z forward, y up."""
+    """Camera axes: -z forward, y up."""
     ENVIRONMENT = "environment"
     BODY = "body"
-    """The frame of a body, such as a robot's base, whose pose is an input of the node."""
+    """Frame of a body, such as a robot's base, whose pose is an input of the node."""
 
 
 class PointCloudNode(Node):
-    """Turns colour and depth into a cloud of a fixed number of points.
+    """Node that converts colour and depth to a cloud of a fixed number of points.
 
-    Inputs: ``depth`` (H, W, 1) in metres, infinite where nothing is; ``rgb`` (H, W, 3) uint8; ``pose`` (7,) of the
+    Inputs: ``depth`` (H, W, 1) in metres, infinite where nothing is hit; ``rgb`` (H, W, 3) uint8; ``pose`` (7,) of the
     camera in the environment's frame, unless points are wanted in the camera's; ``body`` (7,), where they are wanted in
     that of a body. Outputs: ``points`` (P, 3) in metres, ``colors`` (P, 3) from 0 to 1, ``valid`` (P,) bool.
 
     Args:
         name: of the node.
         camera: whose pictures come in.
-        config: how many points, which, and within which workspace of the chosen frame.
-        device: where the pictures are.
-        frame: of the points.
-        random: the environments' streams, for random sampling.
-        rate: in Hz, None for the agent's own.
+        config: number and selection of points, and the workspace in the chosen frame.
+        device: device of the pictures.
+        frame: frame of the points.
+        random: streams of the environments, for random sampling.
+        rate: rate in Hz; None for the agent's.
     """
 
     def __init__(
@@ -69,11 +69,11 @@ class PointCloudNode(Node):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         points = point_cloud(inputs["depth"], self._intrinsics, self._pose(inputs))
         cloud = sample_point_cloud(points, self._config, inputs["rgb"], self._random)
-        assert cloud.colors is not None
+        assert cloud.colors is not None  # colours were given
         return {"points": cloud.points, "colors": cloud.colors, "valid": cloud.valid}
 
     def _pose(self, inputs: Mapping[str, Tensor]) -> Tensor | None:
-        """Pose of the camera in the frame of the points."""
+        """Return the pose of the camera in the frame of the points."""
         if self._frame is CloudFrame.CAMERA:
             return None
         if self._frame is CloudFrame.ENVIRONMENT:
@@ -82,18 +82,19 @@ class PointCloudNode(Node):
 
 
 class TsdfNode(Node):
-    """Integrates a camera's depth pictures into a truncated signed distance field.
+    """Node that integrates a camera's depth images into a truncated signed distance field.
 
     Inputs: ``depth`` (H, W, 1) in metres; ``pose`` (7,) of the camera in the environment's frame. Outputs:
-    ``distances`` and ``weights`` (X, Y, Z), the field's own tensors, which the next turn writes anew.
+    ``distances`` and ``weights`` (X, Y, Z), the field's own tensors, which the next update overwrites.
 
     Args:
         name: of the node.
         camera: whose pictures come in.
         config: the grid.
-        num_envs: how many environments there are.
+        num_envs: number of environments.
         device: where the pictures are.
-        rate: in Hz, best that of the camera, for a picture that comes twice counts twice; None for the agent's own.
+        rate: rate in Hz, best that of the camera, because an image that is read twice counts twice; None for the
+            agent's.
     """
 
     def __init__(
@@ -114,6 +115,7 @@ class TsdfNode(Node):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.volume.integrate(inputs["depth"], self._intrinsics, inputs["pose"])
+        # The field itself, not a copy, because it is large.
         return self.memory()
 
     def reset(self, env_ids: Tensor | None = None) -> None:

@@ -1,9 +1,9 @@
-"""Truncated signed distance fields: what depth pictures from many places tell of surfaces, on a grid of voxels.
+"""Truncated signed distance fields: surfaces estimated from depth images of many viewpoints, on a grid of voxels.
 
 Curless and Levoy, A Volumetric Method for Building Complex Models from Range Images (SIGGRAPH 1996): a running mean of
 each voxel's signed distance to the surface that was seen, weighted by the cosine between line of sight and normal.
 Newcombe et al., KinectFusion (ISMAR 2011), section 3.3: each voxel looks up the pixel that it falls on; distances are
-cut off at the truncation; what lies farther behind a surface than that is not seen; weights grow to a limit, so that
+cut off at the truncation; voxels farther behind a surface than that are not seen; weights grow to a limit, so that
 the field follows a scene that changes. Bylow et al., Real-Time Camera Tracking and 3D Reconstruction Using Signed
 Distance Functions (RSS 2013), section III: the distance is that to the plane through the pixel's point, and not along
 the line of sight, which overstates it where a surface is seen at a slant.
@@ -23,21 +23,21 @@ from orbit_core.interfaces import ConfigurationError, ShapeError
 from orbit_core.scene.pose import Vector3
 from orbit_core.sensors.camera import point_cloud, project
 
-# Metres: where a picture sees nothing, it sees that far.
+# Distance (m) for pixels that see nothing.
 _FREE = 1e4
 
 
 @dataclass(frozen=True)
 class TsdfConfig:
-    """The grid and how it follows what is seen.
+    """Grid of a field, and its rate of adaptation.
 
     Args:
         lower: the corner of least coordinates of the first voxel, in metres in the environment's frame.
         voxel_size: of a voxel's edge in metres.
         shape: voxels along x, y and z.
-        truncation: metres before and behind a surface in which distances are told; four voxels where None. At least two
-            voxels, so that a surface has voxels on both of its sides.
-        max_weight: pictures that count at most: later ones then replace them, by one part in so many.
+        truncation: metres before and behind a surface in which distances are known; four voxels where None. At least
+            two voxels, so that a surface has voxels on both of its sides.
+        max_weight: limit of a voxel's weight. A smaller one makes new images replace old ones faster.
 
     Raises:
         ConfigurationError: a size that cannot be.
@@ -64,57 +64,58 @@ class TsdfConfig:
 
     @property
     def band(self) -> float:
-        """The truncation in metres."""
+        """Truncation in metres."""
         return 4.0 * self.voxel_size if self.truncation is None else self.truncation
 
 
 @dataclass(frozen=True)
 class DistanceSample:
-    """What a field tells of points."""
+    """Values of a field at points."""
 
     distances: Tensor
-    """(N, P) metres to the nearest seen surface, positive before it and negative behind, at most the truncation either
-    way. The truncation where not known."""
+    """Distances (N, P) in metres to the nearest seen surface, positive in front of it and negative behind, at most the
+    truncation either way. The truncation where not known."""
     gradients: Tensor
-    """(N, P, 3) of the distance in the environment's axes: away from the surface. Zero where not known."""
+    """Gradients (N, P, 3) of the distance in the environment's axes: away from the surface. Zero where not known."""
     known: Tensor
-    """(N, P) bool: whether all eight voxels about the point have been seen."""
+    """True (N, P) where all eight voxels around the point have been seen."""
 
 
 class TsdfVolume:
-    """Truncated signed distances of N environments, positive where nothing is.
+    """Truncated signed distances of N environments, positive in free space.
 
-    Pictures are integrated and environments reset in place, and sizes depend on no values, so that both may stand in a
-    recorded step. The zero level lies on the surface. Away from it distances are overstated, up to twice beside a ball
+    Images are integrated and environments reset in place, and sizes depend on no values, so that both can be part of
+    a captured step. The zero level is on the surface. Away from it distances are overstated, up to twice next to a ball
     that is seen from all around: to a line of sight that passes by, a voxel is free by the whole truncation.
     """
 
     def __init__(self, config: TsdfConfig, num_envs: int, device: torch.device) -> None:
         self.config = config
         self.distances = torch.full((num_envs, *config.shape), config.band, device=device)
-        """(N, X, Y, Z) metres at the voxels' centres, within the truncation; the truncation where not seen."""
+        """Distances (N, X, Y, Z) in m at the voxels' centres, within the truncation; the truncation where not seen."""
         self.weights = torch.zeros(num_envs, *config.shape, device=device)
-        """(N, X, Y, Z) how many pictures have seen each voxel, each by how straight it saw it, up to the limit."""
+        """Weights (N, X, Y, Z): images that have seen each voxel, each by the cosine of its view, up to the limit."""
         grid = torch.meshgrid(*(torch.arange(n, device=device) + 0.5 for n in config.shape), indexing="ij")
         self._lower = torch.tensor(config.lower, dtype=torch.float32, device=device)
         self._centres = self._lower + config.voxel_size * torch.stack(grid, -1).flatten(0, 2)
         self._most = torch.tensor(config.shape, device=device) - 2
         corner = torch.arange(8, device=device)
+        # Offsets of a cube's corners: the bits of 0 to 7.
         self._corners = torch.stack(((corner >> 2) & 1, (corner >> 1) & 1, corner & 1), -1)
         self._strides = torch.tensor((config.shape[1] * config.shape[2], config.shape[2], 1), device=device)
 
     @property
     def centres(self) -> Tensor:
-        """(X, Y, Z, 3) of the voxels, in metres in the environment's frame."""
+        """Centres (X, Y, Z, 3) of the voxels, in metres in the environment's frame."""
         return self._centres.unflatten(0, self.config.shape)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        """Forget what was seen in some environments, by index or by mask (N,) bool."""
+        """Clear some environments, by index or by mask (N,) bool."""
         write_rows(self.distances, self.config.band, env_ids)
         write_rows(self.weights, 0.0, env_ids)
 
     def integrate(self, depth: Tensor, intrinsics: Tensor, pose: Tensor, seen: Tensor | None = None) -> None:
-        """Add a picture of every environment, or of those where ``seen``.
+        """Add an image of every environment, or of those where ``seen``.
 
         Args:
             depth: (N, H, W, 1) metres along the optical axis. Infinite where the line of sight is free for all of its
@@ -135,33 +136,32 @@ class TsdfVolume:
         known = weight > 0.0
         if seen is not None:
             known &= seen[:, None]
-        held, old = self.distances.flatten(1), self.weights.flatten(1)  # views: what is written to them is kept
+        held, old = self.distances.flatten(1), self.weights.flatten(1)  # views: writing to them changes the field
         new = old + weight
         mean = (old * held + weight * distance) / new
         held.copy_(torch.where(known, mean, held))
         old.copy_(torch.where(known, new.clamp_max(self.config.max_weight), old))
 
     def _look(self, depth: Tensor, intrinsics: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, V) each voxel's distance and its weight, zero where the picture tells nothing of it."""
+        """Compute distance and weight (N, V) of each voxel; the weight is zero where the image has no information."""
         height, width = depth.shape[1:3]
         local = transform_points(pose_inverse(pose)[:, None], self._centres)
         ahead = -local[..., 2]
         column, row = project(local, intrinsics).floor().unbind(-1)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (ahead > 0.0)
-        # The nearest pixel and no mean of several, which would draw surfaces between the edge of a thing and what lies
-        # behind it.
+        # The nearest pixel, not an interpolation, which would draw surfaces between the edge of a thing and its
+        # background.
         pixel = torch.where(inside, row * width + column, 0.0).to(torch.int64)
         facets = surface_facets(depth, intrinsics).flatten(1, 2)
         normal, offset, looked_at, facing = (
             facets.gather(1, pixel[..., None].expand(-1, -1, 6)).split((3, 1, 1, 1), -1)
         )  # fmt: skip
         distance = (normal * local).sum(-1) - offset[..., 0]
-        told = inside & (looked_at[..., 0] - ahead >= -self.config.band) & (facing[..., 0] > 0.0)  # NaN is neither
-        return distance.clamp(-self.config.band, self.config.band), torch.where(told, facing[..., 0], 0.0)
+        useful = inside & (looked_at[..., 0] - ahead >= -self.config.band) & (facing[..., 0] > 0.0)  # NaN is neither
+        return distance.clamp(-self.config.band, self.config.band), torch.where(useful, facing[..., 0], 0.0)
 
     def sample(self, points: Tensor) -> DistanceSample:
-        """Return distances and their gradients at points (N, P, 3) of the environment's frame, by trilinear
-        interpolation.
+        """Interpolate distances and gradients linearly at points (N, P, 3) of the environment's frame.
 
         Raises:
             ShapeError: points of another shape.
@@ -171,6 +171,7 @@ class TsdfVolume:
             raise ShapeError(
                 f"points in {count} environments must have shape ({count}, P, 3), not {tuple(points.shape)}"
             )
+        # Values belong to the voxels' centres, half a voxel from their corners.
         place = (points - self._lower) / self.config.voxel_size - 0.5
         first = place.floor().clamp_min(0.0).minimum(self._most)
         share = place - first
@@ -190,13 +191,14 @@ class TsdfVolume:
 
 
 def surface_facets(depth: Tensor, intrinsics: Tensor) -> Tensor:
-    """What each pixel tells of the surface: (N, H, W, 6) normal towards the camera, offset, depth, cosine.
+    """Compute normal towards the camera, offset, depth and cosine (N, H, W, 6) of the surface at each pixel.
 
     The plane through the pixel's point is ``normal . x = offset`` in the camera's frame, the normal from the points of
-    the pixels beside it. The cosine is that between normal and line of sight; at the edge of a thing, where pixels side
-    by side show places far apart, it is next to nothing. NaN beside and where nothing is known.
+    the neighbouring pixels. The cosine is that between normal and line of sight; at the edge of an object, where
+    neighbouring pixels show places far apart, it is almost zero. NaN where the pixel or a neighbour is unknown.
     """
     known = torch.where(depth > 0.0, depth, torch.nan).clamp_max(_FREE)
+    # ``known - known`` is zero, or NaN where nothing is known: it spreads to the points.
     points = point_cloud(known.nan_to_num(0.0), intrinsics) + (known - known)
     right = torch.cat((points[:, :, 1:], points[:, :, -1:]), 2) - torch.cat((points[:, :, :1], points[:, :, :-1]), 2)
     down = torch.cat((points[:, 1:], points[:, -1:]), 1) - torch.cat((points[:, :1], points[:, :-1]), 1)

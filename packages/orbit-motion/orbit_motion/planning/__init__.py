@@ -1,4 +1,4 @@
-"""Plans: paths around obstacles, their timing within limits, and a node that follows them."""
+"""Planning: paths around obstacles, their timing within limits, and nodes that follow them."""
 
 from orbit_motion.planning.base_path import BasePlanner, BasePlannerConfig
 from orbit_motion.planning.follower import BasePathFollower, TrajectoryFollower

@@ -1,4 +1,4 @@
-"""Paths of a mobile base over the floor, around what stands on it."""
+"""Paths of a mobile base over the floor, around obstacles."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ _Array = Any
 
 @dataclass(frozen=True, kw_only=True)
 class BasePlannerConfig:
-    """The base is a cylinder upright on the floor; what is lower than its top and not the floor is in its way."""
+    """Settings of base paths.
+
+    The base is an upright cylinder; every shape below its top except the floor is an obstacle.
+    """
 
     radius: float
-    """Metres from the base's middle that are kept free."""
+    """Metres around the base's middle that are kept free."""
     height: float
-    """Metres above the floor to the top of what drives: of the base alone, or of the base with its arm."""
+    """Metres above the floor to the top of the base, or of the base with its arm."""
     low: tuple[float, float]
     """Corner of the map, in the environment's frame, m."""
     high: tuple[float, float]
@@ -35,7 +38,7 @@ class BasePlannerConfig:
     resolution: float = 0.05
     """Metres between cells."""
     obstacles: tuple[str, ...] | None = None
-    """As :class:`~orbit_motion.obstacles.Obstacles` takes them."""
+    """Obstacles, as :class:`~orbit_motion.obstacles.Obstacles` takes them."""
 
     def __post_init__(self) -> None:
         sizes = (self.radius, self.height, self.resolution, self.high[0] - self.low[0], self.high[1] - self.low[1])
@@ -47,7 +50,7 @@ class BasePlannerConfig:
 
 
 class BasePlanner:
-    """Shortest paths over a grid of eight neighbours (scipy's Dijkstra), made straight where the way is free.
+    """Shortest paths over a grid of eight neighbours (scipy's Dijkstra), straightened where the way is free.
 
     The scene's shapes below the base's top are projected on the floor and grown by the base's radius.
 
@@ -68,7 +71,7 @@ class BasePlanner:
         self._axes = [np.arange(a, b, config.resolution) for a, b in zip(config.low, config.high, strict=True)]
 
     def plan(self, start: Tensor, goal: Tensor, env: int = 0) -> Tensor:
-        """(P, 2) places in the environment's frame, between which straight lines keep the radius free, to a cell.
+        """Plan places (P, 2) in the environment's frame, between which straight lines keep the radius free, to a cell.
 
         Args:
             start: (2,) of the base's middle.
@@ -95,11 +98,14 @@ class BasePlanner:
         return torch.cat((start[None], path[1:-1], goal[None]))
 
     def _map(self, env: int) -> tuple[_Array, Any]:
-        """(X, Y) bool cells that the base's middle may be in, and a function that names the thing nearest to a cell."""
+        """Return the cells (X, Y) bool that the base's middle may be in, and a function that names the thing nearest to
+        a cell.
+        """
         config, step = self.config, self.config.resolution
         x, y = np.meshgrid(*self._axes, indexing="ij")
         gap, owners = torch.full((x.size,), torch.inf), torch.zeros(x.size, dtype=torch.int64)
         places = torch.as_tensor(np.stack((x.ravel(), y.ravel()), 1), dtype=torch.float32, device=self._world.device)
+        # Slices of the cylinder: shapes have distances to points only.
         for height in np.arange(step, max(config.height, 1.5 * step), step):
             points = torch.cat((places, places.new_full((len(places), 1), config.floor + float(height))), 1)
             distances = self._obstacles.distances(points[None], env)[0][0]
@@ -108,7 +114,7 @@ class BasePlanner:
                 nearer = least.values.cpu() < gap
                 owners = torch.where(nearer, least.indices.cpu(), owners)
                 gap = torch.where(nearer, least.values.cpu(), gap)
-        # Cells whose corner a shape may touch: it is nearer than half a cell's diagonal, and the floor is not.
+        # Cells that a shape may touch: it is nearer than half a cell's diagonal, and the floor is not.
         taken = (gap < 0.75 * step).numpy().reshape(x.shape)
         if not taken.any():
             return np.ones(x.shape, dtype=bool), lambda cell: "the map's edge"
@@ -136,6 +142,7 @@ class BasePlanner:
     def _search(self, free: _Array, start: tuple[int, int], goal: tuple[int, int]) -> list[tuple[int, int]] | None:
         number = np.arange(free.size).reshape(free.shape)
         rows, columns, costs = [], [], []
+        # Each edge of the eight-neighbour grid once: the graph is undirected.
         for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
             a = (slice(0, free.shape[0] - dx), slice(max(0, -dy), free.shape[1] - max(0, dy)))
             b = (slice(dx, free.shape[0]), slice(max(0, dy), free.shape[1] + min(0, dy)))
@@ -156,7 +163,7 @@ class BasePlanner:
 
 
 def _straightened(free: _Array, cells: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Cells of the path's corners: from each on to the last one that a straight line over free cells leads to."""
+    """Return the cells of the path's corners: each leads to the last cell that is visible from it."""
     corners, here = [cells[0]], 0
     while here < len(cells) - 1:
         here = next(there for there in range(len(cells) - 1, here, -1) if there == here + 1 or
@@ -167,6 +174,7 @@ def _straightened(free: _Array, cells: list[tuple[int, int]]) -> list[tuple[int,
 
 def _sees(free: _Array, first: tuple[int, int], second: tuple[int, int]) -> bool:
     a, b = np.array(first), np.array(second)
+    # Two samples per cell: a line may cut a corner of less than half a cell.
     share = np.linspace(0.0, 1.0, 2 * int(np.abs(b - a).max()) + 1)[:, None]
     between = np.rint(a + share * (b - a)).astype(int)
     return bool(free[between[:, 0], between[:, 1]].all())

@@ -16,10 +16,10 @@ from orbit_motion.planning.trajectory import JointTrajectory
 
 
 class TrajectoryFollower(Node):
-    """Gives the targets of joints along a trajectory of each environment's own, and holds its end.
+    """Node that gives targets of joints along each environment's own trajectory, and holds its end.
 
-    An environment without a trajectory holds the positions measured when it was reset. At each turn the time goes on by
-    the node's period.
+    An environment without a trajectory holds the positions measured when it was reset. Each computation advances the
+    time by the node's period.
 
     Args:
         name: of the node.
@@ -42,7 +42,7 @@ class TrajectoryFollower(Node):
         self._elapsed = torch.zeros_like(self._step)
 
     def load(self, trajectories: Mapping[int, JointTrajectory]) -> None:
-        """Begin trajectories in some environments, by index, at the next turn.
+        """Begin trajectories in some environments, by index, at the next computation.
 
         Raises:
             ConfigurationError: a trajectory is of another number of joints.
@@ -53,6 +53,7 @@ class TrajectoryFollower(Node):
                     f"node '{self.name}' moves {len(self._joints)} joints, but the trajectory of environment {env} is "
                     f"of {trajectory.positions.shape[1]}"
                 )
+        # All environments share one tensor: shorter trajectories are padded.
         longest = max([self._positions.shape[1], *(len(t.positions) for t in trajectories.values())])
         self._positions, self._velocities = (longer(part, longest) for part in (self._positions, self._velocities))
         for env, trajectory in trajectories.items():
@@ -63,7 +64,7 @@ class TrajectoryFollower(Node):
 
     @property
     def finished(self) -> Tensor:
-        """(N,) bool, where the trajectory's end is reached, or there is none."""
+        """Return whether (N,) the trajectory's end is reached, or there is none."""
         return self._elapsed * self._step >= self._last
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -76,6 +77,7 @@ class TrajectoryFollower(Node):
             torch.lerp(part[self._envs, before], part[self._envs, after], share)
             for part in (self._positions, self._velocities)
         )
+        # At the end the interpolated velocity need not be zero.
         velocities = velocities.masked_fill(self.finished.unsqueeze(1), 0.0)
         self._elapsed.add_(1.0 / self.rate)
         return {JointTarget.POSITION: positions, JointTarget.VELOCITY: velocities}
@@ -92,37 +94,37 @@ class TrajectoryFollower(Node):
 
 
 def longer(part: Tensor, length: int) -> Tensor:
-    """(N, length, D) the part (N, L, D), with zeros at the end."""
+    """Pad a part (N, L, D) with zeros to (N, length, D)."""
     grown = part.new_zeros(part.shape[0], length, part.shape[2])
     grown[:, : part.shape[1]] = part
     return grown
 
 
-# Metres from the end of its path within which a base turns to its heading there.
+# Metres from the end of the path within which a base turns to its final heading.
 _ARRIVING = 0.5
-# Cosine of the angle to where it goes within which a base that faces its way goes on.
+# Cosine of the angle to the next place beyond which a base turns before it drives.
 _AHEAD = 0.9
-# Metres within which a base on two wheels backs up to a place behind it.
+# Metres within which a base on two wheels drives backwards to a place behind it.
 _CLOSE = 0.3
-# Tolerances from its place at which a base on two wheels that has arrived drives there again.
+# Multiple of the tolerance at which a base on two wheels that has arrived drives back.
 _STRAYED = 3.0
 
 
 class BasePathFollower(Node):
-    """Gives commands of :class:`~orbit_core.actions.BaseVelocityConfig` that lead each base along a path of its own.
+    """Node whose commands of :class:`~orbit_core.actions.BaseVelocityConfig` lead each base along its own path.
 
-    The base goes from place to place, the heading to that of the end; an environment without a path stands still. One
-    on two wheels (whose limit to the left is zero) turns to each place, drives there, and turns to its heading at the
-    end.
+    The base goes from place to place, and turns to the final heading; an environment without a path stands still. A
+    base on two wheels (whose limit to the left is zero) turns to each place, drives there, and turns to its heading at
+    the end.
 
     Args:
         name: of the node.
         robot: that drives or walks.
         config: of the generator that takes the commands; or that generator's
             :attr:`~orbit_core.actions.MotionGenerator.base_limits`, where another than a planar base moves.
-        tolerance: metres from a place at which the next one is headed for.
-        face_way: whether the base turns to where it goes first, and to the end's heading once it is within half a metre
-            of the end; else it turns to that on the way.
+        tolerance: metres from a place at which the base heads for the next.
+        face_way: True if the base first turns towards its way, and to the final heading within half a metre of the end;
+            else it turns on the way.
 
     Raises:
         ConfigurationError: the robot has no planar base.
@@ -172,12 +174,13 @@ class BasePathFollower(Node):
 
     @property
     def finished(self) -> Tensor:
-        """(N,) bool, where the base is at its path's end, or has no path."""
+        """Return whether (N,) the base is at its path's end, or has no path."""
         away = torch.linalg.vector_norm(self._places[self._rows, self._last] - self._pose()[:, :2], dim=1)
         return ~self._drives | ((self._next == self._last) & (away < self._tolerance))
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         pose = self._pose()
+        # The place is advanced before the command, so that no step aims at a place that is reached.
         way = self._places[self._rows, self._next] - pose[:, :2]
         near = torch.linalg.vector_norm(way, dim=1) < self._tolerance
         self._next.copy_(torch.minimum(self._next + near, self._last))
@@ -193,12 +196,18 @@ class BasePathFollower(Node):
         return {"command": command_towards(displacement, pose[:, 2], self._limits) * self._drives[:, None]}
 
     def _on_wheels(self, way: Tensor, heading: Tensor, left: Tensor) -> Tensor:
-        """(N, 3) for a base that cannot move sideways, from the way (N, 2) to its place and what its last heading lacks
-        (N,)."""
+        """Compute the command (N, 3) of a base that cannot move sideways.
+
+        Args:
+            way: (N, 2) to the next place.
+            heading: (N,) of the base.
+            left: (N,) rotation to the final heading.
+        """
         away = torch.linalg.vector_norm(way, dim=1)
         there = (self._next == self._last) & (away < self._tolerance)
         self._arrived.copy_(there | (self._arrived & (away < _STRAYED * self._tolerance)))
         bearing = torch.atan2(way[:, 1], way[:, 0]) - heading
+        # Close behind, turning around would take longer than reversing.
         backs = (away < _CLOSE) & (bearing.cos() < 0.0)
         bearing = torch.where(self._arrived, left, bearing + math.pi * backs)
         ahead = torch.where(self._arrived | (bearing.cos() < _AHEAD), 0.0, away * (1.0 - 2.0 * backs.float()))
@@ -214,6 +223,6 @@ class BasePathFollower(Node):
         return own | {"arrived": self._arrived}
 
     def _pose(self) -> Tensor:
-        """(N, 3) x, y and heading of the base."""
+        """Return x, y and heading (N, 3) of the base."""
         pose = self._robot.link_poses[:, self._link]
         return torch.cat((pose[:, :2], yaw_angle(pose[:, 3:])[:, None]), 1)

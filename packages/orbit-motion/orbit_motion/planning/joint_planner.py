@@ -24,30 +24,30 @@ _Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerConfig:
-    """How paths are searched."""
+    """Settings of path planning."""
 
     obstacles: tuple[str, ...] | None = None
     """Names of objects, and "terrain"; None takes the terrain and all objects whose base is fixed."""
     margin: float = 0.01
-    """m that is kept free around obstacles."""
+    """Distance (m) that is kept free around obstacles."""
     self_collisions: bool = True
-    """Whether links that no joint connects keep off each other, by their balls."""
+    """True if links that no joint connects avoid each other, by their balls."""
     resolution: float = 0.02
-    """rad or m that the joint which travels most moves between two postures that are checked."""
+    """rad or m that the fastest joint moves between two postures that are checked."""
     time_limit: float = 10.0
-    """s"""
+    """Seconds."""
 
 
 class JointPlanner:
-    """Plans for some joints of a robot in one environment at a time; other joints and all objects stay where they are.
+    """Planner for some joints of a robot in one environment at a time; other joints and all objects stay in place.
 
     RRT-Connect (Kuffner and LaValle, RRT-Connect: An Efficient Approach to Single-Query Path Planning, ICRA 2000), then
     OMPL's simplification (Sucan, Moll and Kavraki, The Open Motion Planning Library, IEEE Robotics and Automation
     Magazine 19(4), 2012). The robot is the balls that cover it; all postures along an edge are checked at once.
 
     Args:
-        world: of the robot.
-        robot: that moves.
+        world: world of the robot.
+        robot: robot that moves.
         joints: indices of the joints.
         config: how to search.
 
@@ -65,13 +65,14 @@ class JointPlanner:
         self._tree = KinematicTree(robot.spec.articulation, world.device)
         self._clearance = Clearance(robot, joints, self._tree, Obstacles(world, config.obstacles))
         self.obstacles = self._clearance.obstacles
-        """What is kept off."""
+        """Obstacles that are avoided."""
         low, high = robot.position_limits[self._joints].double().cpu().unbind(1)
+        # OMPL needs finite bounds: two turns either way hold every posture.
         self._low, self._high = low.clamp_min(-2.0 * torch.pi).numpy(), high.clamp_max(2.0 * torch.pi).numpy()
         self._pairs = self._own_pairs() if config.self_collisions else None
 
     def plan(self, goal: Tensor, env: int = 0, start: Tensor | None = None) -> Tensor:
-        """(P, k) joint positions, between which straight lines keep off everything by the margin.
+        """Plan joint positions (P, k), between which straight lines keep the margin to everything.
 
         Args:
             goal: (k,) joint positions.
@@ -89,7 +90,7 @@ class JointPlanner:
         return torch.as_tensor(path, dtype=torch.float32, device=goal.device)
 
     def clearances(self, positions: Tensor, env: int = 0) -> Tensor:
-        """(B,) m that is free around the robot at joint positions (B, k), negative where it overlaps something."""
+        """Compute the free distance (B,) in m at joint positions (B, k), negative where the robot overlaps."""
         count = positions.shape[0]
         full = self._robot.joint_positions[env].repeat(count, 1)
         full[:, self._joints] = positions.to(full)
@@ -103,7 +104,7 @@ class JointPlanner:
         return torch.cat(parts, 1).amin(1)
 
     def touched(self, positions: Tensor, env: int = 0) -> str:
-        """In words, what is nearest to the robot at joint positions (k,), and how much of the margin is free."""
+        """Describe the thing nearest to the robot at joint positions (k,), and the free part of the margin."""
         free, near = float(self.clearances(positions[None], env)), self._nearest(positions, env)
         margin = self.config.margin
         return f"'{self._robot.name}' has {free:.3f} m of the margin of {margin:g} m free to {near}"
@@ -113,12 +114,14 @@ class JointPlanner:
         count = len(self._joints)
         space = base.RealVectorStateSpace(count)
         bounds = base.RealVectorBounds(count)
+        # A start slightly outside its limits is allowed: drives overshoot.
         for joint in range(count):
             bounds.setLow(joint, float(min(self._low[joint], start[joint], goal[joint])))
             bounds.setHigh(joint, float(max(self._high[joint], start[joint], goal[joint])))
         space.setBounds(bounds)
         information = base.SpaceInformation(space)
         information.setStateValidityChecker(lambda state: self._free(_values(state, count)[None], env))
+        # All states of an edge are checked in one batch: ten times faster than one by one.
         validator = _edge_validator(base, information, lambda a, b: self._free(self._between(a, b), env), count)
         information.setMotionValidator(validator)
         information.setup()
@@ -139,6 +142,7 @@ class JointPlanner:
             )
         path = problem.getSolutionPath()
         simplifier = geometric.PathSimplifier(information)
+        # Only vertices are removed, so that each remaining edge is one that was checked as a straight line.
         simplifier.reduceVertices(path)
         simplifier.collapseCloseVertices(path)
         return np.array([_values(path.getState(i), count) for i in range(path.getStateCount())])
@@ -147,7 +151,7 @@ class JointPlanner:
         return bool((self.clearances(torch.as_tensor(positions), env) >= self.config.margin).all())
 
     def _between(self, start: _Array, end: _Array) -> _Array:
-        """Postures on the straight line, the end included."""
+        """Return postures on the straight line, the end included."""
         count = int(np.ceil(np.abs(end - start).max() / self.config.resolution)) + 1
         return start + np.linspace(0.0, 1.0, count)[1:, None] * (end - start) if count > 1 else end[None]
 
@@ -173,7 +177,7 @@ class JointPlanner:
         return f"'{self._clearance.obstacles.names[obstacle]}', from link '{link}'"
 
     def _own_pairs(self) -> tuple[Tensor, Tensor]:
-        """Return indices of balls that may touch: of links that no joint connects, and free of each other at home."""
+        """Return indices of balls that may touch: links that no joint connects, and that are apart at home."""
         articulation = self._robot.spec.articulation
         names = articulation.link_names
         joined = {frozenset(pair) for pair in (*articulation.joined_links, *articulation.collision_exclusions)}
@@ -187,11 +191,12 @@ class JointPlanner:
         first, second = torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2).unbind(1)
         self._pairs = (first.to(self._tree.device), second.to(self._tree.device))
         home = self._tree.forward(self._robot.root_pose[:1], self._robot.home_positions[None])
+        # Balls are larger than links, so that neighbours further along the arm may overlap even at home.
         apart = self._own_gaps(home)[0] > self.config.margin
         return self._pairs[0][apart], self._pairs[1][apart]
 
     def _own_gaps(self, links: Tensor) -> Tensor:
-        """(B, pairs) m"""
+        """Compute the distances (B, pairs) in m between the robot's own balls."""
         assert self._pairs is not None
         first, second = self._pairs
         points, radii = self._clearance.points(links), self._clearance.radii
@@ -204,6 +209,7 @@ def _values(state: Any, count: int) -> _Array:
 
 
 def _edge_validator(base: Any, information: Any, free: Any, count: int) -> Any:
+    # Defined here, because its base class exists only where OMPL is installed.
     class Edges(base.MotionValidator):
         def checkMotion(self, first: Any, second: Any) -> bool:
             return free(_values(first, count), _values(second, count))

@@ -1,4 +1,4 @@
-"""Paths with times, within the joints' limits of velocity, acceleration and jerk."""
+"""Timing of paths, within the joints' limits of velocity, acceleration and jerk."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class JointTrajectory:
 
     @property
     def duration(self) -> float:
-        """s"""
+        """Duration in s."""
         return self.dt * (len(self.positions) - 1)
 
 
@@ -66,7 +66,7 @@ def time_optimal(
     timed = solver.compute_trajectory(0.0, 0.0)
     if timed is None:
         raise PlanningError("the path cannot be timed within its limits: give points that are further apart, or fewer")
-    # Between its grid's points the timing exceeds the limits by what the path bends there: it is played as much slower.
+    # Between grid points the timing exceeds the limits where the path bends: the whole is slowed down by the excess.
     fine = np.linspace(0.0, timed.duration, 2000)
     excess = max((np.abs(timed(fine, 1)) / speeds).max(), np.sqrt((np.abs(timed(fine, 2)) / rates).max()), 1.0)
     times = np.arange(0.0, excess * timed.duration + dt, dt).clip(max=excess * timed.duration) / excess
@@ -101,9 +101,10 @@ def jerk_limited(
     positions, velocities = [points[:1]], [np.zeros_like(points[:1])]
     for start, end in itertools.pairwise(points):
         line = end - start
+        # A repeated waypoint is no line.
         if not np.abs(line).max() > 0.0:
             continue
-        # Along the line as a whole, which so stays one: the tightest joint decides.
+        # Timed along the line, so that the motion stays on it: the tightest joint decides.
         share = np.abs(line)
         limits = [float((limit[share > 0] / share[share > 0]).min()) for limit in (speeds, rates, jerks)]
         place, rate = _from_rest_to_rest(limits, dt)
@@ -113,7 +114,7 @@ def jerk_limited(
 
 
 def _from_rest_to_rest(limits: list[float], dt: float) -> tuple[_Array, _Array]:
-    """Place and rate (T,) of a motion from 0 to 1 within limits of velocity, acceleration and jerk."""
+    """Compute position and rate (T,) of a motion from 0 to 1 within limits of velocity, acceleration and jerk."""
     ruckig = _ruckig()
     asked = ruckig.InputParameter(1)
     asked.current_position, asked.target_position = [0.0], [1.0]

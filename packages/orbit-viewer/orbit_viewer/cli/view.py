@@ -22,9 +22,9 @@ class ViewSettings(EnvironmentSettings):
     num_envs: int = 1
     """Environments stepped together."""
     agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
-    """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
+    """Agent that acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines watch."""
+    """Address to listen on; 0.0.0.0 lets other computers watch."""
     port: int = 8080
     """Port to listen on."""
     frames: bool = False
@@ -34,7 +34,7 @@ class ViewSettings(EnvironmentSettings):
 
 
 def task_information(environment: Environment) -> Callable[[int], Mapping[str, str]]:
-    """Return a function of an environment's index that gives its episode's seconds, success and the task's metrics."""
+    """Return a function from an environment's index to its episode's seconds, success and the task's metrics."""
     task = environment.task
 
     def information(index: int) -> Mapping[str, str]:
