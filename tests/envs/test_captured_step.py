@@ -99,7 +99,17 @@ def test_a_closed_step_is_the_same_step(whole: bool, action: str) -> None:
 
 @pytest.mark.parametrize(
     "task",
-    ["Reach", "Cabinet", "Velocity-Flat", "Handover", "Stack-Pyramid", "Hockey", "Cloth-Dropping", "Rope-Reshaping"],
+    [
+        "Reach",
+        "Cabinet",
+        "Velocity-Flat",
+        "Handover",
+        "Stack-Pyramid",
+        "Hockey",
+        "Cloth-Dropping",
+        "Rope-Reshaping",
+        "Soft-Lifting",
+    ],
 )
 def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:
     plain, other = (make(task, 3, BACKEND, episode_length=0.2) for _ in range(2))

@@ -27,7 +27,7 @@ _DECLARED = {
         "half where it weighs more"
     ),
     Capability.SOFT_BODIES: approximate(
-        "a beam of the default resolution bends 1 % too much at most, and strains of more than 30 % are too soft; it "
+        "a beam of the default resolution droops 2 % too much at most, and strains of more than 30 % are too soft; it "
         "meets links and terrain by points of its surface, and no cloth, rope or other soft body, nor itself; links "
         "feel it one physics step late, and free bodies lighter than a third of it may hop on it"
     ),

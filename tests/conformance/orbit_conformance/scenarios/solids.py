@@ -170,7 +170,7 @@ def _hertz(trial: Trial) -> Mapping[str, float]:
     radius, modulus, approach = 0.05, 2e4, 0.006
     force = 4.0 / 3.0 * modulus / (1.0 - RATIO**2) * math.sqrt(radius) * approach**1.5
     body = SoftBody(
-        "ball", ball(radius, 4), DENSITY, Pose((0.0, 0.0, radius)), modulus, RATIO, 0.02, friction=0.0, resolution=0.034
+        "ball", ball(radius, 3), DENSITY, Pose((0.0, 0.0, radius)), modulus, RATIO, 0.02, friction=0.0, resolution=0.034
     )
     world = _pressed(trial, body, 2.0 * radius, force, 1.0)
     # Both sides flatten alike.
