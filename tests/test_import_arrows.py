@@ -185,10 +185,38 @@ def imported_modules(path: Path, known: Collection[str]) -> set[str]:
     return found & {*known}
 
 
+ENVIRONMENT = "orbit_core.envs.environment"
+# An environment is made of these, and terms are functions of the environment: to say so in their types they name the
+# class that imports them. Nothing else may.
+PARTS_OF_AN_ENVIRONMENT = tuple(
+    f"orbit_core.envs.{name}"
+    for name in (
+        "command_manager", "event_manager", "expert_starts", "multi_agent", "observation_manager", "premises",
+        "reward_manager", "state", "task",
+    )
+)  # fmt: skip
+
+
+def imports_for_types_alone(path: Path, module: str) -> bool:
+    """Return True if every import of a module in a file is below ``if TYPE_CHECKING``."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    guarded = {
+        id(node)
+        for block in ast.walk(tree)
+        if isinstance(block, ast.If) and isinstance(block.test, ast.Name) and block.test.id == "TYPE_CHECKING"
+        for node in ast.walk(block)
+    }
+    found = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module == module]
+    return bool(found) and all(id(node) in guarded for node in found)
+
+
 def test_no_module_imports_itself_through_others() -> None:
     files = modules()
     assert len(files) > 200
     arrows = {name: imported_modules(path, files) - {name} for name, path in files.items()}
+    for name in PARTS_OF_AN_ENVIRONMENT:
+        assert imports_for_types_alone(files[name], ENVIRONMENT), f"{name} imports {ENVIRONMENT} for more than types"
+        arrows[name] -= {ENVIRONMENT}
     try:
         graphlib.TopologicalSorter(arrows).prepare()
     except graphlib.CycleError as error:
