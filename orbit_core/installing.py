@@ -17,14 +17,22 @@ class InstalledDistribution(Protocol):
     """Metadata of an installed distribution, of whichever finder of Python's supplies it."""
 
     @property
-    def version(self) -> str: ...
+    def version(self) -> str:
+        """Version of the distribution."""
+        ...
 
     @property
-    def requires(self) -> list[str] | None: ...
+    def requires(self) -> list[str] | None:
+        """Requirements, as its metadata state them."""
+        ...
 
-    def read_text(self, filename: str, /) -> str | None: ...
+    def read_text(self, filename: str, /) -> str | None:
+        """Return a file of the metadata; None if there is none of that name."""
+        ...
 
-    def locate_file(self, path: str, /) -> object: ...
+    def locate_file(self, path: str, /) -> object:
+        """Return the path of one of the distribution's files."""
+        ...
 
 
 def install_command(distribution: str) -> str:

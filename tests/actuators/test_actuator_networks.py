@@ -134,7 +134,7 @@ def test_every_joint_and_environment_has_a_past_of_its_own(kind: str, tmp_path: 
     torch.testing.assert_close(engine.efforts[1], given[0][1])
     assert (engine.efforts[0, [0, 2]] - given[0][0, [0, 2]]).abs().max() > 1e-4, "the other environment remembers"
     actuators.load_state(saved)
-    assert torch.equal(next(iter(actuators.memory().values())), saved.memory[-1]["past"])
+    assert torch.equal(next(iter(actuators.models.values())).memory["past"], saved.memory[-1]["past"])
     with pytest.raises(ConfigurationError, match="'joint_a' is driven by a NetworkModel, which has no gains"):
         actuators.set_gains([0], torch.ones(2, 1), torch.ones(2, 1))
 
@@ -357,7 +357,7 @@ def test_a_captured_step_is_the_step_that_it_stands_for(tmp_path: Path) -> None:
         action = torch.rand(3, 12) - 0.5
         first, second = (env.step(action) for env in environments)
         torch.testing.assert_close(second[0]["policy"], first[0]["policy"])
-    pasts = [next(v for n, v in env.world.memory().items() if n.startswith("past of")) for env in environments]
+    pasts = [next(iter(env.world.actuators.models.values())).memory["past"] for env in environments]
     torch.testing.assert_close(pasts[1], pasts[0])
     heat = [env.world.robots["robot"].motor_temperatures for env in environments]
     torch.testing.assert_close(heat[1], heat[0])

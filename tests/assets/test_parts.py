@@ -151,7 +151,7 @@ def test_a_humanoid_stands_on_large_spheres_as_low_as_those_of_its_description()
         ("+ur5", "empty part"),
         ("ur5 + + robotiq_2f85", "empty part"),
         ("+", "empty part"),
-        ("cartpole+robotiq_2f85", "robot 'cartpole' is whole"),
+        ("cartpole+robotiq_2f85", "robot 'cartpole' is complete, not a part"),
     ],
 )
 def test_compositions_that_cannot_be_mounted_say_why(name: str, words: str):

@@ -34,7 +34,7 @@ STATED = (
     f"at most {expansion._CHARACTERS // MEBI} Mi characters of URDF",
     f"in {len(set(MUTATIONS))} ways",
     f"within {SECONDS:g} s and {MEMORY // 2**30} GiB",
-    f"The tests read {FILES};",
+    f"the tests read {FILES})",
 )
 
 

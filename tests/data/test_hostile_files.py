@@ -133,7 +133,7 @@ def info_told(folder: Path, **changes: Any) -> None:
         (lambda folder: (rows_told(folder, length=10**12), (folder / "meta/orbit_episodes.json").unlink()), "steps"),
         (lambda folder: rows_told(folder, length=None), "cannot be read|other episodes"),
         (lambda folder: rows_told(folder, dataset_from_index=-(10**9)), "begin before the end"),
-        (lambda folder: info_told(folder, data_path="{chunk_index:9999999999}"), "no pattern"),
+        (lambda folder: info_told(folder, data_path="{chunk_index:9999999999}"), "not a supported pattern"),
         (lambda folder: info_told(folder, data_path=None), "cannot be read"),
         (lambda folder: (folder / "meta/info.json").write_text("[" * 99_999), "cannot be read"),
         (lambda folder: (folder / "meta/orbit_episodes.json").write_text("[]"), "other episodes"),

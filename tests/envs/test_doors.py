@@ -87,7 +87,7 @@ def test_an_environment_lives_on_after_a_reset_failed(reach: Environment, monkey
         raise KeyError("the task's own mistake")
 
     expected = reach.reset(seed=4)[0]["policy"].clone()
-    monkeypatch.setattr(reach.task, "reset", failing)
+    monkeypatch.setattr(reach.state, "reset", failing)
     with pytest.raises(KeyError):
         reach.reset(seed=0, env_ids=torch.tensor([1]))
     monkeypatch.undo()

@@ -180,7 +180,11 @@ def test_terms_that_cannot_change_any_more_are_refused() -> None:
     refused(lambda t: setattr(t.observations.policy.joint_positions, "delay", (1, 2)), "the delay of .*joint_pos")
     late = Plain()
     late.events.place_robot = EventTerm(nothing, EventTime.STARTUP)
-    refused(lambda t: setattr(t.events.place_robot, "function", one), "STARTUP was changed after", late)
+    refused(
+        lambda t: setattr(t.events.place_robot, "function", lambda env, env_ids: None),
+        "STARTUP was changed after",
+        late,
+    )
 
 
 def test_terminations_events_and_observations_follow(plain: Environment) -> None:

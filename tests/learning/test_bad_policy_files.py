@@ -281,7 +281,7 @@ LARGE = (
     ("data", "complaint"),
     [
         (b"no model", "is no policy"),
-        (model(PRODUCT, weights=(elsewhere(),)), "weights 'w' lie in another file"),
+        (model(PRODUCT, weights=(elsewhere(),)), "weights 'w' are in another file"),
         (model(PRODUCT, weights=(constant("w", 3, 2, fill=float("nan")),)), "'w' hold NaN"),
         (model(PRODUCT, weights=(constant("w", 4, 2),)), "cannot act"),
         (model(PRODUCT, weights=(constant("w", 3, 5),)), r"shape \(2, 5\) of 2 observations, not \(2, 2\)"),

@@ -75,7 +75,7 @@ def of_walking(environment: Environment) -> Measured:
         "linear_velocity": turned_back(turn, velocity[:3]),
         "angular_velocity": turned_back(turn, velocity[3:]),
         "projected_gravity": turned_back(turn, np.array([0.0, 0.0, -1.0])),
-        "command": environment.commands["velocity"][0].numpy(),
+        "command": environment.commands["velocity"][0, :3].numpy(),
     }
     if "height_scan" in world.sensors:
         scan: Any = world.sensors["height_scan"]

@@ -164,8 +164,8 @@ def test_joint_values_and_poses_are_followed(action: str) -> None:
 @pytest.mark.parametrize(
     ("asked", "why"),
     [
-        ({"joints": {"elbow": 1e308}}, "joint 'elbow' at 1e.308"),
-        ({"joints": {"elbow": float("nan")}}, "joint 'elbow' at nan"),
+        ({"joints": {"elbow": 1e308}}, r"position 1e.308 of joint 'elbow'"),
+        ({"joints": {"elbow": float("nan")}}, "position nan of joint 'elbow'"),
         ({"twist": (0.0, 0.0, float("inf"), 0.0, 0.0, 0.0)}, "twist"),
         ({"pose": (1e9, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)}, "pose"),
         ({"pose": (0.0,) * 7}, "quaternion is zero"),

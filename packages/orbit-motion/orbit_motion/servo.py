@@ -19,6 +19,7 @@ from torch import Tensor
 
 from orbit_core.actions.arm_dynamics import ArmDynamics, ArmState
 from orbit_core.actions.base import MotionGenerator
+from orbit_core.dynamics.arguments import FINITE, check_numbers
 from orbit_core.interfaces import ConfigurationError, JointTarget, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_motion.fusion import Fused
@@ -84,11 +85,13 @@ class Servo(MotionGenerator):
         self.dynamics = ArmDynamics(self.robot, self.joints, world.physics_dt, world.scene.gravity)
         self.check_stable()
         self.law = Fused(self._efforts)
-        # The law clamps its efforts, so that no physics step checks them again.
+        # The law clamps its efforts, and commands are checked as they come, so that no physics step checks them again.
         self._write = self.robot.target_writer(JointTarget.EFFORT, self.joints, checked=False)
         world.add_servo(self.turn)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        # A clamp passes NaN on: what is no number must not reach the law.
+        check_numbers(inputs["command"], FINITE, f"command of '{self.name}' for robot '{self.robot.name}'")
         self.aim(inputs["command"])
         return {}
 

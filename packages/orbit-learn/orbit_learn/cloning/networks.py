@@ -68,6 +68,7 @@ class ClonedPerceptron(ClonedNetwork):
             _check_sizes(hidden_sizes=(size, _MOST_UNITS))
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
+        """Return the planner; what it sees is as large as the encoding says."""
         return PerceptronPlanner(self, action_size)
 
 
@@ -92,6 +93,7 @@ class ClonedRecurrent(ClonedNetwork):
         )  # fmt: skip
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
+        """Return the planner; what it sees is as large as the encoding says."""
         return RecurrentPlanner(self, action_size)
 
 
@@ -125,6 +127,7 @@ class ClonedTransformer(ClonedNetwork):
             raise ValueError(f"width {self.width} is a multiple of twice the {self.heads} heads")
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
+        """Return the planner; what it sees is as large as the encoding says."""
         return TransformerPlanner(self, action_size)
 
 
@@ -147,6 +150,7 @@ class ClonedDiffusion(ClonedNetwork):
         _check_sizes(samples=(self.samples, min(self.noises, 1000)))
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
+        """Return the planner; what it sees is as large as the encoding says."""
         return DiffusionPlanner(self, action_size)
 
 
