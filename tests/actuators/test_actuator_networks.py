@@ -87,6 +87,11 @@ def actuators_of(engine: Any) -> Actuators:
     return Actuators(engine, engine.layout, random)
 
 
+def remembered(actuators: Any) -> torch.Tensor:
+    """Past of the network among the models of some actuators."""
+    return next(model.memory["past"] for model in actuators.models.values() if "past" in model.memory)
+
+
 @pytest.mark.parametrize("kind", ["mlp", "lstm"])
 def test_a_fit_is_far_better_than_the_best_pd_law(kind: str, recording: Path) -> None:
     found = fit([read_recording(recording)], FitSettings(kind=kind, passes=80))
@@ -134,7 +139,7 @@ def test_every_joint_and_environment_has_a_past_of_its_own(kind: str, tmp_path: 
     torch.testing.assert_close(engine.efforts[1], given[0][1])
     assert (engine.efforts[0, [0, 2]] - given[0][0, [0, 2]]).abs().max() > 1e-4, "the other environment remembers"
     actuators.load_state(saved)
-    assert torch.equal(next(iter(actuators.models.values())).memory["past"], saved.memory[-1]["past"])
+    assert torch.equal(remembered(actuators), saved.memory[-1]["past"])
     with pytest.raises(ConfigurationError, match="'joint_a' is driven by a NetworkModel, which has no gains"):
         actuators.set_gains([0], torch.ones(2, 1), torch.ones(2, 1))
 
@@ -357,7 +362,7 @@ def test_a_captured_step_is_the_step_that_it_stands_for(tmp_path: Path) -> None:
         action = torch.rand(3, 12) - 0.5
         first, second = (env.step(action) for env in environments)
         torch.testing.assert_close(second[0]["policy"], first[0]["policy"])
-    pasts = [next(iter(env.world.actuators.models.values())).memory["past"] for env in environments]
+    pasts = [remembered(env.world.actuators) for env in environments]
     torch.testing.assert_close(pasts[1], pasts[0])
     heat = [env.world.robots["robot"].motor_temperatures for env in environments]
     torch.testing.assert_close(heat[1], heat[0])

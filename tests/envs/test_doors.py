@@ -83,11 +83,11 @@ def test_a_refused_reset_changes_nothing(reach: Environment, seed: Any, env_ids:
 
 
 def test_an_environment_lives_on_after_a_reset_failed(reach: Environment, monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(env_ids: torch.Tensor | None) -> None:
+    def failing(state: object, env_ids: torch.Tensor | None) -> None:
         raise KeyError("the task's own mistake")
 
     expected = reach.reset(seed=4)[0]["policy"].clone()
-    monkeypatch.setattr(reach.state, "reset", failing)
+    monkeypatch.setattr(type(reach.state), "reset", failing)
     with pytest.raises(KeyError):
         reach.reset(seed=0, env_ids=torch.tensor([1]))
     monkeypatch.undo()
