@@ -302,7 +302,7 @@ SCENARIOS = (
             Metric(
                 name="linear_momentum", unit="", tolerance=1e-4, meaning="relative change in 1 s", looser_because=SINGLE
             ),
-            Metric(name="angular_momentum", unit="", tolerance=0.01, meaning="relative change in 1 s"),
+            Metric(name="angular_momentum", unit="", tolerance=0.0039, meaning="relative change in 1 s"),
             Metric(
                 name="energy",
                 unit="",
