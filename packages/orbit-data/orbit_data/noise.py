@@ -25,7 +25,7 @@ _STREAM = 0xDA27
 
 
 class NoisyActor(Actor):
-    """Adds noise to another actor's actions, held for ten steps on average, in the same way for every seed.
+    """Adds noise to another actor's actions, held for ten steps on average; a seed repeats it.
 
     Args:
         actor: whose actions are disturbed.

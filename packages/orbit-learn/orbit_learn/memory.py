@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +14,11 @@ Memory = dict[str, Tensor]
 """Tensors (N, ...) by name: all that a policy carries from one step to the next."""
 Seen = Tensor | Mapping[str, Tensor]
 """An observation group as it is seen: one tensor (N, O), or a dictionary of terms (N, ...)."""
+
+
+def map_seen(function: Callable[[Tensor], Tensor], seen: Seen) -> Tensor | dict[str, Tensor]:
+    """Return what a function makes of an observation group, tensor by tensor."""
+    return function(seen) if isinstance(seen, Tensor) else {name: function(value) for name, value in seen.items()}
 
 
 class MemoryModule(nn.Module):

@@ -11,19 +11,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.installing import install_extra
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.interfaces import ConfigurationError
-from orbit_data.manifest.compare import Kind, differences, renamed_group
+from orbit_data.episodes import ACTIONS, OBSERVED
+from orbit_data.formats import opened
+from orbit_data.manifest.compare import Kind, differences
 from orbit_data.manifest.manifest import Manifest
+from orbit_data.noise import CLEAN
 from orbit_data.reading.budget import TRUSTED
 from orbit_learn.description import Part, group_parts
+from orbit_learn.memory import map_seen
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
     from orbit_data.episodes import Dataset
 
-CLEAN = "clean_actions"
-"""Array of the actions that the demonstrator chose, where noise was added to the ones that were executed."""
 _FEWEST_STEPS = 64
 
 
@@ -37,7 +39,6 @@ class Demonstrations:
     """(T, A) that the demonstrator chose."""
     ends: Tensor
     """(T,) last step of the episode that each step belongs to."""
-    episodes: int
 
     @property
     def steps(self) -> int:
@@ -46,9 +47,7 @@ class Demonstrations:
 
     def observed(self, rows: Tensor) -> Tensor | dict[str, Tensor]:
         """Return the observations of some steps, of any shape of ``rows``."""
-        if isinstance(self.observation, Tensor):
-            return self.observation[rows]
-        return {name: value[rows] for name, value in self.observation.items()}
+        return map_seen(lambda value: value[rows], self.observation)
 
     def windows(self, rows: Tensor, chunk: int) -> tuple[Tensor, Tensor]:
         """Return the actions (..., H, A) from each of ``rows`` (...) on, and which of them are within the episode.
@@ -60,27 +59,22 @@ class Demonstrations:
         return self.actions[torch.minimum(steps, ends)], steps <= ends
 
 
-def load_demonstrations(path: Path | str, environment: Environment, group: str, only_successes: bool) -> Demonstrations:
-    """Read a dataset for a policy of an environment.
+def load_demonstrations(path: Path | str, environment: Environment, only_successes: bool) -> Demonstrations:
+    """Read a dataset for a policy of an environment, which sees the group ``policy``.
 
     Args:
         path: of the dataset, in any format.
         environment: that the policy is for.
-        group: observation group that the policy sees.
         only_successes: leave episodes out that are known to have failed.
 
     Raises:
         ConfigurationError: the dataset is of another robot, task, action space or scale, or too small; names all that
             differs.
     """
-    try:
-        from orbit_data.formats import opened
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(f"reading {path} needs {error.name}: {install_extra('imitation')}") from None
-    layout = environment.observation[group]
+    layout = environment.observation[POLICY]
     parts, concatenated = group_parts(layout), layout.concatenated
     with opened(path, TRUSTED) as dataset:
-        check_fit(dataset, environment, group)
+        check_fit(dataset, environment)
         positions = [i for i, info in enumerate(dataset.episodes) if not (only_successes and info.success is False)]
         total = sum(dataset.episodes[i].length for i in positions)
         if total < _FEWEST_STEPS:
@@ -88,7 +82,7 @@ def load_demonstrations(path: Path | str, environment: Environment, group: str, 
                 f"{path} has {total} steps in {len(positions)} episodes to clone, and cloning needs {_FEWEST_STEPS}: "
                 "record more"
             )
-        return _load(dataset, positions, total, parts, group, concatenated, environment)
+        return _load(dataset, positions, total, parts, concatenated, environment)
 
 
 def joined(loaded: Sequence[Demonstrations]) -> Demonstrations:
@@ -99,7 +93,7 @@ def joined(loaded: Sequence[Demonstrations]) -> Demonstrations:
     ends = torch.cat([each.ends + int(begin) for each, begin in zip(loaded, begins, strict=True)])
     observation = _concatenated([each.observation for each in loaded])
     actions = torch.cat([each.actions for each in loaded])
-    return Demonstrations(observation, actions, ends, sum(each.episodes for each in loaded))
+    return Demonstrations(observation, actions, ends)
 
 
 def _concatenated(observations: Sequence[Tensor | dict[str, Tensor]]) -> Tensor | dict[str, Tensor]:
@@ -110,7 +104,7 @@ def _concatenated(observations: Sequence[Tensor | dict[str, Tensor]]) -> Tensor 
     return {name: torch.cat([each[name] for each in observations]) for name in first}  # pyright: ignore
 
 
-def check_fit(dataset: Dataset, environment: Environment, group: str) -> None:
+def check_fit(dataset: Dataset, environment: Environment) -> None:
     """Reject a dataset whose numbers mean something else in an environment.
 
     Raises:
@@ -118,22 +112,21 @@ def check_fit(dataset: Dataset, environment: Environment, group: str) -> None:
     """
     recorded = dataset.known()
     present = Manifest.of(environment, recorded.task, recorded.seed)
-    if group not in recorded.observations:
+    if POLICY not in recorded.observations:
         raise ConfigurationError(
-            f"{dataset.path} holds observation groups {', '.join(recorded.observations)}, not '{group}': record it, or "
-            "name one of these by --imitation group=NAME"
+            f"{dataset.path} holds observation groups {', '.join(recorded.observations)}, not '{POLICY}', which a "
+            f"policy sees: record it with --group {POLICY}"
         )
-    found = differences(renamed_group(recorded, group, group), present, [group])
+    found = differences(recorded, present, [POLICY])
     wrong = [str(each) for each in found if each.kind is Kind.ERROR]
     if wrong:
         raise ConfigurationError(f"{dataset.path} cannot be cloned for this environment: {'; '.join(wrong)}")
 
 
 def _load(
-    dataset: Dataset, positions: list[int], total: int, parts: tuple[Part, ...], group: str, concatenated: bool,
+    dataset: Dataset, positions: list[int], total: int, parts: tuple[Part, ...], concatenated: bool,
     environment: Environment,
 ) -> Demonstrations:  # fmt: skip
-    prefix = "obs/" if group == "policy" else f"obs/{group}/"
     # Filled in place: pictures of a thousand episodes do not fit into memory twice.
     arrays: dict[str, np.ndarray] = {}
     actions = np.empty((total, environment.action_size), np.float32)
@@ -144,7 +137,7 @@ def _load(
         length = episode.info.length
         stop = begin + length
         for part in parts:
-            value = episode.arrays.get(prefix + part.name)
+            value = episode.arrays.get(OBSERVED + part.name)
             if value is None or tuple(value.shape[1:]) != part.shape:
                 held = "lacks it" if value is None else f"has shape {tuple(value.shape[1:])}"
                 raise ConfigurationError(
@@ -154,11 +147,11 @@ def _load(
             if part.name not in arrays:
                 arrays[part.name] = np.empty((total, *value.shape[1:]), value.dtype)
             arrays[part.name][begin:stop] = value
-        actions[begin:stop] = episode.arrays.get(CLEAN, episode.arrays["actions"])
+        actions[begin:stop] = episode.arrays.get(CLEAN, episode.arrays[ACTIONS])
         ends[begin:stop] = stop - 1
         begin = stop
     tensors: Mapping[str, Tensor] = {name: torch.from_numpy(value) for name, value in arrays.items()}
     observation = (
         torch.cat([tensors[part.name].float().flatten(1) for part in parts], 1) if concatenated else dict(tensors)
     )
-    return Demonstrations(observation, torch.from_numpy(actions), torch.from_numpy(ends), len(positions))
+    return Demonstrations(observation, torch.from_numpy(actions), torch.from_numpy(ends))

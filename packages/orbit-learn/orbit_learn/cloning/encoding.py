@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.manifest.manifest import ActionTermManifest, Manifest, ObservationTermManifest
-from orbit_learn.convolutional import Convolutional, PictureEncoder, encoded_pictures
+from orbit_learn.convolutional import Convolutional, PictureEncoder, convolutional, encoded_pictures
 from orbit_learn.description import Part
 
 FINE = 0.03
@@ -83,8 +83,6 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
         parts: its terms, as a policy's description lists them.
         concatenated: whether they are side by side.
     """
-    from orbit_learn.convolutional import convolutional
-
     terms = manifest.observations[group].terms
     columns: dict[str, int] = {}
     begin = 0

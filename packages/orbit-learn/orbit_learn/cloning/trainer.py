@@ -28,7 +28,7 @@ from orbit_learn.cloning.networks import (
 from orbit_learn.description import group_parts
 from orbit_learn.distill import copied_actor
 from orbit_learn.ends import EpisodeTally
-from orbit_learn.memory import Remembering
+from orbit_learn.memory import Remembering, map_seen
 from orbit_learn.networks import ActorNetwork
 from orbit_learn.trainer import Progress, Trainer
 
@@ -95,9 +95,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
             raise ConfigurationError("cloning needs demonstrations: give --dataset FILE ('orbit record' makes one)")
         torch.manual_seed(seed)
         layout = environment.observation["policy"]
-        loaded = [
-            load_demonstrations(path, environment, "policy", settings.only_successes) for path in settings.dataset
-        ]
+        loaded = [load_demonstrations(path, environment, settings.only_successes) for path in settings.dataset]
         self._demonstrations = shown = joined(loaded)
         manifest = Manifest.of(environment, "", seed)
         encoding = encoding_for(manifest, "policy", group_parts(layout), layout.concatenated)
@@ -158,7 +156,8 @@ class ImitationTrainer(Trainer[ImitationSettings]):
                 # Sequences stay within their episode; near its end its last steps repeat.
                 rows = torch.minimum(rows[:, None] + sequence, shown.ends[rows][:, None])
             actions, valid = shown.windows(rows, self._planner.network.chunk)
-            loss = self._planner.loss(_moved(shown.observed(rows), device), actions.to(device), valid.to(device))
+            seen = map_seen(lambda value: value.to(device), shown.observed(rows))
+            loss = self._planner.loss(seen, actions.to(device), valid.to(device))
             self._optimizer.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(self._planner.parameters(), _MOST_GRADIENT)
@@ -197,10 +196,3 @@ def _network(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
     if settings.algorithm == "act":
         return ClonedTransformer(**shared, width=settings.hidden_size, ensemble=settings.ensemble)
     return ClonedDiffusion(**shared, width=2 * settings.hidden_size)
-
-
-def _moved(observation: Any, device: torch.device) -> Any:
-    """Return an observation on a device."""
-    if isinstance(observation, torch.Tensor):
-        return observation.to(device)
-    return {name: value.to(device) for name, value in observation.items()}

@@ -53,10 +53,10 @@ def paired_difference(first: Sequence[Block], second: Sequence[Block]) -> Paired
         raise ValueError("paired results are of the same starts")
     only_first = sum(one[start] and not other[start] for start in one)
     only_second = sum(other[start] and not one[start] for start in one)
-    low_first, low_second = proportion(sum(one.values()), len(one)), proportion(sum(other.values()), len(other))
-    difference = low_second.value - low_first.value
-    low = difference - math.hypot(low_second.value - low_second.low, low_first.high - low_first.value)
-    high = difference + math.hypot(low_second.high - low_second.value, low_first.value - low_first.low)
+    rate_first, rate_second = proportion(sum(one.values()), len(one)), proportion(sum(other.values()), len(other))
+    difference = rate_second.value - rate_first.value
+    low = difference - math.hypot(rate_second.value - rate_second.low, rate_first.high - rate_first.value)
+    high = difference + math.hypot(rate_second.high - rate_second.value, rate_first.value - rate_first.low)
     return PairedDifference(difference, low, high, only_first, only_second, _mid_p(only_first, only_second))
 
 
