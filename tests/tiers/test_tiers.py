@@ -12,7 +12,7 @@ import pytest
 from tests.tiers.__main__ import refresh
 from tests.tiers.conformance import commands, touched_jobs
 from tests.tiers.revision import Revision, current_revision
-from tests.tiers.selection import select
+from tests.tiers.selection import CHANGE_SECONDS, select
 from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed, turns, write_slow_list
 from tests.tiers.touched import touched_backends, touched_tests
 
@@ -34,6 +34,16 @@ def test_what_a_change_concerns_runs_whatever_the_turn() -> None:
     assert name in selection.chosen
     assert selection.by_change == {name}
     assert "and 1 more that the change concerns" in selection.describe(3)
+
+
+def test_a_change_that_concerns_everything_runs_what_time_allows_and_tells_how_many_it_left() -> None:
+    whole = {f"tests/x/test_{i}.py::test": 10.0 for i in range(100)}
+    selection = select(whole, Revision(3), whole)
+    more = selection.chosen - selection.by_turn
+    assert sum(whole[name] for name in more) == CHANGE_SECONDS
+    assert {turns(whole)[name] for name in more} == {4, 5}
+    assert selection.left == 100 - len(selection.chosen) > 0
+    assert f"{selection.left} more wait for their turn" in selection.describe(3)
 
 
 def test_a_list_comes_back_from_its_file(tmp_path: Path) -> None:
