@@ -131,7 +131,7 @@ $(VENV)/.builders: $(VENV)/bin/python
 	touch $@
 
 # What the demonstrations need and no more: OpenUSD and the suite's packages would take a third of the time.
-DEMO := assets learn motion policies viewer
+DEMO := assets data learn motion policies viewer
 
 $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
 	sh tools/system_packages.sh graphics & $(PIP) --editable . $(DEMO:%=--editable packages/orbit-%) --editable ./orbit_tasks \

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import packaging.requirements
 import packaging.specifiers  # loaded before a test hides the folder that it is in
-import packaging.version  # noqa: F401
+import packaging.version
 import pytest
 
 from orbit_core import __version__, distributions, installing
 from orbit_core.distributions import DistributionWarning, check_distribution, warn_of_copies
 from orbit_core.installing import install_command, install_extra, upgrade_command
 from orbit_core.interfaces import ConfigurationError
+from tests.distributions import ROOT
 from tests.forked import run_forked
 
 Folder = Callable[..., Path]
@@ -340,3 +344,15 @@ def test_commands_of_a_checkout_work_from_any_folder(tmp_path: Path, monkeypatch
     assert install_command("orbit-bullet") == f"cd '{root}' && pip install -r checkout.txt -e plugins/orbit-bullet"
     monkeypatch.setattr(installing, "checkout", lambda: None)
     assert install_extra("bullet") == 'pip install "orbit-core[bullet]"'
+
+
+def test_make_demo_installs_every_distribution_that_its_own_need() -> None:
+    # pip finds no distribution of a checkout that is not named to it.
+    named = re.search(r"^DEMO := (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert named
+    folders = [ROOT, ROOT / "orbit_tasks", *(ROOT / f"packages/orbit-{name}" for name in named[1].split())]
+    folders += [ROOT / "plugins/orbit-mjmodel", ROOT / "plugins/orbit-mujoco"]
+    projects = [tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"] for folder in folders]
+    needed = {packaging.requirements.Requirement(text).name for each in projects for text in each["dependencies"]}
+    missing = {name for name in needed if name.startswith("orbit-")} - {each["name"] for each in projects}
+    assert not missing
