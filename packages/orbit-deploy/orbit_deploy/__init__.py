@@ -1,0 +1,1 @@
+"""Agents on real robots: what every bridge shares."""
