@@ -290,7 +290,29 @@ class RobotEngine(Engine):
         self.link.close()
 
 
-def robot_world(link: RobotLink, period: float) -> Callable[[Scene, int, torch.device, int], SimulatedWorld]:
+class RobotWorld(SimulatedWorld):
+    """World over a robot: the core's world on a :class:`RobotEngine`.
+
+    Args:
+        scene: of the task, with one robot.
+        link: session with the robot's computer; the world closes it.
+        period: seconds between commands.
+        num_envs: 1.
+        device: ``cpu``.
+        seed: of the random stream.
+    """
+
+    def __init__(
+        self, scene: Scene, link: RobotLink, period: float, num_envs: int, device: torch.device, seed: int
+    ) -> None:
+        super().__init__(scene, num_envs, RobotBackend(link, period), device=device, seed=seed)
+        # Nothing is simulated here, and a manifest says so.
+        self.settings = None
+        self.link = link
+        """Session with the robot's computer."""
+
+
+def robot_world(link: RobotLink, period: float) -> Callable[[Scene, int, torch.device, int], RobotWorld]:
     """Return the factory of a world over a robot, for ``orbit_core.envs.make(..., world=robot_world(link, period))``.
 
     The world has the task's scene. Sensors, action terms, explicit actuators and Jacobians are the core's own, computed
@@ -301,8 +323,8 @@ def robot_world(link: RobotLink, period: float) -> Callable[[Scene, int, torch.d
         period: seconds between commands: the task's step.
     """
 
-    def factory(scene: Scene, num_envs: int, device: torch.device, seed: int) -> SimulatedWorld:
-        return SimulatedWorld(scene, num_envs, RobotBackend(link, period), device=device, seed=seed)
+    def factory(scene: Scene, num_envs: int, device: torch.device, seed: int) -> RobotWorld:
+        return RobotWorld(scene, link, period, num_envs, device, seed)
 
     return factory
 

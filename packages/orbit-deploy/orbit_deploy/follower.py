@@ -25,7 +25,7 @@ class FollowerSettings:
     """Seconds by which a command may be late without being noticed; the path is played out that much later."""
     watchdog: float = 0.06
     """Seconds without a command after which the robot stops; at least two and a half periods of the client."""
-    jump: float = 0.5
+    jump: float = 1.0
     """Seconds: a target that the joint could not reach in this time at full speed is a jump, and rejected."""
     clock_jump: float = 0.5
     """Seconds by which a stamp may differ from the robot's clock."""
