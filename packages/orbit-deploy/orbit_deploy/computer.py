@@ -189,20 +189,21 @@ class RobotComputer:
         """Run one cycle: requests, commands, targets, measurement."""
         while self._requests:
             self._requests.popleft()()
-        now = self.clock.now()
+        now, accepted = self.clock.now(), self.follower.accepted
         while self._commands:
             self._take(self._commands.popleft(), now)
         if self._client and now - self._heard > SESSION_TIMEOUT * 1e9:
             self._forget_client(now)
         targets = self.follower.sample(now)
         stops = self.follower.stops
-        measured = self.hardware.exchange(targets)
+        self.hardware.drive(targets)
         self._cycle += 1
         if stops != self._stops_reported:
             self._stops_reported = stops
             self._report(Fault(now, "watchdog", "no command arrived in time: the robot stops"))
-        if self._cycle % self._every == 0:
-            self._publish(self._state(measured))
+        # A command is acknowledged at once, which a client measures its round trip by.
+        if self._cycle % self._every == 0 or self.follower.accepted != accepted:
+            self._publish(self._present())
 
     def _take(self, command: JointCommand, now: int) -> None:
         if self._log is not None:

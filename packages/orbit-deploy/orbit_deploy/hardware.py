@@ -5,8 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from orbit_core.interfaces import UnsupportedCapabilityError
 from orbit_deploy.description import FloatArray, RobotDescription
 from orbit_deploy.follower import JointTargets
@@ -34,11 +32,11 @@ class RobotHardware(ABC):
 
     @abstractmethod
     def read(self) -> Measurement:
-        """Return the present state."""
+        """Return the present state; called only in cycles whose state is published."""
 
     @abstractmethod
-    def exchange(self, targets: JointTargets) -> Measurement:
-        """Apply targets for one cycle and return the state after it.
+    def drive(self, targets: JointTargets) -> None:
+        """Apply targets for one cycle.
 
         Args:
             targets: within all limits, in the order of the description's joints.
@@ -60,8 +58,3 @@ class RobotHardware(ABC):
     def close(self) -> None:
         """Release the robot; idempotent."""
 
-
-def zero_targets(positions: FloatArray) -> JointTargets:
-    """Return targets that hold positions (J,)."""
-    zero = np.zeros_like(positions)
-    return JointTargets(positions, zero, zero)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from msgspec import structs
 
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, JointTarget, UnknownNameError
 from orbit_core.scene import CameraSpec, Scene
 from orbit_core.world import simulate
 from orbit_deploy.description import RobotDescription
@@ -85,12 +85,16 @@ class SimulatedHardware(RobotHardware):
         )
         self._random = np.random.default_rng(self.imperfections.seed)
         self._waiting: deque[JointTargets] = deque()
+        self._delay = round(self.imperfections.delay * rate)
+        # The follower's targets are finite: looking again at each cycle would take 60 us.
+        joints = range(len(self.description.joints))
+        self._writers = [self._robot.target_writer(each, joints, checked=False) for each in JointTarget]
         self._add_friction()
 
     def read(self) -> Measurement:
         noise, random = self.imperfections, self._random
         numbers = (self._robot.joint_positions, self._robot.joint_velocities, self._robot.joint_efforts)
-        positions, velocities, efforts = (tensor[0].double().cpu().numpy() for tensor in numbers)
+        positions, velocities, efforts = (tensor[0].cpu().numpy().astype(np.float64) for tensor in numbers)
         if noise.position_noise:
             positions = positions + random.normal(0.0, noise.position_noise, positions.shape)
         if noise.velocity_noise:
@@ -98,15 +102,13 @@ class SimulatedHardware(RobotHardware):
         objects = [self._tracked(thing.root_pose, thing.root_velocity) for thing in self._objects.values()]
         return Measurement(positions, velocities, efforts, objects)
 
-    def exchange(self, targets: JointTargets) -> Measurement:
+    def drive(self, targets: JointTargets) -> None:
         self._waiting.append(targets)
-        if len(self._waiting) > round(self.imperfections.delay * self.description.rate):
+        if len(self._waiting) > self._delay:
             due = self._waiting.popleft()
-            self._robot.set_position_targets(_row(due.positions))
-            self._robot.set_velocity_targets(_row(due.velocities))
-            self._robot.set_effort_targets(_row(due.efforts))
+            for writer, values in zip(self._writers, (due.positions, due.velocities, due.efforts), strict=True):
+                writer(_row(values))
         self._world.step(1)
-        return self.read()
 
     def arrange(self, arrangement: Arrangement) -> Measurement:
         if arrangement.reset:
