@@ -13,11 +13,12 @@ if TYPE_CHECKING:
 __all__ = ["connect", "make_keys", "serve"]
 
 
-def connect(address: str, period: float, keys: Path | None = None) -> ZmqLink:
+def connect(address: str, period: float, keys: Path | None = None, path: str = "quintic") -> ZmqLink:
     """Connect to a robot (:meth:`orbit_deploy.link.Bridge.connect`)."""
+    from orbit_deploy.follower import PathKind
     from orbit_zmq.client import ZmqLink
 
-    return ZmqLink(address, period, keys)
+    return ZmqLink(address, period, keys, PathKind(path))
 
 
 def serve(computer: RobotComputer, address: str, keys: Path | None = None) -> ZmqServer:

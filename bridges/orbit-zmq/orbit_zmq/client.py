@@ -17,6 +17,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.clocks import ClockOffset, Latencies
+from orbit_deploy.follower import PathKind
 from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
 from orbit_deploy.messages import VERSION, Arrangement, Fault, JointCommand, RobotState
 from orbit_zmq.keys import CLIENT, ROBOT, check_keys, key_pair, public_key, split_address
@@ -41,13 +42,16 @@ class ZmqLink(RobotLink):
         address: ``zmq://host:port``.
         period: seconds between commands.
         keys: folder with ``client.key_secret`` and ``robot.key``; needed beyond this machine.
+        path: way in which commands become a path.
 
     Raises:
         ConfigurationError: the address is none, or other machines reach it and there are no keys.
         RobotLinkError: nobody answers there, the robot speaks another version, or another client commands it.
     """
 
-    def __init__(self, address: str, period: float, keys: Path | None = None) -> None:
+    def __init__(
+        self, address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC
+    ) -> None:
         host, port = split_address(address)
         check_keys(host, keys)
         self.address = address
@@ -78,7 +82,7 @@ class ZmqLink(RobotLink):
         self._thread = threading.Thread(target=self._run, name="zmq client", daemon=True)
         self._thread.start()
         try:
-            offer = self._ask(Hello(VERSION, f"{os.getpid()}@{socket.gethostname()}", period))
+            offer = self._ask(Hello(VERSION, f"{os.getpid()}@{socket.gethostname()}", period, path))
             if not isinstance(offer, Offer):
                 raise RobotLinkError(f"the robot at {address} answered a hello with something else")
             offer.description.check()

@@ -158,7 +158,7 @@ class ZmqServer:
             self._refuse(peer, "busy", f"client {self._computer.client} commands the robot: stop it, then connect again")
             return
         try:
-            state = self._computer.open(hello.client[:80], hello.period)
+            state = self._computer.open(hello.client[:80], hello.period, hello.path)
         except RobotBusyError as error:
             self._refuse(peer, "busy", str(error))
         except OrbitError as error:

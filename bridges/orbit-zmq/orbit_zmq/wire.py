@@ -11,6 +11,7 @@ import msgspec
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.description import RobotDescription
+from orbit_deploy.follower import PathKind
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
 
 MOST_BYTES = 1 << 20
@@ -25,6 +26,8 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag="hello"):
     """Name of the client, for those who find the robot busy."""
     period: float
     """Seconds between commands."""
+    path: PathKind = PathKind.QUINTIC
+    """Way in which its commands become a path."""
 
 
 class Ping(msgspec.Struct, frozen=True, array_like=True, tag="ping"):

@@ -17,7 +17,7 @@ import numpy as np
 
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_deploy.clocks import RobotClock
-from orbit_deploy.follower import FollowerSettings, JointFollower
+from orbit_deploy.follower import FollowerSettings, JointFollower, PathKind
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.log import RobotLog
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
@@ -97,12 +97,13 @@ class RobotComputer:
         """Name of the client that commands; empty if there is none."""
         return self._client
 
-    def open(self, client: str, period: float) -> RobotState:
+    def open(self, client: str, period: float, path: PathKind = PathKind.QUINTIC) -> RobotState:
         """Begin a client's session.
 
         Args:
             client: its name.
             period: seconds between its commands.
+            path: way in which its commands become a path.
 
         Raises:
             RobotBusyError: another client has a session.
@@ -117,7 +118,7 @@ class RobotComputer:
                 raise RobotBusyError(f"client {self._client} commands the robot: stop it, then connect again")
             self._client, self._heard = client, self.clock.now()
         self._commands.clear()
-        return self._answer(lambda: self._begin(period))
+        return self._answer(lambda: self._begin(period, path))
 
     def heard(self) -> None:
         """Note that the client of the session is alive."""
@@ -212,8 +213,8 @@ class RobotComputer:
         if fault is not None:
             self._report(fault)
 
-    def _begin(self, period: float) -> RobotState:
-        self.follower.begin(period)
+    def _begin(self, period: float, path: PathKind) -> RobotState:
+        self.follower.begin(period, path)
         return self._present()
 
     def _moving(self, positions: list[float]) -> RobotState:
@@ -251,6 +252,7 @@ class RobotComputer:
 
     def _state(self, measured: Measurement) -> RobotState:
         follower, now = self.follower, self.clock.now()
+        follower.measured = measured.positions
         return RobotState(
             sequence=self._cycle,
             stamp=now,
@@ -260,7 +262,7 @@ class RobotComputer:
             positions=measured.positions.tolist(),
             velocities=measured.velocities.tolist(),
             efforts=measured.efforts.tolist(),
-            targets=follower.limiter.position.tolist(),
+            targets=follower.target.tolist(),
             objects=measured.objects,
             clamped=follower.clamped,
             late=follower.late,

@@ -65,6 +65,8 @@ class RobotDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Objects whose poses the robot's computer measures, as a motion-capture system does."""
     arranges: bool = False
     """True for a simulated robot, which puts itself and objects where a client asks."""
+    direct: bool = False
+    """True if clients may send targets to the drives without limits of acceleration and jerk."""
     simulated: str = ""
     """Backend that simulates the robot; empty for a real one."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -10,11 +11,22 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.description import FloatArray, JointKind, RobotDescription
 from orbit_deploy.limiter import MotionLimiter
 from orbit_deploy.messages import Fault, JointCommand, Mode
-from orbit_deploy.playout import QuinticPlayout
+from orbit_deploy.playout import CommandPath, DriveResponse, QuinticPlayout
 
 _NANO = 1e-9
 # Share of a command that may miss a limit by rounding
 _ROUNDING = 1e-5
+
+
+class PathKind(StrEnum):
+    """Way in which a client's commands become a path."""
+
+    QUINTIC = "quintic"
+    """Through the commands by quintic polynomials, one period later: for planned motions and stiff drives."""
+    DRIVE = "drive"
+    """As the drives of the description would move the joints: for policies that were trained with these."""
+    DIRECT = "direct"
+    """To the drives as they come, within limits of position, velocity and effort only; where the robot permits it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,39 +85,58 @@ class JointFollower:
         self.limiter = MotionLimiter(self.limits, self.period, self._driven)
         self._range = np.maximum(self.limits.upper - self.limits.lower, 0.0)
         home = np.array(description.home)
-        self._playout = QuinticPlayout(home, settings.jitter, 0.0, self.limits.acceleration)
+        self._path_kind = PathKind.QUINTIC
+        self._path: CommandPath = QuinticPlayout(home, settings.jitter, 0.0, self.limits.acceleration)
         self.mode = Mode.HOLDING
         self.accepted = -1
         """Sequence number of the newest command that was accepted; -1 before the first of a session."""
         self.clamped = 0
         """Commands that were clamped to limits."""
         self.late = 0
-        """Commands that arrived after their time on the path."""
+        """Commands that arrived more than a period and the jitter after their stamp."""
         self.stops = 0
         """Stops for want of commands."""
+        self.measured = home
+        """Newest measured positions (J,), from which direct commands are judged and stopped."""
         self.fault: Fault | None = None
         """Fault that stopped the robot; None once it is cleared."""
         self._arrived = 0.0
         self._stamp = -np.inf
-        self._watchdog = settings.watchdog
+        self._watchdog, self._patience = settings.watchdog, settings.jitter
         self._destination = home
         self._velocities = self._efforts = np.zeros_like(home)
         self._wanted_velocities = self._wanted_efforts = self._efforts
+        self._wanted_positions = home
         self.rest_at(home)
 
     # Sessions
 
-    def begin(self, period: float) -> None:
+    def begin(self, period: float, path: PathKind = PathKind.QUINTIC) -> None:
         """Begin a session.
 
         Args:
             period: seconds between the client's commands.
+            path: way in which its commands become a path.
+
+        Raises:
+            ConfigurationError: the robot takes no direct commands.
         """
         self.accepted, self._stamp = -1, -np.inf
         self._watchdog = max(self.settings.watchdog, 2.5 * period)
-        self._playout = QuinticPlayout(
-            self.limiter.position, period + self.settings.jitter, period, self.limits.acceleration
-        )
+        here, limits = self.limiter.position, self.limits
+        if path is PathKind.DIRECT and not self.description.direct:
+            raise ConfigurationError(
+                f"the robot {self.description.model} takes no direct commands, whose accelerations nobody limits: use "
+                "path 'quintic' or 'drive', or have its computer permit them"
+            )
+        if path is PathKind.DRIVE:
+            stiffness, damping = np.array(self.description.stiffness), np.array(self.description.damping)
+            # Joints without a drive of their own, as those that mimic others, are at their target in a cycle.
+            rates = np.divide(stiffness, damping, out=np.full_like(damping, 1.0 / self.period), where=damping > 0.0)
+            self._path = DriveResponse(here, 0.0, rates)
+        else:
+            self._path = QuinticPlayout(here, period + self.settings.jitter, period, limits.acceleration)
+        self._path_kind, self._patience = path, period + self.settings.jitter
         self.clear()
 
     def clear(self) -> None:
@@ -116,8 +147,9 @@ class JointFollower:
 
     def rest_at(self, positions: FloatArray) -> None:
         """Continue at rest from measured positions (J,), as at the start of the robot."""
+        self.measured = positions
         self.limiter.reset(positions)
-        self._playout.restart(self.limiter.position)
+        self._path.restart(self.limiter.position)
         self._velocities = self._efforts = np.zeros_like(self.limiter.position)
         self.mode = Mode.HOLDING
 
@@ -143,12 +175,13 @@ class JointFollower:
         if stamp <= self._stamp:
             return self._refuse(now, "time", f"command {command.sequence} is stamped before the one it follows")
         positions, self._wanted_velocities, self._wanted_efforts = checked
+        self._wanted_positions = positions
         if self.mode is not Mode.FOLLOWING:
             # A path that begins where the robot is, as it may have stopped elsewhere.
-            self._playout.restart(self.limiter.position)
-        if stamp + self._playout.delay < now * _NANO:
+            self._path.restart(self.limiter.position)
+        if stamp + self._patience < now * _NANO:
             self.late += 1
-        self._playout.add(stamp, positions)
+        self._path.add(stamp, positions)
         self.accepted, self._stamp, self._arrived, self.mode = command.sequence, stamp, now * _NANO, Mode.FOLLOWING
         return None
 
@@ -173,6 +206,9 @@ class JointFollower:
     def stop(self, fault: Fault | None = None) -> None:
         """Come to rest within limits; with a fault, refuse commands until :meth:`clear`."""
         self.fault = fault or self.fault
+        if self.mode is Mode.FOLLOWING and self._path_kind is PathKind.DIRECT:
+            # The last command may be far from the joints: the drives' damping stops them where they are.
+            self.limiter.reset(self.measured)
         if self.mode not in (Mode.FAULT, Mode.HOLDING) or not self.limiter.at_rest:
             self.mode = Mode.STOPPING
         elif self.fault is not None:
@@ -188,9 +224,11 @@ class JointFollower:
         """
         if self.mode is Mode.FOLLOWING and now * _NANO - self._arrived > self._watchdog:
             self.stops += 1
-            self.mode = Mode.STOPPING
+            self.stop()
+        if self.mode is Mode.FOLLOWING and self._path_kind is PathKind.DIRECT:
+            return JointTargets(self._wanted_positions, self._wanted_velocities, self._wanted_efforts)
         if self.mode is Mode.FOLLOWING:
-            position, velocity, acceleration = self._playout.sample(now * _NANO)
+            position, velocity, acceleration = self._path.sample(now * _NANO)
             velocity = np.where(self._driven, self._wanted_velocities, velocity)
             self.limiter.follow(position, velocity, np.where(self._driven, 0.0, acceleration))
             self._velocities, wanted = self._wanted_velocities, self._wanted_efforts
@@ -210,7 +248,16 @@ class JointFollower:
         step = self.limits.effort_rate * self.period
         self._efforts = np.clip(wanted, self._efforts - step, self._efforts + step)
         velocities = np.where(self._driven, self.limiter.velocity, self._velocities)
+        if self._path_kind is PathKind.DRIVE:
+            # The path has the drives' lag already, so that the drives must not add it again.
+            velocities = velocities + np.where(self._driven, 0.0, self.limiter.velocity)
         return JointTargets(self.limiter.position, velocities, self._efforts)
+
+    @property
+    def target(self) -> FloatArray:
+        """Positions (J,) that the drives were given last, rad or m."""
+        direct = self.mode is Mode.FOLLOWING and self._path_kind is PathKind.DIRECT
+        return self._wanted_positions if direct else self.limiter.position
 
     def age(self, now: int) -> float:
         """Return seconds since the last command arrived; infinite before the first."""
@@ -249,7 +296,8 @@ class JointFollower:
                 )
             if (excess > _ROUNDING * np.where(np.isfinite(most), most, 1.0)).any():
                 self.clamped += 1
-        leap = np.abs(np.clip(positions, limits.lower, limits.upper) - self.limiter.position)
+        here = self.measured if self._path_kind is PathKind.DIRECT else self.limiter.position
+        leap = np.abs(np.clip(positions, limits.lower, limits.upper) - here)
         far = leap - limits.velocity * self.settings.jump
         if (worst := int(np.argmax(far))) >= 0 and far[worst] > 0.0:
             return Fault(

@@ -15,6 +15,7 @@ from orbit_core.registry import Registry
 from orbit_deploy.clocks import ClockOffset, Latencies
 from orbit_deploy.computer import RobotComputer
 from orbit_deploy.description import RobotDescription
+from orbit_deploy.follower import PathKind
 from orbit_deploy.messages import Arrangement, Fault, Mode, RobotState
 
 # Seconds between looks at a motion that is waited for
@@ -131,13 +132,16 @@ class BridgeServer(Protocol):
 class Bridge(Protocol):
     """Carrier of messages; the entry-point group ``orbit.bridges`` names modules or objects with these functions."""
 
-    def connect(self, address: str, period: float, keys: Path | None = None) -> RobotLink:
+    def connect(
+        self, address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC
+    ) -> RobotLink:
         """Connect to a robot and begin a session.
 
         Args:
             address: with the bridge's scheme, such as ``zmq://127.0.0.1:5555``.
             period: seconds between commands.
             keys: folder of keys; none on this machine.
+            path: way in which commands become a path.
 
         Raises:
             RobotLinkError: there is no robot, it is of another version, or another client has it.
@@ -172,7 +176,9 @@ def bridge(name: str) -> Bridge:
     return _bridges().get(name)
 
 
-def connect(address: str, period: float, keys: Path | None = None) -> RobotLink:
+def connect(
+    address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC
+) -> RobotLink:
     """Connect to a robot by its address, whose scheme names the bridge (:meth:`Bridge.connect`).
 
     Raises:
@@ -183,4 +189,4 @@ def connect(address: str, period: float, keys: Path | None = None) -> RobotLink:
     scheme = urlsplit(address).scheme
     if "://" not in address or not scheme:
         raise ConfigurationError(f"'{address}' is no robot's address: give one such as zmq://127.0.0.1:5555")
-    return bridge(scheme).connect(address, period, keys)
+    return bridge(scheme).connect(address, period, keys, path)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from orbit_deploy.clocks import ClockOffset, Latencies, RobotClock
 from orbit_deploy.computer import ComputerSettings, RobotComputer
-from orbit_deploy.follower import FollowerSettings
+from orbit_deploy.follower import FollowerSettings, PathKind
 from orbit_deploy.hardware import RobotHardware
 from orbit_deploy.link import RobotLink, fault_error
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
@@ -39,6 +39,7 @@ class LocalLink(RobotLink):
         period: seconds between commands.
         motion: settings of the motion.
         settings: of the computer.
+        path: way in which commands become a path.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class LocalLink(RobotLink):
         period: float,
         motion: FollowerSettings | None = None,
         settings: ComputerSettings | None = None,
+        path: PathKind = PathKind.QUINTIC,
     ) -> None:
         self._clock = LockstepClock()
         self.computer = RobotComputer(hardware, motion, settings, self._clock)
@@ -58,7 +60,7 @@ class LocalLink(RobotLink):
         self.computer.on_fault.append(self._note)
         self._period = round(1e9 / self.description.rate)
         self._sequence = 0
-        self._state = self.computer.open("local", period)
+        self._state = self.computer.open("local", period, path)
 
     def send(self, positions: Sequence[float], velocities: Sequence[float], efforts: Sequence[float]) -> None:
         targets = (list(values) for values in (positions, velocities, efforts))

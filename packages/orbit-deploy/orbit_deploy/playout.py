@@ -1,12 +1,78 @@
-"""Interpolation of a client's commands: quintic polynomials through time-stamped knots, played out with a delay."""
+"""From commands at a client's rate to a path that can be sampled at the robot's.
+
+:class:`QuinticPlayout` goes through the commands, with a delay; :class:`DriveResponse` moves as the drives that a policy
+was trained with would have moved the joints.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 
+from typing import Protocol
+
 import numpy as np
 
 from orbit_deploy.description import FloatArray
+
+
+class CommandPath(Protocol):
+    """Path that a client's commands give, before any limits."""
+
+    delay: float
+    """Seconds between a command's stamp and its effect."""
+
+    def restart(self, positions: FloatArray) -> None:
+        """Forget all commands; the path rests at ``positions`` (J,)."""
+        ...
+
+    def add(self, time: float, positions: FloatArray) -> None:
+        """Append a command.
+
+        Args:
+            time: its stamp, s; later than that of the one before.
+            positions: (J,) rad or m.
+        """
+        ...
+
+    def sample(self, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position, velocity and acceleration (J,) of the path at a time, which does not decrease."""
+        ...
+
+
+class DriveResponse:
+    """Path of joints that soft drives pull towards the commands, which hold until the next one.
+
+    A drive of stiffness k and damping d that carries little inertia follows its target with the time constant d / k.
+    A policy that was trained with such drives sends targets far ahead of the joints: to go through them would be
+    another motion. This one is what the policy expects, and smooth.
+
+    Args:
+        positions: (J,) where the path begins, at rest.
+        delay: seconds between a command's stamp and its effect.
+        rates: (J,) of the drives, stiffness over damping, 1/s.
+    """
+
+    def __init__(self, positions: FloatArray, delay: float, rates: FloatArray) -> None:
+        self.delay, self._rates = delay, rates
+        self._commands: deque[tuple[float, FloatArray]] = deque()
+        self.restart(positions)
+
+    def restart(self, positions: FloatArray) -> None:
+        self._commands.clear()
+        self._position, self._target, self._time = positions.copy(), positions.copy(), -np.inf
+
+    def add(self, time: float, positions: FloatArray) -> None:
+        self._commands.append((time + self.delay, positions))
+
+    def sample(self, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        while self._commands and self._commands[0][0] <= time:
+            self._target = self._commands.popleft()[1]
+        passed = time - self._time if np.isfinite(self._time) else 0.0
+        self._time = time
+        away = self._target - self._position
+        self._position = self._position + away * -np.expm1(-self._rates * passed)
+        velocity = self._rates * (self._target - self._position)
+        return self._position, velocity, np.zeros_like(velocity)
 
 
 class QuinticPlayout:

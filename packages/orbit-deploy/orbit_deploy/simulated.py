@@ -52,6 +52,7 @@ class SimulatedHardware(RobotHardware):
         rate: of the robot's loop, Hz, which is that of the physics.
         imperfections: of the robot.
         settings: of the backend, by field name.
+        direct: whether clients may send targets without limits of acceleration and jerk.
 
     Raises:
         ConfigurationError: the scene has no robot or several.
@@ -65,6 +66,7 @@ class SimulatedHardware(RobotHardware):
         rate: float = 1000.0,
         imperfections: Imperfections | None = None,
         settings: dict[str, object] | None = None,
+        direct: bool = False,
     ) -> None:
         if len(scene.robots) != 1:
             raise ConfigurationError(f"a robot's computer serves one robot, and the scene has {len(scene.robots)}")
@@ -81,6 +83,7 @@ class SimulatedHardware(RobotHardware):
             RobotDescription.of(scene.robots[0], rate),
             objects=[*self._objects],
             arranges=True,
+            direct=direct,
             simulated=backend,
         )
         self._random = np.random.default_rng(self.imperfections.seed)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
@@ -44,6 +44,9 @@ class DeploySettings:
     """Action space in the place of the task's own."""
     set: KeyValues = ()
     """A field of the task, such as tolerance=0.03."""
+    path: Literal["quintic", "drive", "direct"] = "quintic"
+    """Way in which commands become motion: through them by quintic polynomials, as the task's drives would move the
+    joints, or to the drives as they come, where the robot permits it."""
     keys: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Folder of keys; needed beyond this machine ('orbit robot --make-keys')."""
     episodes: int = 1
@@ -90,13 +93,14 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
 
     from orbit_core.envs.making import make
     from orbit_deploy.engine import robot_world
+    from orbit_deploy.follower import PathKind
     from orbit_deploy.link import connect
 
     torch.set_num_threads(1)
     out = console()
     task = _task(settings)
     period = task.physics_dt * task.decimation
-    link = connect(settings.bridge, period, settings.keys)
+    link = connect(settings.bridge, period, settings.keys, PathKind(settings.path))
     try:
         described = link.description
         kind = f"simulated by {described.simulated}" if described.simulated else "real"

@@ -44,6 +44,8 @@ class RobotSettings:
     """Run with real-time priority and locked memory, where the system allows it."""
     rate: float = 1000.0
     """Rate of the robot's loop, Hz."""
+    direct: bool = False
+    """Permit targets without limits of acceleration and jerk ('orbit deploy --path direct')."""
     delay: float = 0.0
     """Seconds between a target and its effect in the drives."""
     friction: float = 0.0
@@ -151,4 +153,4 @@ def _hardware(settings: RobotSettings) -> RobotHardware:
         assert settings.robot is not None  # checked by main
         scene = Scene(robots=(replace(robot(settings.robot), name="robot"),))
     imperfections = Imperfections(delay=settings.delay, friction=settings.friction, position_noise=settings.noise)
-    return SimulatedHardware(scene, settings.backend or default_backend(), settings.rate, imperfections)
+    return SimulatedHardware(scene, settings.backend or default_backend(), settings.rate, imperfections, direct=settings.direct)
