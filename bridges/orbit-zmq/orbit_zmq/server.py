@@ -155,7 +155,9 @@ class ZmqServer:
             )
             return
         if self._peer and peer != self._peer:
-            self._refuse(peer, "busy", f"client {self._computer.client} commands the robot: stop it, then connect again")
+            self._refuse(
+                peer, "busy", f"client {self._computer.client} commands the robot: stop it, then connect again"
+            )
             return
         try:
             state = self._computer.open(hello.client[:80], hello.period, hello.path)
@@ -202,4 +204,3 @@ class ZmqServer:
             self._socket.send_multipart((peer, data), zmq.NOBLOCK)
         except zmq.ZMQError:
             return  # a client that has gone, or reads too slowly
-

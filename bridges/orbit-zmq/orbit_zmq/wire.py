@@ -1,6 +1,6 @@
 """Messages on the wire: MessagePack of typed structures, read strictly.
 
-A client sends a :class:`Hello` with the version first and gets an :class:`Offer`, or a :class:`Refusal` with the reason.
+A client sends a :class:`Hello` with the version first, and gets an :class:`Offer`, or a :class:`Refusal` that says why.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ class Latencies:
     def percentiles(self) -> tuple[float, float, float]:
         """Return the 50th, 99th and 99.9th percentile, s; NaN without any."""
         if not self._values:
-            return (float("nan"),) * 3
+            return float("nan"), float("nan"), float("nan")
         low, high, highest = np.percentile(np.array(self._values), (50.0, 99.0, 99.9)).tolist()
         return low, high, highest
 

@@ -228,8 +228,9 @@ class RobotComputer:
         if not np.isfinite(numbers).all():
             raise ConfigurationError("an arrangement holds a number that is not finite")
         if arrangement.positions is not None and len(arrangement.positions) != len(self.description.joints):
-            raise ConfigurationError(f"an arrangement gives {len(arrangement.positions)} joint positions, not "
-                                     f"{len(self.description.joints)}")
+            raise ConfigurationError(
+                f"an arrangement gives {len(arrangement.positions)} joint positions, not {len(self.description.joints)}"
+            )
         if arrangement.pose is not None and len(arrangement.pose) != 7:
             raise ConfigurationError(f"a pose has 7 numbers, not {len(arrangement.pose)}")
         measured = self.hardware.arrange(arrangement)

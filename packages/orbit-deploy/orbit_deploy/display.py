@@ -50,9 +50,7 @@ def joint_table(link: RobotLink, state: RobotState) -> Table:
     """Return the table of one state: commanded and measured positions, their difference as a bar, speeds, efforts."""
     title = f"{link.description.model}: {state.mode}, round trip {link.round_trips}, state {link.ages} old"
     table = new_table("joint", "commanded", "measured", "difference", "", "speed", "effort", title=title)
-    rows = zip(
-        link.description.joints, state.targets, state.positions, state.velocities, state.efforts, strict=True
-    )
+    rows = zip(link.description.joints, state.targets, state.positions, state.velocities, state.efforts, strict=True)
     for name, target, position, velocity, effort in rows:
         off = target - position
         # A full bar is 0.2 rad or m.

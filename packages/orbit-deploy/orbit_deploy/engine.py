@@ -25,7 +25,7 @@ from orbit_core.interfaces import (
 )
 from orbit_core.interfaces.capabilities import IMAGES, MATTER
 from orbit_core.scene import RobotSpec, Scene
-from orbit_core.world.world import SimulatedWorld
+from orbit_core.world.world import SimulatedWorld, WorldFactory
 from orbit_deploy.description import RobotDescription, check_robot
 from orbit_deploy.link import RobotLink
 from orbit_deploy.messages import Arrangement, RobotState
@@ -194,7 +194,11 @@ class RobotEngine(Engine):
             numbers = torch.tensor(state.objects[place], dtype=torch.float32)
             self._root_poses[index][0], self._root_velocities[index][0] = numbers[:7], numbers[7:]
         for entity in self.layout.entities:
-            root, rate, tree = self._root_poses[entity.index], self._root_velocities[entity.index], self._trees[entity.index]
+            root, rate, tree = (
+                self._root_poses[entity.index],
+                self._root_velocities[entity.index],
+                self._trees[entity.index],
+            )
             poses = tree.forward(root, self._joint_positions[:, entity.joints])
             self._link_poses[:, entity.links] = poses
             self._link_velocities[:, entity.links] = tree.link_velocities(
@@ -312,7 +316,7 @@ class RobotWorld(SimulatedWorld):
         """Session with the robot's computer."""
 
 
-def robot_world(link: RobotLink, period: float) -> Callable[[Scene, int, torch.device, int], RobotWorld]:
+def robot_world(link: RobotLink, period: float) -> WorldFactory:
     """Return the factory of a world over a robot, for ``orbit_core.envs.make(..., world=robot_world(link, period))``.
 
     The world has the task's scene. Sensors, action terms, explicit actuators and Jacobians are the core's own, computed
@@ -327,4 +331,3 @@ def robot_world(link: RobotLink, period: float) -> Callable[[Scene, int, torch.d
         return RobotWorld(scene, link, period, num_envs, device, seed)
 
     return factory
-

@@ -50,7 +50,9 @@ class FollowerSettings:
             if not 0.0 < value < 60.0:
                 raise ConfigurationError(f"setting '{name}' of the robot must be above 0 and below 60, not {value}")
         if self.moving_speed > 1.0:
-            raise ConfigurationError(f"setting 'moving_speed' is a share of the limits, in (0, 1], not {self.moving_speed}")
+            raise ConfigurationError(
+                f"setting 'moving_speed' is a share of the limits, in (0, 1], not {self.moving_speed}"
+            )
 
 
 @dataclass(frozen=True)

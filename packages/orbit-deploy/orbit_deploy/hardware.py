@@ -57,4 +57,3 @@ class RobotHardware(ABC):
 
     def close(self) -> None:
         """Release the robot; idempotent."""
-

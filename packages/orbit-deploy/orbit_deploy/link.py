@@ -176,9 +176,7 @@ def bridge(name: str) -> Bridge:
     return _bridges().get(name)
 
 
-def connect(
-    address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC
-) -> RobotLink:
+def connect(address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC) -> RobotLink:
     """Connect to a robot by its address, whose scheme names the bridge (:meth:`Bridge.connect`).
 
     Raises:

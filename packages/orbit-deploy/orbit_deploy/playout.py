@@ -1,13 +1,12 @@
 """From commands at a client's rate to a path that can be sampled at the robot's.
 
-:class:`QuinticPlayout` goes through the commands, with a delay; :class:`DriveResponse` moves as the drives that a policy
-was trained with would have moved the joints.
+:class:`QuinticPlayout` goes through the commands, with a delay; :class:`DriveResponse` moves as the drives that a
+policy was trained with would have moved the joints.
 """
 
 from __future__ import annotations
 
 from collections import deque
-
 from typing import Protocol
 
 import numpy as np

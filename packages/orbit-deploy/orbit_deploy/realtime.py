@@ -64,8 +64,8 @@ class CycleTimes:
         late = "/".join(f"{1e6 * value:.0f}" for value in self.percentiles)
         work = "/".join(f"{1e6 * value:.0f}" for value in self.work)
         return (
-            f"{self.cycles} cycles, {100.0 * self.within_half_ms:.2f} % within 0.5 ms of their time; lateness {late} us "
-            f"(p50/p99/p99.9), at most {1e3 * self.worst:.1f} ms; work {work} us (p50/p99.9); {self.skipped} skipped"
+            f"{self.cycles} cycles, {100.0 * self.within_half_ms:.2f} % within 0.5 ms of their time; lateness {late} "
+            f"us (p50/p99/p99.9), at most {1e3 * self.worst:.1f} ms; work {work} us (p50/p99.9); {self.skipped} skipped"
         )
 
 
@@ -130,6 +130,4 @@ class RealtimeLoop:
         low, high, highest = np.percentile(late, (50.0, 99.0, 99.9)).tolist()
         busy, busiest = np.percentile(work, (50.0, 99.9)).tolist()
         within = float((late <= 5e-4).mean())
-        return CycleTimes(
-            self._cycles, within, (low, high, highest), float(late.max()), (busy, busiest), self.skipped
-        )
+        return CycleTimes(self._cycles, within, (low, high, highest), float(late.max()), (busy, busiest), self.skipped)

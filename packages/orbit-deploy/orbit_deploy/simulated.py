@@ -38,7 +38,9 @@ class Imperfections:
     def __post_init__(self) -> None:
         for name in ("delay", "friction", "position_noise", "velocity_noise", "object_noise"):
             if not 0.0 <= getattr(self, name) < 10.0:
-                raise ConfigurationError(f"{name} of the simulated robot must be from 0 to 10, not {getattr(self, name)}")
+                raise ConfigurationError(
+                    f"{name} of the simulated robot must be from 0 to 10, not {getattr(self, name)}"
+                )
 
 
 class SimulatedHardware(RobotHardware):
@@ -121,7 +123,9 @@ class SimulatedHardware(RobotHardware):
             self._robot.set_joint_state(velocities=torch.zeros(1, len(self.description.joints)))
         if arrangement.object:
             if arrangement.object not in self.description.objects:
-                raise UnknownNameError("object", arrangement.object, self.description.objects, "the simulated robot's scene")
+                raise UnknownNameError(
+                    "object", arrangement.object, self.description.objects, "the simulated robot's scene"
+                )
             if arrangement.pose is not None:
                 thing = self._objects[arrangement.object]
                 thing.set_root_pose(_row(np.array(arrangement.pose)))
@@ -135,7 +139,9 @@ class SimulatedHardware(RobotHardware):
     def _tracked(self, pose: torch.Tensor, velocity: torch.Tensor) -> list[float]:
         numbers = [*pose[0].tolist(), *velocity[0].tolist()]
         if self.imperfections.object_noise:
-            numbers[:3] = (np.array(numbers[:3]) + self._random.normal(0.0, self.imperfections.object_noise, 3)).tolist()
+            numbers[:3] = (
+                np.array(numbers[:3]) + self._random.normal(0.0, self.imperfections.object_noise, 3)
+            ).tolist()
         return numbers
 
     def _add_friction(self) -> None:

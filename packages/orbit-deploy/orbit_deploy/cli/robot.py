@@ -153,4 +153,6 @@ def _hardware(settings: RobotSettings) -> RobotHardware:
         assert settings.robot is not None  # checked by main
         scene = Scene(robots=(replace(robot(settings.robot), name="robot"),))
     imperfections = Imperfections(delay=settings.delay, friction=settings.friction, position_noise=settings.noise)
-    return SimulatedHardware(scene, settings.backend or default_backend(), settings.rate, imperfections, direct=settings.direct)
+    return SimulatedHardware(
+        scene, settings.backend or default_backend(), settings.rate, imperfections, direct=settings.direct
+    )
