@@ -173,7 +173,7 @@ class ZmqLink(RobotLink):
         while not self._ended.is_set() or self._wake_in.poll(0):
             ready = dict(poller.poll(20))
             if self._wake_in in ready:
-                self._socket.send(self._wake_in.recv(copy=True), copy=True)
+                self._send(self._wake_in.recv(copy=True))
             if self._socket in ready:
                 self._take(codec, self._socket.recv(copy=True), time.monotonic_ns())
             if self._monitor in ready and recv_monitor_message(self._monitor)["event"] in _FAILED:
@@ -181,7 +181,14 @@ class ZmqLink(RobotLink):
             if (now := time.monotonic()) >= next_ping:
                 pings += 1
                 next_ping = now + (_PING if pings > _FIRST_PINGS else 0.005)
-                self._socket.send(codec.encode(Ping(time.monotonic_ns())), copy=True)
+                self._send(codec.encode(Ping(time.monotonic_ns())))
+
+    def _send(self, data: bytes) -> None:
+        try:
+            # A robot that refused the keys has no queue, and would block this thread.
+            self._socket.send(data, zmq.NOBLOCK, copy=True)
+        except zmq.Again:
+            return
 
     def _take(self, codec: Codec, data: bytes, now: int) -> None:
         try:

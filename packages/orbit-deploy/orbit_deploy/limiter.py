@@ -33,6 +33,8 @@ class MotionLimiter:
         # A position limit of a wheel would be one of its angle.
         self._lower = np.where(self._driven, -np.inf, limits.lower)
         self._upper = np.where(self._driven, np.inf, limits.upper)
+        # A tenth of the speed gained in a sample, so that a path may start from rest
+        self._slack = 0.1 * limits.acceleration * period
         self._bounded = bool(np.isfinite(self._lower).any() or np.isfinite(self._upper).any())
         self._following, self._braking = Ruckig(joints, period), Ruckig(joints, period)
         self._input, self._brake = self._inputs(limits), self._inputs(limits)
@@ -72,9 +74,16 @@ class MotionLimiter:
         rate = np.clip(velocity, -top, top)
         # A path that leaves the range ends at it.
         rate = np.where(goal == position, rate, 0.0)
+        # A faster target would need a run-up: Ruckig would first go the other way, and so a step become a swing.
+        side = np.sign(rate)
+        along, ahead = np.maximum(side * self.velocity, 0.0), np.maximum(side * (goal - self.position), 0.0)
+        by_jerk = along + np.cbrt(self._limits.jerk * ahead**2)
+        reached = np.minimum(np.sqrt(along**2 + self._most * ahead), by_jerk) + self._slack
+        on_path = (goal == position) & (np.abs(rate) <= reached) & (np.abs(rate - self.velocity) <= 10.0 * self._slack)
+        rate = side * np.minimum(np.abs(rate), reached)
         # Beyond this acceleration the velocity would pass its limit before the jerk has ended it.
         most = np.minimum(self._most, np.sqrt(2.0 * self._limits.jerk * np.maximum(top - np.abs(rate), 0.0)))
-        bend = np.where(goal == position, np.clip(acceleration, -most, most), 0.0)
+        bend = np.where(on_path, np.clip(acceleration, -most, most), 0.0)
         given = self._input
         given.max_velocity = (self._limits.velocity * speed).tolist()
         given.target_position, given.target_velocity = goal.tolist(), rate.tolist()

@@ -20,6 +20,8 @@ from orbit_deploy.messages import Arrangement, Fault, Mode, RobotState
 
 # Seconds between looks at a motion that is waited for
 _LOOK = 0.01
+# rad/s or m/s below which a joint stands still, and seconds that drives with a noisy measurement get for it
+_SLOW, _SETTLING = 0.02, 1.0
 # Seconds that a slow motion may take
 _LONGEST_MOTION = 60.0
 
@@ -98,15 +100,18 @@ class RobotLink(ABC):
             time.sleep(left)
 
     def finish_motion(self, timeout: float = _LONGEST_MOTION) -> RobotState:
-        """Wait until the robot holds still after :meth:`move_to` or :meth:`stop`.
+        """Wait until the robot holds still after :meth:`move_to` or :meth:`stop`, and its drives have followed.
 
         Raises:
             RobotLinkError: it still moves after ``timeout`` seconds.
         """
-        end = self.now() + timeout
+        end, held = self.now() + timeout, 0.0
         while True:
             state = self.state()
-            if state.mode is Mode.HOLDING:
+            resting = state.mode in (Mode.HOLDING, Mode.FAULT)
+            held = held + _LOOK if resting else 0.0
+            slow = all(abs(speed) < _SLOW for speed in state.velocities)
+            if resting and (slow or held > _SETTLING):
                 return state
             if self.now() > end:
                 raise RobotLinkError(f"the robot at {self.address} is still {state.mode} after {timeout:g} s")
