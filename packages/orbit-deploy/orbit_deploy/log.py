@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,11 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.description import RobotDescription
 from orbit_deploy.messages import Fault, JointCommand, RobotState
 
-_INTERVAL = 0.1
+# Seconds between looks at the queue, and between messages: written at once, a tenth of a second of them would hold
+# Python's lock for milliseconds, and the loop with it
+_INTERVAL, _PAUSE = 0.02, 5e-4
+# Bytes that are compressed at a time
+_CHUNK = 1 << 17
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
 
 
@@ -40,7 +45,7 @@ class RobotLog:
             raise ConfigurationError(f"the name of log {path} must end in .mcap")
         with storage_faults(path):
             self._file = path.open("wb")
-        self._writer = Writer(self._file)
+        self._writer = Writer(self._file, chunk_size=_CHUNK)
         self._writer.start(profile="", library="orbit-deploy")
         self._writer.add_metadata("robot", {"description": msgspec.json.encode(description).decode()})
         self._channels = {kind: self._channel(kind) for kind in (JointCommand, RobotState, Fault)}
@@ -49,9 +54,9 @@ class RobotLog:
         self._thread = threading.Thread(target=self._write, name="robot log", daemon=True)
         self._thread.start()
 
-    def add(self, time: int, message: JointCommand | RobotState | Fault) -> None:
+    def add(self, stamp: int, message: JointCommand | RobotState | Fault) -> None:
         """Append a message of a time on the robot's clock, ns; returns at once."""
-        self._queue.append((time, message))
+        self._queue.append((stamp, message))
 
     def close(self) -> None:
         """Write what is left, and the file's index; idempotent."""
@@ -77,14 +82,16 @@ class RobotLog:
         while True:
             ended = self._ended.wait(_INTERVAL)
             while self._queue:
-                time, message = self._queue.popleft()
+                stamp, message = self._queue.popleft()
                 # By name: an array would mean nothing to a reader of the file.
                 values = {name: getattr(message, name) for name in message.__struct_fields__}
                 self._writer.add_message(
                     channel_id=self._channels[type(message)],
-                    log_time=max(time, 0),
-                    publish_time=max(time, 0),
+                    log_time=max(stamp, 0),
+                    publish_time=max(stamp, 0),
                     data=msgspec.json.encode(values),
                 )
+                if not self._ended.is_set():
+                    time.sleep(_PAUSE)
             if ended:
                 return
