@@ -41,6 +41,8 @@ OTHERS = {
     "train-actuator": ("orbit-learn", "Fit a network to logged data of an actuator's joints"),
     "play": ("orbit-learn", "Run a learned policy on any backend, and report how it went"),
     "export": ("orbit-learn", "Write a learned policy as safetensors and ONNX, with its description"),
+    "deploy": ("orbit-deploy", "Run an expert, a learned policy or a person on a robot, through a bridge"),
+    "robot": ("orbit-deploy", "Serve a simulated robot as a robot's computer does, in real time"),
     "check-asset": ("orbit-assets", "Check an asset file: masses, inertias, limits, shapes, and what was changed"),
     "check-robot": (
         "orbit-assets",
