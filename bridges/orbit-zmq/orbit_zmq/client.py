@@ -19,7 +19,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.clocks import ClockOffset, Latencies
 from orbit_deploy.follower import PathKind
 from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
-from orbit_deploy.messages import VERSION, Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.messages import PASSING, VERSION, Arrangement, Fault, JointCommand, RobotState
 from orbit_zmq.keys import CLIENT, ROBOT, check_keys, key_pair, public_key, split_address
 from orbit_zmq.wire import Answer, Codec, FromClient, Hello, MoveTo, Offer, Order, Ping, Pong, Refusal
 
@@ -201,7 +201,7 @@ class ZmqLink(RobotLink):
         elif isinstance(message, RobotState):
             self._keep(message, now)
         elif isinstance(message, Fault):
-            if message.code != "watchdog":
+            if message.code not in PASSING:
                 self._faults.append(message)
         else:
             if not isinstance(message, Refusal):

@@ -27,8 +27,8 @@ from orbit_core.interfaces.capabilities import IMAGES, MATTER
 from orbit_core.scene import RobotSpec, Scene
 from orbit_core.world.world import SimulatedWorld, WorldFactory
 from orbit_deploy.description import RobotDescription, check_robot
-from orbit_deploy.link import RobotLink
-from orbit_deploy.messages import Arrangement, RobotState
+from orbit_deploy.link import RobotFaultError, RobotLink
+from orbit_deploy.messages import Arrangement, Mode, RobotState
 
 # Parts of a world that a simulation has and a robot has not
 _NONE = (
@@ -146,6 +146,8 @@ class RobotEngine(Engine):
         self._due += steps * self._dt
         link.wait(self._due)
         state = link.state()
+        if state.mode is Mode.FAULT:
+            raise RobotFaultError(f"the robot at {link.address} rests after a fault: clear it, then command it")
         self.times.steps += 1
         self._take(state)
         if self.on_step is not None:

@@ -153,7 +153,7 @@ class JointFollower:
         self.limiter.reset(positions)
         self._path.restart(self.limiter.position)
         self._velocities = self._efforts = np.zeros_like(self.limiter.position)
-        self.mode = Mode.HOLDING
+        self.mode = Mode.HOLDING if self.fault is None else Mode.FAULT
 
     # Requests
 
