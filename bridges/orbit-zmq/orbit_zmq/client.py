@@ -97,6 +97,7 @@ class ZmqLink(RobotLink):
     def send(self, positions: Sequence[float], velocities: Sequence[float], efforts: Sequence[float]) -> None:
         now = time.monotonic_ns()
         targets = (list(values) for values in (positions, velocities, efforts))
+        # Noted before it is sent, as its answer may be faster than this thread.
         self._sent.append((self._sequence, now))
         self._post(JointCommand(self._sequence, self.offset.to_remote(now), *targets))
         self._sequence += 1
@@ -210,6 +211,7 @@ class ZmqLink(RobotLink):
 
     def _keep(self, state: RobotState, now: int) -> None:
         self._state, self._arrived = state, now
+        # A state acknowledges all commands up to its own; only that one's time is a round trip.
         while self._sent and self._sent[0][0] <= state.command:
             number, sent = self._sent.popleft()
             if number == state.command:

@@ -116,10 +116,12 @@ class RobotComputer:
             raise ConfigurationError(
                 f"a client commands at 1 to {self.description.rate:g} Hz, not every {period:g} s: set its rate"
             )
+        # Two bridges, or two threads of one, may ask at once.
         with self._lock:
             if self._client and self._client != client:
                 raise RobotBusyError(f"client {self._client} commands the robot: stop it, then connect again")
             self._client, self._heard = client, self.clock.now()
+        # What the client before has sent is not this one's.
         self._commands.clear()
         return self._answer(lambda: self._begin(period, path))
 
@@ -150,11 +152,11 @@ class RobotComputer:
         return self._answer(lambda: self._cleared())
 
     def stop(self) -> None:
-        """Bring the robot to rest within limits, whoever asks."""
+        """Stop the robot within limits, at anybody's request."""
         self._requests.append(self.follower.stop)
 
     def leave(self, client: str) -> None:
-        """End a client's session; the robot comes to rest."""
+        """End a client's session; the robot stops."""
         with self._lock:
             if self._client == client:
                 self._client = ""

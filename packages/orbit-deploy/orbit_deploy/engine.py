@@ -192,6 +192,7 @@ class RobotEngine(Engine):
             (self._joint_efforts, state.efforts),
         ):
             tensor[0, joints] = torch.tensor(values, dtype=torch.float32)
+        # Frames of all links follow from joints and roots, so that a robot need not measure them.
         for index, place in self._tracked.items():
             numbers = torch.tensor(state.objects[place], dtype=torch.float32)
             self._root_poses[index][0], self._root_velocities[index][0] = numbers[:7], numbers[7:]
@@ -228,6 +229,7 @@ class RobotEngine(Engine):
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
+        # Masks and indices of no environment write nothing, as on every engine.
         if positions is None or (env_ids is not None and not len(env_ids)):
             return  # a robot's velocities are nobody's to write
         self._joint_positions[:, joints] = positions

@@ -1,4 +1,4 @@
-"""Messages between a client and a robot's computer, whatever carries them. Times are ns on the robot's clock."""
+"""Messages between a client and a robot's computer, independent of the bridge. Times are ns on the robot's clock."""
 
 from __future__ import annotations
 
