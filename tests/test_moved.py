@@ -11,9 +11,9 @@ from orbit_core import moved
 from orbit_core.interfaces import ConfigurationError
 
 
-@pytest.mark.parametrize("old", sorted(moved.MODULES))
+@pytest.mark.parametrize("old", sorted(moved.old_modules()))
 def test_every_old_name_is_that_of_a_module_that_is_there(old: str) -> None:
-    assert importlib.util.find_spec(moved.MODULES[old]) is not None
+    assert importlib.util.find_spec(moved.old_modules()[old]) is not None
 
 
 def test_an_old_name_gives_the_same_module() -> None:
@@ -55,6 +55,6 @@ def test_a_name_that_never_was_is_no_module() -> None:
 
 @pytest.mark.filterwarnings("ignore::FutureWarning")
 def test_a_distribution_that_is_missing_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(moved.MODULES, "orbit_core.weather", "orbit_weather")
+    monkeypatch.setitem(moved.old_modules(), "orbit_core.weather", "orbit_weather")
     with pytest.raises(ConfigurationError, match=r"is orbit_weather now.*pip install orbit-weather"):
         importlib.import_module("orbit_core.weather")
