@@ -27,6 +27,7 @@ COMMANDS = {
     "list": ("listing", "Names of all tasks, robots or backends"),
     "info": ("info", "Everything about one task, robot or backend"),
     "run": ("run", "Run a task's episodes with an expert, random or zero agent, and report how they went"),
+    "rerun": ("rerun", "Repeat a run from its file, and report whether it came out the same"),
     "bench": ("bench", "Measure throughput over numbers of environments"),
 }
 """Modules of this package, and what each does."""
@@ -57,7 +58,7 @@ OTHERS = {
 }
 """Distributions of ORBIT that bring further commands, and what each does."""
 # Order in which ``orbit --help`` lists commands; those of other packages come last
-_ORDER = (*list(COMMANDS)[:3], *list(OTHERS)[:-1], "bench", "conformance")
+_ORDER = (*list(COMMANDS)[:4], *list(OTHERS)[:-1], "bench", "conformance")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -19,7 +19,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.clocks import ClockOffset, Latencies
 from orbit_deploy.follower import PathKind
 from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
-from orbit_deploy.messages import VERSION, Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.messages import PASSING, VERSION, Arrangement, Fault, JointCommand, RobotState
 from orbit_zmq.keys import CLIENT, ROBOT, check_keys, key_pair, public_key, split_address
 from orbit_zmq.wire import Answer, Codec, FromClient, Hello, MoveTo, Offer, Order, Ping, Pong, Refusal
 
@@ -97,6 +97,7 @@ class ZmqLink(RobotLink):
     def send(self, positions: Sequence[float], velocities: Sequence[float], efforts: Sequence[float]) -> None:
         now = time.monotonic_ns()
         targets = (list(values) for values in (positions, velocities, efforts))
+        # Noted before it is sent, as its answer may be faster than this thread.
         self._sent.append((self._sequence, now))
         self._post(JointCommand(self._sequence, self.offset.to_remote(now), *targets))
         self._sequence += 1
@@ -201,7 +202,7 @@ class ZmqLink(RobotLink):
         elif isinstance(message, RobotState):
             self._keep(message, now)
         elif isinstance(message, Fault):
-            if message.code != "watchdog":
+            if message.code not in PASSING:
                 self._faults.append(message)
         else:
             if not isinstance(message, Refusal):
@@ -210,6 +211,7 @@ class ZmqLink(RobotLink):
 
     def _keep(self, state: RobotState, now: int) -> None:
         self._state, self._arrived = state, now
+        # A state acknowledges all commands up to its own; only that one's time is a round trip.
         while self._sent and self._sent[0][0] <= state.command:
             number, sent = self._sent.popleft()
             if number == state.command:

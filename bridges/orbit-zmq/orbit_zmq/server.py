@@ -46,6 +46,7 @@ class ZmqServer:
         self._socket.setsockopt(zmq.IPV6, ":" in host)
         if keys is not None:
             self._socket.curve_publickey, self._socket.curve_secretkey = key_pair(keys, ROBOT)
+            # Without this a socket with keys would accept anybody's.
             self._socket.curve_server = True
         shown = f"[{host}]" if ":" in host else host
         try:
@@ -57,7 +58,7 @@ class ZmqServer:
             raise ConfigurationError(f"cannot listen at {host}:{port}: {error}") from None
         port = int(self._socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])
         self.address = f"zmq://{shown}:{port}"
-        # The loop wakes this thread by a message, as a queue would need a poll of its own.
+        # The loop wakes this thread by a message, as a queue cannot be polled with a socket.
         inside = f"inproc://robot-{next(_numbers)}"
         self._wake_in, self._wake_out = self._context.socket(zmq.PAIR), self._context.socket(zmq.PAIR)
         self._wake_in.bind(inside)
@@ -137,6 +138,7 @@ class ZmqServer:
         except ConfigurationError as error:
             self._refuse(peer, "message", str(error))
             return
+        # Anybody may ask for the clock; only the client's questions keep the session.
         if isinstance(message, Ping):
             if peer == self._peer:
                 self._computer.heard()

@@ -44,6 +44,7 @@ class ClockOffset:
             remote: remote time in the answer, ns.
             received: our time when the answer arrived, ns.
         """
+        # Both ways are taken for equally long; the error is at most half of the round trip.
         self._answers.append((received - sent, remote - (sent + received) // 2))
 
     @property

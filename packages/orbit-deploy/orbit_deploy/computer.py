@@ -26,6 +26,8 @@ from orbit_deploy.realtime import RealtimeLoop
 Result = TypeVar("Result")
 # Seconds without any message after which a client has left
 SESSION_TIMEOUT = 2.0
+# Commands that wait for a cycle; of more, from a client that sends without measure, the oldest are dropped
+_MOST_WAITING = 100
 # Seconds in which the loop answers a request
 _ANSWER = 2.0
 
@@ -78,7 +80,7 @@ class RobotComputer:
         """Called with each state that is published."""
         self.on_fault: list[Callable[[Fault], None]] = []
         """Called with each fault."""
-        self._commands: deque[JointCommand] = deque()
+        self._commands: deque[JointCommand] = deque(maxlen=_MOST_WAITING)
         self._requests: deque[Callable[[], None]] = deque()
         self._lock = threading.Lock()
         self._client = ""
@@ -87,6 +89,7 @@ class RobotComputer:
         self._ended = threading.Event()
         self._running = False
         self._stops_reported = 0
+        self._skipped_before = 0
         self._random = random.Random(0)
         self.follower.rest_at(hardware.read().positions)
 
@@ -113,10 +116,12 @@ class RobotComputer:
             raise ConfigurationError(
                 f"a client commands at 1 to {self.description.rate:g} Hz, not every {period:g} s: set its rate"
             )
+        # Two bridges, or two threads of one, may ask at once.
         with self._lock:
             if self._client and self._client != client:
                 raise RobotBusyError(f"client {self._client} commands the robot: stop it, then connect again")
             self._client, self._heard = client, self.clock.now()
+        # What the client before has sent is not this one's.
         self._commands.clear()
         return self._answer(lambda: self._begin(period, path))
 
@@ -147,11 +152,11 @@ class RobotComputer:
         return self._answer(lambda: self._cleared())
 
     def stop(self) -> None:
-        """Bring the robot to rest within limits, whoever asks."""
+        """Stop the robot within limits, at anybody's request."""
         self._requests.append(self.follower.stop)
 
     def leave(self, client: str) -> None:
-        """End a client's session; the robot comes to rest."""
+        """End a client's session; the robot stops."""
         with self._lock:
             if self._client == client:
                 self._client = ""
@@ -193,11 +198,20 @@ class RobotComputer:
         now, accepted = self.clock.now(), self.follower.accepted
         while self._commands:
             self._take(self._commands.popleft(), now)
+        if self.loop.skipped != self._skipped_before:
+            # The drives have held the last target all the while, so that the motion begins again from rest.
+            held, self._skipped_before = self.loop.skipped - self._skipped_before, self.loop.skipped
+            self.follower.rest_at(self.follower.target)
+            self._report(Fault(now, "overrun", f"the robot's loop was held up for {held} cycles: it begins from rest"))
         if self._client and now - self._heard > SESSION_TIMEOUT * 1e9:
             self._forget_client(now)
         targets = self.follower.sample(now)
         stops = self.follower.stops
-        self.hardware.drive(targets)
+        try:
+            self.hardware.drive(targets)
+        except (OrbitError, OSError) as error:
+            self._report(Fault(now, "robot", f"the robot failed: {' '.join(str(error).split())}"))
+            raise
         self._cycle += 1
         if stops != self._stops_reported:
             self._stops_reported = stops

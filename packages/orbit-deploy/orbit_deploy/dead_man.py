@@ -36,6 +36,7 @@ class DeadManKey:
 
         self._restore = termios.tcsetattr, (self._file, termios.TCSADRAIN, termios.tcgetattr(self._file))
         tty.setcbreak(self._file)  # characters without waiting for a line; Ctrl-C still interrupts
+        # Released until the first press.
         self._pressed = -_HELD
 
     @property

@@ -83,6 +83,7 @@ class RobotDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         numbers, actuators = SceneLayout.of(Scene(robots=(spec,))).joint_parameters, actuator_of_joint(spec)
         names = [joint.name for joint in spec.articulation.movable_joints]
         own = [actuators.get(index) for index in range(len(names))]
+        # A path needs a finite speed to be limited by.
         speeds = np.where(np.isfinite(numbers.velocity_limit), numbers.velocity_limit, _DEFAULT_SPEED)
         accelerations, jerks = _stated(spec.articulation.name, names, speeds)
         kinds = [
@@ -160,6 +161,7 @@ def check_robot(expected: RobotDescription, served: RobotDescription, where: str
     Raises:
         ConfigurationError: joints, their order or their kinds differ, so that numbers would have another meaning.
     """
+    # Order counts: a command is a list of numbers without names.
     if expected.joints != served.joints:
         missing = [name for name in expected.joints if name not in served.joints]
         cause = f"it lacks {', '.join(missing)}" if missing else "they are others or in another order"

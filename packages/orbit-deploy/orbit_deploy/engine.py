@@ -27,8 +27,8 @@ from orbit_core.interfaces.capabilities import IMAGES, MATTER
 from orbit_core.scene import RobotSpec, Scene
 from orbit_core.world.world import SimulatedWorld, WorldFactory
 from orbit_deploy.description import RobotDescription, check_robot
-from orbit_deploy.link import RobotLink
-from orbit_deploy.messages import Arrangement, RobotState
+from orbit_deploy.link import RobotFaultError, RobotLink
+from orbit_deploy.messages import Arrangement, Mode, RobotState
 
 # Parts of a world that a simulation has and a robot has not
 _NONE = (
@@ -146,6 +146,8 @@ class RobotEngine(Engine):
         self._due += steps * self._dt
         link.wait(self._due)
         state = link.state()
+        if state.mode is Mode.FAULT:
+            raise RobotFaultError(f"the robot at {link.address} rests after a fault: clear it, then command it")
         self.times.steps += 1
         self._take(state)
         if self.on_step is not None:
@@ -190,6 +192,7 @@ class RobotEngine(Engine):
             (self._joint_efforts, state.efforts),
         ):
             tensor[0, joints] = torch.tensor(values, dtype=torch.float32)
+        # Frames of all links follow from joints and roots, so that a robot need not measure them.
         for index, place in self._tracked.items():
             numbers = torch.tensor(state.objects[place], dtype=torch.float32)
             self._root_poses[index][0], self._root_velocities[index][0] = numbers[:7], numbers[7:]
@@ -226,6 +229,7 @@ class RobotEngine(Engine):
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
+        # Masks and indices of no environment write nothing, as on every engine.
         if positions is None or (env_ids is not None and not len(env_ids)):
             return  # a robot's velocities are nobody's to write
         self._joint_positions[:, joints] = positions

@@ -1,4 +1,4 @@
-"""From commands at a client's rate to joint targets at the robot's: checks, interpolation, limits and watchdog."""
+"""Joint targets at the robot's rate from commands at a client's: checks, interpolation, limits and watchdog."""
 
 from __future__ import annotations
 
@@ -123,6 +123,7 @@ class JointFollower:
         Raises:
             ConfigurationError: the robot takes no direct commands.
         """
+        # A new client counts from zero, by a clock that it has just measured.
         self.accepted, self._stamp = -1, -np.inf
         self._watchdog = max(self.settings.watchdog, 2.5 * period)
         here, limits = self.limiter.position, self.limits
@@ -153,7 +154,7 @@ class JointFollower:
         self.limiter.reset(positions)
         self._path.restart(self.limiter.position)
         self._velocities = self._efforts = np.zeros_like(self.limiter.position)
-        self.mode = Mode.HOLDING
+        self.mode = Mode.HOLDING if self.fault is None else Mode.FAULT
 
     # Requests
 
@@ -167,8 +168,9 @@ class JointFollower:
         Returns:
             The fault that stops the robot, or None.
         """
+        # A command that was sent before the client knew of a fault must not be one more fault.
         if command.sequence <= self.accepted or self.fault is not None:
-            return None  # repeated or overtaken on its way, or sent before the client knew of the fault
+            return None
         checked = self._checked(command, now)
         if isinstance(checked, Fault):
             self.stop(checked)
@@ -206,7 +208,7 @@ class JointFollower:
         return None
 
     def stop(self, fault: Fault | None = None) -> None:
-        """Come to rest within limits; with a fault, refuse commands until :meth:`clear`."""
+        """Stop within limits; with a fault, refuse commands until :meth:`clear`."""
         self.fault = fault or self.fault
         if self.mode is Mode.FOLLOWING and self._path_kind is PathKind.DIRECT:
             # The last command may be far from the joints: the drives' damping stops them where they are.
@@ -238,6 +240,7 @@ class JointFollower:
             zero = np.zeros_like(self._destination)
             self.limiter.follow(self._destination, zero, zero, self.settings.moving_speed)
             self._velocities, wanted = zero, zero
+            # Joints that are driven by velocity have no place to reach.
             there = np.abs(self._destination - self.limiter.position)[~self._driven].max(initial=0.0) < 1e-6
             if there and self.limiter.at_rest:
                 self.mode = Mode.HOLDING
@@ -247,6 +250,7 @@ class JointFollower:
             elif self.mode is Mode.STOPPING:
                 self.mode = Mode.HOLDING if self.fault is None else Mode.FAULT
             self._velocities = wanted = np.zeros_like(self._destination)
+        # A step of effort would be one of acceleration, which no path of positions limits.
         step = self.limits.effort_rate * self.period
         self._efforts = np.clip(wanted, self._efforts - step, self._efforts + step)
         velocities = np.where(self._driven, self.limiter.velocity, self._velocities)
@@ -276,6 +280,7 @@ class JointFollower:
         if not np.isfinite(values).all():
             joint = names[int(np.argmin(np.isfinite(values).all(0)))]
             return Fault(now, "nan", f"command {number} is no finite number for joint {joint}")
+        # A stamp far off is a clock that jumped, or another robot's: interpolation would stretch or fold the path.
         off = command.stamp * _NANO - now * _NANO
         if abs(off) > self.settings.clock_jump:
             return Fault(now, "time", f"command {number} is stamped {off:+.3f} s off the robot's clock")
@@ -298,6 +303,7 @@ class JointFollower:
                 )
             if (excess > _ROUNDING * np.where(np.isfinite(most), most, 1.0)).any():
                 self.clamped += 1
+        # Direct targets are far ahead of the joints on purpose, so that they are judged from the joints themselves.
         here = self.measured if self._path_kind is PathKind.DIRECT else self.limiter.position
         leap = np.abs(np.clip(positions, limits.lower, limits.upper) - here)
         far = leap - limits.velocity * self.settings.jump

@@ -1,4 +1,4 @@
-"""A client's connection to a robot's computer, whatever carries its messages, and the bridges that make one."""
+"""A client's connection to a robot's computer over any bridge, and the registry of bridges."""
 
 from __future__ import annotations
 
@@ -84,11 +84,11 @@ class RobotLink(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Have the robot come to rest."""
+        """Request the robot to stop."""
 
     @abstractmethod
     def close(self) -> None:
-        """Leave the robot, which comes to rest; idempotent."""
+        """Leave the robot, which stops; idempotent."""
 
     def now(self) -> float:
         """Return seconds on the clock that :meth:`wait` waits by."""
@@ -108,6 +108,7 @@ class RobotLink(ABC):
         end, held = self.now() + timeout, 0.0
         while True:
             state = self.state()
+            # The targets rest first; soft drives follow them for a while.
             resting = state.mode in (Mode.HOLDING, Mode.FAULT)
             held = held + _LOOK if resting else 0.0
             slow = all(abs(speed) < _SLOW for speed in state.velocities)

@@ -9,7 +9,7 @@ from orbit_deploy.computer import ComputerSettings, RobotComputer
 from orbit_deploy.follower import FollowerSettings, PathKind
 from orbit_deploy.hardware import RobotHardware
 from orbit_deploy.link import RobotLink, fault_error
-from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.messages import PASSING, Arrangement, Fault, JointCommand, RobotState
 
 # ns that the clock starts at, so that no time is negative
 _EPOCH = 10**9
@@ -106,5 +106,5 @@ class LocalLink(RobotLink):
         self._state = state
 
     def _note(self, fault: Fault) -> None:
-        if fault.code != "watchdog":
+        if fault.code not in PASSING:
             self._faults.append(fault)

@@ -56,6 +56,7 @@ class RobotLog:
 
     def add(self, stamp: int, message: JointCommand | RobotState | Fault) -> None:
         """Append a message of a time on the robot's clock, ns; returns at once."""
+        # A deque's append takes no lock of ours, and the loop must not wait.
         self._queue.append((stamp, message))
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Messages between a client and a robot's computer, whatever carries them. Times are ns on the robot's clock."""
+"""Messages between a client and a robot's computer, independent of the bridge. Times are ns on the robot's clock."""
 
 from __future__ import annotations
 
@@ -68,12 +68,16 @@ class RobotState(msgspec.Struct, frozen=True, array_like=True, tag="state"):
 
 
 class Fault(msgspec.Struct, frozen=True, array_like=True, tag="fault"):
-    """Reason why the robot stopped."""
+    """Reason why the robot stopped. After ``watchdog`` and ``overrun`` the next command continues."""
 
     stamp: int
     code: str
     """Kind: ``limit``, ``jump``, ``nan``, ``time``, ``shape``, ``watchdog``, ``robot``, ``overrun``."""
     text: str
+
+
+PASSING = ("watchdog", "overrun")
+"""Codes of faults after which the next command continues."""
 
 
 class Arrangement(msgspec.Struct, frozen=True, array_like=True, tag="arrange"):

@@ -1,4 +1,4 @@
-"""From commands at a client's rate to a path that can be sampled at the robot's.
+"""Paths from commands at a client's rate, to be sampled at the robot's.
 
 :class:`QuinticPlayout` goes through the commands, with a delay; :class:`DriveResponse` moves as the drives that a
 policy was trained with would have moved the joints.
@@ -38,7 +38,7 @@ class CommandPath(Protocol):
         ...
 
 
-class DriveResponse:
+class DriveResponse(CommandPath):
     """Path of joints that soft drives pull towards the commands, which hold until the next one.
 
     A drive of stiffness k and damping d that carries little inertia follows its target with the time constant d / k.
@@ -66,15 +66,17 @@ class DriveResponse:
     def sample(self, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         while self._commands and self._commands[0][0] <= time:
             self._target = self._commands.popleft()[1]
+        # The first sample sets the time only: nothing has pulled before.
         passed = time - self._time if np.isfinite(self._time) else 0.0
         self._time = time
+        # The exact solution of a drive without inertia, stable at any rate and period.
         away = self._target - self._position
         self._position = self._position + away * -np.expm1(-self._rates * passed)
         velocity = self._rates * (self._target - self._position)
         return self._position, velocity, np.zeros_like(velocity)
 
 
-class QuinticPlayout:
+class QuinticPlayout(CommandPath):
     """Path through knots that arrive at some tens of Hz, to be sampled at the robot's rate.
 
     A knot is reached ``delay`` after its time stamp, so that jitter of the arrival up to the delay, less one period of
@@ -87,7 +89,7 @@ class QuinticPlayout:
         positions: (J,) where the path begins, at rest.
         delay: seconds between a knot's stamp and its time on the path.
         hold: seconds for which the last velocity is continued when no knot follows.
-        acceleration: (J,) limit, rad/s^2 or m/s^2, which tells curves from steps.
+        acceleration: (J,) limit, rad/s^2 or m/s^2, which separates curves from steps.
     """
 
     def __init__(self, positions: FloatArray, delay: float, hold: float, acceleration: FloatArray) -> None:

@@ -76,6 +76,7 @@ class SimulatedHardware(RobotHardware):
         if drawn:
             raise ConfigurationError(f"a simulated robot's computer serves no pictures: leave out '{drawn[0].name}'")
         self.imperfections = imperfections or Imperfections()
+        # Sensors cost time in each cycle and are computed by the client from joints and objects.
         self._world = simulate(replace(scene, sensors=(), physics_dt=1.0 / rate), 1, backend, settings=settings)
         self._robot = self._world.robots[scene.robots[0].name]
         # A robot that walks or drives is tracked too, in place of an estimator of its base.
@@ -120,6 +121,7 @@ class SimulatedHardware(RobotHardware):
             self._world.reset()
         if arrangement.positions is not None:
             self._robot.set_joint_state(_row(np.array(arrangement.positions)))
+            # Written positions leave velocities as they are.
             self._robot.set_joint_state(velocities=torch.zeros(1, len(self.description.joints)))
         if arrangement.object:
             if arrangement.object not in self.description.objects:
@@ -130,6 +132,7 @@ class SimulatedHardware(RobotHardware):
                 thing = self._objects[arrangement.object]
                 thing.set_root_pose(_row(np.array(arrangement.pose)))
                 thing.set_root_velocity(torch.zeros(1, 6))
+        # Delayed targets of the motion before would pull the robot back.
         self._waiting.clear()
         return self.read()
 

@@ -70,7 +70,7 @@ class DeploySettings:
 
 
 def main(words: Sequence[str]) -> None:
-    """Run on the robot; it comes to rest at the end, at Ctrl-C, at a fault, and when the link is lost."""
+    """Run on the robot; it rests at the end, at Ctrl-C, at a fault, and when the link is lost."""
     settings = parse_words(DeploySettings, words, "orbit deploy")
     check_positive("episodes", settings.episodes)
     check_output(settings.json, ".json", settings.overwrite)
@@ -109,6 +109,7 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
             f"Hz, commands {1.0 / period:g} Hz; clocks agree within {1e6 * link.offset.error:.0f} us",
             soft_wrap=True,
         )
+        # Before the environment is made, whose first reset runs these events.
         if not described.arranges:
             _leave_placing_to_people(task, out.print)
         # Joints, their order and units are compared when the world is made, the policy's manifest by its actor.
@@ -236,6 +237,7 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
     counter = EpisodeCounter(settings.episodes, 1, environment.device)
     _count_down(settings.countdown)
     pilot.wait()
+    # Threads of libraries exist by now and keep their priority: only the loop of commands gets a higher one.
     prioritize()
     environment.reset(settings.seed)
     with JointTable(engine.link, settings.table) as table:

@@ -1,4 +1,4 @@
-"""``orbit robot``: a robot's computer in a process of its own, with a simulated robot behind a bridge."""
+"""``orbit robot``: a robot's computer in a separate process, with a simulated robot behind a bridge."""
 
 from __future__ import annotations
 
