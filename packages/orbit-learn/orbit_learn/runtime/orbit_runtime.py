@@ -141,7 +141,7 @@ def _ik_relative(term: Mapping[str, Any], command: Array, here: Array, jacobian:
     delta = jacobian.T @ np.linalg.solve(square, error)
     # Shortened as a whole, so that the hand keeps its direction.
     delta *= min(1.0, term["max_joint_step"] / max(float(np.abs(delta).max()), 1e-12))
-    return np.clip(here + delta, _bounds(term["lower"], -np.inf), _bounds(term["upper"], np.inf))
+    return np.clip(here + delta, _bounds(term["lower"], -np.inf), _bounds(term["upper"], np.inf)).astype(np.float32)
 
 
 def _bounds(values: list[float | None], infinite: float) -> Array:
