@@ -77,6 +77,20 @@ def test_velocities_and_efforts_beyond_twice_their_limits_are_refused_and_less_i
         assert getattr(driven.command(**{field: [0.0, 2.1 * limit, 0.0]}), "code", "") == "limit"
 
 
+def test_cycles_in_which_limits_hold_the_joints_back_are_counted_in_each_session() -> None:
+    follower = JointFollower(description(), FollowerSettings())
+    for reach, least, most in ((0.01, 0, 0), (1.0, 50, 400)):
+        follower.begin(PERIOD)
+        assert follower.limited == 0
+        for cycle in range(400):
+            now = START + cycle * MS
+            if cycle % 20 == 0:
+                targets = [reach * np.sign(np.sin(0.1 * cycle))] * 3
+                assert follower.submit(JointCommand(cycle, now, targets, [0.0] * 3, [0.0] * 3), now) is None
+            follower.sample(now)
+        assert least <= follower.limited <= most
+
+
 def test_efforts_rise_within_a_tenth_of_a_second() -> None:
     driven = Driven()
     driven.command(efforts=[50.0, 0.0, 0.0])

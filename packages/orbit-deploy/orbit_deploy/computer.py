@@ -229,6 +229,7 @@ class RobotComputer:
 
     def _begin(self, period: float, path: PathKind) -> RobotState:
         self.follower.begin(period, path)
+        self._stops_reported = 0
         return self._present()
 
     def _moving(self, positions: list[float]) -> RobotState:
@@ -280,6 +281,7 @@ class RobotComputer:
             targets=follower.target.tolist(),
             objects=measured.objects,
             clamped=follower.clamped,
+            limited=follower.limited,
             late=follower.late,
             stops=follower.stops,
         )

@@ -14,6 +14,8 @@ from orbit_deploy.messages import Fault, JointCommand, Mode
 from orbit_deploy.playout import CommandPath, DriveResponse, QuinticPlayout
 
 _NANO = 1e-9
+# rad or m by which limits hold a joint back noticeably
+_HELD_BACK = 0.05
 # Share of a command that may miss a limit by rounding
 _ROUNDING = 1e-5
 
@@ -94,6 +96,8 @@ class JointFollower:
         """Sequence number of the newest command that was accepted; -1 before the first of a session."""
         self.clamped = 0
         """Commands that were clamped to limits."""
+        self.limited = 0
+        """Cycles in which the limits kept the joints from the path by more than 0.05 rad or m."""
         self.late = 0
         """Commands that arrived more than a period and the jitter after their stamp."""
         self.stops = 0
@@ -125,6 +129,7 @@ class JointFollower:
         """
         # A new client counts from zero, by a clock that it has just measured.
         self.accepted, self._stamp = -1, -np.inf
+        self.clamped = self.limited = self.late = self.stops = 0
         self._watchdog = max(self.settings.watchdog, 2.5 * period)
         here, limits = self.limiter.position, self.limits
         if path is PathKind.DIRECT and not self.description.direct:
@@ -235,6 +240,8 @@ class JointFollower:
             position, velocity, acceleration = self._path.sample(now * _NANO)
             velocity = np.where(self._driven, self._wanted_velocities, velocity)
             self.limiter.follow(position, velocity, np.where(self._driven, 0.0, acceleration))
+            apart = np.abs(position - self.limiter.position)[~self._driven].max(initial=0.0)
+            self.limited += bool(apart > _HELD_BACK)
             self._velocities, wanted = self._wanted_velocities, self._wanted_efforts
         elif self.mode is Mode.MOVING:
             zero = np.zeros_like(self._destination)

@@ -60,11 +60,13 @@ class RobotState(msgspec.Struct, frozen=True, array_like=True, tag="state"):
     objects: list[list[float]]
     """Pose (7) and velocity (6) of each tracked object, in the order of the description."""
     clamped: int
-    """Commands that were clamped to limits, so far."""
+    """Commands that were clamped to limits, in this session."""
+    limited: int
+    """Cycles in which the limits held the joints back from the path, in this session."""
     late: int
-    """Commands that arrived after their time, so far."""
+    """Commands that arrived after their time, in this session."""
     stops: int
-    """Stops for want of commands, so far."""
+    """Stops for want of commands, in this session."""
 
 
 class Fault(msgspec.Struct, frozen=True, array_like=True, tag="fault"):

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from orbit_deploy.link import RobotLink
 
 TELEOP = "teleop"
+# Share of the time with limits in the way that is reported
+_HELD_BACK = 0.05
 _NO_DEVICE = "keyboard"
 
 
@@ -258,6 +260,7 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
         "state_age_ms": [1e3 * value for value in link.ages.percentiles()],
         "clock_error_us": 1e6 * link.offset.error,
         "clamped": state.clamped,
+        "held_back": state.limited / (link.description.rate * max(engine.times.steps * environment.step_dt, 1e-9)),
         "late": state.late,
         "stops": state.stops,
     }
@@ -290,3 +293,10 @@ def _report(results: dict[str, Any]) -> None:
     table.add_row("steps", f"{results['steps']}, {results['overruns']} of them late")
     table.add_row("commands", f"{results['clamped']} clamped, {results['late']} late, {results['stops']} stops")
     console().print(table)
+    if results["held_back"] > _HELD_BACK:
+        share = f"{100.0 * results['held_back']:.0f} %"
+        console().print(
+            f"warning: for {share} of the time the robot's limits held the joints back from what was commanded: a "
+            "policy that was trained without them may fail",
+            soft_wrap=True,
+        )
