@@ -25,7 +25,9 @@ GRAVITY = np.array([0.0, 0.0, 9.81])
 
 def rotation(wxyz: FloatArray) -> FloatArray:
     """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z)."""
-    w, x, y, z = wxyz / np.linalg.norm(wxyz)
+    length = np.linalg.norm(wxyz)
+    # Messages that were never filled in hold zeros.
+    w, x, y, z = wxyz / length if length > 0.0 else (1.0, 0.0, 0.0, 0.0)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -125,7 +125,11 @@ class UnitreeServer:
             if now - self._heard < _HELD:
                 self._report(f"busy {source}", "a second publisher's commands are ignored")
                 return
-            self._computer.open(self.address, 1.0 / RATE, PathKind.DIRECT)
+            try:
+                self._computer.open(self.address, 1.0 / min(RATE, self._description.rate), PathKind.DIRECT)
+            except ConfigurationError as error:
+                self._report("busy", str(error))
+                return
             self._source = source
         self._heard = now
         motors = message.record["motor_cmd"][0][self._motors]
