@@ -2,15 +2,15 @@
 
 Start a simulated one first, or name the interface of a real one::
 
-    orbit robot --task Velocity-Flat --set robot=unitree_go2 --backend mujoco --bridge unitree --port 1 --direct --realtime
+    orbit robot --task Velocity-Flat --set robot=unitree_go2 --bridge unitree --port 1 --direct --realtime
     python examples/walk_over_dds.py unitree://127.0.0.1:1/go2 10
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import fields
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -36,10 +36,11 @@ def leans(env: Environment[Any, Any]) -> torch.Tensor:
     return projected_gravity(env)[:, 2] > -0.5
 
 
+@dataclass(kw_only=True)
 class Walk(VelocityFlat):
     """Task of the policy, with what a robot measures and without rewards, which are for learning."""
 
-    state_type = WalkState
+    state_type: ClassVar[type[VelocityMemory]] = WalkState
 
     def __post_init__(self) -> None:
         for term in fields(self.rewards):

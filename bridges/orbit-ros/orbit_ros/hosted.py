@@ -1,4 +1,4 @@
-"""Link to a robot whose computer knows no sessions: our own computer of it runs in this process and keeps the limits."""
+"""Link to a robot whose computer knows no sessions: our own one runs in this process and keeps the limits."""
 
 from __future__ import annotations
 
@@ -32,9 +32,7 @@ class HostedLink(RobotLink):
         path: way in which commands become a path.
     """
 
-    def __init__(
-        self, hardware: RobotHardware, address: str, period: float, path: PathKind = PathKind.QUINTIC
-    ) -> None:
+    def __init__(self, hardware: RobotHardware, address: str, period: float, path: PathKind = PathKind.QUINTIC) -> None:
         self.address, self.description = address, hardware.description
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
         self._hardware, self._error, self._sequence = hardware, "", 0

@@ -1,4 +1,4 @@
-"""A robot's computer as a robot of ROS: it publishes joints, clock, frames and bodies, and takes trajectories and arrays.
+"""A robot's computer as a robot of ROS: joints, clock, frames and bodies out, trajectories and arrays in.
 
 With the simulated robot, a world of ours is the robot of ROS programs.
 """
@@ -74,7 +74,7 @@ class _Goal:
 class RosServer:
     """Serves one robot's computer to ROS.
 
-    Commands are anonymous in ROS: the publisher of the first one has the robot until it is silent for half a second, and
+    Commands are anonymous in ROS: the program of the first one has the robot until it is silent for half a second, and
     others are ignored with a fault.
 
     Args:
@@ -150,9 +150,7 @@ class RosServer:
             assert state is not None  # set before the event
             stamp = time_of(state.stamp)
             self._joints(
-                JointState(
-                    Header(stamp), self._description.joints, state.positions, state.velocities, state.efforts
-                )
+                JointState(Header(stamp), self._description.joints, state.positions, state.velocities, state.efforts)
             )
             if count % _SLOWER == 0:
                 self._clock(Clock(stamp))
@@ -291,5 +289,3 @@ def _finite(description: object) -> object:
         else values
         for key, values in plain.items()
     }
-
-

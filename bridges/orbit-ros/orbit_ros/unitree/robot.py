@@ -116,7 +116,9 @@ class UnitreeHardware(RobotHardware):
         if self._bad:
             return f"all {self._bad} messages on 'rt/{STATE}' have a wrong checksum: is it a {self._model.robot}?"
         if self._state is None:
-            return f"no {self._model.robot} publishes 'rt/{STATE}': is the domain right, and the network's interface up?"
+            return (
+                f"no {self._model.robot} publishes 'rt/{STATE}': is the domain right, and the network's interface up?"
+            )
         return f"nobody publishes where the base is on 'rt/{ODOMETRY}': start an estimator, or add ?odometry=no"
 
 
