@@ -30,6 +30,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformScalarCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, RobotSpec, Scene, look_at
+from orbit_motion import task_robots
 from orbit_motion.experts import Expert, Phase
 
 DRAWER = "drawer_joint"
@@ -243,7 +244,7 @@ class Cabinet(Task):
     commands: CabinetCommands = field(default_factory=CabinetCommands)
 
     def scene(self) -> Scene:
-        return self.scene_with(common.arm(self.robot), PLINTH)
+        return self.scene_with(task_robots.arm(self.robot), PLINTH)
 
     def scene_with(self, robot: RobotSpec, plinth: float) -> Scene:
         """The cabinet before a robot, on a plinth of that height in metres."""

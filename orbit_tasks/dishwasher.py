@@ -32,6 +32,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformScalarCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_motion import task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import held
 
@@ -279,7 +280,7 @@ class Dishwasher(Task):
 
     def scene(self) -> Scene:
         self.bound(door_goal=(0.1, 1.45), tolerance=(1e-6, 0.1))
-        robot = common.arm(self.robot)
+        robot = task_robots.arm(self.robot)
         box = common.placed_workspace(robot)
         # The door's bar as far as the hand reaches: it comes nearer by its height, and the rack's by a hand's breadth.
         pose = Pose((box.high[0] - 0.03 - FRONT, 0.5 * (box.low[1] + box.high[1]), 0.0))

@@ -30,6 +30,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformPositionCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_motion import task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, tabletop
 
@@ -278,7 +279,10 @@ class Handover(tabletop.TabletopTask):
         bench = table("table", size=(self.spacing + 0.6, 1.4, BENCH_HEIGHT), pose=middle)
         facing_giver = Pose((self.spacing, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         return Scene(
-            robots=(common.arm(self.robot, agent=GIVER), common.arm(self.robot, agent=RECEIVER, pose=facing_giver)),
+            robots=(
+                task_robots.arm(self.robot, agent=GIVER),
+                task_robots.arm(self.robot, agent=RECEIVER, pose=facing_giver),
+            ),
             objects=(rod, bench),
             terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),

@@ -21,6 +21,7 @@ from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
+from orbit_motion import task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import held, premises, tabletop
 
@@ -246,7 +247,7 @@ class Hockey(tabletop.TabletopTask):
         return ("puck",)
 
     def scene(self) -> Scene:
-        robot = held.with_tool(common.arm(self.robot, gripper=False), stick(), "blade")
+        robot = held.with_tool(task_robots.arm(self.robot, gripper=False), stick(), "blade")
         near, line = common.workspace_of(robot).low[0], common.workspace_of(robot).high[0] + 0.08
         end = line + DEPTH + 0.05
         ice = (end - near + 0.1, 1.0, THICKNESS)

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
+from orbit_assets.catalogue import robot
 from orbit_assets.object_kinds import BoxConfig
 from orbit_core.dynamics import transforms
 from orbit_core.envs import (
@@ -36,7 +37,6 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformOrientationCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
-from orbit_core.robots import robot
 from orbit_core.scene import MarkerSpec, Pose, RobotSpec, Scene, look_at
 from orbit_core.scene.pose import Vector3
 

@@ -34,6 +34,7 @@ from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
 from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene
 from orbit_core.scene.pose import Vector3
+from orbit_motion import task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking
 from orbit_tasks.pixels import ArmPixels
@@ -253,7 +254,7 @@ class Lift(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(common.arm(self.robot),),
+            robots=(task_robots.arm(self.robot),),
             objects=(self.cube_at((0.5, 0.0, 0.0)), work_bench()),
             terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(GOAL,),

@@ -9,6 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot, robot_names
 from orbit_core.actions import ActionTerm, MotionGenerator, preset_terms
 from orbit_core.actions.base import JointTarget
 from orbit_core.actions.embodiment import leg_joints
@@ -16,10 +17,9 @@ from orbit_core.actions.mobile_base import ROUNDING
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.pretrained import policy_path
-from orbit_core.robots import robot, robot_names
 from orbit_core.scene import RobotSpec
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_tasks.walking import COMMAND, JOINT_READINGS, LAST_ACTION, READINGS, carries_arm
 
 # 1/s: the velocity that an expert asks for, over the displacement that is left.

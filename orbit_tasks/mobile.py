@@ -19,6 +19,7 @@ from orbit_core.envs.terms import POSE, EventFunction, TermFunction, measured_in
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
 from orbit_core.scene import RobotSpec
+from orbit_motion import task_robots
 from orbit_tasks.locomotion import LocomotionConfig
 
 # The action term that moves a walking robot; other bases' terms are of that name too.
@@ -32,7 +33,7 @@ def mobile(name: str, gripper: bool = True) -> RobotSpec:
         UnknownNameError: there is none of that name.
         ConfigurationError: it has no base that moves, no arm, or no gripper where one is needed.
     """
-    spec = common.arm(name, gripper)
+    spec = task_robots.arm(name, gripper)
     if spec.planar_base is None and spec.differential_base is None and not spec.feet:
         raise ConfigurationError(
             f"robot '{name}' has no base that moves, which this task needs: mount it on one, as in 'base_omni+{name}', "

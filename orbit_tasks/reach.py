@@ -28,6 +28,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformPoseCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
+from orbit_motion import task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mobile import sag_rate
 from orbit_tasks.pixels import ArmPixels
@@ -147,7 +148,7 @@ class Reach(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(common.arm(self.robot, gripper=False, room=(0.0, 0.0, 0.0)),),
+            robots=(task_robots.arm(self.robot, gripper=False, room=(0.0, 0.0, 0.0)),),
             objects=(work_bench(),),
             terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),

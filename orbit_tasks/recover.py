@@ -22,6 +22,7 @@ from orbit_core.interfaces import Node, Port
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Scene, look_at
+from orbit_motion import task_robots
 from orbit_tasks import walking
 from orbit_tasks.trunk import angular_velocity, projected_gravity
 
@@ -192,7 +193,7 @@ class Recover(Task):
     events: RecoverEvents = field(default_factory=RecoverEvents)
 
     def scene(self) -> Scene:
-        robot = walking.scaled(common.legged(self.robot), self.action_scale)
+        robot = walking.scaled(task_robots.legged(self.robot), self.action_scale)
         return Scene(robots=(robot,), terrain=(common.floor(),), physics_dt=self.physics_dt)
 
     def randomize(self) -> None:

@@ -20,6 +20,7 @@ from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import KeyPoint, MarkerShape, MarkerSpec, Pose, Rope, Scene, look_at
+from orbit_motion import task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import matter
 
@@ -238,7 +239,7 @@ class RopeReshaping(Task):
         rope = Rope(ROPE, points, 0.15, pose, self.radius, bending_stiffness=5e-4, friction=0.8, key_points=named)
         markers = (MarkerSpec(f"goal{number}", MarkerShape.SPHERE, size=0.02) for number in range(KEY_POINTS))
         return Scene(
-            robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
+            robots=(matter.with_grip_force(task_robots.arm(self.robot), self.grip_force),),
             objects=(work_bench(),),
             deformables=(rope,),
             terrain=(common.floor(-BENCH_HEIGHT),),

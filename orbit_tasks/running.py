@@ -30,6 +30,7 @@ from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Scene, look_at
+from orbit_motion import task_robots
 from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
 
@@ -180,7 +181,7 @@ class Running(Task):
     events: RunningEvents = field(default_factory=RunningEvents)
 
     def scene(self) -> Scene:
-        return Scene(robots=(common.legged(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
+        return Scene(robots=(task_robots.legged(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
 
     def randomize(self) -> None:
         """All masses, the ground's friction, and noise on what a real robot estimates."""

@@ -39,7 +39,6 @@ from orbit_core.envs.configuration import (
 )
 from orbit_core.envs.episode import EpisodeEnd, LostEpisodes, StepInfo
 from orbit_core.envs.event_manager import EventManager
-from orbit_core.envs.expert_starts import ExpertStarts
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
 from orbit_core.envs.observation_layout import (
     POLICY,
@@ -52,6 +51,7 @@ from orbit_core.envs.observation_layout import (
 from orbit_core.envs.observation_layout import check_finite as check_observation
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.premises import PremiseManager
+from orbit_core.envs.registry import episode_starts
 from orbit_core.envs.reward_manager import RewardManager
 from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
@@ -191,7 +191,7 @@ class Environment(Generic[TaskT, StateT]):
         self._started = False
         self.premises = PremiseManager(self, simulated=world is None)
         """What the task takes for granted of an episode's start, and how often it does not hold."""
-        self.starts = ExpertStarts(self) if task.expert_starts else None
+        self.starts = episode_starts().get("expert")(self) if task.expert_starts else None
         """Which episodes begin on the expert's way, where the task asks for such."""
         self._watch = ConfigurationWatch(task)
         self._closed = self._close_step()

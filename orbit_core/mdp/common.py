@@ -10,7 +10,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from orbit_core.actions.workspace import with_workspace
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.task import ROBOT
 from orbit_core.envs.terms import (
@@ -26,67 +25,13 @@ from orbit_core.envs.terms import (
 )
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import gripper_positions
-from orbit_core.moved import moved_name
-from orbit_core.robots import robot
 from orbit_core.scene import Plane, Pose, RobotSpec, Shape, Workspace
 from orbit_core.scene.pose import Vector3
-
-# Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more.
-ROOM: Vector3 = (0.15, 0.3, 0.2)
 
 
 def floor(height: float = 0.0) -> Shape:
     """The ground plane."""
     return Shape(Plane(), Pose((0.0, 0.0, height)), color=(0.35, 0.38, 0.42, 1.0), name="floor")
-
-
-def arm(
-    name: str, gripper: bool = True, agent: str = ROBOT, pose: Pose | None = None, room: Vector3 = ROOM
-) -> RobotSpec:
-    """A robot of the catalogue with an end effector, and a gripper on it where that is needed, as an agent of the task.
-
-    Raises:
-        UnknownNameError: there is none of that name.
-        ConfigurationError: it has no end effector, no arm that moves it, or no gripper; or it has no workspace, and
-            none is found (:func:`orbit_core.actions.workspace.with_workspace`), or one that is smaller than the task's
-            ``room``, m along x, y and z.
-    """
-    spec = robot(name, name=agent)
-    spec = spec if pose is None else replace(spec, pose=pose)
-    lacking = None
-    if not spec.end_effectors:
-        lacking = "end effector"
-    elif not spec.has_arm:
-        raise ConfigurationError(
-            f"robot '{name}' has no arm, which this task needs: mount it on one, as in 'ur10+{name}', or choose "
-            "another robot"
-        )
-    elif gripper and spec.end_effector.gripper is None:
-        lacking = "gripper"
-    if lacking:
-        raise ConfigurationError(f"robot '{name}' has no {lacking}, which this task needs: choose another robot")
-    spec = with_workspace(spec)
-    box = placed_workspace(spec)
-    size = [high - low for low, high in zip(box.low, box.high, strict=True)]
-    if any(has < needs for has, needs in zip(size, room, strict=True)):
-        sizes = (" x ".join(f"{length:.2f}" for length in lengths) for lengths in (size, room))
-        raise ConfigurationError(
-            "the workspace of robot '{}' is {} m, and this task needs {} m: choose a larger robot".format(name, *sizes)
-        )
-    return spec
-
-
-def legged(name: str) -> RobotSpec:
-    """A robot of the catalogue with feet, as the task's robot.
-
-    Raises:
-        UnknownNameError: there is none of that name.
-        ConfigurationError: it has no feet.
-    """
-    spec = robot(name, name=ROBOT)
-    if not spec.feet:
-        raise ConfigurationError(f"robot '{name}' has no feet, which this task needs: choose another robot")
-    return spec
 
 
 def robot_of(world: World, agent: str = ROBOT) -> Robot:
@@ -122,7 +67,7 @@ def workspace_of(spec: RobotSpec) -> Workspace:
     if spec.end_effector.workspace is None:
         raise ConfigurationError(
             f"robot '{spec.articulation.name}' has no workspace: take it through "
-            "orbit_core.actions.workspace.with_workspace, or give its end effector one"
+            "orbit_motion.workspace.with_workspace, or give its end effector one"
         )
     return spec.end_effector.workspace
 
@@ -358,7 +303,3 @@ def place_markers(world: World, names: Sequence[str], positions: Tensor, env_ids
     poses[..., :3], poses[..., 3] = positions, 1.0
     for number, name in enumerate(names):
         world.markers[name].set_pose(poses[:, number], env_ids)
-
-
-def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)

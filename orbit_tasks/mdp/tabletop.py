@@ -26,6 +26,7 @@ from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ObjectSpec, RobotSpec, Scene
+from orbit_motion import task_robots
 from orbit_tasks.mdp import picking, premises
 
 
@@ -154,7 +155,7 @@ class TabletopTask(Task):
     def bench(self, *objects: ObjectSpec, robot: RobotSpec | None = None) -> Scene:
         """The arm, or the ``robot`` in its place, with objects on the work bench."""
         return Scene(
-            robots=(robot or common.arm(self.robot),),
+            robots=(robot or task_robots.arm(self.robot),),
             objects=(*objects, work_bench()),
             terrain=(common.floor(-BENCH_HEIGHT),),
             physics_dt=self.physics_dt,

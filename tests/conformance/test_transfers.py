@@ -21,8 +21,8 @@ from orbit_conformance.verdict import Status
 from orbit_core import backends
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import Capabilities, Capability, unsupported
-from orbit_core.pretrained import PretrainedPolicy, TransferGap
 from orbit_core.rollout.estimates import mean, proportion
+from orbit_learn.pretrained import PretrainedPolicy, TransferGap
 
 SLIPS = TransferGap(backend="slippery", least_success=0.6, reason="its bars are oiled")
 KEPT = PretrainedPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))

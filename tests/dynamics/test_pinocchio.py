@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot
 from orbit_core.dynamics.rigid_body import RigidBodyModel
-from orbit_core.robots import robot
 from orbit_core.scene import Articulation
 from orbit_motion.mpc.model import pinocchio_model
 

@@ -10,9 +10,9 @@ import torch
 from orbit_assets.terrain import Rough, TerrainGrid
 from orbit_core.envs import Environment, PpoSettings, make
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.pretrained import policy_path
 from orbit_learn.learners import library_names, trainer_type
 from orbit_learn.policy import load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_learn.trainer import Progress
 from orbit_learn.warm_start import started_from
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot
 from orbit_assets.joint_models import BALL, compound
 from orbit_assets.objects import box
 from orbit_core.backends import default_backend
@@ -22,7 +23,6 @@ from orbit_core.interfaces import (
     UnknownNameError,
     World,
 )
-from orbit_core.robots import robot
 from orbit_core.scene import (
     Articulation,
     ContactSensorSpec,

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.names import match_names
-from orbit_core.moved import moved_name
 from orbit_core.scene import Articulation, ImplicitPd, Joint
 
 MOTOR_TIME = 0.005
@@ -108,7 +107,3 @@ def _drive(joint: Joint, design: DriveDesign, inertia: float) -> ImplicitPd:
 def _rounded(value: float) -> float:
     """To three significant digits: gains are chosen, not measured."""
     return float(f"{value:.3g}")
-
-
-def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)

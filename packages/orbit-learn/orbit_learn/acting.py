@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orbit_core.pretrained import policy_path, pretrained_policies
+from orbit_learn.pretrained import policy_path, pretrained_policies
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor

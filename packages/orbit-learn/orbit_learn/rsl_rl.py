@@ -22,13 +22,13 @@ from torch import Tensor, nn
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.pretrained import policy_path
 from orbit_learn.convolutional import convolutional, convolutional_actor
 from orbit_learn.description import group_parts
 from orbit_learn.groups import ACTOR, check_groups, critic_group, tensor_names, tensors_by_name
 from orbit_learn.imitation import imitate_expert
 from orbit_learn.networks import ActorNetwork, NormalizedActor, Perceptron, perceptron_actor
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_learn.rsl_rl_models import PartlyKnown, PictureModel
 from orbit_learn.trainer import Progress, Trainer
 from orbit_learn.warm_start import columns_seen, started_from

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from orbit_core.actions.base import CommandMode, JointTarget
 from orbit_core.actions.differential_ik import PoseTermConfig, bounded_targets
-from orbit_core.actions.ik import damped_least_squares, displaced
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import PoseFollower, damped_least_squares, displaced
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError, Robot, World

@@ -23,8 +23,7 @@ from torch import Tensor
 from orbit_core.actions.arm_dynamics import ArmState
 from orbit_core.actions.base import CommandMode, LastTargets
 from orbit_core.actions.differential_ik import PoseTermConfig
-from orbit_core.actions.ik import COMPONENTS
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import COMPONENTS, PoseFollower
 from orbit_core.dynamics.kinematics import PointJacobian
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error

@@ -15,8 +15,7 @@ from torch import Tensor
 
 from orbit_core.actions.base import CommandMode, JointTarget, speed_limited_lead
 from orbit_core.actions.differential_ik import PoseTermConfig, bounded_targets
-from orbit_core.actions.ik import steadying
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import PoseFollower, steadying
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits

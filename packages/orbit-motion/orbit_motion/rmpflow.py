@@ -20,7 +20,7 @@ from torch import Tensor
 
 from orbit_core.actions.base import CommandMode, JointTarget, LastTargets
 from orbit_core.actions.differential_ik import PoseTermConfig
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import PoseFollower
 from orbit_core.dynamics.kinematics import KinematicTree, drift_at
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error, quat_rotate

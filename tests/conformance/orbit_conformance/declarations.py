@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from orbit_assets.catalogue import robot_info
 from orbit_conformance.robots.checks import CHECKS
 from orbit_conformance.scenario import Scenario
 from orbit_conformance.scenarios import SCENARIOS
@@ -9,7 +10,6 @@ from orbit_conformance.verdict import lacking
 from orbit_core.interfaces import Backend, ConfigurationError, Gap, Level, UnknownNameError
 from orbit_core.interfaces.capabilities import MATTER
 from orbit_core.interfaces.matter import MatterSolver
-from orbit_core.robots import robot_info
 
 
 def check_declarations(owner: Backend | MatterSolver) -> None:

@@ -28,8 +28,8 @@ from orbit_conformance.verdict import Status
 from orbit_core.files import as_path, read_bytes, written_whole
 from orbit_core.interfaces import AssetError, ConfigurationError, Gap
 from orbit_core.interfaces.matter import NATIVE
-from orbit_core.pretrained import TransferGap, pretrained_policy
 from orbit_data.tensor_file import parse_json
+from orbit_learn.pretrained import TransferGap, pretrained_policy
 
 SCHEMA = 1
 RESULT_FILE, REPORT = "result.json", "report.html"

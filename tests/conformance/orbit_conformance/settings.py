@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
+from orbit_assets.catalogue import robot_info, robot_names
 from orbit_assets.sources import installed_version
 from orbit_conformance.declarations import check_declarations
 from orbit_conformance.scenario import Scenario
@@ -18,8 +19,7 @@ from orbit_core.envs.registry import task_entries, task_entry
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import EXACT, Capability, ConfigurationError, UnknownNameError
 from orbit_core.interfaces.matter import NATIVE
-from orbit_core.pretrained import pretrained_policies
-from orbit_core.robots import robot_info, robot_names
+from orbit_learn.pretrained import pretrained_policies
 
 
 class Part(Enum):

@@ -19,8 +19,8 @@ from orbit_core.cli.output import console
 from orbit_core.cli.settings import EnvironmentSettings, check_output, make_folder, parse_words
 from orbit_core.files import check_apart, written_whole
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
-from orbit_core.pretrained import policy_fields, policy_path
 from orbit_learn.cli.trained import training_record
+from orbit_learn.pretrained import policy_fields, policy_path
 
 if TYPE_CHECKING:
     from orbit_data.manifest.manifest import Manifest

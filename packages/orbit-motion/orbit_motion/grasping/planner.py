@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.actions.full_ik import FullIk, FullIkConfig
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import (
     pose_inverse,
@@ -23,6 +22,7 @@ from orbit_core.dynamics.transforms import (
 )
 from orbit_core.interfaces import PlanningError
 from orbit_core.interfaces.layout import joint_limits
+from orbit_motion.full_ik import FullIk, FullIkConfig
 from orbit_motion.grasping.antipodal import GraspCandidates, GraspConfig, HandBoxes, grasp_candidates, surface_of
 from orbit_motion.obstacles import TERRAIN
 from orbit_motion.planning import JointPlanner, JointTrajectory, PlannerConfig, StillWorld, time_optimal

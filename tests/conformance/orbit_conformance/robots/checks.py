@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 
+from orbit_assets.catalogue import robot
 from orbit_conformance.robots.check import CheckResult, RobotCheck, RobotResult, judge_check
 from orbit_conformance.robots.description import DESCRIPTION
 from orbit_conformance.robots.exceptions import ROBOT_GAPS
@@ -16,7 +17,6 @@ from orbit_conformance.scenario import Trial
 from orbit_conformance.verdict import Status
 from orbit_core.interfaces import Backend, Gap, SimulationError, UnsupportedCapabilityError
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.robots import robot
 from orbit_core.scene import RobotSpec
 
 CHECKS: tuple[RobotCheck, ...] = (DESCRIPTION, HOLD, TRACKING, GRASP, STAND)

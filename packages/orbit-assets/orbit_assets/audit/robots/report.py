@@ -26,6 +26,7 @@ from orbit_assets.audit.robots.postures import (
     lowest_point,
     shapes_in_frame,
 )
+from orbit_assets.catalogue import RobotEntry, robot_info
 from orbit_assets.convex import Convex, within
 from orbit_assets.self_contacts import touching_links
 from orbit_core.actuators.stability import ExplicitGains, unstable_drive
@@ -36,7 +37,6 @@ from orbit_core.interfaces.errors import AssetError, ConfigurationError, Unknown
 from orbit_core.interfaces.layout import JointParameters, SceneLayout, actuator_of_joint, gripper_positions
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import link_poses, validate_entity
-from orbit_core.robots import RobotEntry, robot_info
 from orbit_core.scene import EndEffector, Gripper, ImplicitPd, Mesh, MeshCollision, Pose, RobotSpec, Scene
 
 # Metres that are allowed between the lowest and the highest foot.

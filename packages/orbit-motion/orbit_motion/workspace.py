@@ -1,26 +1,19 @@
-"""Reach and workspace of a robot's hand."""
+"""Workspace of a robot's hand: the largest box that it reaches, pointing down."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.actions.base import MotionGenerator
 from orbit_core.actions.embodiment import joint_commands
-from orbit_core.actions.full_ik import FullIk, FullIkConfig
-from orbit_core.actions.ik import PoseCommand
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import (
-    pose_error,
-    pose_inverse,
-    pose_multiply,
     quat_conjugate,
     quat_from_euler,
     quat_multiply,
@@ -29,56 +22,7 @@ from orbit_core.dynamics.transforms import (
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.layout import home_positions, match_names
 from orbit_core.scene import Pose, RobotSpec, Workspace
-
-# rad/s or m/s
-_RESTING = 0.05
-
-
-class PoseFollower(MotionGenerator):
-    """A generator whose commands ask for poses of a frame."""
-
-    frame: str
-    _pose: PoseCommand
-
-    def asked(self) -> Tensor:
-        """(N, 7) the pose of the frame that was last asked for, in each environment's frame."""
-        return self._pose.asked()
-
-    def out_of_reach(self) -> Tensor:
-        """(N, 2) m and rad by which the nearest pose that the joints can take misses :meth:`asked`.
-
-        Zero where it can be reached, to 1e-4 m and 1e-3 rad, within the joints' limits and from where the other joints
-        are. It is looked for by :class:`orbit_core.actions.full_ik.FullIk` whenever this is called, and costs a step
-        nothing; obstacles are not asked about.
-        """
-        with torch.inference_mode():
-            local = pose_multiply(pose_inverse(self.robot.root_pose), self.asked())
-            found = self._search.solve(local, self.robot.joint_positions)
-            missing = torch.stack((found.position_error, found.rotation_error), 1)
-            return torch.where(found.converged.unsqueeze(1), 0.0, missing)
-
-    def resting_off(self) -> Tensor:
-        """(N,) bool: whether the frame rests by a centimetre or 0.1 rad and more away from :meth:`asked`."""
-        with torch.inference_mode():
-            off = pose_error(self.robot.frame_pose(self.frame), self.asked())
-            far = (off[:, :3].norm(dim=1) > 0.01) | (off[:, 3:].norm(dim=1) > 0.1)
-            return far & (self.velocities.abs().amax(1) < _RESTING)
-
-    def reach_problem(self, env: int = 0) -> str:
-        """Return the result of :meth:`out_of_reach` for one environment in words; empty if it reaches the pose."""
-        metres, radians = self.out_of_reach()[env].tolist()
-        if not metres and not radians:
-            return ""
-        return (
-            f"'{self.name}': the pose asked of '{self.frame}' of robot '{self.robot.name}' is out of reach by "
-            f"{metres:.3f} m and {radians:.2f} rad"
-        )
-
-    @cached_property
-    def _search(self) -> FullIk:
-        tree = KinematicTree(self.robot.spec.articulation, self.device)
-        return FullIk(tree, self.frame, self.joints, self.robot.position_limits, self.robot.home_positions)
-
+from orbit_motion.full_ik import FullIk, FullIkConfig
 
 # Tilt and yaw in rad, the widest first
 _ROTATIONS = ((0.3, 1.0), (0.0, 1.0), (0.0, 0.0))
