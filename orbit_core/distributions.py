@@ -24,6 +24,7 @@ _BROUGHT_BY = {
     "orbit.decompositions": "orbit-assets",
     "orbit.motion": "orbit-motion",
     "orbit.starts": "orbit-motion",
+    "orbit.recorders": "orbit-viewer",
     "orbit.policies": "orbit-policies",
     "orbit.actors": "orbit-learn",
     "orbit.actuators": "orbit-learn",

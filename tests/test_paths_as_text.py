@@ -19,7 +19,6 @@ from orbit_conformance.results import load
 from orbit_conformance.tasks import compare_recordings
 from orbit_core.files import as_path, read_bytes
 from orbit_core.interfaces import ArgumentError, OrbitError
-from orbit_core.rollout.video import VideoFile
 from orbit_data.card import write_card
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
@@ -39,6 +38,7 @@ from orbit_learn.policy import Policy, load_policy
 from orbit_learn.policy_file import newest_file, read_policy
 from orbit_learn.pretrained import policy_path
 from orbit_learn.training import read_checkpoint, write_checkpoint
+from orbit_viewer.video import VideoFile
 
 
 def episodes() -> list[Episode]:

@@ -32,7 +32,7 @@ from orbit_conformance.results import Record, load
 from orbit_conformance.robots.checks import CHECKS
 from orbit_conformance.verdict import Status
 from orbit_core.preparation.validation import link_poses
-from orbit_core.rollout.video import OverviewCamera
+from orbit_core.rollout.pictures import OverviewCamera
 from orbit_core.scene import AmbientLight, DirectionalLight, Plane, Pose, RobotSpec, Scene, Shape, look_at
 from orbit_core.world import simulate
 

@@ -15,6 +15,7 @@ from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.settings import RunSettings, check_output, check_positive, check_size, parse_settings
 from orbit_core.rollout.estimates import Estimate, Statistic, statistic
+from orbit_core.rollout.pictures import Recorder, video_recorder
 from orbit_core.rollout.stepping import EpisodeCounter, Episodes, Pace, ReachWatch, StepObserver, roll_out
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from orbit_core.envs.environment import Environment, EpisodeEnd
     from orbit_core.envs.premises import PremiseCheck
-    from orbit_core.rollout.video import VideoRecorder
 
 # Share of looks at hands' targets that must find one out of reach for the table to report it
 _REPORTED_SHARE = 0.01
@@ -119,7 +119,7 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
 class _ProgressReporter(StepObserver):
     """Reports the progress of a run."""
 
-    def __init__(self, counter: EpisodeCounter, recorder: VideoRecorder | None, progress: Progress) -> None:
+    def __init__(self, counter: EpisodeCounter, recorder: Recorder | None, progress: Progress) -> None:
         self._counter = counter
         self._recorder = recorder
         self._progress = progress
@@ -143,15 +143,12 @@ def _episodes(environment: Environment, settings: RunSettings, progress: Progres
     return counter.episodes(), pace, reach
 
 
-def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:
+def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[Recorder | None]:
     """Return the recorder of the video that the settings ask for, or None."""
-    # The encoder is optional, and imported only for a video.
     if settings.video is None:
         return nullcontext()
-    from orbit_core.rollout.video import VideoRecorder
-
     width, height = settings.video_size
-    return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
+    return video_recorder(environment, settings.video, width=width, height=height, frames=settings.frames)
 
 
 def main(words: Sequence[str]) -> None:

@@ -38,19 +38,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "state": ("TaskState", "buffer"),
     "task": ("Subtask", "Task", "TaskMetadata"),
     "terms": (
-        "CommandTerm",
-        "CurriculumTerm",
-        "EventTerm",
-        "EventTime",
-        "ModifyTerm",
-        "ObservationGroup",
-        "ObservationTerm",
-        "PremiseTerm",
-        "RewardTerm",
-        "TerminationTerm",
-        "once_per_state",
+        "CommandTerm", "CurriculumTerm", "EventTerm", "EventTime", "ModifyTerm", "ObservationGroup",
+        "ObservationTerm", "PremiseTerm", "RewardTerm", "TerminationTerm", "once_per_state",
     ),
-}
+}  # fmt: skip
 __all__ = [
     "CommandTerm", "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ModifyTerm",
     "ObservationGroup", "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Subtask", "Task", "TaskEntry",

@@ -30,8 +30,9 @@ from orbit_conformance.settings import Part, Settings
 from orbit_conformance.sources import CORE
 from orbit_conformance.tasks import compare_recordings
 from orbit_core.envs.registry import task_entries
-from orbit_core.files import LOCK, as_path, check_apart, storage_faults, sweep, written_whole
+from orbit_core.files import as_path, check_apart, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
+from orbit_data.folder_lock import LOCK
 
 # Takes the kind and the information of all runs; returns one of each name.
 _Reconcile = Callable[[str, Iterable[Any]], tuple[Any, ...]]

@@ -25,7 +25,7 @@ from orbit_core.backends import backend as find_backend
 from orbit_core.envs import Environment, make
 from orbit_core.envs.actors import RandomActor
 from orbit_core.interfaces import Capability
-from orbit_core.rollout.video import OverviewCamera
+from orbit_core.rollout.pictures import OverviewCamera
 
 # Width and height in pixels of the picture whose cost is measured.
 PICTURE = 84

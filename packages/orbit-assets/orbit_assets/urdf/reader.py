@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import numpy.typing as npt
 
+from orbit_assets.compose import sort_links
 from orbit_assets.inertia_repair import repaired
 from orbit_assets.joint_models import BALL, FLOATING, PLANAR, compound, resolve_chains
 from orbit_assets.naming import names_file
@@ -20,7 +21,6 @@ from orbit_assets.urdf.shapes import UrdfShapes, facing
 from orbit_assets.urdf.writer import UNLIMITED
 from orbit_assets.xacro import read_expanded
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.preparation.validation import sort_links
 from orbit_core.scene import Articulation, Joint, JointType, Link, Mimic
 
 

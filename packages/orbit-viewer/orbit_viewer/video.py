@@ -1,4 +1,4 @@
-"""Pictures of a world from a spectator's camera, and videos of an environment's first episode."""
+"""Videos of an environment's first episode; the recorder of ``orbit run --video``."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
 
 from orbit_core.files import Replacement, as_path, storage_faults
 from orbit_core.installing import install_extra
-from orbit_core.interfaces import ConfigurationError, StorageError, World
-from orbit_core.rollout.stepping import StepObserver
-from orbit_core.scene import CameraSpec, Channel, Pose
+from orbit_core.interfaces import ConfigurationError, StorageError
+from orbit_core.rollout.pictures import OverviewCamera, Recorder
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -27,35 +25,6 @@ if TYPE_CHECKING:
 _MULTIPLE = 16
 # About the most frames in a second of a video; steps in between are not drawn
 _FRAMES_PER_SECOND = 25.0
-
-
-class OverviewCamera:
-    """A spectator's camera in every environment; markers are drawn, and the robots' frames where asked."""
-
-    def __init__(self, world: World, width: int, height: int, view: Pose, frames: bool = False) -> None:
-        self._world = world
-        self._spec = CameraSpec(name="overview", width=width, height=height, vertical_fov=0.8, pose=view)
-        self._renderer = world.create_renderer((self._spec,), frames)
-        self._pose = torch.tensor((*view.position, *view.orientation), device=world.device)
-
-    def pictures(self, env_ids: Tensor | None = None) -> Tensor:
-        """Return (n, height, width, 3) uint8 on the CPU."""
-        rows = slice(None) if env_ids is None else env_ids
-        links = self._world.link_poses[rows]
-        image = self._renderer.render(
-            self._spec,
-            self._pose.expand(links.shape[0], 7),
-            links,
-            (Channel.RGB,),
-            self._world.marker_poses[rows] if self._world.markers else None,
-            env_ids,
-        )
-        assert image.rgb is not None  # it was asked for
-        return image.rgb.cpu()
-
-    def close(self) -> None:
-        """Free the renderer."""
-        self._renderer.close()
 
 
 class VideoFile:
@@ -152,7 +121,7 @@ class VideoFile:
         self._stream = None
 
 
-class VideoRecorder(StepObserver):
+class VideoRecorder(Recorder):
     """Films the first ``environments`` of a batch side by side, from when it is made until the video is full.
 
     The video is as long as an episode's time limit; an environment whose episode ends earlier shows its next one.
@@ -210,15 +179,6 @@ class VideoRecorder(StepObserver):
         """Give the video up."""
         self._camera.close()
         self._file.discard()
-
-    def __enter__(self) -> VideoRecorder:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
-        if kind is None:
-            self.close()
-        else:
-            self.discard()
 
 
 def tile(pictures: npt.NDArray[np.uint8], columns: int) -> npt.NDArray[np.uint8]:
