@@ -27,7 +27,7 @@ from orbit_core.world import simulate
 from orbit_motion import RmpFlow, RmpFlowConfig
 from orbit_motion.full_ik import FullIk
 from orbit_motion.planning import JointPlanner, TrajectoryFollower, time_optimal
-from orbit_motion.planning.trajectory import JointTrajectory
+from orbit_motion.planning.follower import JointTrajectory
 
 SHAPES = (Sphere(0.08), Box((0.05, 0.05, 0.15)), Capsule(0.05, 0.1))
 SPARE = 0.03

@@ -10,7 +10,7 @@ from orbit_core.envs import Environment, EventTerm, ObservationGroup, Observatio
 from orbit_core.mdp import common
 from orbit_core.scene import Scene
 from orbit_motion.experts import Expert
-from orbit_motion.task_robots import arm
+from orbit_motion.workspace import arm
 from orbit_tasks.mdp import picking
 
 EDGE = 0.05

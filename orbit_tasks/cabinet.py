@@ -30,7 +30,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformScalarCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, RobotSpec, Scene, look_at
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 
 DRAWER = "drawer_joint"

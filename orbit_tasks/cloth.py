@@ -20,7 +20,7 @@ from orbit_core.interfaces.layout import gripper_positions
 from orbit_core.mdp import common
 from orbit_core.scene import Cloth, MarkerSpec, ObjectSpec, PhysicsMaterial, Pose, Scene
 from orbit_core.scene.pose import Vector3
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Phase
 from orbit_tasks.mdp import matter
 

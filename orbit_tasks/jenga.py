@@ -20,7 +20,7 @@ from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import Color, PhysicsMaterial, Pose, RobotSpec, Scene, look_at
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, tabletop
 

@@ -34,7 +34,7 @@ from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
 from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene
 from orbit_core.scene.pose import Vector3
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking
 from orbit_tasks.pixels import ArmPixels

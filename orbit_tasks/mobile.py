@@ -19,7 +19,7 @@ from orbit_core.envs.terms import POSE, EventFunction, TermFunction, measured_in
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
 from orbit_core.scene import RobotSpec
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_tasks.locomotion import LocomotionConfig
 
 # The action term that moves a walking robot; other bases' terms are of that name too.

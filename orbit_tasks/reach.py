@@ -28,7 +28,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformPoseCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mobile import sag_rate
 from orbit_tasks.pixels import ArmPixels

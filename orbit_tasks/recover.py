@@ -22,7 +22,7 @@ from orbit_core.interfaces import Node, Port
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Scene, look_at
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_tasks import walking
 from orbit_tasks.trunk import angular_velocity, projected_gravity
 

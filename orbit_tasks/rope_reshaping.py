@@ -20,7 +20,7 @@ from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import KeyPoint, MarkerShape, MarkerSpec, Pose, Rope, Scene, look_at
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import matter
 

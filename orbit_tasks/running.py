@@ -30,7 +30,7 @@ from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Scene, look_at
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
 

@@ -26,7 +26,7 @@ from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import UniformPositionCommand, generated_command
 from orbit_core.scene import KeyPoint, Pose, Scene, SoftBody
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.lift import GOAL
 from orbit_tasks.mdp import matter, picking

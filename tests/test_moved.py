@@ -38,7 +38,7 @@ def test_an_old_name_gives_the_same_module() -> None:
         ("orbit_core.actions", "orbit_motion.full_ik", "FullIkTermConfig"),
         ("orbit_core.actions.grippers", "orbit_motion.synergies", "synergies_of"),
         ("orbit_core.actions.workspace", "orbit_core.actions.ik", "PoseFollower"),
-        ("orbit_core.mdp.common", "orbit_motion.task_robots", "arm"),
+        ("orbit_core.mdp.common", "orbit_motion.workspace", "arm"),
         ("orbit_core.mdp.common", "orbit_assets.objects", "work_bench"),
         ("orbit_core.dynamics.drive_design", "orbit_core.dynamics.workspace", "drive_responses"),
         ("orbit_core.cli.settings", "orbit_learn.cli.trained", "PlaySettings"),

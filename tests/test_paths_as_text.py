@@ -23,8 +23,7 @@ from orbit_data.card import write_card
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_data.lerobot import read_video, write_lerobot, write_video
-from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.lerobot import LeRobotDataset, read_video, write_lerobot, write_video
 from orbit_data.reading.budget import ReadAccount, ReadBudget
 from orbit_data.recording import PartFolder, RecordingFile
 from orbit_data.tensor_file import read_tensors, write_tensors

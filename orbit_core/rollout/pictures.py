@@ -103,4 +103,5 @@ def video_recorder(
         UnknownNameError: orbit-viewer, which brings it, is not installed.
         ConfigurationError: the size cannot be, or the encoder is not installed.
     """
+    # Found by its name: an encoder takes long to load, and most runs film nothing.
     return recorders().get("video")(environment, path, environments, width, height, frames)

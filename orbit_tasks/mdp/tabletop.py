@@ -26,7 +26,7 @@ from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ObjectSpec, RobotSpec, Scene
-from orbit_motion import task_robots
+from orbit_motion import workspace as task_robots
 from orbit_tasks.mdp import picking, premises
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from orbit_conformance.compare import compare
 from orbit_conformance.episodes import TaskResult
 from orbit_conformance.execution import execute
 from orbit_conformance.hardware import Hardware
 from orbit_conformance.jobs import Job, Kind, plan
+from orbit_conformance.merge import compare
 from orbit_conformance.report.page import write_report
 from orbit_conformance.results import Ending, Header, PolicyInfo, Record, Result, load, save
 from orbit_conformance.settings import Part, Settings, choose

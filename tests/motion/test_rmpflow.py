@@ -14,9 +14,8 @@ from orbit_core.scene import Box, Capsule, Cylinder, ObjectSpec, Pose, Scene, Sh
 from orbit_core.scene.shapes import Geometry
 from orbit_core.world import simulate
 from orbit_motion import RmpFlow, RmpFlowConfig
-from orbit_motion.clearance import _surface, collision_spheres
 from orbit_motion.full_ik import FullIk
-from orbit_motion.obstacles import Obstacles
+from orbit_motion.obstacles import Obstacles, _surface, collision_spheres
 from orbit_motion.rmpflow import Barrier
 from tests.motion.servo_world import BACKENDS, ENGINES, held
 

@@ -29,7 +29,8 @@ from orbit_core.scene import (
     RobotSpec,
     Workspace,
 )
-from orbit_motion import task_robots, workspace
+from orbit_motion import workspace
+from orbit_motion import workspace as task_robots
 from orbit_motion.full_ik import FullIk
 from orbit_motion.workspace import fitted_workspace, with_workspace
 

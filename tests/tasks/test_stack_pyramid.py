@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from orbit_conformance.task_starts import coverage
+from orbit_conformance.task_audit import coverage
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions
+from orbit_assets.source_text import names_file
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.preparation.validation import link_poses

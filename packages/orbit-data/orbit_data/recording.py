@@ -44,8 +44,7 @@ from orbit_data.episodes import (
 )
 from orbit_data.folder_lock import LOCK, FolderLock
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_data.manifest.compare import Kind, differences
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Kind, Manifest, differences
 from orbit_data.noise import CLEAN, NoisyActor
 from orbit_data.reading.budget import MAX_DOCUMENT, TRUSTED
 from orbit_data.reading.hdf5 import hdf5_module

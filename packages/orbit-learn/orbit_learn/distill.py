@@ -17,10 +17,9 @@ from orbit_core.envs.actors import Teacher
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.interfaces import ConfigurationError
-from orbit_learn.convolutional import PictureActor, convolutional
 from orbit_learn.description import group_parts
 from orbit_learn.memory import Remembering
-from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron
+from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron, PictureActor, convolutional
 from orbit_learn.policy import load_policy
 from orbit_learn.pretrained import policy_path
 from orbit_learn.trainer import LoopTrainer

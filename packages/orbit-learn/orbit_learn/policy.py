@@ -13,8 +13,7 @@ from torch import Tensor, nn
 from orbit_core.envs.observation_layout import leaf_shapes
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, Node, Port
-from orbit_data.manifest.compare import check_manifest, renamed_group
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Manifest, check_manifest, renamed_group
 from orbit_learn import onnx_file
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.memory import Remembering, Seen

@@ -10,8 +10,8 @@ from enum import Enum
 import numpy as np
 
 from orbit_assets.audit.geometry import FloatArray, bounds, colliding_volume
+from orbit_assets.convex import touching_links
 from orbit_assets.mass_properties import mass_properties
-from orbit_assets.self_contacts import touching_links
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Joint, JointType, Link, Shape
 from orbit_core.scene.inertias import principal_axes

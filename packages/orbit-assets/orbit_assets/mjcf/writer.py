@@ -23,7 +23,7 @@ from orbit_assets.losses import (
     missing_traits,
     raised_inertias,
 )
-from orbit_assets.mjcf.loops import OWN_SITES
+from orbit_assets.mjcf.couplings import OWN_SITES
 from orbit_assets.mjcf.model import vector_of
 from orbit_assets.mjcf.trees import WORLD
 from orbit_assets.urdf.writer import UNLIMITED, numbers, write_mesh

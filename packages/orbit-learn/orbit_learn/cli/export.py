@@ -107,7 +107,7 @@ def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
         The completed manifest if the environment has the same joints, home positions and terms; otherwise the manifest
         as it was, with a warning.
     """
-    from orbit_data.manifest.compare import Kind, differences
+    from orbit_data.manifest.manifest import Kind, differences
 
     group = policy.description.group
     try:
@@ -133,8 +133,7 @@ def _present(policy: Policy, path: Path) -> Manifest:
     Raises:
         OrbitError: the environment cannot be made here.
     """
-    from orbit_data.manifest.compare import renamed_group
-    from orbit_data.manifest.manifest import Manifest
+    from orbit_data.manifest.manifest import Manifest, renamed_group
 
     learned, training = policy.description, training_record(path)
     # A policy of a backend that is not installed gets the manifest of the default one.

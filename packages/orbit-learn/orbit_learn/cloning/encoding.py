@@ -16,8 +16,8 @@ from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.manifest.manifest import ActionTermManifest, Manifest, ObservationTermManifest
-from orbit_learn.convolutional import Convolutional, PictureEncoder, convolutional, encoded_pictures
 from orbit_learn.description import Part
+from orbit_learn.networks import Convolutional, PictureEncoder, convolutional, encoded_pictures
 
 FINE = 0.03
 """Metres at which a fine difference saturates: the width of a small object."""

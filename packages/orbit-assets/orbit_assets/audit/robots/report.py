@@ -27,8 +27,7 @@ from orbit_assets.audit.robots.postures import (
     shapes_in_frame,
 )
 from orbit_assets.catalogue import RobotEntry, robot_info
-from orbit_assets.convex import Convex, within
-from orbit_assets.self_contacts import touching_links
+from orbit_assets.convex import Convex, touching_links, within
 from orbit_core.actuators.stability import ExplicitGains, unstable_drive
 from orbit_core.dynamics.kinematics import mimic_matrix
 from orbit_core.dynamics.rigid_body import RigidBodyModel
