@@ -1,6 +1,6 @@
 """Old import paths: modules and names that moved still import from where they were, with a warning, for one release.
 
-``moved.txt`` lists them. A module's old name gives the very same module.
+``old_names.toml`` lists them. A module's old name gives the very same module.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import importlib.abc
 import importlib.machinery
 import importlib.util
 import sys
+import tomllib
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,18 +20,11 @@ from typing import Any
 from orbit_core.installing import install_command
 from orbit_core.interfaces.errors import ConfigurationError
 
-MODULES: dict[str, str] = {}
+_TABLE = tomllib.loads(Path(__file__).with_name("old_names.toml").read_text(encoding="utf-8"))
+MODULES: dict[str, str] = _TABLE["modules"]
 """Old name of a module or package -> its name now; the longest prefix counts."""
-NAMES: dict[str, list[tuple[str, str]]] = {}
+NAMES: dict[str, dict[str, str]] = _TABLE["names"]
 """Module -> names that it had, each with the module that has it now; ``*`` for all that the other exports."""
-for _row in Path(__file__).with_suffix(".txt").read_text(encoding="utf-8").splitlines():
-    if not _row.startswith("#"):
-        _old, _new = _row.split()
-        _module, _colon, _name = _old.partition(":")
-        if _colon:
-            NAMES.setdefault(_module, []).append((_name, _new))
-        else:
-            MODULES[_old] = _new
 
 
 def moved_name(module: str, name: str) -> Any:
@@ -39,7 +33,7 @@ def moved_name(module: str, name: str) -> Any:
     Raises:
         AttributeError: it never had that name, or the distribution that brings it is not installed.
     """
-    for old, other in NAMES[module]:
+    for old, other in NAMES[module].items():
         if old not in (name, "*"):
             continue
         try:
