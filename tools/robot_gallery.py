@@ -25,8 +25,8 @@ from PIL import Image
 from orbit_assets.audit.geometry import shape_points
 from orbit_assets.audit.robots.postures import home_posture
 from orbit_assets.audit.robots.report import RobotReport, audit_spec
-from orbit_assets.cache import installed_version
 from orbit_assets.catalogue import RobotEntry, robot_info, robot_names
+from orbit_assets.sources import installed_version
 from orbit_conformance.jobs import Kind
 from orbit_conformance.results import Record, load
 from orbit_conformance.robots.checks import CHECKS

@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_assets.cache import installed_urdf
 from orbit_assets.catalogue import robot
 from orbit_assets.objects import cylinder
+from orbit_assets.sources import installed_urdf
 from orbit_core.actions import BinaryGripperConfig, JointTarget, joint_commands
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree

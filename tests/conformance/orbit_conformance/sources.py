@@ -13,8 +13,8 @@ from pathlib import Path
 
 import importlib_metadata
 
-from orbit_assets.cache import installed_version
 from orbit_assets.catalogue import robot_info
+from orbit_assets.sources import installed_version
 from orbit_conformance.jobs import Job, Kind, plan
 from orbit_conformance.settings import Settings
 from orbit_conformance.transfer import learned

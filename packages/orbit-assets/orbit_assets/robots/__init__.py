@@ -6,8 +6,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from orbit_assets.cache import installed_version
 from orbit_assets.catalogue import RobotCatalogue, RobotEntry, composed
+from orbit_assets.sources import installed_version
 
 if TYPE_CHECKING:
     from orbit_core.scene import RobotSpec

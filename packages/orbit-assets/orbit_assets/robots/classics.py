@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
-from orbit_assets.cache import Model, model_folder
+from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames
 from orbit_assets.mjcf.reader import read_mjcf
 from orbit_assets.options import ReadOptions, Unsupported
 from orbit_assets.robot_parts import PartKind, RobotPart
+from orbit_assets.sources import model_folder
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import (
     Articulation,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orbit_assets.cache import Model, installed_urdf, model_folder
+from orbit_assets.cache import Model
 from orbit_assets.compose import (
     add_frames,
     attach,
@@ -27,6 +27,7 @@ from orbit_assets.meshes import load_mesh
 from orbit_assets.mjcf.reader import read_mjcf
 from orbit_assets.options import ReadOptions, Unsupported
 from orbit_assets.robot_parts import PartKind, RobotPart
+from orbit_assets.sources import installed_urdf, model_folder
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Joint, JointType, Link, Mimic, Pose, Shape
 from orbit_core.scene.pose import Vector3

@@ -13,9 +13,9 @@ import functools
 import math
 from dataclasses import replace
 
-from orbit_assets.cache import model_folder
 from orbit_assets.compose import add_frames, edit_joints, simplify_collisions
 from orbit_assets.options import ReadOptions
+from orbit_assets.sources import model_folder
 from orbit_assets.urdf import read_urdf
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate

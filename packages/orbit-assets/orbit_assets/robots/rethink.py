@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
-from orbit_assets.cache import Model, installed_urdf
+from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames, edit_joints, inertia_of_shapes, subtree, without
 from orbit_assets.drive_design import DriveDesign, with_armature
 from orbit_assets.robot_parts import PartKind, RobotPart
+from orbit_assets.sources import installed_urdf
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose, Workspace
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from orbit_assets.cache import Model, installed_urdf
+from orbit_assets.cache import Model
 from orbit_assets.compose import (
     add_frames,
     attach,
@@ -18,6 +18,7 @@ from orbit_assets.compose import (
 )
 from orbit_assets.drive_design import DriveDesign, with_armature
 from orbit_assets.robot_parts import PartKind, RobotPart
+from orbit_assets.sources import installed_urdf
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import (
     Articulation,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from orbit_assets.cache import Model, installed_urdf
+from orbit_assets.cache import Model
 from orbit_assets.compose import add_frames, edit_links, simplify_collisions, subtree
 from orbit_assets.drive_design import DriveDesign, with_armature
 from orbit_assets.robot_parts import PartKind, RobotPart
 from orbit_assets.robots.hands import bracket, grasp, on_bracket, opened
+from orbit_assets.sources import installed_urdf
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, EndEffector, Frame, ImplicitPd, Link, Mesh, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
