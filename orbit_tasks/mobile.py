@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_assets.audit.geometry import shape_points
+from orbit_assets.audit.checks import shape_points
 from orbit_core.actions import ActionTerm, preset_terms
 from orbit_core.actions.embodiment import arm_joints_of
 from orbit_core.dynamics.transforms import quat_rotate

@@ -40,7 +40,7 @@ def test_an_old_name_gives_the_same_module() -> None:
         ("orbit_core.actions.workspace", "orbit_core.actions.ik", "PoseFollower"),
         ("orbit_core.mdp.common", "orbit_motion.workspace", "arm"),
         ("orbit_core.mdp.common", "orbit_assets.objects", "work_bench"),
-        ("orbit_core.dynamics.drive_design", "orbit_core.dynamics.workspace", "drive_responses"),
+        ("orbit_core.dynamics.drive_design", "orbit_core.dynamics.rigid_body", "drive_responses"),
         ("orbit_core.cli.settings", "orbit_learn.cli.trained", "PlaySettings"),
         ("orbit_core.sensors", "orbit_data.bounding_boxes", "BoundingBoxes2d"),
         ("orbit_core.preparation.inertia", "orbit_core.preparation.merge", "combine"),

@@ -22,7 +22,7 @@ import numpy.typing as npt
 import tyro
 from PIL import Image
 
-from orbit_assets.audit.geometry import shape_points
+from orbit_assets.audit.checks import shape_points
 from orbit_assets.audit.robots.postures import home_posture
 from orbit_assets.audit.robots.report import RobotReport, audit_spec
 from orbit_assets.catalogue import RobotEntry, robot_info, robot_names

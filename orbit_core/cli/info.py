@@ -150,7 +150,7 @@ def _show_task(console: Console, name: str) -> None:
 
 
 def _show_actions(console: Console, task: Task, scene: Scene) -> None:
-    from orbit_core.envs.action_terms import action_terms
+    from orbit_core.envs.action_manager import action_terms
 
     robots = {robot.name: robot for robot in scene.robots}
     table = new_table("action term", "motion generator", "robot", "components", "joints")

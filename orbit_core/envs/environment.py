@@ -25,8 +25,7 @@ from orbit_core.dynamics.arguments import (
 )
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.linear import SingleThreaded
-from orbit_core.envs.action_manager import ActionManager
-from orbit_core.envs.action_terms import action_terms, driven_scene
+from orbit_core.envs.action_manager import ActionManager, action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered, where_rows
 from orbit_core.envs.command_manager import CommandManager
 from orbit_core.envs.configuration import (

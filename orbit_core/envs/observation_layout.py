@@ -246,5 +246,5 @@ def _refuse(group: str, term: str, values: Tensor) -> None:
     raise NonFiniteError(
         f"observation term '{term}' of group '{group}' is not finite in environment{plural} "
         f"{first_few(environments)}: component {component} of environment {environments[0]} is {number}. A term must "
-        "give finite numbers: bound what divides or measures, as orbit_core.mdp.images.camera_depth does"
+        "give finite numbers: bound what divides or measures, as orbit_core.mdp.sensing.camera_depth does"
     )

@@ -11,7 +11,7 @@ from orbit_core.exports import lazy_names
 
 # Type checkers see every name; at run time a name's module is imported when the name is used.
 if TYPE_CHECKING:
-    from orbit_core.interfaces.backend import Backend
+    from orbit_core.interfaces.backend import CONTRACT, Backend
     from orbit_core.interfaces.capabilities import (
         EXACT,
         IMAGES,
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         unsupported,
     )
     from orbit_core.interfaces.capture import CaptureFacet
-    from orbit_core.interfaces.contract import CONTRACT
     from orbit_core.interfaces.engine import Engine, RayHits
     from orbit_core.interfaces.entities import Deformable, JointTarget, Marker, Object, Robot
     from orbit_core.interfaces.errors import (

@@ -15,7 +15,7 @@ import pytest
 import trimesh.creation
 
 from orbit_assets import load_articulation
-from orbit_assets.audit.geometry import FloatArray, Posture, mass_matrix, posture, shape_points
+from orbit_assets.audit.checks import FloatArray, Posture, mass_matrix, posture, shape_points
 from orbit_assets.catalogue import robot
 from orbit_assets.mjcf import write_mjcf
 from orbit_assets.mjcf.writer import renamed_world

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orbit_assets import load_articulation
-from orbit_assets.audit.geometry import posture
+from orbit_assets.audit.checks import posture
 from orbit_assets.audit.mjcf_reference import MujocoReference
 from orbit_assets.catalogue import robot
 from orbit_assets.options import ReadOptions, Unsupported

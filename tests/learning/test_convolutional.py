@@ -14,7 +14,7 @@ from torch import Tensor
 
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.mdp.images import camera_color, camera_depth
+from orbit_core.mdp.sensing import camera_color, camera_depth
 from orbit_core.scene import CameraSpec, Channel
 from orbit_learn.description import Part, PolicyDescription, group_parts
 from orbit_learn.networks import ActorNetwork, Convolutional, Picture, PictureEncoder, convolutional

@@ -18,7 +18,7 @@ from orbit_core.backends import default_backend, renderer_names
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
-from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
+from orbit_core.mdp.sensing import camera_color, camera_depth, camera_segmentation
 from orbit_core.scene import CameraSpec, Channel, look_at
 from orbit_learn.learners import trainer_type
 from orbit_learn.networks import Convolutional

@@ -69,7 +69,7 @@ def designed_drives(articulation: Articulation, designs: Sequence[DriveDesign]) 
         ConfigurationError: a frequency or damping ratio is not positive, or a joint has two designs.
         UnknownNameError: a pattern matches no movable joint.
     """
-    from orbit_core.dynamics.workspace import reflected_inertia  # loads torch, which most robots are listed without
+    from orbit_core.dynamics.rigid_body import reflected_inertia
 
     largest = reflected_inertia(articulation).largest
     names = articulation.joint_names

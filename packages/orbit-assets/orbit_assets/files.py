@@ -14,7 +14,7 @@ from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Articulation
-from orbit_core.scene.inertias import raised_moments
+from orbit_core.scene.articulation import raised_moments
 
 _SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usdz", ".sdf")
 

@@ -13,7 +13,7 @@ from orbit_assets.options import ReadOptions, Repair
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.merge import MassProperties, combine, link_hosts
 from orbit_core.scene import Articulation, Box, Capsule, Cylinder, Geometry, Link, Mesh, Pose, Shape, Sphere
-from orbit_core.scene.inertias import raised_moments
+from orbit_core.scene.articulation import raised_moments
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -424,7 +424,7 @@ def _picture(part: Part, channels: int) -> Picture:
     if part.low is None or part.high is None:
         raise ConfigurationError(
             f"observation '{part.name}' is a picture of {part.dtype} without bounds: give its term bounds=(least, "
-            "most), which the network scales to 0 and 1, as orbit_core.mdp.images.camera_depth does"
+            "most), which the network scales to 0 and 1, as orbit_core.mdp.sensing.camera_depth does"
         )
     return Picture(part.name, channels, part.high, part.low)
 

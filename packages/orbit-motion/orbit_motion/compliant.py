@@ -27,8 +27,8 @@ from orbit_core.actions.ik import COMPONENTS, PoseFollower
 from orbit_core.dynamics.arguments import FINITE, check_numbers
 from orbit_core.dynamics.kinematics import PointJacobian
 from orbit_core.dynamics.linear import solve_spd
+from orbit_core.dynamics.rigid_body import workspace_positions
 from orbit_core.dynamics.transforms import pose_error
-from orbit_core.dynamics.workspace import workspace_positions
 from orbit_core.interfaces import ConfigurationError, JointTarget, Object, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.scene import Entity, RobotSpec, Scene

@@ -14,7 +14,7 @@ from orbit_core.actions.arm_dynamics import ArmState
 from orbit_core.actions.base import CommandMode, LastTargets
 from orbit_core.actions.ik import towards_pose
 from orbit_core.actions.term import ActionTerm
-from orbit_core.dynamics.workspace import workspace_mass_matrices
+from orbit_core.dynamics.rigid_body import workspace_mass_matrices
 from orbit_core.interfaces import Robot
 from orbit_core.interfaces.layout import joint_constants
 from orbit_core.scene import RobotSpec

@@ -31,7 +31,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_core.scene.inertias import solid_moments
+from orbit_core.scene.articulation import solid_moments
 
 _KINDS = {
     JointType.FIXED: "fixed",

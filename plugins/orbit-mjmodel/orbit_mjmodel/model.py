@@ -21,7 +21,7 @@ import numpy.typing as npt
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
 from orbit_core.plugin_kit.bodies import inertia_approximations, is_massless
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, PhysicsMaterial, Pose, Shape
-from orbit_core.scene.inertias import solid_moments
+from orbit_core.scene.articulation import solid_moments
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import (

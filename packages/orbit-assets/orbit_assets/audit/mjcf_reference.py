@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from orbit_assets.audit.geometry import FloatArray, Posture
+from orbit_assets.audit.checks import FloatArray, Posture
 from orbit_assets.mjcf.model import compile_file
 from orbit_assets.options import ReadOptions
 from orbit_assets.source_text import one_line

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from orbit_assets.catalogue import robot_info, robot_names
 from orbit_core.cli.output import new_table, print_heading, print_line, print_rows
-from orbit_core.dynamics.workspace import drive_responses
+from orbit_core.dynamics.rigid_body import drive_responses
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.objects import object_config, object_kinds

@@ -47,7 +47,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_core.scene.inertias import solid_moments
+from orbit_core.scene.articulation import solid_moments
 
 _OF_JOINTS: JointTraits = (("velocity limits", lambda joint: joint.movable and math.isfinite(joint.velocity_limit)),)
 _OF_LINKS: LinkTraits = (

@@ -47,7 +47,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_core.scene.inertias import SINGLE, solid_moments
+from orbit_core.scene.articulation import SINGLE, solid_moments
 from orbit_core.scene.pose import Vector3
 
 # Mesh files as one rigid body: visual and collision shapes, mass and friction -----------------------------------------

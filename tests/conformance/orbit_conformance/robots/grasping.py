@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from orbit_assets.audit.robots.postures import all_shapes, frame_pose, gripper_posture, gripping
-from orbit_assets.convex import Convex, convex_shape, within
+from orbit_assets.decomposition import Convex, convex_shape, within
 from orbit_assets.objects import cylinder
 from orbit_conformance.bodies import WEIGHTLESS, G, scene
 from orbit_conformance.robots.check import Measures, RobotCheck, clamped
