@@ -69,13 +69,12 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.world import Sensor, World, WorldClock, WorldRandom, WorldSelector
 
 _MODULES = {
-    "backend": ("Backend",),
+    "backend": ("CONTRACT", "Backend"),
     "capabilities": (
         "EXACT", "IMAGES", "MATTER", "Capabilities", "Capability", "DriveIntegration", "Gap", "Level", "Support",
         "approximate", "unsupported",
     ),
     "capture": ("CaptureFacet",),
-    "contract": ("CONTRACT",),
     "engine": ("Engine", "RayHits"),
     "entities": ("Deformable", "JointTarget", "Marker", "Object", "Robot"),
     "errors": (

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbit_assets import cache
-from orbit_assets import cache as sources
+from orbit_assets import cache, sources
 from orbit_assets.cache import Model, cache_folder, cached_articulation
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import (

@@ -14,7 +14,7 @@ import importlib_metadata
 import numpy as np
 import pytest
 
-from orbit_assets import cache as sources
+from orbit_assets import sources
 from orbit_assets.catalogue import RobotCatalogue, RobotEntry, robot, robot_info, robot_names
 from orbit_core.interfaces import ConfigurationError, SceneLayout, UnknownNameError
 from orbit_core.interfaces.errors import AssetError

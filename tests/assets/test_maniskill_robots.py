@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from orbit_assets import cache as sources
+from orbit_assets import sources
 from orbit_assets.catalogue import robot, robot_info, robot_names, robots
 from orbit_assets.robots import maniskill
 from orbit_core.interfaces import SceneLayout, UnknownNameError

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from orbit_assets import cache as sources
+from orbit_assets import sources
 from orbit_assets.cache import cached_articulation
 from orbit_assets.catalogue import robot, robot_info, robots
 from orbit_assets.robot_parts import compose

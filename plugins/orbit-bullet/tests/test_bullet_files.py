@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbit_assets import cache as sources
+from orbit_assets import sources
 from orbit_assets.catalogue import robot
 from orbit_assets.files import load_articulation
 from orbit_bullet import BulletConfig, stage, urdf
