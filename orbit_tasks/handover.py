@@ -86,7 +86,7 @@ def grip(env: Environment[Handover], agent: str) -> Tensor:
 @once_per_state
 def hand_to_grip(env: Environment[Handover], agent: str) -> Tensor:
     """(N, 3) from that agent's hand to where it holds the rod."""
-    return grip(env, agent) - common.hand_pose(env, agent)[:, :3]
+    return grip(env, agent) - common.hand_position(env, agent)
 
 
 @once_per_state
@@ -165,7 +165,7 @@ def carried(agent: str, goal: TermFunction) -> TermFunction:
 
     def target(env: Environment[Handover]) -> Tensor:
         wanted = goal(env)
-        position = wanted + common.hand_pose(env, agent)[:, :3] - rod_pose(env)[:, :3]
+        position = wanted + common.hand_position(env, agent) - rod_pose(env)[:, :3]
         return torch.cat((position, _facing_down(agent, torch.zeros_like(wanted[:, 0]))), dim=1)
 
     return target

@@ -75,7 +75,7 @@ def cube_height(env: Environment[Lift, LiftMemory]) -> Tensor:
 @once_per_state
 def hand_to_cube(env: Environment[Lift]) -> Tensor:
     """(N, 3) from the hand to the cube."""
-    return cube_position(env) - common.hand_pose(env)[:, :3]
+    return cube_position(env) - common.hand_position(env)
 
 
 @once_per_state

@@ -130,7 +130,7 @@ def near_to(target: TermFunction, scale: float) -> TermFunction:
     centimetres."""
 
     def near(env: Environment) -> Tensor:
-        way = target(env)[:, :3] - common.hand_pose(env)[:, :3]
+        way = target(env)[:, :3] - common.hand_position(env)
         return common.nearness(torch.linalg.vector_norm(way, dim=1), scale)
 
     return near

@@ -75,12 +75,6 @@ class RowSelection:
         """Return numbers (n, *shape) in the form that an engine takes: float32, on the device, without gradient.
 
         Args:
-            value: that a caller gave.
-            shape: of one environment's values.
-            what: they are, for the message.
-            bounds: that the numbers must keep.
-
-        Args:
             value: given by a caller.
             shape: of one environment's value.
             what: name of the value, for messages.
@@ -139,7 +133,6 @@ class RowSelector:
         self._all = torch.arange(num_envs, device=device)
         self._num_envs = num_envs
         self._device = device
-        # Indices that were found good, and their version, for one choice goes through many calls
         self._known: tuple[Tensor, int] | None = None
         """Indices that were checked, and their version, since one selection goes through many calls."""
 

@@ -384,7 +384,8 @@ class Environment(Generic[TaskT, StateT]):
         torch.logical_or(late, terminated, out=self.done)
         if self.commands.changing:
             self.commands.update()  # after rewards, which judge the step by the command that it was taken under
-        return reward, terminated, late & ~terminated
+        # Of booleans, greater means "and not", in one operation.
+        return reward, terminated, torch.gt(late, terminated)
 
     def success(self) -> Tensor:
         """(N,) bool: whether episodes that end now reach the goal."""

@@ -89,7 +89,8 @@ class RewardManager:
 
     def total(self, values: Tensor) -> Tensor:
         """(N,) the reward that the terms' values (terms, N) make."""
-        return self._weights @ values
+        # Four operations with the weights on the left, as the product makes a matrix of them and takes it away again.
+        return torch.mv(values.t(), self._weights)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Forget some environments' sums, by index or mask."""

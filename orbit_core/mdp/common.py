@@ -180,6 +180,13 @@ def hand_pose(env: Environment, agent: str = ROBOT) -> Tensor:
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
+@once_per_state
+def hand_position(env: Environment, agent: str = ROBOT) -> Tensor:
+    """(N, 3) of the end effector's origin, in the environment's frame, m."""
+    robot = env.world.robots[agent]
+    return robot.frame_position(robot.spec.end_effector.frame)
+
+
 @functools.cache
 def object_pose(name: str) -> TermFunction:
     """Make a term of the pose (N, 7) of an object, in the environment's frame."""

@@ -152,6 +152,14 @@ class SimulatedObject(ObjectParameters):
             self._frame_poses[name] = (self._clock.version, pose)
         return pose
 
+    def frame_position(self, name: str) -> Tensor:
+        frame = self._frame(name)
+        # A pose of this state that was computed before holds the position already.
+        if frame.pose_of is None or self._frame_poses.get(name, (-1,))[0] == self._clock.version:
+            return self.frame_pose(name)[:, :3]
+        frame.link_pose.take(self._engine.link_poses, self._clock.version)
+        return frame.pose_of.position(frame.link_pose.tensor)
+
     def frame_velocity(self, name: str) -> Tensor:
         frame = self._frame(name)
         velocity = self._engine.link_velocities[:, self.layout.root_link + frame.link]
