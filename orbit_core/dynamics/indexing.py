@@ -133,8 +133,8 @@ class RowSelector:
         self._all = torch.arange(num_envs, device=device)
         self._num_envs = num_envs
         self._device = device
+        # Indices that were checked, and their version, since one selection goes through many calls.
         self._known: tuple[Tensor, int] | None = None
-        """Indices that were checked, and their version, since one selection goes through many calls."""
 
     @contextmanager
     def only(self, mask: Tensor | None) -> Iterator[None]:

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import ContactQuery
 
+# A body's slot and a link's index in the layout, or TERRAIN.
 _Place = tuple[int, int]
-"""A body's slot and a link's index in the layout, or TERRAIN."""
 
 
 class ContactMeter:

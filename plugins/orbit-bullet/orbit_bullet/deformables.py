@@ -23,12 +23,12 @@ from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
 from orbit_core.scene import Cloth, SoftBody
 
 FloatArray = npt.NDArray[np.float64]
+# Damping ratio of a spring between two particles.
 _SPRING_DAMPING = 0.05
-"""Damping ratio of a spring between two particles."""
+# Damping over stiffness of a soft body, per second.
 _SOLID_DAMPING = 0.01
-"""Damping over stiffness of a soft body, per second."""
+# Times its size at rest, beyond which a deformable counts as diverged.
 _GREATEST_SPAN = 10.0
-"""Times its size at rest, beyond which a deformable counts as diverged."""
 
 
 def check_stability(layout: SceneLayout) -> None:

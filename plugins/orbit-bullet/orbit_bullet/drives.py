@@ -23,8 +23,8 @@ from orbit_bullet.urdf import write_urdf
 
 FloatArray = npt.NDArray[np.float64]
 _UNLIMITED = 1e12
+# rad/s that a flywheel may reach.
 _FASTEST = 1e9
-"""rad/s that a flywheel may reach."""
 
 
 class Wheels:

@@ -33,8 +33,8 @@ CLIENT_MEMORY = 29e6
 """Bytes of a Bullet world, whatever is in it."""
 MOST_CLIENTS = 1000
 """Bullet worlds in a process: Bullet has room for 1,024, renderers among them."""
+# Seconds that workers have to end by themselves, all together.
 _PATIENCE = 5.0
-"""Seconds that workers have to end by themselves, all together."""
 
 
 class Pool(ABC):
@@ -280,8 +280,8 @@ def _cause(code: int | None) -> str:
     return f"with exit code {code}"
 
 
+# Held while the user's script is hidden, so that each thread puts back what it found.
 _hiding = threading.Lock()
-"""Held while the user's script is hidden, so that each thread puts back what it found."""
 
 
 @contextlib.contextmanager

@@ -32,9 +32,9 @@ from orbit_core.interfaces import (
 from orbit_core.plugin_kit.rotations import compose, cross
 
 FloatArray = npt.NDArray[np.float64]
+# Share of the way beyond a joint's limit that a step removes; the joint keeps the speed of it. Bullet has one number
+# for limits and for the openings of loops, so that scenes with loops use theirs.
 _STOP_ERP = 0.1
-"""Share of the way beyond a joint's limit that a step removes; the joint keeps the speed of it. Bullet has one number
-for limits and for the openings of loops, so that scenes with loops use theirs."""
 Rows = npt.NDArray[np.int64]
 
 

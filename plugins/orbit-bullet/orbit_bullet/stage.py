@@ -37,18 +37,18 @@ SPACING = 2048.0
 GROUND, GROUND_DEPTH = 1000.0, 10.0
 """Half extents in metres of the box that stands for a plane: Bullet keeps one contact point a step on its own planes,
 on which sliding boxes rattle, and finds all of them on a box."""
+# Share of an overlap that a step removes between things that rebound.
 _REBOUND_ERP = 0.001
-"""Share of an overlap that a step removes between things that rebound."""
+# N/m, as good as rigid: Bullet takes the share from a spring and a damper.
 _REBOUND_STIFFNESS = 1e9
-"""N/m, as good as rigid: Bullet takes the share from a spring and a damper."""
+# Bullet meets a height field cell by cell on shorter rays, and by chunks of 16 cells, some of which it misses, on
+# longer ones.
 _RAY_CELLS = 15
-"""Bullet meets a height field cell by cell on shorter rays, and by chunks of 16 cells, some of which it misses, on
-longer ones."""
+# Bytes of a folder's name: Bullet keeps names of files in 1,024.
 _LONGEST_FOLDER = 960
-"""Bytes of a folder's name: Bullet keeps names of files in 1,024."""
 _GEAR_FORCE = 1e9
+# Share of a mimic joint's error that a step removes.
 _GEAR_ERP = 0.2
-"""Share of a mimic joint's error that a step removes."""
 
 
 @dataclass(frozen=True)

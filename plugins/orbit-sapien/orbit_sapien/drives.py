@@ -21,11 +21,11 @@ from orbit_core.interfaces import ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.bodies import least_inertias, softest
 from orbit_sapien.model import BuiltWorld
 
+# Damping (N m s/rad or N s/m) of a drive that stands for friction.
 _RIGID = 1e5
-"""Damping (N m s/rad or N s/m) of a drive that stands for friction."""
 _UNLIMITED = 3.4e38
+# Rounding of a difference of two positions, relative to these, or to one where they are less.
 _ROUNDING = 5e-7
-"""Rounding of a difference of two positions, relative to these, or to one where they are less."""
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -161,13 +161,13 @@ class Drives:
             self.joints[row][column].set_limits(self.limits[row, column, None].astype(np.float32))
         self._limits = self.limits.copy()
         self._inertia = torch.from_numpy(self._least + self.armature).float()
+        # (N, J) stiffness of springs that are generalised forces.
         self._pulling = torch.from_numpy(np.where(stiff, 0.0, self.springs)).float()
-        """(N, J) stiffness of springs that are generalised forces."""
+        # (N, J) whether the joint's drive is its spring.
         self._sprung = torch.from_numpy(stiff)
-        """(N, J) whether the joint's drive is its spring."""
         self._driven = torch.from_numpy(driven)
+        # (N, J) damping of joints themselves that shares a drive with an actuator.
         self._drag = torch.from_numpy(np.where(driven, self.passive, 0.0)).float()
-        """(N, J) damping of joints themselves that shares a drive with an actuator."""
         stiffness, gain = torch.from_numpy(self.stiffness).float(), torch.from_numpy(self.damping).float()
         self._gains = stiffness, gain
         sprung = stiffness > 0

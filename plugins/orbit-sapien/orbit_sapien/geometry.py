@@ -19,8 +19,8 @@ from orbit_sapien.native import native_pose, physx
 
 Z_TO_X = Pose((0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0))
 """PhysX's round shapes lie along x, and its plane looks along x."""
+# Metres by which a cooked hull may differ from the one asked for before it is reported.
 _TOLERATED = 1e-4
-"""Metres by which a cooked hull may differ from the one asked for before it is reported."""
 _UNSCALED = np.ones(3, np.float32)
 
 

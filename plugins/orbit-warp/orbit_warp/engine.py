@@ -33,8 +33,8 @@ from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import reset_tensors
 from orbit_warpkit.start import start
 
+# Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU.
 _MOST_RECORDED = 16
-"""Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from typing import Any
 import torch
 import warp as wp
 
+# Seconds of compilation before the user is told of it.
 _SILENT_FOR = 4.0
-"""Seconds of compilation before the user is told of it."""
 
 
 class Graphs:
