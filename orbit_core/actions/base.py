@@ -44,6 +44,7 @@ class MotionGenerator(Node):
         self.lower_limits, self.upper_limits = robot.position_limits[self.joints].unbind(-1)
         # A slice where joints are adjacent: a view costs less than a gather.
         self._columns = columns_of(self.joints, self.device)
+        # A view of nothing that no engine returns, so that the first read makes the real one.
         self._whole = self._own = robot.joint_positions[:, :0]
 
     def enter(self, world: World, step_dt: float) -> None:

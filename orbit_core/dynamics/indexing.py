@@ -36,6 +36,7 @@ Columns = slice | Tensor
 def columns_of(indices: Sequence[int], device: torch.device) -> Columns:
     """Return indices as a slice if they are consecutive, since a view costs less than a gather; else a tensor (k,)."""
     first = indices[0] if indices else 0
+    # Joints of one robot are nearly always adjacent, so that most reads and writes become views.
     if list(indices) == list(range(first, first + len(indices))):
         return slice(first, first + len(indices))
     return torch.tensor(list(indices), dtype=torch.int64, device=device)
@@ -182,6 +183,8 @@ class RowSelector:
         mask = self.mask
         if mask is None:
             return RowSelection(None, self._num_envs, self._device) if env_ids is None else self._checked(env_ids)
+        # Events get all indices under a mask; other indices mean that the caller chose rows by numbers, which a trace
+        # would freeze.
         if env_ids is not None and len(env_ids) != len(mask):
             raise ConfigurationError(
                 f"{len(env_ids)} of {len(mask)} environments are written under a mask: give env_ids as they came"

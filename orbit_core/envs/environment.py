@@ -259,6 +259,7 @@ class Environment(Generic[TaskT, StateT]):
         if self._over:
             raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
+        # Before the configuration is compared, so that what a modifier sets holds from this step on.
         if self._modifiers.terms:
             self._modifiers.run(self.steps)
         closed = self._closed if self._started else None
@@ -274,6 +275,7 @@ class Environment(Generic[TaskT, StateT]):
         reward, terminated, truncated = self.advance()
         if self._checks:
             self._rewards.check_finite(reward)
+        # Most steps end no episode, and NumPy's look at a few booleans costs less than torch's.
         if not self._ended.any():
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
@@ -382,6 +384,7 @@ class Environment(Generic[TaskT, StateT]):
         if self.lost is not None:
             reward, terminated, late = self.lost.end(reward, terminated, late)
         torch.logical_or(late, terminated, out=self.done)
+        # Commands that only change at resets cost nothing here.
         if self.commands.changing:
             self.commands.update()  # after rewards, which judge the step by the command that it was taken under
         # Of booleans, greater means "and not", in one operation.
@@ -419,6 +422,7 @@ class Environment(Generic[TaskT, StateT]):
         """
         before = self._observe()
         with self.world.selector.only(began):
+            # Terms measure all environments; only the rows of new episodes are kept.
             fresh = self.observer()
         leaves = [where_rows(began, new, old) for new, old in zip(leaves_of(fresh), leaves_of(before), strict=True)]
         self._seen = self._checked_observation(observation_of(self.observation, leaves))

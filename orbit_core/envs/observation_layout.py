@@ -227,6 +227,7 @@ def _finite(value: Tensor) -> bool:
 
 def surely_finite(values: Tensor) -> bool:
     """Return True if all numbers are finite; False where one is not, or where their sum overflows."""
+    # NumPy does not see a GPU's memory; the float waits for the device, so that callers ask only where that is allowed.
     if values.device.type != "cpu":
         return math.isfinite(float(values.sum()))
     # NumPy's product in the tensor's own memory: on few numbers it costs a third of torch's sum, and warns of nothing.

@@ -39,6 +39,7 @@ class Past:
 
     def push(self, value: Tensor) -> Tensor:
         """Take in one step's value (N, ...); gives the last ones (N, length, ...), the newest first."""
+        # Newest first, so that a delay of k steps is index k.
         newest = value[:, None]
         shifted = torch.cat((newest, self._values[:, :-1]), dim=1)
         values = torch.where(self._fresh.view(-1, *(1 for _ in shifted.shape[1:])), newest, shifted)
@@ -100,6 +101,7 @@ class Corruption:
                 f"the delay of {what} is {self._term.delay}, but was {before._term.delay} when the environment was "
                 "made: change it before"
             )
+        # Kept even if other settings changed, because the past of an episode cannot be measured again.
         self._delay = before._delay
         if self._bias is not None and self._term.bias_std == before._term.bias_std:
             self._bias = before._bias

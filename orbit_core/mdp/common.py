@@ -215,6 +215,7 @@ class GripperOpening:
 
     def __call__(self) -> Tensor:
         """(N,) in [0, 1], 1 where it is open, the mean of its joints."""
+        # An index_select, because indexing by a tensor costs more on few numbers.
         positions = self._robot.joint_positions.index_select(1, self._joints)
         return ((positions - self._closed) / self._span).clamp(0.0, 1.0).mean(1)
 
@@ -227,6 +228,7 @@ def closing_time(world: World, agent: str = ROBOT) -> float:
     """
     spec = world.robots[agent].spec
     opened, closed = _gripper_ends(spec, "close")
+    # The slowest joint decides, since a gripper is closed when all of its joints are.
     limits = [joint.velocity_limit for joint in spec.articulation.movable_joints]
     return max(abs(closed[joint] - opened[joint]) / limits[joint] for joint in opened)
 

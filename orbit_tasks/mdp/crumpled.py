@@ -18,7 +18,7 @@ from orbit_core.interfaces import World
 from orbit_core.scene import Scene
 from orbit_core.world import simulate
 
-# In which a dropped cloth comes to rest.
+# Seconds after which a dropped cloth is at rest.
 _SECONDS = 2.0
 # rad by which it leans at most as it begins to fall on its edge.
 _LEAN = 0.5

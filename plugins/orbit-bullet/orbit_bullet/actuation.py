@@ -66,6 +66,8 @@ class Actuation:
         return Wheels(self._stage.client, file, [(body, numbers[column - start]) for column in columns])
 
     def _build_passive(self) -> None:
+        # A drive without a limit takes damping and armature into its one wheel, because each wheel costs the solver a
+        # row.
         alone = (self._slow > 0) & ~(self._shared & self._driven)
         self._passive_columns = self._columns(alone)
         for slot in range(self._stage.count):
@@ -118,6 +120,8 @@ class Actuation:
         joints = joints[own]
         self.stiffness[np.ix_(slots, joints)] = k[:, own]
         self.damping[np.ix_(slots, joints)] = d[:, own]
+        # Wheels exist only for joints that were driven when the world was built; the first gains of another build all
+        # of them again.
         undriven = joints[~self._driven[joints]]
         if len(undriven):
             self._driven[undriven] = True
@@ -140,6 +144,7 @@ class Actuation:
         """Before the steps of a command."""
         buffers = self._buffers
         self._given = buffers.efforts + self.damping * buffers.velocity_targets
+        # Where a wheel bounds the effort by its gear's force, clipping here would bound it twice.
         torques = np.where(self._plain, np.clip(buffers.efforts, -self._limit, self._limit), 0.0)
         self._torques = torques if torques.any() or self._pulling.any() else None
 
@@ -151,6 +156,7 @@ class Actuation:
         drawn = self._dt * self._sprung * pull
         if self._drive_columns:
             carried = np.where(self._joined, drawn, 0.0) + self._carried * velocities
+            # Lists of Python numbers, which Bullet reads without converting each.
             speeds = ((self._dt * self._push + carried) * self._inverse).tolist()
             for (slot, entity), wheels in self._drives.items():
                 row = speeds[slot]

@@ -68,6 +68,7 @@ class Gyroscopes:
             inertia = (axes * moments) @ axes.T
             momentum = inertia @ spin
             middle = axes @ self._middle(axes.T @ momentum, moments)
+            # The second term cancels the torque that Bullet takes off by itself.
             torque = inertia @ (middle - spin) / dt + cross(spin, momentum)
             self._turning[body] = _Turning(inertia, momentum, middle)
             client.applyExternalTorque(body, -1, torque.tolist(), client.WORLD_FRAME)
@@ -89,6 +90,7 @@ class Gyroscopes:
             angle = 0.5 * self._dt * float(np.linalg.norm(spin))
             turn = np.concatenate(([np.cos(0.5 * angle)], -np.sin(0.5 * angle) * 0.5 * self._dt / angle * spin))
             change = rotate(turn, momentum) / moments - spin
+            # Half steps converge where the iteration would swing about its solution.
             spin = spin + (change if angle < _FAR else 0.5 * change)
             if np.abs(change).sum() < _SETTLED * np.abs(spin).sum():
                 break

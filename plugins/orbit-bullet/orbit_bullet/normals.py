@@ -12,7 +12,7 @@ from orbit_core.plugin_kit.rotations import cross, rotate
 from orbit_core.scene import CameraSpec
 
 _Array = npt.NDArray[Any]
-# Cost of a neighbour that has no further one to tell how flat it is, in 1/m.
+# Cost of a neighbour without a further one that shows how flat it is, in 1/m.
 _LONE = 1e3
 
 

@@ -105,6 +105,7 @@ class ProcessPool(Pool):
     ) -> None:
         self.ranges = split_evenly(num_envs, workers)
         shapes = shapes_of(layout, num_envs)
+        # In memory where the system has it: a file on a disk would be written back again and again.
         parent = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
         self._processes: list[Any] = []
         self._connections: list[Any] = []

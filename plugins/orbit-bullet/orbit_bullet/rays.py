@@ -54,6 +54,7 @@ def _meet(
         hits = _cast_past(stage, begin, begin + length * along, mask, past)
         met = np.array([hit[0] >= 0 for hit in hits])
         yield from ((searching[n], begun + hits[n][2] * length, hits[n]) for n in met.nonzero()[0])
+        # Rays that met something are done; with few left the later stretches cost little.
         searching, begun = searching[~met], begun + (1.0 - _OVERLAP) * length
 
 

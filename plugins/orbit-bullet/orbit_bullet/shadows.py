@@ -27,9 +27,9 @@ _AWAY = 1000.0
 _DEEP = 20.0
 # Metres around the middle beyond which all is lit.
 _REACH = 3.0
-# Metres that a surface may lie behind what the light reaches, besides what its slant over half a square comes to.
+# Metres that a surface may be behind what the light reaches, on top of its slant over half a square.
 _SLACK = 0.002
-# Cosine between surface and light, the least that the slack is reckoned with.
+# Least cosine between surface and light that the slack is computed with.
 _GRAZING = 0.05
 
 

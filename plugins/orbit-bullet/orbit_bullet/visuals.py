@@ -22,7 +22,7 @@ from orbit_core.scene import (
 
 # Rows of faces from pole to pole.
 _BALL_ROWS = 32
-# Half extent in metres of the square that stands for a plane.
+# Half extent in metres of the square that is drawn for a plane.
 _GROUND = 1000.0
 
 

@@ -144,7 +144,7 @@ _COMPILED_MASS = 1e-3
 # Impedance of mimic joints, of loops and of joint limits. With MuJoCo's own, 0.95, a joint that 100 N m push against
 # its limit is 19 mrad beyond it, and with this less than one.
 _STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
-# Among a weld's data, the weight of its angles beside its distances.
+# Among a weld's data, the weight of its angles relative to its distances.
 _TORQUE_SCALE = 10
 # Radians or metres on either side of a joint whose limits are one position, as MuJoCo takes no range without width.
 _NO_WIDTH = 5e-7
