@@ -96,6 +96,7 @@ class HandMemory(TaskState):
 def object_pose(env: Environment[InHandRepose, HandMemory]) -> Tensor:
     """(N, 7) from the place above the palm where the object starts."""
     pose = env.world.objects[OBJECT].root_pose
+    # Relative to the palm, so that one policy serves hands that are mounted at different heights.
     return torch.cat((pose[:, :3] - env.state.place, pose[:, 3:]), dim=1)
 
 
@@ -185,7 +186,7 @@ class HandRewards:
     """Rewards of an orientation near the goal and of each goal that is reached, less what slips or hurries."""
 
     turned: RewardTerm | None = RewardTerm(lambda env: 1.0 / (env.state.distance + 0.1), 1.0)
-    # Large, because a goal takes hundreds of steps, and the reward of being near it is paid at each of them.
+    # As in Isaac Gym's task: a goal takes many steps, at each of which nearness is paid.
     reached: RewardTerm | None = RewardTerm(lambda env: env.state.reached.float(), 250.0)
     slipped: RewardTerm | None = RewardTerm(slipped, -10.0)
     action: RewardTerm | None = RewardTerm(common.action_size, -1e-3)
@@ -241,7 +242,6 @@ class InHandRepose(Task):
     )
     robot: str = "allegro_right"
     action: str = "joint_position"
-    # As in Isaac Gym's task, whose rewards and weights these are.
     physics_dt: float = 1.0 / 120.0
     episode_length: float = 20.0
     object: ObjectConfig = BoxConfig(size=(0.065, 0.065, 0.065), mass=0.08, color=(0.85, 0.6, 0.2, 1.0))

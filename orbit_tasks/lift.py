@@ -97,6 +97,7 @@ def reaching(env: Environment[Lift]) -> Tensor:
 @once_per_state
 def lifted(env: Environment[Lift, LiftMemory]) -> Tensor:
     """(N,) 1 where the cube is off the table, else 0."""
+    # By its own half height: a cube that is tilted on an edge is lower than that.
     return (cube_height(env) > 2.0 * env.state.rest_height).float()
 
 

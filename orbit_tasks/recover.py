@@ -85,13 +85,13 @@ def drop(env: Environment[Recover, RecoverMemory], env_ids: Tensor) -> None:
     """Drop the robot in any orientation and any posture."""
     robot = common.robot_of(env.world)
     pose = torch.zeros(len(env_ids), 7, device=env.device)
-    # High enough that no leg begins in the ground in any orientation.
+    # Higher than at home, because stretched legs reach further down than bent ones.
     pose[:, 2] = _FALL * env.state.home_height
     pose[:, 3:] = common.random_rotations(env.world, env_ids)
     robot.set_root_pose(pose, env_ids)
     low, high = robot.position_limits.unbind(1)
     home = robot.home_positions
-    # Joints that turn without end would be drawn from their largest limits; half a turn covers all postures.
+    # Half a turn around home at most: limits of joints that turn without end are no range to draw from.
     reach = (high - low).clamp_max(torch.pi)
     low, high = low.maximum(home - 0.5 * reach), high.minimum(home + 0.5 * reach)
     share = env.world.random.uniform((len(robot.joint_names),), env_ids=env_ids)

@@ -213,7 +213,6 @@ class RopeReshaping(Task):
     )
     robot: str = "franka_panda"
     action: str = "joint_position"
-    # Half of the usual step: a gripped rope is light against the force that holds it.
     physics_dt: float = 0.0025
     decimation: int = 8
     episode_length: float = 8.0
@@ -234,7 +233,7 @@ class RopeReshaping(Task):
 
     def scene(self) -> Scene:
         points = line(self.length, self.particles)
-        # Not the very ends, which a finger pad of a centimetre would push aside rather than hold.
+        # Not the very ends, so that fingers around the last key point hold rope on both sides.
         places = torch.linspace(1, self.particles - 2, KEY_POINTS).round().int().tolist()
         named = tuple(KeyPoint(f"point{number}", (place,)) for number, place in enumerate(places))
         pose = Pose.from_euler(0.0, 0.0, 0.5 * math.pi, (0.5, 0.0, self.radius))

@@ -221,7 +221,7 @@ class Humanoid(Running):
     robot: str = "humanoid"
     least_height: float = 0.9
     least_speed: float = 1.0
-    # More for staying up than the Ant gets: two legs fall within a second before anything is learned.
+    # More for staying up than the Ant gets: two legs fall sooner than four.
     rewards: RunningRewards = field(default_factory=lambda: RunningRewards(alive=RewardTerm(alive, 2.0)))
     metadata: TaskMetadata = replace(
         Running.metadata,

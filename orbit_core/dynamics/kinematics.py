@@ -118,6 +118,7 @@ class FixedFrame:
         # A row (link's quaternion) times this matrix is the product of the two quaternions.
         right = [[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]]
         self._position = torch.as_tensor(_rotated(position), dtype=torch.float32, device=device)
+        # Single precision, as poses are: a product with doubles would convert them in every step.
         self._rotation = torch.tensor(right, dtype=torch.float32, device=device)
         # copysign needs a tensor; a constant is made once and not at each call.
         self._one = torch.ones(1, device=device)

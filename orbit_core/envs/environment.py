@@ -465,6 +465,7 @@ class Environment(Generic[TaskT, StateT]):
         """Let episodes that have just ended decide how difficult the next will be."""
         if self._curriculum:
             changes = [term.function(self) for term in self._curriculum.values()]
+            # Changes of several terms add up, and the sum is clamped once, so that their order does not matter.
             following = torch.stack([self.state.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
             counted = self.done if self.lost is None else self.done & ~self.lost.now
             write_rows(self.state.difficulty, following, counted)
@@ -473,6 +474,7 @@ class Environment(Generic[TaskT, StateT]):
         """New episodes in some environments, by index, or by mask where the step is traced."""
         if env_ids is None:
             self._seen = None
+        # The world first: everything else may read its state.
         self.world.reset(env_ids)
         self.state.reset(env_ids)
         self.actions.reset(env_ids)

@@ -70,6 +70,7 @@ class Corruption:
             raise ConfigurationError(
                 f"{what} gives {value.dtype}: scale, noise and bias need torch.float32, so convert it in its function"
             )
+        # Without noise a term keeps its bounds by itself, and the clamp would only cost.
         self._saturation = term.bounds if noisy else None
         self._shape = tuple(value.shape[1:])
         self._bias = torch.zeros_like(value) if term.bias_std else None
@@ -136,6 +137,7 @@ class _Delay:
         self._past.reset(env_ids)
 
     def __call__(self, value: Tensor) -> Tensor:
+        # Gather needs an index of the value's shape; the expanded one takes no memory.
         steps = self._steps.view(-1, *(1 for _ in value.shape)).expand_as(value[:, None])
         return self._past.push(value).gather(1, steps).squeeze(1)
 

@@ -70,6 +70,7 @@ class PremiseManager:
         """
         now = terms_of(self._task.premises, PremiseTerm)
         check_same_names("premise", self.terms, now, "give it a function that returns True")
+        # In place, because metrics are named by this dictionary's order.
         self.terms.update(now)
 
     def begin(self, env_ids: Tensor | None) -> None:

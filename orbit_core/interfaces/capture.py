@@ -142,6 +142,7 @@ def report_new_memory() -> None:
 @contextmanager
 def traced_by(watcher: CallTracer) -> Iterator[None]:
     """Tell the watcher of every read and call in this thread."""
+    # Nested traces give the thread back to the outer one.
     before, _watching.watcher = _watching.watcher, watcher
     try:
         yield

@@ -41,6 +41,7 @@ class Range:
         """(n, *shape) drawn from the environments' own streams."""
         if self.easy is None:
             return env.world.random.uniform(shape, self.low, self.high, env_ids)
+        # One difficulty for all components of an environment's draw.
         difficulty = env.state.difficulty[env_ids].view(-1, *(1 for _ in shape))
         # Drawn in [0, 1) and scaled afterwards, so that the same draw means the same share of the range at any
         # difficulty.
@@ -60,6 +61,7 @@ def masses(entity: str, scale: Range, links: Sequence[str] = (".*",)) -> EventFu
     def event(env: Environment, env_ids: Tensor) -> None:
         thing = _entity(env.world, entity)
         bodies = thing.spec.articulation.links
+        # Links without mass have none to scale.
         chosen = [link for link in thing.find_links(*links) if bodies[link].mass > 0.0]
         factors = scale.sample(env, (len(chosen),), env_ids)
         thing.set_masses(thing.nominal_masses[env_ids][:, chosen] * factors, chosen, env_ids)
@@ -257,6 +259,7 @@ def push(entity: str, speed: Range) -> EventFunction:
     def event(env: Environment, env_ids: Tensor) -> None:
         thing = _entity(env.world, entity)
         if thing.spec.fixed_base:
+            # Checked when it happens, because the event is made before the scene is.
             raise ConfigurationError(f"'{entity}' cannot be pushed: its base is fixed; name another entity")
         angle = env.world.random.uniform((), -torch.pi, torch.pi, env_ids)
         change = speed.sample(env, (), env_ids)

@@ -120,7 +120,7 @@ def sensed(
     sensors: Callable[[], ObservationGroup], group: Callable[[], ObservationGroup]
 ) -> Callable[[], StateObservations]:
     """Makes a task's observations: the policy sees what sensors show, critic and teacher the state in that group."""
-    # Made twice, because noise is set on a group, and the critic's must stay exact.
+    # A group each for critic and teacher: settings of one must not change the other.
     return lambda: StateObservations(sensors(), group(), group())
 
 

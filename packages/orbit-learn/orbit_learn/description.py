@@ -53,6 +53,7 @@ class Part:
         if self.dtype not in _DTYPES:
             raise ValueError(f"part '{self.name}' is of {self.dtype!r}, which is none of {', '.join(_DTYPES)}")
         if self.shape is None:
+            # The usual way to complete a frozen dataclass.
             object.__setattr__(self, "shape", (self.size,))
         assert self.shape is not None
         if any(extent < 0 for extent in self.shape) or math.prod(self.shape) != self.size:

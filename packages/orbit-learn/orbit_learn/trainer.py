@@ -129,6 +129,7 @@ class Trainer(ABC, Generic[Settings]):
         """Return a copy of the policy on the CPU, with its normalisation and without exploration."""
 
 
+# Libraries that run their own loop report progress by themselves, and derive from `Trainer`.
 class LoopTrainer(Trainer[Settings]):
     """Trainer whose library does one iteration at a time."""
 

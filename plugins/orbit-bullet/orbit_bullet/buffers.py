@@ -33,6 +33,7 @@ class Buffers:
 
     def rows(self, start: int, stop: int) -> Buffers:
         """Views of some environments."""
+        # Views and no copies: what a worker writes is what the core reads.
         return Buffers(**{field.name: getattr(self, field.name)[start:stop] for field in fields(self)})
 
 

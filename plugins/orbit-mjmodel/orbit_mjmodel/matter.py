@@ -55,8 +55,8 @@ _STIFFEST_BEND = 100.0
 # rattle on what they lie on, and creep by 4 mm/s where friction should hold them.
 _SOFTER = 2.0
 # Inertia of a rope's pieces about their own axes, over that of their mass at their radius. A rope that rolled would
-# turn by more than a radian in a step, and so could not be bent: its pieces' spin, which does not move anything else, is
-# stopped in each step, and friction then gains so little on it that they roll by 0.1 mm/s at 5 ms.
+# turn by more than a radian in a step, and so could not be bent: its pieces' spin, which does not move anything else,
+# is stopped in each step, and friction then gains so little on it that they roll by 0.1 mm/s at 5 ms.
 _SPIN = 300.0
 # Inertia of a rope's joints over its tension, a piece's length and the square of a step. The pull of pieces across the
 # rope is explicit, which a step allows to four times that of a piece's own mass: ropes that were lighter against what

@@ -66,11 +66,13 @@ def build_model(layout: SceneLayout, num_envs: int, device: wp.Device, gap: floa
     """
     built = _Builder(layout, gap, maximal)
     scene = newton.ModelBuilder()
+    # One world is built in Python and copied by Newton, since building each would take as long as the first.
     scene.replicate(built.world, num_envs)
     # Newton's validation would change inertias; the core has checked them.
     model = scene.finalize(device=device, skip_validation_inertia=True)
     joints = np.array(built.joints, dtype=np.int64)
     roots = np.array(built.roots, dtype=np.int64)
+    # A fixed root has no coordinates, and where it would have some the next joint's begin.
     free = np.array([not entity.spec.fixed_base for entity in layout.entities], dtype=bool)
     position_starts = np.array(built.world.joint_q_start, dtype=np.int64)
     velocity_starts = np.array(built.world.joint_qd_start, dtype=np.int64)

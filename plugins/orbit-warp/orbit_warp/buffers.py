@@ -58,6 +58,7 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
     fields = model.geom_type[pairs] == mujoco.mjtGeom.mjGEOM_SDF
     if fields.any():  # each descent of a pair may end in a contact
         likely += model.opt.sdf_initpoints * (_HOLDING + int(fields.all(axis=1).sum()))
+    # What the scene can need at all bounds the estimate, so that a small scene takes little memory.
     nconmax = config.nconmax or max(min(possible, likely), 1)
     condim = int(model.geom_condim[touching].max(initial=1))
     rows = condim if config.cone == "elliptic" else max(2 * (condim - 1), 1)

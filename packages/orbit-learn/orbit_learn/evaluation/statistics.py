@@ -134,6 +134,7 @@ def failure_kinds(blocks: Sequence[Block]) -> dict[str, list[tuple[Block, int]]]
 
 
 def _kind(block: Block, index: int, typical: Mapping[str, float], longest: int) -> str:
+    # First, because an episode without answers says nothing of what the policy would have done.
     if block.failed[index]:
         return "the policy did not answer, or the simulation diverged"
     for name, usual in typical.items():

@@ -128,6 +128,7 @@ class PolicyServer:
             raise ServerFailure(f"{self._address.url} closed the connection: {_first_line(error)}") from None
         if isinstance(message, str):
             # OpenPI sends the traceback of its error as text.
+            # The last line of a traceback names the error.
             last = (message.strip().splitlines() or ["no reason"])[-1]
             raise ServerFailure(f"{self._address.url} reports an error: {last[:200]}")
         try:
