@@ -127,19 +127,28 @@ class FixedFrame:
         self._viewed: Tensor | None = None
         self._origin = self._link = self._column = self._row = self._one
 
-    def __call__(self, link_pose: Tensor) -> Tensor:
-        """(N, 7), w >= 0, for link poses (N, 7)."""
-        position = self.position(link_pose)
+    def __call__(self, link_pose: Tensor, position: Tensor | None = None) -> Tensor:
+        """Return the frame's poses (N, 7), w >= 0.
+
+        Args:
+            link_pose: (N, 7) poses of the link.
+            position: (N, 3) what :meth:`position` gave for them, if it was called before.
+        """
+        self._view(link_pose)
+        position = self.position(link_pose) if position is None else position
         rotation = self._link @ self._rotation
         sign = torch.copysign(self._one, rotation[:, :1])
         return torch.cat((position, rotation * sign), 1)
 
     def position(self, link_pose: Tensor) -> Tensor:
         """(N, 3) of the frame's origin alone, at a third of the operations of the pose."""
+        self._view(link_pose)
+        return torch.addmm(self._origin, (self._column * self._row).flatten(1), self._position)
+
+    def _view(self, link_pose: Tensor) -> None:
         if link_pose is not self._viewed:
             self._viewed, self._origin, self._link = link_pose, link_pose[:, :3], link_pose[:, 3:]
             self._column, self._row = self._link.unsqueeze(-1), self._link.unsqueeze(-2)
-        return torch.addmm(self._origin, (self._column * self._row).flatten(1), self._position)
 
 
 class KinematicTree:
