@@ -17,6 +17,7 @@ from orbit_core.installing import editable_folder, install_command, upgrade_comm
 from orbit_core.interfaces.errors import ConfigurationError
 
 CORE = "orbit-core"
+# Distribution of ORBIT that brings most of what plugins bring under an entry-point group.
 _BROUGHT_BY = {
     "orbit.tasks": "orbit-tasks",
     "orbit.robots": "orbit-assets",
@@ -31,7 +32,6 @@ _BROUGHT_BY = {
     "orbit.lists": "orbit-assets orbit-learn",
     "orbit.info": "orbit-assets",
 }
-"""Distributions of ORBIT that bring most of what plugins bring under an entry-point group."""
 _REQUIREMENT = re.compile(r"\s*(orbit[-_.][\w.-]*\w)\s*(?:\[[^\]]*\])?\s*\(?([^;()@]*)\)?\s*(?:;(.*))?$", re.IGNORECASE)
 _COMPATIBLE = re.compile(r"~=\s*(\d+)\.(\d+)\.(\d+)")
 _RELEASE = re.compile(r"(\d+)\.(\d+)\.(\d+)")

@@ -76,7 +76,7 @@ def cube_height(env: Environment[Lift, LiftMemory]) -> Tensor:
 @once_per_state
 def hand_to_cube(env: Environment[Lift]) -> Tensor:
     """(N, 3) from the hand to the cube."""
-    return cube_position(env) - common.hand_pose(env)[:, :3]
+    return cube_position(env) - common.hand_position(env)
 
 
 @once_per_state
@@ -98,6 +98,7 @@ def reaching(env: Environment[Lift]) -> Tensor:
 @once_per_state
 def lifted(env: Environment[Lift, LiftMemory]) -> Tensor:
     """(N,) 1 where the cube is off the table, else 0."""
+    # By its own half height: a cube that is tilted on an edge is lower than that.
     return (cube_height(env) > 2.0 * env.state.rest_height).float()
 
 

@@ -148,6 +148,7 @@ class Reach(Task):
 
     def scene(self) -> Scene:
         return Scene(
+            # A workspace of any size will do: goals are drawn within what the arm reaches.
             robots=(task_robots.arm(self.robot, gripper=False, room=(0.0, 0.0, 0.0)),),
             objects=(work_bench(),),
             terrain=(common.floor(-BENCH_HEIGHT),),
@@ -170,5 +171,6 @@ class Reach(Task):
         return {"position_error_m": position_error(env), "rotation_error_rad": rotation_error(env)}
 
     def expert(self, env: Environment) -> Expert:
+        # One phase that never ends: the goal stays, and success is judged at the episode's end.
         goal = Phase(generated_command("goal"), free=True)
         return Expert(env, (goal,), sag_rate=sag_rate(env.world))

@@ -98,6 +98,7 @@ def _bent(points: Tensor, angle: Tensor) -> Tensor:
     """(n, 5, 3) with those behind the middle turned about it by an angle (n,)."""
     middle = points[:, KEY_POINTS // 2 : KEY_POINTS // 2 + 1]
     turned = middle + _turn(points - middle, angle[:, None])
+    # The middle itself stays: it is what the half turns about.
     behind = torch.arange(KEY_POINTS, device=points.device) > KEY_POINTS // 2
     return torch.where(behind[:, None], turned, points)
 
@@ -233,6 +234,7 @@ class RopeReshaping(Task):
 
     def scene(self) -> Scene:
         points = line(self.length, self.particles)
+        # Not the very ends, so that fingers around the last key point hold rope on both sides.
         places = torch.linspace(1, self.particles - 2, KEY_POINTS).round().int().tolist()
         named = tuple(KeyPoint(f"point{number}", (place,)) for number, place in enumerate(places))
         pose = Pose.from_euler(0.0, 0.0, 0.5 * math.pi, (0.5, 0.0, self.radius))
@@ -273,6 +275,7 @@ class RopeReshaping(Task):
                 Phase(around, position_tolerance=0.005, timeout=1.2),
                 Phase(around, gripper_open=False, dwell=0.4, timeout=0.4),
                 *(Phase(lead(part), False, position_tolerance=0.015, timeout=1.0) for part in WAYPOINTS),
+                # Tolerances that are always met: the hand only opens here, and waits until the rope is free.
                 Phase(lead(1.0), position_tolerance=1.0, rotation_tolerance=4.0, dwell=0.3),
                 Phase(above),
             ),

@@ -46,6 +46,7 @@ class RunningMemory(TaskState):
 
 def mean_speed(env: Environment[Any, RunningMemory]) -> Tensor:
     """(N,) m/s along x in the episode so far."""
+    # At least one step, because metrics are also read before the first.
     return env.state.way / (env.state.episode_step.clamp_min(1) * env.step_dt)
 
 
@@ -62,6 +63,7 @@ def heading(env: Environment[Running]) -> Tensor:
     pose = common.robot_of(env.world).root_pose
     ahead = torch.zeros_like(pose[:, :3])
     ahead[:, 0] = 1.0
+    # Normalised, because a trunk that leans forward projects to less than one.
     return torch.nn.functional.normalize(quat_rotate(pose[:, 3:], ahead)[:, :2], dim=1)
 
 
@@ -220,6 +222,7 @@ class Humanoid(Running):
     robot: str = "humanoid"
     least_height: float = 0.9
     least_speed: float = 1.0
+    # More for staying up than the Ant gets: two legs fall sooner than four.
     rewards: RunningRewards = field(default_factory=lambda: RunningRewards(alive=RewardTerm(alive, 2.0)))
     metadata: TaskMetadata = replace(
         Running.metadata,

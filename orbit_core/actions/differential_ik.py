@@ -83,6 +83,7 @@ class PoseTermConfig(ActionTerm):
         """
         spec = robot.spec
         frame = self.frame or end_effector_of(spec).frame
+        # Raises the error for a frame that does not exist.
         robot.frame_pose(frame)
         joints = [robot.joint_names[joint] for joint in self.joint_indices(spec, self.name)]
         if joints_above(spec, frame).isdisjoint(joints):

@@ -79,6 +79,7 @@ class BinaryGripper(MotionGenerator):
         return {JointTarget.POSITION: torch.where(command.isnan(), command, targets)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        # The ends of the range: any positive number opens, but noise on a small one could close.
         return (2.0 * gripper_open.to(torch.float32) - 1.0).unsqueeze(-1)
 
 

@@ -258,6 +258,7 @@ class Environment(Generic[TaskT, StateT]):
         if self._over:
             raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
+        # Before the configuration is compared, so that what a modifier sets holds from this step on.
         if self._modifiers.terms:
             self._modifiers.run(self.steps)
         closed = self._closed if self._started else None
@@ -273,6 +274,7 @@ class Environment(Generic[TaskT, StateT]):
         reward, terminated, truncated = self.advance()
         if self._checks:
             self._rewards.check_finite(reward)
+        # Most steps end no episode, and NumPy's look at a few booleans costs less than torch's.
         if not self._ended.any():
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
@@ -381,9 +383,11 @@ class Environment(Generic[TaskT, StateT]):
         if self.lost is not None:
             reward, terminated, late = self.lost.end(reward, terminated, late)
         torch.logical_or(late, terminated, out=self.done)
+        # Commands that only change at resets cost nothing here.
         if self.commands.changing:
             self.commands.update()  # after rewards, which judge the step by the command that it was taken under
-        return reward, terminated, late & ~terminated
+        # Of booleans, greater means "and not", in one operation.
+        return reward, terminated, torch.gt(late, terminated)
 
     def success(self) -> Tensor:
         """(N,) bool: whether episodes that end now reach the goal."""
@@ -417,6 +421,7 @@ class Environment(Generic[TaskT, StateT]):
         """
         before = self._observe()
         with self.world.selector.only(began):
+            # Terms measure all environments; only the rows of new episodes are kept.
             fresh = self.observer()
         leaves = [where_rows(began, new, old) for new, old in zip(leaves_of(fresh), leaves_of(before), strict=True)]
         self._seen = self._checked_observation(observation_of(self.observation, leaves))
@@ -459,6 +464,7 @@ class Environment(Generic[TaskT, StateT]):
         """Let episodes that have just ended decide how difficult the next will be."""
         if self._curriculum:
             changes = [term.function(self) for term in self._curriculum.values()]
+            # Changes of several terms add up, and the sum is clamped once, so that their order does not matter.
             following = torch.stack([self.state.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
             counted = self.done if self.lost is None else self.done & ~self.lost.now
             write_rows(self.state.difficulty, following, counted)
@@ -467,6 +473,7 @@ class Environment(Generic[TaskT, StateT]):
         """New episodes in some environments, by index, or by mask where the step is traced."""
         if env_ids is None:
             self._seen = None
+        # The world first: everything else may read its state.
         self.world.reset(env_ids)
         self.state.reset(env_ids)
         self.actions.reset(env_ids)

@@ -125,6 +125,13 @@ def hand_pose(env: Environment, agent: str = ROBOT) -> Tensor:
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
+@once_per_state
+def hand_position(env: Environment, agent: str = ROBOT) -> Tensor:
+    """(N, 3) of the end effector's origin, in the environment's frame, m."""
+    robot = env.world.robots[agent]
+    return robot.frame_position(robot.spec.end_effector.frame)
+
+
 @functools.cache
 def object_pose(name: str) -> TermFunction:
     """Make a term of the pose (N, 7) of an object, in the environment's frame."""
@@ -153,6 +160,7 @@ class GripperOpening:
 
     def __call__(self) -> Tensor:
         """(N,) in [0, 1], 1 where it is open, the mean of its joints."""
+        # An index_select, because indexing by a tensor costs more on few numbers.
         positions = self._robot.joint_positions.index_select(1, self._joints)
         return ((positions - self._closed) / self._span).clamp(0.0, 1.0).mean(1)
 
@@ -165,6 +173,7 @@ def closing_time(world: World, agent: str = ROBOT) -> float:
     """
     spec = world.robots[agent].spec
     opened, closed = _gripper_ends(spec, "close")
+    # The slowest joint decides, since a gripper is closed when all of its joints are.
     limits = [joint.velocity_limit for joint in spec.articulation.movable_joints]
     return max(abs(closed[joint] - opened[joint]) / limits[joint] for joint in opened)
 

@@ -67,7 +67,10 @@ def test_a_frames_pose_and_jacobian_agree_with_the_description(make_world: MakeW
     tree = KinematicTree(arm.spec.articulation)
     frame = arm.spec.end_effector.frame
     poses = tree.forward(arm.root_pose, arm.joint_positions)
+    position = arm.frame_position(frame)  # before the pose, from which it would be taken
     torch.testing.assert_close(arm.frame_pose(frame), tree.frame_pose(poses, frame), atol=2e-6, rtol=0)
+    assert torch.equal(position, arm.frame_pose(frame)[:, :3])
+    assert torch.equal(arm.frame_position(frame), position)
     torch.testing.assert_close(arm.jacobian(frame), tree.jacobian(poses, frame), atol=2e-6, rtol=0)
 
 

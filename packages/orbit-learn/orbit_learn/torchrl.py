@@ -145,8 +145,8 @@ class TorchRlEnvironment(EnvBase):
         super().__init__(device=device, batch_size=batch)
         self.environment = environment
         self._tally = tally
+        # Whether (N,) the environment has begun the next episode already.
         self._begun = torch.zeros(batch, dtype=torch.bool, device=device)
-        """Whether (N,) the environment has begun the next episode already."""
         commanded, single = (torch.Size((environment.num_envs, size)) for size in (environment.action_size, 1))
         groups = {
             name: group_spec(environment.observation[name], environment.num_envs, device)

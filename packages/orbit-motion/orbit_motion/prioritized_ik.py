@@ -164,8 +164,8 @@ class PrioritizedIk(PoseFollower):
         speeds = joint_limits(robot.spec, "velocity_limit")[self.joints]
         self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
         self._step_limit = config.speed * speed_limited_lead(robot, self.joints)
+        # Cost (k,) of moving each joint, in the null space of the hand.
         self._costs = torch.ones(len(self.joints), device=self.device)
-        """Cost (k,) of moving each joint, in the null space of the hand."""
         position, rotation = slice(0, 3), slice(3, 6)
         orders = {Priority.NONE: (slice(0, 6),), Priority.POSITION: (position, rotation)}
         self._levels = orders.get(config.priority, (rotation, position))

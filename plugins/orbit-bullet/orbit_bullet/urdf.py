@@ -41,8 +41,8 @@ _KINDS = {
 }
 HULL_MARGIN = 0.001
 """Metres around a hull, which Bullet fixes when it reads the file."""
+# The value in the place of infinity in the file.
 _UNLIMITED = 1e9
-"""The value in the place of infinity in the file."""
 
 
 class MeshFiles:

@@ -65,6 +65,7 @@ class NetworkDescription:
             )
         if self.kind == "lstm" and (len({*sizes}) > 1 or history != (0,)):
             raise ConfigurationError(f"an LSTM has layers of one size and no history, not {sizes} and {history}")
+        # The present first and each step once: the network's inputs are numbered by this list.
         if history[:1] != (0,) or list(history) != sorted({*history}) or history[-1] > _MOST_HISTORY:
             raise ConfigurationError(
                 f"history is {history}: give steps back from 0 on, rising, {_MOST_HISTORY} at most"
@@ -84,6 +85,7 @@ class ActuatorModule(nn.Module, ABC):
         super().__init__()
         self.description = description
         self._in: Tensor
+        # Not among the weights of a file, whose description has the scales already.
         self.register_buffer("_in", torch.tensor(description.scales[:2]), persistent=False)
 
     @abstractmethod
@@ -119,6 +121,7 @@ class MlpActuator(ActuatorModule):
         known = torch.where(past[..., 2:] > 0.0, past, newest)
         line = torch.cat((newest, known))
         seen = torch.cat([line[back, :, :_INPUTS] for back in self.description.history], 1)
+        # The oldest step drops out, so that the past keeps its length.
         return self.efforts(seen), line[: self._depth]
 
     def sequence(self, inputs: Tensor) -> Tensor:
