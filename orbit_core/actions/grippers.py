@@ -78,6 +78,11 @@ class BinaryGripper(MotionGenerator):
         # Where a command is not a number the targets are none either, and refused by the robot.
         return {JointTarget.POSITION: torch.where(command.isnan(), command, targets)}
 
+    @property
+    def ends(self) -> tuple[Tensor, Tensor]:
+        """Open and closed positions (k,) of the joints, rad or m."""
+        return self._open, self._closed
+
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         # The ends of the range: any positive number opens, but noise on a small one could close.
         return (2.0 * gripper_open.to(torch.float32) - 1.0).unsqueeze(-1)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
@@ -14,6 +15,8 @@ from orbit_core.backends import versions_of
 from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.settings import RunSettings, check_output, check_positive, check_size, parse_settings
+from orbit_core.envs.actors import ACTORS
+from orbit_core.pretrained import policy_path
 from orbit_core.rollout.estimates import Estimate, Statistic, statistic
 from orbit_core.rollout.pictures import Recorder, video_recorder
 from orbit_core.rollout.stepping import EpisodeCounter, Episodes, Pace, ReachWatch, StepObserver, roll_out
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
 # Share of looks at hands' targets that must find one out of reach for the table to report it
 _REPORTED_SHARE = 0.01
+_OUTPUTS = ("json", "video", "overwrite", "config")
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,10 @@ class RunResult:
     """Steps of single environments over the time spent acting and stepping; building and filming left out."""
     wall_seconds: float
     """Seconds from the settings to the result, building and filming included."""
+    settings: dict[str, Any]
+    """All settings but files that the run writes, for ``orbit rerun``."""
+    agent_digest: str
+    """SHA-256 of the policy's file; empty if no policy's file acted."""
 
     def as_json(self) -> dict[str, Any]:
         """Return all fields for a file, the rate's interval apart, and ``metric``, the leading one with its name."""
@@ -113,7 +121,30 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         farthest_out_of_reach=reach.farthest,
         env_steps_per_second=pace.env_steps_per_second,
         wall_seconds=time.perf_counter() - start,
+        settings=_plain(settings),
+        agent_digest=agent_digest(settings.agent),
     )
+
+
+def agent_digest(agent: str) -> str:
+    """Return the SHA-256 of a policy's file; empty for agents that are no file."""
+    if agent in ACTORS or "://" in agent:
+        return ""
+    path = policy_path(agent)
+    # A folder's newest policy acts: all of them count, in the order of their names.
+    files = sorted(path.glob("*.safetensors")) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _plain(settings: RunSettings) -> dict[str, Any]:
+    """Return the settings as JSON takes them, the files that a run writes left out."""
+    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
+    kept = {name: value for name, value in values.items() if name not in _OUTPUTS}
+    # What a TOML file gave is in the fields already.
+    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in kept.items()}
 
 
 class _ProgressReporter(StepObserver):

@@ -41,6 +41,8 @@ class Backend(ABC):
     contract: ClassVar[tuple[int, int]]
     """Version of the contract (:data:`~orbit_core.interfaces.CONTRACT`) that the plugin was written for, as numbers of
     its own: ``contract = (1, 0)``. Checked when the plugin is loaded."""
+    simulates: ClassVar[bool] = True
+    """False for a robot's computer: what it drives is built already, and is not compared with the scene."""
     # A class and not an instance, so that commands list its fields without making a backend.
     config_type: ClassVar[type]
     """The dataclass of the engine's own settings; every field has a default."""
