@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from orbit_core.interfaces.capabilities import EXACT, Capabilities, Capability, Gap, approximate, unsupported
+from orbit_core.interfaces.capabilities import EXACT, Capabilities, Capability, Gap, approximate
 from orbit_core.interfaces.matter import Matter, MatterPainter, MatterSolver
 from orbit_matter.config import MatterConfig
 
@@ -31,7 +31,7 @@ _DECLARED = {
         "meets links and terrain by points of its surface, and no cloth, rope or other soft body, nor itself; links "
         "feel it one physics step late, and free bodies lighter than a third of it may hop on it"
     ),
-    Capability.FLUIDS: unsupported("fluids are not simulated by it"),
+    Capability.FLUIDS: approximate("its figures are not measured yet"),
     Capability.GPU: EXACT,
     Capability.SNAPSHOTS: EXACT,
 }
