@@ -17,6 +17,7 @@ from orbit_matter import kernels as particles
 from orbit_matter.fluid import fluids, kernels
 from orbit_matter.fluid.fluids import FluidModel
 
+
 class FluidPart:
     """Liquids of environments in a row.
 
