@@ -124,4 +124,4 @@ def test_nothing_holds_a_liquid(settled: World) -> None:
     with pytest.raises(ConfigurationError, match="'water' is a liquid, which nothing holds"):
         build(Scene(deformables=(replace(WATER, attachments=(Attachment((0,)),)),)))
     with pytest.raises(ConfigurationError, match="'water' is a liquid, which nothing holds"):
-        settled.deformables["water"].anchor(torch.tensor([0]))
+        settled.deformables["water"].anchor([0])
