@@ -66,6 +66,8 @@ class Block:
     """Each term's contribution to the return."""
     failed: tuple[bool, ...]
     """Episodes in which the policy did not answer, or the simulation diverged; they count as failures."""
+    reached: tuple[int, ...] = ()
+    """Steps until success, from which on it lasted to the end; of a failure the episode's steps."""
     fingerprint: str = ""
     """Digest of the first observations, rounded: blocks of one seed begin alike."""
 

@@ -83,7 +83,10 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
     fingerprint = hashlib.sha256(b"".join(value.cpu().numpy().tobytes() for value in rounded)).hexdigest()[:16]
     ends: dict[int, tuple[EpisodeEnd, int]] = {}
     failed = [False] * environment.num_envs
-    for _ in range(environment.max_episode_steps):
+    # Last step without success: an episode that succeeds has reached its goal in the step after it.
+    outside = torch.zeros(environment.num_envs, dtype=torch.int64, device=environment.device)
+    reached = [0] * environment.num_envs
+    for step in range(1, environment.max_episode_steps + 1):
         *_, info = environment.step(actor.act())
         if "final" in info:
             end = info["final"]
@@ -92,9 +95,11 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
             for row, index in enumerate(end.env_ids.tolist()):
                 if index not in ends:
                     ends[index] = end, row
+                    reached[index] = int(outside[index]) + 1 if bool(end.success[row]) else step
                     failed[index] = bool(unanswered[index] or lost[index])
         if len(ends) == environment.num_envs:
             break
+        outside = torch.where(environment.success(), outside, step)
     rows = [ends[index] for index in range(environment.num_envs)]
 
     def each(value: Callable[[EpisodeEnd], torch.Tensor]) -> tuple[float, ...]:
@@ -113,6 +118,7 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
         success=tuple(success),
         returns=tuple(map(sum, zip(*rewards.values(), strict=True))) if rewards else (0.0,) * len(rows),
         steps=tuple(int(value) for value in each(lambda end: end.steps)),
+        reached=tuple(reached),
         metrics=metrics,
         rewards=rewards,
         failed=tuple(failed),
