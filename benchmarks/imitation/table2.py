@@ -156,9 +156,9 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
         trained: list[str] = []
         for seed, folder in enumerate(folders):
             iterations = arguments.iterations or recipe.iterations
-            settings = (f"evaluate_every={iterations}", *recipe.settings)
+            settings = (f"evaluate_every={iterations}", f"device={arguments.device}", *recipe.settings)
             words = (
-                "train", *task, "--backend", arguments.engine, "--device", arguments.device, "--num-envs", "16",
+                "train", *task, "--backend", arguments.engine, "--num-envs", "16",
                 "--library", "imitation", "--algorithm", algorithm, *data, "--iterations", str(iterations),
                 "--save-every", "5", "--seed", str(seed),
                 *(word for setting in settings for word in ("--imitation", setting)),

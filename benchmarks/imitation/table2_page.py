@@ -86,7 +86,7 @@ def _costs(jobs: Mapping[str, Any]) -> str:
 
 
 def _versions(found: Sequence[_Outcome]) -> list[str]:
-    return sorted({f"{outcome.engine} {each['engine']}" for outcome in found for each in outcome.trainings})
+    return sorted({f"{outcome.engine} ({each['engine']})" for outcome in found for each in outcome.trainings})
 
 
 def _unique(names: Iterable[str]) -> list[str]:

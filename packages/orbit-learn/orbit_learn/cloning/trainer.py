@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable
@@ -30,7 +31,7 @@ from orbit_learn.distill import copied_actor
 from orbit_learn.ends import EpisodeTally
 from orbit_learn.memory import Remembering, map_seen
 from orbit_learn.networks import ActorNetwork
-from orbit_learn.trainer import Progress, Trainer
+from orbit_learn.trainer import Progress, Trainer, set_half_cosine
 
 _MOST_GRADIENT = 1.0
 _MODES = 5
@@ -63,6 +64,8 @@ class ImitationSettings:
     """Leave out episodes that failed; with noise on the actions they teach too."""
     evaluate_every: int = 10
     """Iterations between evaluations, each an episode in every environment; the last iteration is always evaluated."""
+    device: str = ""
+    """Torch device of the gradient steps, such as cuda; the environment's if left out."""
     steps_per_iteration: int = 0
     """Environment steps of an iteration; demonstrations are recorded before."""
 
@@ -106,7 +109,8 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         vectors = planner.encoder.vectors(shown.observed(every))
         planner.encoder.fit(vectors)
         planner.labels.fit(shown.windows(every, settings.chunk)[0], vectors)
-        self._planner = planner.to(environment.device)
+        self._device = _device(settings.device) if settings.device else environment.device
+        self._planner = planner.to(self._device)
         self._optimizer = torch.optim.AdamW(self._planner.parameters(), settings.learning_rate, weight_decay=1e-6)
         self._generator = torch.Generator().manual_seed(seed)
         self._iteration = 0
@@ -141,15 +145,14 @@ class ImitationTrainer(Trainer[ImitationSettings]):
 
     def _update_all(self, iteration: int) -> None:
         """Take the gradient steps of an iteration."""
-        settings, shown, device = self.settings, self._demonstrations, self.environment.device
+        settings, shown, device = self.settings, self._demonstrations, self._device
         total = settings.iterations * settings.updates_per_iteration
         losses = torch.zeros((), device=device)
         sequence = torch.arange(self._planner.sequence)
         self._planner.train()
         for update in range(settings.updates_per_iteration):
-            progress = min(1.0, (iteration * settings.updates_per_iteration + update) / total)
-            for group in self._optimizer.param_groups:
-                group["lr"] = settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
+            progress = (iteration * settings.updates_per_iteration + update) / total
+            set_half_cosine(self._optimizer, settings.learning_rate, progress)
             count = max(1, settings.batch_size // self._planner.sequence)
             rows = torch.randint(shown.steps, (count,), generator=self._generator)
             if self._planner.sequence > 1:
@@ -170,7 +173,8 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         """Play an episode in every environment; return the steps of all environments."""
         environment = self.environment
         seen, _ = environment.reset(self.seed + 1)  # other episodes than the demonstrations'
-        acting = Remembering(self._planner, environment.num_envs, environment.device)
+        planner = copy.deepcopy(self._planner).to(environment.device)
+        acting = Remembering(planner, environment.num_envs, environment.device)
         begun = torch.ones(environment.num_envs, dtype=torch.bool, device=environment.device)
         first = begun.clone()
         self._tally = EpisodeTally(environment.device)
@@ -183,6 +187,18 @@ class ImitationTrainer(Trainer[ImitationSettings]):
             first &= ~begun
         self._played = self._tally.read()
         return environment.max_episode_steps * environment.num_envs
+
+
+def _device(name: str) -> torch.device:
+    """Return a torch device that can hold a network.
+
+    Raises:
+        ConfigurationError: there is none of that name here.
+    """
+    try:
+        return torch.zeros(0, device=name).device
+    except (RuntimeError, AssertionError) as error:
+        raise ConfigurationError(f"imitation setting 'device' is '{name}', which torch rejects: {error}") from None
 
 
 def _network(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:

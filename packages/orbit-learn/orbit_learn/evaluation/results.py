@@ -57,7 +57,7 @@ class Block:
 
     key: BlockKey
     engine: str
-    """Version of the engine."""
+    """Names and versions of the packages that the engine depends on."""
     success: tuple[bool, ...]
     returns: tuple[float, ...]
     steps: tuple[int, ...]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from orbit_core.backends import versions_of
+from orbit_core.backends import backend
 from orbit_core.cli.making import make_actor, make_environment
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.envs.observation_layout import leaves_of
@@ -114,7 +114,7 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
         close()
     return Block(
         key=key,
-        engine=versions_of(key.backend).get(key.backend, ""),
+        engine=", ".join(f"{name} {version}" for name, version in backend(key.backend).versions().items()),
         success=tuple(success),
         returns=tuple(map(sum, zip(*rewards.values(), strict=True))) if rewards else (0.0,) * len(rows),
         steps=tuple(int(value) for value in each(lambda end: end.steps)),
