@@ -164,7 +164,9 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
                 *(word for setting in settings for word in ("--imitation", setting)),
             )  # fmt: skip
             trained.append(f"train.{label}.{algorithm}.{seed}")
-            jobs.append(Job(trained[-1], lambda w=words, f=folder, n=iterations: (*w, *_continued(f, n)), recorded, recipe.cost))
+            jobs.append(
+                Job(trained[-1], lambda w=words, f=folder, n=iterations: (*w, *_continued(f, n)), recorded, recipe.cost)
+            )
         for engine in engines:
             into = output / label / f"evaluation-{algorithm}-{engine}"
             words = (
