@@ -263,7 +263,7 @@ class Lift(Task):
     tolerance: float = 0.02
     """Metres."""
     start_spread: float = 1.0
-    """Share of the patch and of the turns that the cube's start is drawn from, about the middle; 0 for one fixed start."""
+    """Share of the patch and of the turns that the cube's start is drawn from, about the middle; 0 for one start."""
     observations: LiftObservations | LiftPixelObservations = field(default_factory=LiftObservations)
     rewards: LiftRewards = field(default_factory=LiftRewards)
     terminations: LiftTerminations = field(default_factory=LiftTerminations)

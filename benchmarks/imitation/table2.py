@@ -191,10 +191,10 @@ def _parts(demos: int) -> list[int]:
     return [demos // count + (part < demos % count) for part in range(count)]
 
 
-def _continued(folder: Path, iterations: int) -> tuple[str, str]:
+def _continued(folder: Path, last: int) -> tuple[str, str]:
     """Return the words that begin a training in a folder, or go on with the one there."""
     newest = newest_file(folder, CHECKPOINT) if folder.is_dir() else None
-    if newest is not None and not newest.stem.endswith(f"_{iterations - 1}"):
+    if newest is not None and not newest.stem.endswith(f"_{last}"):
         return "--resume", str(folder)
     if folder.is_dir():
         shutil.rmtree(folder)  # interrupted before its first checkpoint, or killed after its last

@@ -37,11 +37,12 @@ class _Outcome:
 def page(results: Mapping[str, Any]) -> str:
     """Return the page of a ledger as it was read from its file."""
     settings, jobs = results["settings"], results["jobs"]
-    found = [
-        _Outcome(*name.split(".")[1:], done["result"])
-        for name, done in jobs.items()
-        if name.startswith("evaluate.") and done["ended"]
-    ]
+    found: list[_Outcome] = []
+    for name, done in jobs.items():
+        kind, *place = name.split(".")
+        if kind == "evaluate" and done["ended"]:
+            cell, action, algorithm, engine = place
+            found.append(_Outcome(cell, action, algorithm, engine, done["result"]))
     actions = _unique(outcome.action for outcome in found)
     algorithms = _unique(outcome.algorithm for outcome in found)
     engines = _unique(outcome.engine for outcome in found)
@@ -97,10 +98,10 @@ _HEAD = """# Measured: imitation
 
 The paper's table II, repeated by `benchmarks/imitation/table2.py` (Mittal et al., Orbit, 2023): Lift with one start of
 the cube or any, and one goal or any. G: goals vary, I: starts vary. {demos} demonstrations of the scripted expert on
-{engine}, half of them with noise, {seeds} trainings of each policy, {episodes} episodes of each training and engine, all
-from the same starts. Versions: {versions}.
+{engine}, half of them with noise, {seeds} trainings of each policy, {episodes} episodes of each training and engine,
+all from the same starts. Versions: {versions}.
 
-Each field is success with Wilson's interval of 95 %, and the mean number of steps of 0.02 s until the success that lasts
-to the episode's end; failures count with their whole episode. The published figures are success and length over 100
-trials, whose task, controller and rate differ from these. The arm's joints start within 0.05 rad everywhere.
+Each field is success with Wilson's interval of 95 %, and the mean number of steps of 0.02 s until the success that
+lasts to the episode's end; failures count with their whole episode. The published figures are success and length over
+100 trials, whose task, controller and rate differ from these. The arm's joints start within 0.05 rad everywhere.
 """

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 
@@ -25,8 +23,8 @@ def starts(start_spread: float, goal_spread: float) -> tuple[torch.Tensor, torch
 
 
 @pytest.fixture(scope="module")
-def usual() -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    yield starts(1.0, 1.0)
+def usual() -> tuple[torch.Tensor, torch.Tensor]:
+    return starts(1.0, 1.0)
 
 
 def test_one_start_and_one_goal_are_in_the_middle_of_all(usual: tuple[torch.Tensor, torch.Tensor]) -> None:

@@ -105,7 +105,7 @@ class ClonedTransformer(ClonedNetwork):
     """
 
     name: ClassVar[str] = "cloned_transformer"
-    width: int = 128
+    width: int = 64
     heads: int = 4
     encoder_layers: int = 2
     decoder_layers: int = 1
@@ -354,7 +354,8 @@ class TransformerPlanner(Planner):
         self.writer = nn.TransformerDecoder(decoder, network.decoder_layers)
         self.head = nn.Linear(width, action_size)
         # Of training alone: what a demonstration has done, as a latent variable.
-        self.style = nn.TransformerEncoder(style, network.encoder_layers, enable_nested_tensor=False)
+        # As deep as the decoder: it reads a whole chunk, which takes most of a gradient step's time.
+        self.style = nn.TransformerEncoder(style, network.decoder_layers, enable_nested_tensor=False)
         self.shown = nn.Linear(action_size, width)
         self.style_places = nn.Parameter(torch.zeros(chunk + 2, width))
         nn.init.normal_(self.style_places, std=0.02)

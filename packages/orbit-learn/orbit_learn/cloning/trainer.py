@@ -50,14 +50,15 @@ class ImitationSettings:
     iterations: int = 40
     updates_per_iteration: int = 200
     """Gradient steps in an iteration."""
-    batch_size: int = 256
+    batch_size: int = 0
+    """Chunks in a gradient step; 0 for the algorithm's own: 64 for act, whose steps take long, and 256 for others."""
     learning_rate: float = 1e-3
     chunk: int = 16
     """Actions that are planned at a time."""
     executed: int = 8
     """Actions of a plan that are executed before the next one is made."""
     hidden_size: int = 256
-    """Units of hidden layers; width of a transformer."""
+    """Units of hidden layers; a transformer is a quarter as wide, a denoiser twice."""
     ensemble: float | None = None
     """For act: plan at every step and average plans for one moment with weights exp(-ensemble * age)."""
     only_successes: bool = False
@@ -72,13 +73,20 @@ class ImitationSettings:
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
             raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS, "library imitation")
-        for name in ("updates_per_iteration", "batch_size", "learning_rate", "hidden_size", "evaluate_every"):
+        if self.batch_size < 0:
+            raise ConfigurationError(f"imitation setting 'batch_size' is at least 0, not {self.batch_size}")
+        for name in ("updates_per_iteration", "learning_rate", "hidden_size", "evaluate_every"):
             if not getattr(self, name) > 0:
                 raise ConfigurationError(f"imitation setting '{name}' is positive, not {getattr(self, name)}")
         if not 0 < self.executed <= self.chunk:
             raise ConfigurationError(
                 f"imitation setting 'executed' is 1 to chunk, which is {self.chunk}, not {self.executed}"
             )
+
+    @property
+    def chunks_per_update(self) -> int:
+        """Chunks in a gradient step."""
+        return self.batch_size or (64 if self.algorithm == "act" else 256)
 
 
 class ImitationTrainer(Trainer[ImitationSettings]):
@@ -153,7 +161,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         for update in range(settings.updates_per_iteration):
             progress = (iteration * settings.updates_per_iteration + update) / total
             set_half_cosine(self._optimizer, settings.learning_rate, progress)
-            count = max(1, settings.batch_size // self._planner.sequence)
+            count = max(1, settings.chunks_per_update // self._planner.sequence)
             rows = torch.randint(shown.steps, (count,), generator=self._generator)
             if self._planner.sequence > 1:
                 # Sequences stay within their episode; near its end its last steps repeat.
@@ -210,5 +218,5 @@ def _network(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
     if settings.algorithm in ("bc-rnn", "bc-rnn-gmm"):
         return ClonedRecurrent(**shared, hidden_size=settings.hidden_size, modes=modes)
     if settings.algorithm == "act":
-        return ClonedTransformer(**shared, width=settings.hidden_size, ensemble=settings.ensemble)
+        return ClonedTransformer(**shared, width=settings.hidden_size // 4, ensemble=settings.ensemble)
     return ClonedDiffusion(**shared, width=2 * settings.hidden_size)
