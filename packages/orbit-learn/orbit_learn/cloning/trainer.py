@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
@@ -35,6 +35,8 @@ from orbit_learn.trainer import Progress, Trainer, set_half_cosine
 
 _MOST_GRADIENT = 1.0
 _MODES = 5
+_SHIFT = 4
+"""Pixels that pictures are shifted by in training."""
 ALGORITHMS = ("bc", "bc-gmm", "bc-rnn", "bc-rnn-gmm", "act", "diffusion")
 
 
@@ -167,7 +169,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
                 # Sequences stay within their episode; near its end its last steps repeat.
                 rows = torch.minimum(rows[:, None] + sequence, shown.ends[rows][:, None])
             actions, valid = shown.windows(rows, self._planner.network.chunk)
-            seen = map_seen(lambda value: value.to(device), shown.observed(rows))
+            seen = map_seen(lambda value: _shifted(value.to(device)), shown.observed(rows))
             loss = self._planner.loss(seen, actions.to(device), valid.to(device))
             self._optimizer.zero_grad()
             loss.backward()
@@ -195,6 +197,21 @@ class ImitationTrainer(Trainer[ImitationSettings]):
             first &= ~begun
         self._played = self._tally.read()
         return environment.max_episode_steps * environment.num_envs
+
+
+def _shifted(value: Tensor) -> Tensor:
+    """Return pictures (B, H, W, C) shifted by up to ``_SHIFT`` pixels each way, their edges repeated; else the value.
+
+    Why: Kostrikov et al., Image Augmentation Is All You Need (2021); a network of few pictures learns their pixels.
+    """
+    if value.dim() < 4:
+        return value
+    count, height, width = value.shape[:3]
+    shift = torch.randint(-_SHIFT, _SHIFT + 1, (2, count, 1), device=value.device)
+    rows = (torch.arange(height, device=value.device) + shift[0]).clamp(0, height - 1)
+    columns = (torch.arange(width, device=value.device) + shift[1]).clamp(0, width - 1)
+    each = torch.arange(count, device=value.device)[:, None, None]
+    return value[each, rows[:, :, None], columns[:, None, :]]
 
 
 def _device(name: str) -> torch.device:
