@@ -1,7 +1,9 @@
-"""Table II of the Orbit paper, repeated: cloning Lift from fixed and random starts to fixed and random goals.
+r"""Table II of the Orbit paper, repeated: cloning Lift from fixed and random starts to fixed and random goals.
 
     python benchmarks/imitation/table2.py --jobs 64 --demos 2000 --seeds 3 --episodes 100 --budget 460
     python benchmarks/imitation/table2.py --page docs/measured/imitation.md
+    python benchmarks/imitation/table2.py --jobs 64 --demos 400 --seeds 1 --cells both --actions pictures \
+        --algorithms bc --device cuda --renderer-setting shadow_size=0 --budget 460 --output out/table2-pictures
 
 Demonstrations are recorded on one engine, policies are trained from them, and evaluated on that engine and all others
 that are installed: ``orbit record``, ``orbit train`` and ``orbit evaluate``, each in a process of one thread. The same
@@ -31,9 +33,6 @@ from orbit_learn.training import CHECKPOINT
 
 _FIRST_START = 10_000
 """Seed of the starts of evaluation, which no demonstration had."""
-_PART = 250
-"""Demonstrations of one recording; half of the recordings have noise."""
-_RECORDED_TOGETHER = 50
 
 
 @dataclass(frozen=True)
@@ -51,16 +50,32 @@ CELLS = (Cell("none", 0.0, 0.0), Cell("goal", 0.0, 1.0), Cell("start", 1.0, 0.0)
 
 @dataclass(frozen=True)
 class Action:
-    """How the arm is commanded."""
+    """How the arm is commanded, and what its policy sees."""
 
     name: str
+    space: str
     length: float
     """Seconds of an episode."""
     noise: float
     """Deviation of the noise on executed actions, in their units."""
+    part: int = 250
+    """Demonstrations of one recording; half of the recordings have noise."""
+    together: int = 50
+    """Environments of a recording."""
+    trials: int = 100
+    """Most episodes of one evaluation."""
+    watched: int = 16
+    """Environments that a training plays in at its end."""
+    cameras: tuple[str, ...] = ()
+    """Pictures that the policy sees in place of the cube's pose."""
 
 
-ACTIONS = (Action("joint_position", 5.0, 0.012), Action("ik_relative", 8.0, 0.05))
+ACTIONS = (
+    Action("joint_position", "joint_position", 5.0, 0.012),
+    Action("ik_relative", "ik_relative", 8.0, 0.05),
+    # Software takes 20 to 80 ms of a core for a picture: small jobs, so that none outlasts a call.
+    Action("pictures", "ik_relative", 8.0, 0.05, 8, 8, 10, 2, ("front:84x84", "hand:84x84")),
+)
 
 
 @dataclass(frozen=True)
@@ -92,7 +107,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="trainings of each policy")
     parser.add_argument("--episodes", type=int, default=100, help="of each policy and engine")
     parser.add_argument("--algorithms", nargs="+", default=list(RECIPES), choices=list(RECIPES))
-    parser.add_argument("--actions", nargs="+", default=[a.name for a in ACTIONS], choices=[a.name for a in ACTIONS])
+    parser.add_argument(
+        "--actions", nargs="+", default=["joint_position", "ik_relative"], choices=[a.name for a in ACTIONS]
+    )
+    parser.add_argument("--renderer", help="of the pictures; the engine itself if left out")
+    parser.add_argument("--renderer-setting", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--cells", nargs="+", default=[c.name for c in CELLS], choices=[c.name for c in CELLS])
     parser.add_argument("--engine", default="mujoco", help="of the demonstrations")
     parser.add_argument("--transfer", nargs="*", default=None, help="other engines; all that are installed if left out")
@@ -110,7 +129,8 @@ def main() -> None:
             written.write_text(text)
         return
     arguments.output.mkdir(parents=True, exist_ok=True)
-    common = {name: getattr(arguments, name) for name in ("demos", "seeds", "episodes", "engine", "iterations")}
+    kept = ("demos", "seeds", "episodes", "engine", "iterations", "renderer", "renderer_setting")
+    common = {name: getattr(arguments, name) for name in kept}
     ledger = Ledger(results, common)
     complete = run_jobs(
         table_jobs(arguments), ledger, arguments.jobs, arguments.budget, arguments.output / "logs",
@@ -134,17 +154,20 @@ def table_jobs(arguments: argparse.Namespace) -> list[Job]:
 
 def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: argparse.Namespace) -> list[Job]:
     label, output = f"{cell.name}.{action.name}", arguments.output
+    looks = [*(("--renderer", arguments.renderer) if arguments.renderer else ())]
+    looks += [word for setting in arguments.renderer_setting for word in ("--renderer-setting", setting)]
+    seen = ("--cameras", *action.cameras, *looks) if action.cameras else ()
     task = (
-        "Lift", "--action", action.name, "--set", f"episode_length={action.length}",
+        "Lift", "--action", action.space, *seen, "--set", f"episode_length={action.length}",
         "--set", f"start_spread={cell.start}", "--set", f"commands.goal.spread={cell.goal}",
     )  # fmt: skip
     jobs: list[Job] = []
-    parts = _parts(arguments.demos)
+    parts = _parts(arguments.demos, action.part)
     files = [output / label / f"demos_{part}.hdf5" for part in range(len(parts))]
     for part, (file, count) in enumerate(zip(files, parts, strict=True)):
         noise = ("--noise", str(action.noise)) if part % 2 else ()
         words = (
-            "record", *task, "--backend", arguments.engine, "--num-envs", str(min(count, _RECORDED_TOGETHER)),
+            "record", *task, "--backend", arguments.engine, "--num-envs", str(min(count, action.together)),
             "--episodes", str(count), "--seed", str(part + 1), *noise, "--output", str(file), "--resume",
         )  # fmt: skip
         jobs.append(Job(f"record.{label}.{part}", lambda words=words: words, cost=1000.0))
@@ -158,7 +181,7 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
             iterations = arguments.iterations or recipe.iterations
             settings = (f"evaluate_every={iterations}", f"device={arguments.device}", *recipe.settings)
             words = (
-                "train", *task, "--backend", arguments.engine, "--num-envs", "16",
+                "train", *task, "--backend", arguments.engine, "--num-envs", str(action.watched),
                 "--library", "imitation", "--algorithm", algorithm, *data, "--iterations", str(iterations),
                 "--save-every", "5", "--seed", str(seed),
                 *(word for setting in settings for word in ("--imitation", setting)),
@@ -168,26 +191,25 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
                 Job(trained[-1], lambda w=words, f=folder, n=iterations: (*w, *_continued(f, n)), recorded, recipe.cost)
             )
         for engine in engines:
-            into = output / label / f"evaluation-{algorithm}-{engine}"
-            words = (
-                "evaluate", *map(str, folders), "--backend", engine, "--episodes", str(arguments.episodes),
-                "--seed", str(_FIRST_START), "--jobs", "1", "--output", str(into),
-            )  # fmt: skip
-            jobs.append(
-                Job(
-                    f"evaluate.{label}.{algorithm}.{engine}",
-                    lambda words=words: words,
-                    tuple(trained),
-                    50.0,
-                    lambda into=into: _outcomes(into / "results.jsonl"),
-                )
-            )
+            for part, begin in enumerate(range(0, arguments.episodes, action.trials)):
+                into = output / label / f"evaluation-{algorithm}-{engine}-{part}"
+                words = (
+                    "evaluate", *map(str, folders), "--backend", engine, *(looks if action.cameras else ()),
+                    "--episodes", str(min(action.trials, arguments.episodes - begin)),
+                    "--seed", str(_FIRST_START + part), "--jobs", "1", "--output", str(into),
+                )  # fmt: skip
+
+                def outcomes(into: Path = into) -> list[dict[str, object]]:
+                    return _outcomes(into / "results.jsonl")
+
+                name = f"evaluate.{label}.{algorithm}.{engine}.{part}"
+                jobs.append(Job(name, lambda words=words: words, tuple(trained), 50.0, outcomes))
     return jobs
 
 
-def _parts(demos: int) -> list[int]:
+def _parts(demos: int, size: int) -> list[int]:
     """Return the sizes of an even number of recordings."""
-    count = 2 * max(1, round(demos / (2 * _PART)))
+    count = 2 * max(1, round(demos / (2 * size)))
     return [demos // count + (part < demos % count) for part in range(count)]
 
 

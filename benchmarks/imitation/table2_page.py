@@ -37,26 +37,26 @@ class _Outcome:
 def page(results: Mapping[str, Any]) -> str:
     """Return the page of a ledger as it was read from its file."""
     settings, jobs = results["settings"], results["jobs"]
-    found: list[_Outcome] = []
+    parts: dict[tuple[str, ...], list[Any]] = {}
     for name, done in jobs.items():
         kind, *place = name.split(".")
         if kind == "evaluate" and done["ended"]:
-            cell, action, algorithm, engine = place
-            found.append(_Outcome(cell, action, algorithm, engine, done["result"]))
+            parts.setdefault(tuple(place[:4]), []).extend(done["result"])
+    found = [_Outcome(*place, trainings) for place, trainings in parts.items()]  # pyright: ignore[reportCallIssue]
     actions = _unique(outcome.action for outcome in found)
     algorithms = _unique(outcome.algorithm for outcome in found)
     engines = _unique(outcome.engine for outcome in found)
     engines.sort(key=lambda name: name != settings["engine"])
-    parts = [_HEAD.format(**settings, versions=", ".join(_versions(found)))]
+    text = [_HEAD.format(**settings, versions=", ".join(_versions(found)))]
     for action in actions:
         for engine in engines:
             where = "the engine of the demonstrations" if engine == settings["engine"] else "transferred"
-            parts.append(f"## `{action}` on {engine}, {where}\n")
+            text.append(f"## `{action}` on {engine}, {where}\n")
             own = [outcome for outcome in found if (outcome.action, outcome.engine) == (action, engine)]
-            parts.append(_table(own, algorithms))
-    parts.append("## Cost\n\nCore seconds of one thread on the machine of these figures, mean of a job.\n")
-    parts.append(_costs(jobs))
-    return "\n".join(parts)
+            text.append(_table(own, algorithms))
+    text.append("## Cost\n\nCore seconds of one thread on the machine of these figures, mean of a job.\n")
+    text.append(_costs(jobs))
+    return "\n".join(text)
 
 
 def _table(outcomes: Sequence[_Outcome], algorithms: Sequence[str]) -> str:
@@ -76,7 +76,9 @@ def _costs(jobs: Mapping[str, Any]) -> str:
     for name, done in jobs.items():
         if done["ended"]:
             kind, _, action, which, *rest = name.split(".")
-            key = (kind, action) if kind == "record" else (kind, action, which, *(rest if kind == "evaluate" else ()))
+            key = (
+                (kind, action) if kind == "record" else (kind, action, which, *(rest[:1] if kind == "evaluate" else ()))
+            )
             costs.setdefault(key, []).append(done["core_seconds"])
     lines = ["| job | number | core seconds each |", "|---|---|---|"]
     for key, values in sorted(costs.items()):

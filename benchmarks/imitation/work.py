@@ -128,7 +128,7 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
 
 
 def _started(job: Job, logs: Path, gpu: int | None) -> _Running:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
     # Compiled modules are kept even where the shell says not to: each of hundreds of starts takes 5 core s less.
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     environment |= {"PYTHONPYCACHEPREFIX": str(logs.resolve() / "pycache")}

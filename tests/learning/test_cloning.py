@@ -144,7 +144,7 @@ def test_ensembled_plans_are_averaged_by_age() -> None:
 
 def test_labels_are_relative_to_the_present_joint_positions() -> None:
     encoding = Encoding((Part("joints", 2),), joints=(1, -1), gains=(0.5, 0.0), biases=(0.1, 0.0), binary=(False, True))
-    labels = Labels(encoding, 2, 2)
+    labels = Labels(encoding, 2)
     seen = torch.tensor([[9.0, 0.4]])
     actions = torch.tensor([[[0.5, -1.0], [0.25, 1.0]]])
     made = labels.normalised(actions, seen)

@@ -207,18 +207,17 @@ class Labels(nn.Module):
     Args:
         encoding: that says what is relative and what is a sign.
         action_size: A.
-        chunk: H; each step of a plan has its own statistics, for the first steps are the nearest to where the arm is.
 
     Raises:
         ValueError: the encoding is of another number of components.
     """
 
     mean: Tensor
-    """(H, A) of relative actions in the demonstrations."""
+    """(A,) of relative actions in the demonstrations."""
     std: Tensor
-    """(H, A) theirs."""
+    """(A,) theirs."""
 
-    def __init__(self, encoding: Encoding, action_size: int, chunk: int) -> None:
+    def __init__(self, encoding: Encoding, action_size: int) -> None:
         super().__init__()
         for values in (encoding.joints, encoding.binary):
             if values and len(values) != action_size:
@@ -232,8 +231,8 @@ class Labels(nn.Module):
         self._biases = [bias * used for bias, used in zip(encoding.biases or none, relative, strict=True)]
         self.binary = list(encoding.binary or (False,) * action_size)
         """Components that are a sign."""
-        self.register_buffer("mean", torch.zeros(chunk, action_size))
-        self.register_buffer("std", torch.ones(chunk, action_size))
+        self.register_buffer("mean", torch.zeros(action_size))
+        self.register_buffer("std", torch.ones(action_size))
 
     def base(self, vectors: Tensor) -> Tensor:
         """Return (N, A) actions that command the present joint positions; zero where a component is not relative."""
@@ -264,7 +263,7 @@ class Labels(nn.Module):
         """
         if not len(actions):
             raise ConfigurationError("there are no demonstrations to take statistics from")
-        relative = actions - self.base(vectors)[:, None]
+        relative = (actions - self.base(vectors)[:, None]).flatten(0, 1)
         signs = self.signs(actions)
         self.mean.copy_(relative.mean(0).where(~signs, 0.0))
         self.std.copy_((relative.std(0) + _LEAST_LABEL_STD).where(~signs, 1.0))

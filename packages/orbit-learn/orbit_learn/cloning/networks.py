@@ -167,7 +167,7 @@ class Planner(MemoryModule):
         self.network = network
         self.action_size = action_size
         self.encoder = Encoder(network.encoding)
-        self.labels = Labels(network.encoding, action_size, network.chunk)
+        self.labels = Labels(network.encoding, action_size)
 
     @abstractmethod
     def outputs(self, features: Tensor) -> Tensor:
@@ -438,8 +438,7 @@ class DiffusionPlanner(Planner):
         time = torch.randint(1, self._network.noises + 1, (len(labels),), device=labels.device) / self._network.noises
         kept = _squared_cosine(time)[:, None, None]
         noisy = kept.sqrt() * labels + (1.0 - kept).sqrt() * torch.randn_like(labels)
-        # Absolute errors: a hand that is to meet a cube needs the plan to millimetres, which squares hardly see.
-        wrong = (self._clean(features, noisy, time) - labels).abs().mean(-1)
+        wrong = (self._clean(features, noisy, time) - labels).square().mean(-1)
         return (wrong * valid).sum() / valid.sum()
 
     def _clean(self, features: Tensor, plan: Tensor, time: Tensor) -> Tensor:
