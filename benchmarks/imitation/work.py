@@ -99,32 +99,38 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
     running: list[_Running] = []
     failed: set[str] = set()
     last_gpu = 0
-    while left or running:
-        stopping = time.monotonic() - begin > budget - _GRACE
-        if stopping:
-            break
-        ready = [job for job in left.values() if all(ledger.ended(need) for need in job.needs)]
-        ready.sort(key=lambda job: -job.cost)
-        for job in ready[: side_by_side - len(running)]:
-            del left[job.name]
-            last_gpu += 1
-            running.append(_started(job, logs, last_gpu % gpus if gpus else None))
-        if not running:
-            break
-        _collect(running, ledger, failed, logs)
-        time.sleep(0.05)
-    for each in running:
-        each.process.send_signal(signal.SIGINT)
-    while running and time.monotonic() - begin < budget:
-        _collect(running, ledger, failed, logs)
-        time.sleep(0.05)
-    for each in running:
-        each.process.kill()
-    while running:
-        _collect(running, ledger, failed, logs)
+    # A scheduler that ends this process lets the commands save their state too.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        while (left or running) and time.monotonic() - begin < budget - _GRACE:
+            ready = [job for job in left.values() if all(ledger.ended(need) for need in job.needs)]
+            ready.sort(key=lambda job: -job.cost)
+            for job in ready[: side_by_side - len(running)]:
+                del left[job.name]
+                last_gpu += 1
+                running.append(_started(job, logs, last_gpu % gpus if gpus else None))
+            if not running:
+                break
+            _collect(running, ledger, failed, logs)
+            time.sleep(0.05)
+    finally:
+        _interrupt(running, ledger, failed, logs)
     done = sum(ledger.ended(job.name) for job in jobs)
     print(f"{done} of {len(jobs)} done, {len(failed)} failed, {time.monotonic() - begin:.0f} s", flush=True)
     return done == len(jobs)
+
+
+def _interrupt(running: list[_Running], ledger: Ledger, failed: set[str], logs: Path) -> None:
+    """Let what runs save its state, and end what does not."""
+    for each in running:
+        each.process.send_signal(signal.SIGINT)
+    begin = time.monotonic()
+    while running:
+        if time.monotonic() - begin > _GRACE - 2.0:
+            for each in running:
+                each.process.kill()
+        _collect(running, ledger, failed, logs)
+        time.sleep(0.05)
 
 
 def _started(job: Job, logs: Path, gpu: int | None) -> _Running:

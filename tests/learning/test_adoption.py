@@ -1,4 +1,4 @@
-"""Models from elsewhere as policies: their inputs are picked from what a task shows, their output becomes its action."""
+"""Models from elsewhere as policies: inputs are picked from what a task shows, the output becomes its action."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_an_adopted_model_acts_on_the_terms_that_were_named(environment: Environ
     seen = environment.observe()["policy"]
     assert isinstance(seen, torch.Tensor)
     columns = environment.observation["policy"].columns
-    joints, goal = (seen[:, columns[name]] for name in list(columns)[:1] + [goal_of(environment)])
+    joints, goal = (seen[:, columns[name]] for name in (next(iter(columns)), goal_of(environment)))
     expected = 3.0 * torch.tanh(torch.cat((joints[:, 1:3], 2.0 * goal[:, :3]), 1) @ torch.from_numpy(WEIGHTS))
     made = PolicyActor(environment, tmp_path / "policy.onnx").act()
     torch.testing.assert_close(made, expected.clamp(-1.0, 1.0))

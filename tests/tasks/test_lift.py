@@ -6,8 +6,13 @@ import pytest
 import torch
 
 from orbit_core.backends import default_backend
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.envs import make
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.envs.observation_layout import terms_of_group
+from orbit_core.interfaces import ConfigurationError, OrbitError
+from orbit_core.mdp.images import with_cameras
+from orbit_core.scene import CameraSpec
 from orbit_tasks.lift import Lift, LiftGoal, narrowed
 
 
@@ -46,3 +51,24 @@ def test_half_the_spread_halves_the_way_to_the_middle(usual: tuple[torch.Tensor,
 def test_a_spread_is_a_share(spread: float) -> None:
     with pytest.raises(ConfigurationError, match="between 0 and 1"):
         narrowed((0.0, 1.0), spread)
+
+
+def test_cameras_take_the_place_of_the_state_that_they_show() -> None:
+    task = Lift()
+    with_cameras(task, {"front": (84, 60)})
+    terms = terms_of_group(task.observations.policy)
+    assert list(terms) == ["joint_positions", "joint_velocities", "goal", "last_action", "front_color"]
+    (camera,) = terms["front_color"].sensors
+    assert isinstance(camera, CameraSpec)
+    assert (camera.width, camera.height) == (84, 60)
+
+
+def test_a_camera_that_policies_cannot_see_is_named() -> None:
+    with pytest.raises(OrbitError, match="unknown camera 'back' in task Lift: known: front, hand"):
+        with_cameras(Lift(), {"back": (84, 84)})
+
+
+@pytest.mark.parametrize("words", [("front",), ("front:84",), ("front:84x",), ("front:8x8", "front:9x9")])
+def test_a_camera_on_the_command_line_is_a_name_and_a_size(words: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigurationError, match="such as front:84x84"):
+        make_environment(EnvironmentSettings(task="Lift", backend=default_backend(), cameras=words), 1)

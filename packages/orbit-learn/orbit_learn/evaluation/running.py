@@ -14,6 +14,7 @@ import torch
 from orbit_core.backends import backend
 from orbit_core.cli.making import make_actor, make_environment
 from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.envs.actors import RemoteSource
 from orbit_core.envs.observation_layout import leaves_of
 from orbit_learn.evaluation.results import Block, BlockKey, Plan
 
@@ -82,7 +83,8 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
     rounded = [(value.double() * 1e3).round().long() for value in leaves_of(seen) if value.is_floating_point()]
     fingerprint = hashlib.sha256(b"".join(value.cpu().numpy().tobytes() for value in rounded)).hexdigest()[:16]
     ends: dict[int, tuple[EpisodeEnd, int]] = {}
-    failed = [False] * environment.num_envs
+    none = (False,) * environment.num_envs
+    failed = list(none)
     # Last step without success: an episode that succeeds has reached its goal in the step after it.
     outside = torch.zeros(environment.num_envs, dtype=torch.int64, device=environment.device)
     reached = [0] * environment.num_envs
@@ -90,8 +92,8 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
         *_, info = environment.step(actor.act())
         if "final" in info:
             end = info["final"]
-            unanswered = getattr(actor, "unanswered", failed)
-            lost = failed if environment.lost is None else environment.lost.now.tolist()
+            unanswered = actor.unanswered if isinstance(actor, RemoteSource) else none
+            lost = none if environment.lost is None else environment.lost.now.tolist()
             for row, index in enumerate(end.env_ids.tolist()):
                 if index not in ends:
                     ends[index] = end, row
