@@ -67,9 +67,11 @@ class Ledger:
         self.jobs = {name: Done(**values) for name, values in known["jobs"].items()}
 
     def ended(self, name: str) -> bool:
+        """Return whether a job is done."""
         return name in self.jobs and self.jobs[name].ended
 
     def write(self) -> None:
+        """Replace the file."""
         text = json.dumps({"settings": self.settings, "jobs": {n: asdict(d) for n, d in self.jobs.items()}}, indent=1)
         with written_whole(self.path) as written:
             written.write_text(text)
@@ -122,13 +124,14 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
 
 def _interrupt(running: list[_Running], ledger: Ledger, failed: set[str], logs: Path) -> None:
     """Let what runs save its state, and end what does not."""
+    # os.kill, for Popen's own methods reap a process that has ended, whose cost would be lost.
     for each in running:
-        each.process.send_signal(signal.SIGINT)
+        os.kill(each.process.pid, signal.SIGINT)
     begin = time.monotonic()
     while running:
         if time.monotonic() - begin > _GRACE - 2.0:
             for each in running:
-                each.process.kill()
+                os.kill(each.process.pid, signal.SIGKILL)
         _collect(running, ledger, failed, logs)
         time.sleep(0.05)
 

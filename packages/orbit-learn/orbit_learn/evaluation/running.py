@@ -84,7 +84,7 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
     fingerprint = hashlib.sha256(b"".join(value.cpu().numpy().tobytes() for value in rounded)).hexdigest()[:16]
     ends: dict[int, tuple[EpisodeEnd, int]] = {}
     none = (False,) * environment.num_envs
-    failed = list(none)
+    failed = [False] * environment.num_envs
     # Last step without success: an episode that succeeds has reached its goal in the step after it.
     outside = torch.zeros(environment.num_envs, dtype=torch.int64, device=environment.device)
     reached = [0] * environment.num_envs
