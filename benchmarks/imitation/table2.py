@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -92,10 +93,10 @@ class Recipe:
 RECIPES = {
     recipe.algorithm: recipe
     for recipe in (
-        Recipe("bc", 40, 60.0),
-        Recipe("bc-rnn", 40, 230.0),
-        Recipe("act", 40, 300.0),
-        Recipe("diffusion", 60, 150.0),
+        Recipe("bc", 60, 90.0),
+        Recipe("bc-rnn", 50, 310.0),
+        Recipe("act", 60, 520.0),
+        Recipe("diffusion", 100, 340.0),
     )
 }
 
@@ -132,6 +133,8 @@ def main() -> None:
     kept = ("demos", "seeds", "episodes", "engine", "iterations", "renderer", "renderer_setting")
     common = {name: getattr(arguments, name) for name in kept}
     ledger = Ledger(results, common)
+    # A scheduler that ends this process lets the commands save their state too.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     complete = run_jobs(
         table_jobs(arguments), ledger, arguments.jobs, arguments.budget, arguments.output / "logs",
         arguments.gpus if arguments.device == "cuda" else 0,

@@ -101,8 +101,6 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
     running: list[_Running] = []
     failed: set[str] = set()
     last_gpu = 0
-    # A scheduler that ends this process lets the commands save their state too.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         while (left or running) and time.monotonic() - begin < budget - _GRACE:
             ready = [job for job in left.values() if all(ledger.ended(need) for need in job.needs)]
