@@ -186,7 +186,7 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
             words = (
                 "train", *task, "--backend", arguments.engine, "--num-envs", str(action.watched),
                 "--library", "imitation", "--algorithm", algorithm, *data, "--iterations", str(iterations),
-                "--save-every", "5", "--seed", str(seed),
+                "--save-every", "20", "--seed", str(seed),
                 *(word for setting in settings for word in ("--imitation", setting)),
             )  # fmt: skip
             trained.append(f"train.{label}.{algorithm}.{seed}")

@@ -169,7 +169,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
                 # Sequences stay within their episode; near its end its last steps repeat.
                 rows = torch.minimum(rows[:, None] + sequence, shown.ends[rows][:, None])
             actions, valid = shown.windows(rows, self._planner.network.chunk)
-            seen = map_seen(lambda value: _shifted(value.to(device)), shown.observed(rows))
+            seen = map_seen(lambda value: shifted(value.to(device)), shown.observed(rows))
             loss = self._planner.loss(seen, actions.to(device), valid.to(device))
             self._optimizer.zero_grad()
             loss.backward()
@@ -199,7 +199,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         return environment.max_episode_steps * environment.num_envs
 
 
-def _shifted(value: Tensor) -> Tensor:
+def shifted(value: Tensor) -> Tensor:
     """Return pictures (B, H, W, C) shifted by up to ``_SHIFT`` pixels each way, their edges repeated; else the value.
 
     Why: Kostrikov et al., Image Augmentation Is All You Need (2021); a network of few pictures learns their pixels.
