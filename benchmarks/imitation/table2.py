@@ -2,7 +2,7 @@ r"""Table II of the Orbit paper, repeated: cloning Lift from fixed and random st
 
     python benchmarks/imitation/table2.py --jobs 64 --demos 2000 --seeds 3 --episodes 100 --budget 460
     python benchmarks/imitation/table2.py --page docs/measured/imitation.md
-    python benchmarks/imitation/table2.py --jobs 64 --demos 400 --seeds 1 --cells both --actions pictures \
+    python benchmarks/imitation/table2.py --jobs 64 --demos 400 --seeds 1 --cells both --actions pictures --transfer \
         --algorithms bc --device cuda --renderer-setting shadow_size=0 --budget 460 --output out/table2-pictures
 
 Demonstrations are recorded on one engine, policies are trained from them, and evaluated on that engine and all others
