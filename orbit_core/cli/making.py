@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol
 
@@ -119,5 +120,27 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
     matter = {"matter": settings.matter, "matter_settings": {**settings.matter_settings, **own_matter}}
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
     task = configure(entry.task_type(), fields)  # a field may bear the name of an argument of make
+    if settings.cameras:
+        from orbit_core.mdp.images import with_cameras
+
+        with_cameras(task, _camera_sizes(settings.cameras))
     capture = settings.capture
     return make(task, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged, capture=capture)
+
+
+def _camera_sizes(words: Iterable[str]) -> dict[str, tuple[int, int]]:
+    """Return width and height of each camera's pictures.
+
+    Raises:
+        ConfigurationError: a word is no name and size, or a camera is named twice.
+    """
+    sizes: dict[str, tuple[int, int]] = {}
+    for word in words:
+        matched = re.fullmatch(r"([^:]+):(\d{1,5})x(\d{1,5})", word)
+        if matched is None or matched[1] in sizes:
+            raise ConfigurationError(
+                f"a camera is its name and its pictures' width and height, each named once, such as front:84x84, not "
+                f"'{word}'"
+            )
+        sizes[matched[1]] = int(matched[2]), int(matched[3])
+    return sizes

@@ -15,11 +15,10 @@ from orbit_core.backends import versions_of
 from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.settings import RunSettings, check_output, check_positive, check_size, parse_settings
-from orbit_core.envs.actors import ACTORS
-from orbit_core.pretrained import policy_path
+from orbit_core.envs.actors import ACTORS, Actor, RemoteSource
 from orbit_core.rollout.estimates import Estimate, Statistic, statistic
 from orbit_core.rollout.pictures import Recorder, video_recorder
-from orbit_core.rollout.stepping import EpisodeCounter, Episodes, Pace, ReachWatch, StepObserver, roll_out
+from orbit_core.rollout.stepping import EpisodeCounter, Pace, ReachWatch, StepObserver, roll_out
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -54,6 +53,10 @@ class RunResult:
     episode_steps: Statistic
     premises: tuple[PremiseCheck, ...]
     """Premises of the task about an episode's start, and the number of sampled starts in which each failed."""
+    unanswered: int
+    """Episodes in which a policy server did not answer; they count as failures."""
+    failures: dict[str, int]
+    """What policy servers did in place of an answer, and how often."""
     out_of_reach: float
     """In [0, 1]: of looks at what hands were asked for, those that found it out of reach."""
     farthest_out_of_reach: float
@@ -99,9 +102,10 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     start = time.perf_counter()
     environment = make_environment(settings, settings.num_envs)
     try:
-        episodes, pace, reach = _episodes(environment, settings, progress)
+        counter, actor, pace, reach = _episodes(environment, settings, progress)
     finally:
         environment.close()
+    episodes = counter.episodes()
     return RunResult(
         task=settings.task or "",
         backend=environment.world.backend,
@@ -117,6 +121,8 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         episode_return=statistic(episodes.returns.tolist()),
         episode_steps=statistic(episodes.steps.tolist()),
         premises=environment.premises.checks,
+        unanswered=counter.unanswered,
+        failures=dict(actor.failures) if isinstance(actor, RemoteSource) else {},
         out_of_reach=reach.share,
         farthest_out_of_reach=reach.farthest,
         env_steps_per_second=pace.env_steps_per_second,
@@ -159,10 +165,12 @@ class _ProgressReporter(StepObserver):
         self._progress(self._counter.counted, 0.0 if self._recorder is None else self._recorder.filmed)
 
 
-def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Episodes, Pace, ReachWatch]:
+def _episodes(
+    environment: Environment, settings: RunSettings, progress: Progress
+) -> tuple[EpisodeCounter, Actor, Pace, ReachWatch]:
     """Step until every environment's share of the episodes is in."""
-    counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device)
     actor = make_actor(settings.agent, environment, settings.seed)
+    counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device, actor)
     reach = ReachWatch(environment)
     # Seeded last, so that draws made while building do not change the episodes.
     environment.reset(settings.seed)
@@ -171,7 +179,7 @@ def _episodes(environment: Environment, settings: RunSettings, progress: Progres
         filming = () if recorder is None else (recorder,)
         observers = (*filming, counter, reach, _ProgressReporter(counter, recorder, progress))
         pace = roll_out(environment, actor, observers, lambda: counter.complete)
-    return counter.episodes(), pace, reach
+    return counter, actor, pace, reach
 
 
 def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[Recorder | None]:
@@ -209,6 +217,9 @@ def _table(result: RunResult) -> Table:
     table.add_row("success rate", result.success_rate.percent())
     for name, metric in result.metrics.items():
         table.add_row(name, _words(metric))
+    if result.unanswered:
+        reason = max(result.failures, key=lambda name: result.failures[name])
+        table.add_row("episodes without an answer", f"{result.unanswered}, counted as failures: {reason}")
     for check in result.premises:
         if check.failed:
             failures = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"

@@ -50,6 +50,9 @@ class EnvironmentSettings:
     that does what the task needs if left out."""
     device: Annotated[str, arg(metavar="NAME")] = "cpu"
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
+    cameras: Annotated[tuple[str, ...], arg(metavar="NAME:WxH")] = ()
+    """Cameras whose colour pictures the policy sees in place of the state that they show, such as front:84x84; the
+    task's own observations if left out."""
     compile: bool = False
     """Compile the layer's part of a step: seconds at the first steps, and less time in all that follow."""
     capture: bool = True

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import cast
 
 from torch import Tensor
 
 from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_layout import POLICY, terms_of_group
+from orbit_core.envs.task import Task
 from orbit_core.envs.terms import Meaning, ObservationTerm
-from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, World
 from orbit_core.scene import CameraSpec, Channel, RayCasterSpec
 from orbit_core.sensors.camera import CameraSensor
 from orbit_core.sensors.rays import RayCaster
@@ -66,6 +71,42 @@ def camera_segmentation(camera: CameraSpec, channel: Channel = Channel.SEMANTIC)
     if channel not in (Channel.SEMANTIC, Channel.INSTANCE):
         raise ConfigurationError(f"channel {channel} is no segmentation: take Channel.SEMANTIC or Channel.INSTANCE")
     return _picture(camera, channel)
+
+
+def with_cameras(task: Task, sizes: Mapping[str, tuple[int, int]]) -> None:
+    """Let a task's policy see colour pictures of some cameras, and no other pictures.
+
+    Where the policy does not see them, the task's observation preset that shows them is taken.
+
+    Args:
+        task: changed in place.
+        sizes: width and height of the pictures, by the camera's name.
+
+    Raises:
+        UnknownNameError: neither the task's policy nor a preset sees a camera of that name in colour.
+    """
+    known: dict[str, None] = {}
+    for preset in (lambda: task.observations, *task.observation_presets.values()):
+        observations = copy.deepcopy(preset())
+        group = getattr(observations, POLICY, None)
+        terms = {} if group is None else terms_of_group(group)
+        pictures = {name: term for name, term in terms.items() if term.camera is not None}
+        colors = {str(term.camera): name for name, term in pictures.items() if _is_color(term)}
+        known.update(dict.fromkeys(colors))
+        if sizes.keys() <= colors.keys():
+            for name in pictures:
+                setattr(group, name, None)
+            for camera, (width, height) in sizes.items():
+                spec = cast(CameraSpec, pictures[colors[camera]].sensors[0])
+                own = replace(spec, width=width, height=height, channels=(Channel.RGB,))
+                setattr(group, colors[camera], camera_color(own))
+            task.observations = observations
+            return
+    raise UnknownNameError("camera", next(iter(sizes.keys() - known.keys()), ""), known, f"task {type(task).__name__}")
+
+
+def _is_color(term: ObservationTerm) -> bool:
+    return term.meaning is not None and term.meaning.formula == _PICTURES[Channel.RGB]
 
 
 def _picture(camera: CameraSpec, channel: Channel) -> ObservationTerm:

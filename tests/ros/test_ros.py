@@ -15,13 +15,13 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="ROS over DDS needs cyclonedds: pip install orbit-ros")
 
-from orbit_core.interfaces import ConfigurationError  # noqa: E402
-from orbit_deploy.link import RobotFaultError, RobotLinkError, connect  # noqa: E402
-from orbit_ros import hardware as hardware_module  # noqa: E402
-from orbit_ros import topics  # noqa: E402
-from orbit_ros.body import body_of, odometry  # noqa: E402
-from orbit_ros.dds import Ros2Node  # noqa: E402
-from orbit_ros.messages import (  # noqa: E402
+from orbit_core.interfaces import ConfigurationError
+from orbit_deploy.link import RobotFaultError, RobotLinkError, connect
+from orbit_ros import hardware as hardware_module
+from orbit_ros import topics
+from orbit_ros.body import body_of, odometry
+from orbit_ros.dds import Ros2Node
+from orbit_ros.messages import (
     Empty,
     Float64MultiArray,
     Header,
@@ -34,8 +34,8 @@ from orbit_ros.messages import (  # noqa: E402
     Time,
     duration_of,
 )
-from tests.deploy.rig import eventually  # noqa: E402
-from tests.ros.rig import free_domain, served  # noqa: E402
+from tests.deploy.rig import eventually
+from tests.ros.rig import free_domain, served
 
 ROS1_PACKAGES = Path("/usr/lib/python3/dist-packages/rospy")
 # An environment with `ros-rclpy[fastrtps]` from the registry, for this test only

@@ -13,23 +13,23 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="ROS over DDS needs cyclonedds: pip install orbit-ros")
 
-from orbit_core.backends import default_backend  # noqa: E402
-from orbit_core.interfaces import ConfigurationError, UnknownNameError  # noqa: E402
-from orbit_core.robots import robot  # noqa: E402
-from orbit_core.scene import Scene  # noqa: E402
-from orbit_deploy.computer import ComputerSettings, RobotComputer  # noqa: E402
-from orbit_deploy.follower import FollowerSettings, PathKind  # noqa: E402
-from orbit_deploy.link import RobotLinkError, connect  # noqa: E402
-from orbit_deploy.messages import Fault  # noqa: E402
-from orbit_deploy.simulated import SimulatedHardware  # noqa: E402
-from orbit_ros.dds import Ros2Node  # noqa: E402
-from orbit_ros.unitree import robot as robot_module  # noqa: E402
-from orbit_ros.unitree.checksum import checksum  # noqa: E402
-from orbit_ros.unitree.layout import GoLowCmd, GoLowState, HgLowCmd, HgLowState  # noqa: E402
-from orbit_ros.unitree.models import MODELS  # noqa: E402
-from orbit_ros.unitree.server import UnitreeServer  # noqa: E402
-from tests.deploy.rig import eventually  # noqa: E402
-from tests.ros.rig import free_domain  # noqa: E402
+from orbit_core.backends import default_backend
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.robots import robot
+from orbit_core.scene import Scene
+from orbit_deploy.computer import ComputerSettings, RobotComputer
+from orbit_deploy.follower import FollowerSettings, PathKind
+from orbit_deploy.link import RobotLinkError, connect
+from orbit_deploy.messages import Fault
+from orbit_deploy.simulated import SimulatedHardware
+from orbit_ros.dds import Ros2Node
+from orbit_ros.unitree import robot as robot_module
+from orbit_ros.unitree.checksum import checksum
+from orbit_ros.unitree.layout import GoLowCmd, GoLowState, HgLowCmd, HgLowState
+from orbit_ros.unitree.models import MODELS
+from orbit_ros.unitree.server import UnitreeServer
+from tests.deploy.rig import eventually
+from tests.ros.rig import free_domain
 
 # C's layouts by `struct`, and lengths of CDR with its header, as Unitree's own library has them
 LAYOUTS = {

@@ -69,7 +69,7 @@ def from_ros1(message: Any) -> Any:
     if isinstance(message, genpy.TVal):
         kind = Time if isinstance(message, genpy.Time) else Duration
         return kind(message.secs, message.nsecs)
-    kind = BY_NAME[message._type]  # noqa: SLF001 - rospy's documented name of a type
+    kind = BY_NAME[message._type]
     names = {each.name for each in dataclasses.fields(kind)}  # pyright: ignore[reportArgumentType]
     values = {name: getattr(message, name) for name in message.__slots__ if name in names}
     own = (genpy.Message, genpy.TVal)
@@ -127,7 +127,7 @@ class Ros1Node(RosNode):
         self, topic: str, kind: type[Message], callback: Callable[[Message, str], None], latched: bool = False
     ) -> None:
         def take(message: Any) -> None:
-            callback(from_ros1(message), message._connection_header["callerid"])  # noqa: SLF001 - documented by rospy
+            callback(from_ros1(message), message._connection_header["callerid"])
 
         self._own.append(rospy().Subscriber(f"/{topic}", _class_of(kind), take, tcp_nodelay=True))
 

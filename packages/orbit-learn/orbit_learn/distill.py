@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from orbit_learn.memory import Remembering
 from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron, PictureActor, convolutional
 from orbit_learn.policy import load_policy
 from orbit_learn.pretrained import policy_path
-from orbit_learn.trainer import LoopTrainer
+from orbit_learn.trainer import LoopTrainer, set_half_cosine
 
 
 @dataclass(frozen=True)
@@ -236,9 +235,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
                 self._collect(iteration)
         self._student.mean.copy_(self._moments.mean)
         self._student.std.copy_(self._moments.std)
-        progress = iteration / self.settings.iterations
-        for group in self._optimizer.param_groups:
-            group["lr"] = self.settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+        set_half_cosine(self._optimizer, self.settings.learning_rate, iteration / self.settings.iterations)
         # Summed on the device: reading each loss would wait for it.
         self._loss.zero_()
         for _ in range(self.settings.updates_per_iteration):

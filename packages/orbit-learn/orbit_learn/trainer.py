@@ -44,6 +44,18 @@ class Progress:
     """Means of the task's metrics over the last episodes, by name; empty if the library does not report them."""
 
 
+def set_half_cosine(optimizer: torch.optim.Optimizer, initial: float, progress: float) -> None:
+    """Set the learning rate that falls along half a cosine (Loshchilov and Hutter, SGDR, 2017).
+
+    Args:
+        optimizer: whose rate is set.
+        initial: rate at the begin.
+        progress: share of the training that is over; zero is reached at 1.
+    """
+    for group in optimizer.param_groups:
+        group["lr"] = initial * 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+
+
 class LearningSettings(Protocol):
     """Settings that every algorithm has; they are frozen dataclasses."""
 

@@ -58,7 +58,7 @@ class Block:
 
     key: BlockKey
     engine: str
-    """Version of the engine."""
+    """Names and versions of the packages that the engine depends on."""
     success: tuple[bool, ...]
     returns: tuple[float, ...]
     steps: tuple[int, ...]
@@ -67,6 +67,8 @@ class Block:
     """Each term's contribution to the return."""
     failed: tuple[bool, ...]
     """Episodes in which the policy did not answer, or the simulation diverged; they count as failures."""
+    reached: tuple[int, ...] = ()
+    """Steps until success, from which on it lasted to the end; of a failure the episode's steps."""
     fingerprint: str = ""
     """Digest of the first observations, rounded: blocks of one seed begin alike."""
 
