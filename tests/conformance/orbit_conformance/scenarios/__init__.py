@@ -28,6 +28,7 @@ from orbit_conformance.scenarios import (
     seals,
     sensing,
     solid_contact,
+    solid_pairs,
     solids,
     springs,
     terrain,
@@ -63,4 +64,5 @@ SCENARIOS: tuple[Scenario, ...] = (
     *matter_contact.SCENARIOS,
     *solids.SCENARIOS,
     *solid_contact.SCENARIOS,
+    *solid_pairs.SCENARIOS,
 )
