@@ -168,6 +168,10 @@ class TowerOfHanoi(soft.SoftTask):
     episode_length: float = 24.0
     grip_force: float = 3.0
     """Newtons at most that the gripper closes with: more closes the rings' holes."""
+    observations: HanoiObservations = field(default_factory=HanoiObservations)
+    rewards: HanoiRewards = field(default_factory=HanoiRewards)
+    terminations: HanoiTerminations = field(default_factory=HanoiTerminations)
+    events: HanoiEvents = field(default_factory=HanoiEvents)
 
     def scene(self) -> Scene:
         smooth = PhysicsMaterial(static_friction=0.2, dynamic_friction=0.2)

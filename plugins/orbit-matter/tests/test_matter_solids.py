@@ -258,19 +258,13 @@ def test_solids_carry_each_other_and_cloth_and_all_are_felt_below() -> None:
     weight = 9.81 * (block.spec.mass + top.spec.mass + COVER.area_density * 0.08**2)
     assert felt == pytest.approx(-weight, rel=0.02)
     assert heights == pytest.approx([0.0445, 0.094], abs=1.5e-3)
-    assert laid == pytest.approx(0.1185, abs=2.5e-3), "on top of both"
+    assert laid == pytest.approx(0.121, abs=2e-3), "on top of both"
 
 
 def test_a_solid_pushes_another_as_hard_as_it_is_pushed() -> None:
-    left, right = (
-        replace(BLOCK, name=name, pose=Pose((x, 0.0, 0.1))) for name, x in (("left", -0.03), ("right", 0.03))
-    )
-    own = simulate(
-        Scene(deformables=(left, right), terrain=(), gravity=(0.0, 0.0, 0.0), physics_dt=0.0025),
-        1,
-        "mujoco",
-        matter="orbit-matter",
-    )
+    pair = tuple(replace(BLOCK, name=name, pose=Pose((x, 0.0, 0.1))) for name, x in (("left", -0.03), ("right", 0.03)))
+    scene = Scene(deformables=pair, terrain=(), gravity=(0.0, 0.0, 0.0), physics_dt=0.0025)
+    own = simulate(scene, 1, "mujoco", matter="orbit-matter")
     bodies = own.deformables["left"], own.deformables["right"]
     bodies[0].set_state(bodies[0].positions, torch.tensor([0.5, 0.0, 0.0]).expand_as(bodies[0].positions))
     own.step(80)

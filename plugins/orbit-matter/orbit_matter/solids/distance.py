@@ -18,6 +18,8 @@ from orbit_matter.solids.grid import Embedding, cell_counts
 
 _FINEST, _MOST = 8, 200_000
 """Spaces of the lattice along each edge of a cell, and points that it may have before they become fewer."""
+_AROUND = 2
+"""Spaces by which the lattice reaches beyond the solid: along an edge, distances inside have no slope."""
 _CONVEX = 2e-3
 """Part of the extent by which a vertex may be in front of a face of a surface that is taken for convex."""
 
@@ -48,10 +50,11 @@ def lattice(spec: SoftBody, part: Embedding) -> Lattice:
     low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
     counts = cell_counts(extent, spec.resolution)
     spaces = _FINEST
-    while np.prod(spaces * counts + 1) > _MOST and spaces > 2:
+    while np.prod(spaces * counts + 1 + 2 * _AROUND) > _MOST and spaces > 2:
         spaces -= 1
     spacing = part.size / spaces
-    axes = [low[a] + spacing[a] * np.arange(spaces * counts[a] + 1) for a in range(3)]
+    low = low - _AROUND * spacing
+    axes = [low[a] + spacing[a] * np.arange(spaces * counts[a] + 1 + 2 * _AROUND) for a in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     with wp.ScopedDevice("cpu"):
         mesh = wp.Mesh(

@@ -143,7 +143,7 @@ def _press(height: float) -> RobotSpec:
     )  # fmt: skip
 
 
-def pressed(trial: Trial, body: SoftBody, height: float, force: float, seconds: float) -> World:
+def _pressed(trial: Trial, body: SoftBody, height: float, force: float, seconds: float) -> World:
     """A solid under the press, when it is at rest."""
     ground = Shape(Plane(), material=SMOOTH)
     world = trial.world(Scene(robots=(_press(height),), deformables=(body,), terrain=(ground,), gravity=WEIGHTLESS))
@@ -156,7 +156,7 @@ def _compression(trial: Trial) -> Mapping[str, float]:
     side, modulus, strain = 0.05, 1e5, 0.04
     mesh = cuboid((side, side, side), (4, 4, 4))
     body = SoftBody("block", mesh, 500.0, Pose((0.0, 0.0, 0.5 * side)), modulus, RATIO, 0.02, friction=0.0)
-    world = pressed(trial, body, side, modulus * side**2 * strain, 1.0)
+    world = _pressed(trial, body, side, modulus * side**2 * strain, 1.0)
     points, rest = world.deformables["block"].positions[0].double().cpu(), torch.as_tensor(mesh.vertices)
     spans = [
         points[rest[:, axis] > 0.499 * side, axis].mean() - points[rest[:, axis] < -0.499 * side, axis].mean()
@@ -172,7 +172,7 @@ def _hertz(trial: Trial) -> Mapping[str, float]:
     body = SoftBody(
         "ball", ball(radius, 3), DENSITY, Pose((0.0, 0.0, radius)), modulus, RATIO, 0.02, friction=0.0, resolution=0.034
     )
-    world = pressed(trial, body, 2.0 * radius, force, 1.0)
+    world = _pressed(trial, body, 2.0 * radius, force, 1.0)
     # Both sides flatten alike.
     plate = float(world.robots["press"].link_poses[0, 1, 2]) - 0.01
     return {"approach": abs(0.5 * (2.0 * radius - plate) / approach - 1.0)}
