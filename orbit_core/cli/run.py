@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -12,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.making import check_actor, make_actor, make_environment
+from orbit_core.cli.making import actor_digest, check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.settings import RunSettings, check_output, check_positive, check_size, parse_settings
-from orbit_core.envs.actors import ACTORS, Actor, RemoteSource
+from orbit_core.envs.actors import Actor, RemoteSource
 from orbit_core.rollout.estimates import Estimate, Statistic, statistic
 from orbit_core.rollout.pictures import Recorder, video_recorder
 from orbit_core.rollout.stepping import EpisodeCounter, Pace, ReachWatch, StepObserver, roll_out
@@ -128,21 +127,8 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         env_steps_per_second=pace.env_steps_per_second,
         wall_seconds=time.perf_counter() - start,
         settings=_plain(settings),
-        agent_digest=agent_digest(settings.agent),
+        agent_digest=actor_digest(settings.agent),
     )
-
-
-def agent_digest(agent: str) -> str:
-    """Return the SHA-256 of a policy's file; empty for agents that are no file."""
-    if agent in ACTORS or "://" in agent:
-        return ""
-    path = policy_path(agent)
-    # A folder's newest policy acts: all of them count, in the order of their names.
-    files = sorted(path.glob("*.safetensors")) if path.is_dir() else [path]
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def _plain(settings: RunSettings) -> dict[str, Any]:

@@ -32,9 +32,7 @@ class HostedLink(RobotLink):
         path: way in which commands become a path.
     """
 
-    def __init__(
-        self, hardware: RobotHardware, address: str, period: float, path: PathKind = PathKind.QUINTIC
-    ) -> None:
+    def __init__(self, hardware: RobotHardware, address: str, period: float, path: PathKind = PathKind.QUINTIC) -> None:
         self.address, self.description = address, hardware.description
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
         self._hardware, self._error, self._sequence = hardware, "", 0

@@ -150,9 +150,7 @@ class RosServer:
             assert state is not None  # set before the event
             stamp = time_of(state.stamp)
             self._joints(
-                JointState(
-                    Header(stamp), self._description.joints, state.positions, state.velocities, state.efforts
-                )
+                JointState(Header(stamp), self._description.joints, state.positions, state.velocities, state.efforts)
             )
             if count % _SLOWER == 0:
                 self._clock(Clock(stamp))
@@ -291,5 +289,3 @@ def _finite(description: object) -> object:
         else values
         for key, values in plain.items()
     }
-
-

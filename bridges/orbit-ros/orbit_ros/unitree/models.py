@@ -28,9 +28,7 @@ class UnitreeModel:
 
 # The catalogue has legs from left to right, and Go2's motors from right to left.
 MODELS = {
-    "go2": UnitreeModel(
-        "unitree_go2", GoLowCmd, GoLowState, (3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8), humanoid=False
-    ),
+    "go2": UnitreeModel("unitree_go2", GoLowCmd, GoLowState, (3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8), humanoid=False),
     "g1": UnitreeModel("unitree_g1", HgLowCmd, HgLowState, tuple(range(29)), humanoid=True),
 }
 

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from msgspec import structs
 
-from orbit_core.robots import robot
+from orbit_assets.catalogue import robot
 from orbit_deploy.description import FloatArray, JointKind, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
@@ -116,7 +116,9 @@ class UnitreeHardware(RobotHardware):
         if self._bad:
             return f"all {self._bad} messages on 'rt/{STATE}' have a wrong checksum: is it a {self._model.robot}?"
         if self._state is None:
-            return f"no {self._model.robot} publishes 'rt/{STATE}': is the domain right, and the network's interface up?"
+            return (
+                f"no {self._model.robot} publishes 'rt/{STATE}': is the domain right, and the network's interface up?"
+            )
         return f"nobody publishes where the base is on 'rt/{ODOMETRY}': start an estimator, or add ?odometry=no"
 
 

@@ -86,8 +86,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def _export_runtime(settings: ExportSettings, policy: Policy, path: Path) -> None:
-    from orbit_data.manifest.compare import renamed_group
-    from orbit_data.manifest.manifest import Manifest
+    from orbit_data.manifest.manifest import Manifest, renamed_group
     from orbit_learn.runtime import NAMES, write_runtime
 
     folder = settings.runtime
