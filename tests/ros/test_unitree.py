@@ -13,9 +13,9 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="ROS over DDS needs cyclonedds: pip install orbit-ros")
 
+from orbit_assets.catalogue import robot
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.robots import robot
 from orbit_core.scene import Scene
 from orbit_deploy.computer import ComputerSettings, RobotComputer
 from orbit_deploy.follower import FollowerSettings, PathKind

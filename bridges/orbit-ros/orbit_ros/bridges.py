@@ -162,7 +162,7 @@ def _number(parts: RosAddress, name: str, default: float) -> float:
 def _catalogued(name: str) -> RobotDescription:
     from msgspec import structs
 
-    from orbit_core.robots import robot
+    from orbit_assets.catalogue import robot
     from orbit_deploy.description import RobotDescription
 
     spec = robot(name)

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from msgspec import structs
 
-from orbit_core.robots import robot
+from orbit_assets.catalogue import robot
 from orbit_deploy.description import FloatArray, JointKind, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
