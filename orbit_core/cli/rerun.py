@@ -12,9 +12,9 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from orbit_core.backends import backend
-from orbit_core.cli.making import check_actor
+from orbit_core.cli.making import actor_digest, check_actor
 from orbit_core.cli.output import console, new_table
-from orbit_core.cli.run import RunResult, agent_digest, run
+from orbit_core.cli.run import RunResult, run
 from orbit_core.cli.settings import RunSettings, parse_words
 from orbit_core.configuration import configured
 from orbit_core.interfaces import Capability, Level
@@ -121,7 +121,7 @@ def _causes(recorded: Mapping[str, Any], settings: RunSettings, result: RunResul
         one, other = before.get(name, "absent"), result.versions.get(name, "absent")
         if one != other:
             yield f"{name} was {one} and is {other}"
-    if recorded.get("agent_digest", "") != agent_digest(settings.agent):
+    if recorded.get("agent_digest", "") != actor_digest(settings.agent):
         yield f"the file of policy '{settings.agent}' is another"
     support = backend(result.backend).capabilities()[Capability.DETERMINISTIC]
     if support.level is not Level.EXACT:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -12,20 +11,19 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.making import check_actor, make_actor, make_environment
+from orbit_core.cli.making import actor_digest, check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.settings import RunSettings, check_output, check_positive, check_size, parse_settings
-from orbit_core.envs.actors import ACTORS
-from orbit_core.pretrained import policy_path
+from orbit_core.envs.actors import Actor, RemoteSource
 from orbit_core.rollout.estimates import Estimate, Statistic, statistic
-from orbit_core.rollout.stepping import EpisodeCounter, Episodes, Pace, ReachWatch, StepObserver, roll_out
+from orbit_core.rollout.pictures import Recorder, video_recorder
+from orbit_core.rollout.stepping import EpisodeCounter, Pace, ReachWatch, StepObserver, roll_out
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from orbit_core.envs.environment import Environment, EpisodeEnd
     from orbit_core.envs.premises import PremiseCheck
-    from orbit_core.rollout.video import VideoRecorder
 
 # Share of looks at hands' targets that must find one out of reach for the table to report it
 _REPORTED_SHARE = 0.01
@@ -54,6 +52,10 @@ class RunResult:
     episode_steps: Statistic
     premises: tuple[PremiseCheck, ...]
     """Premises of the task about an episode's start, and the number of sampled starts in which each failed."""
+    unanswered: int
+    """Episodes in which a policy server did not answer; they count as failures."""
+    failures: dict[str, int]
+    """What policy servers did in place of an answer, and how often."""
     out_of_reach: float
     """In [0, 1]: of looks at what hands were asked for, those that found it out of reach."""
     farthest_out_of_reach: float
@@ -99,9 +101,10 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     start = time.perf_counter()
     environment = make_environment(settings, settings.num_envs)
     try:
-        episodes, pace, reach = _episodes(environment, settings, progress)
+        counter, actor, pace, reach = _episodes(environment, settings, progress)
     finally:
         environment.close()
+    episodes = counter.episodes()
     return RunResult(
         task=settings.task or "",
         backend=environment.world.backend,
@@ -117,26 +120,15 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         episode_return=statistic(episodes.returns.tolist()),
         episode_steps=statistic(episodes.steps.tolist()),
         premises=environment.premises.checks,
+        unanswered=counter.unanswered,
+        failures=dict(actor.failures) if isinstance(actor, RemoteSource) else {},
         out_of_reach=reach.share,
         farthest_out_of_reach=reach.farthest,
         env_steps_per_second=pace.env_steps_per_second,
         wall_seconds=time.perf_counter() - start,
         settings=_plain(settings),
-        agent_digest=agent_digest(settings.agent),
+        agent_digest=actor_digest(settings.agent),
     )
-
-
-def agent_digest(agent: str) -> str:
-    """Return the SHA-256 of a policy's file; empty for agents that are no file."""
-    if agent in ACTORS or "://" in agent:
-        return ""
-    path = policy_path(agent)
-    # A folder's newest policy acts: all of them count, in the order of their names.
-    files = sorted(path.glob("*.safetensors")) if path.is_dir() else [path]
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def _plain(settings: RunSettings) -> dict[str, Any]:
@@ -150,7 +142,7 @@ def _plain(settings: RunSettings) -> dict[str, Any]:
 class _ProgressReporter(StepObserver):
     """Reports the progress of a run."""
 
-    def __init__(self, counter: EpisodeCounter, recorder: VideoRecorder | None, progress: Progress) -> None:
+    def __init__(self, counter: EpisodeCounter, recorder: Recorder | None, progress: Progress) -> None:
         self._counter = counter
         self._recorder = recorder
         self._progress = progress
@@ -159,10 +151,12 @@ class _ProgressReporter(StepObserver):
         self._progress(self._counter.counted, 0.0 if self._recorder is None else self._recorder.filmed)
 
 
-def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Episodes, Pace, ReachWatch]:
+def _episodes(
+    environment: Environment, settings: RunSettings, progress: Progress
+) -> tuple[EpisodeCounter, Actor, Pace, ReachWatch]:
     """Step until every environment's share of the episodes is in."""
-    counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device)
     actor = make_actor(settings.agent, environment, settings.seed)
+    counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device, actor)
     reach = ReachWatch(environment)
     # Seeded last, so that draws made while building do not change the episodes.
     environment.reset(settings.seed)
@@ -171,18 +165,15 @@ def _episodes(environment: Environment, settings: RunSettings, progress: Progres
         filming = () if recorder is None else (recorder,)
         observers = (*filming, counter, reach, _ProgressReporter(counter, recorder, progress))
         pace = roll_out(environment, actor, observers, lambda: counter.complete)
-    return counter.episodes(), pace, reach
+    return counter, actor, pace, reach
 
 
-def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:
+def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[Recorder | None]:
     """Return the recorder of the video that the settings ask for, or None."""
-    # The encoder is optional, and imported only for a video.
     if settings.video is None:
         return nullcontext()
-    from orbit_core.rollout.video import VideoRecorder
-
     width, height = settings.video_size
-    return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
+    return video_recorder(environment, settings.video, width=width, height=height, frames=settings.frames)
 
 
 def main(words: Sequence[str]) -> None:
@@ -212,6 +203,9 @@ def _table(result: RunResult) -> Table:
     table.add_row("success rate", result.success_rate.percent())
     for name, metric in result.metrics.items():
         table.add_row(name, _words(metric))
+    if result.unanswered:
+        reason = max(result.failures, key=lambda name: result.failures[name])
+        table.add_row("episodes without an answer", f"{result.unanswered}, counted as failures: {reason}")
     for check in result.premises:
         if check.failed:
             failures = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"

@@ -50,11 +50,10 @@ from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
 from orbit_core.world.checks import check_build, check_capacity
-from orbit_core.world.coupling import coupled, rigid_part
-from orbit_core.world.deformables import SimulatedDeformable
 from orbit_core.world.drawing import Painting, with_frames, with_matter
 from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
+from orbit_core.world.matter import SimulatedDeformable, coupled, rigid_part
 from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
 
 

@@ -18,7 +18,6 @@ from orbit_core.backends import default_backend
 from orbit_core.cli.making import make_environment
 from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.pretrained import policy_path
 from orbit_data.manifest.manifest import Manifest
 from orbit_learn.cli.export import main as export
 from orbit_learn.cli.play import played
@@ -26,6 +25,7 @@ from orbit_learn.cli.trained import PlaySettings
 from orbit_learn.description import PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_learn.runtime import write_runtime
 from tests.learning.test_onnx_loop import CASES, Measured
 

@@ -135,7 +135,7 @@ def _task(settings: DeploySettings) -> Task:
     from orbit_core.envs.actors import ACTORS
     from orbit_core.envs.configuration import configure
     from orbit_core.envs.registry import task_entry
-    from orbit_core.pretrained import policy_fields, policy_path
+    from orbit_learn.pretrained import policy_fields, policy_path
 
     name, fields = settings.task, {}
     if settings.agent not in (TELEOP, *ACTORS) and "://" not in settings.agent:

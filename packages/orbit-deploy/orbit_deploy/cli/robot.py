@@ -138,11 +138,11 @@ def _serve(settings: RobotSettings) -> None:
 
 
 def _hardware(settings: RobotSettings) -> RobotHardware:
+    from orbit_assets.catalogue import robot
     from orbit_core.backends import default_backend
     from orbit_core.configuration import assignments
     from orbit_core.envs.configuration import configure
     from orbit_core.envs.registry import task_entry
-    from orbit_core.robots import robot
     from orbit_core.scene import Scene
     from orbit_deploy.simulated import Imperfections, SimulatedHardware
 

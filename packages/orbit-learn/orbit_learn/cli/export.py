@@ -19,8 +19,8 @@ from orbit_core.cli.output import console
 from orbit_core.cli.settings import EnvironmentSettings, check_output, make_folder, parse_words
 from orbit_core.files import check_apart, written_whole
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
-from orbit_core.pretrained import policy_fields, policy_path
 from orbit_learn.cli.trained import training_record
+from orbit_learn.pretrained import policy_fields, policy_path
 
 if TYPE_CHECKING:
     from orbit_data.manifest.manifest import Manifest
@@ -86,8 +86,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def _export_runtime(settings: ExportSettings, policy: Policy, path: Path) -> None:
-    from orbit_data.manifest.compare import renamed_group
-    from orbit_data.manifest.manifest import Manifest
+    from orbit_data.manifest.manifest import Manifest, renamed_group
     from orbit_learn.runtime import NAMES, write_runtime
 
     folder = settings.runtime
@@ -135,7 +134,7 @@ def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
         The completed manifest if the environment has the same joints, home positions and terms; otherwise the manifest
         as it was, with a warning.
     """
-    from orbit_data.manifest.compare import Kind, differences
+    from orbit_data.manifest.manifest import Kind, differences
 
     group = policy.description.group
     try:
@@ -161,8 +160,7 @@ def _present(policy: Policy, path: Path) -> Manifest:
     Raises:
         OrbitError: the environment cannot be made here.
     """
-    from orbit_data.manifest.compare import renamed_group
-    from orbit_data.manifest.manifest import Manifest
+    from orbit_data.manifest.manifest import Manifest, renamed_group
 
     made, training = _settings_of(policy, path)
     learned = policy.description
