@@ -104,6 +104,6 @@ class HostedLink(RobotLink):
             self._sent = (-1, 0.0)
 
     def _note(self, fault: Fault) -> None:
-        # While an environment is built, Python's lock holds the loop up: the robot rests meanwhile, as without commands.
+        # While an environment is built, Python's lock holds the loop up: the robot rests as without commands.
         if fault.code not in ("watchdog", "overrun"):
             self._faults.append(fault)
