@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import socket
 import subprocess
@@ -38,8 +39,8 @@ from tests.deploy.rig import eventually
 from tests.ros.rig import free_domain, served
 
 ROS1_PACKAGES = Path("/usr/lib/python3/dist-packages/rospy")
-# An environment with `ros-rclpy[fastrtps]` from the registry, for this test only
-ROS2_PYTHON = Path(__file__).parents[3] / "venv_ros2/bin/python"
+# Python of an environment with `ros-rclpy[fastrtps]` and its messages from the registry, for this test only
+ROS2_PYTHON = os.environ.get("ORBIT_ROS2_PYTHON", "")
 
 
 @pytest.fixture(scope="module", params=["ros2", "ros1"])
@@ -221,14 +222,14 @@ def test_a_robot_that_is_not_there_or_another_machine_is_one_clear_error(monkeyp
             connect("ros1://127.0.0.1:1?robot=franka_panda", 0.02)
 
 
-@pytest.mark.skipif(not ROS2_PYTHON.exists(), reason="capability 'ROS 2' (ros-rclpy[fastrtps]) has no environment here")
+@pytest.mark.skipif(
+    not ROS2_PYTHON, reason="capability 'ROS 2' (ros-rclpy[fastrtps]) is not named by ORBIT_ROS2_PYTHON"
+)
 def test_a_program_of_the_real_ros_2_moves_the_arm(domain: int, tmp_path: Path) -> None:
     environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PATH": "/usr/bin:/bin",
                    "HOME": str(tmp_path)}  # fmt: skip
     script = Path(__file__).with_name("ros2_program.py")
-    ended = subprocess.run(
-        [str(ROS2_PYTHON), str(script)], env=environment, capture_output=True, text=True, timeout=60.0
-    )
+    ended = subprocess.run([ROS2_PYTHON, str(script)], env=environment, capture_output=True, text=True, timeout=60.0)
     assert ended.returncode == 0, ended.stderr[-2000:]
     print(ended.stdout, file=sys.stderr)
     assert "joint2 reached" in ended.stdout
