@@ -222,9 +222,7 @@ def test_a_robot_that_is_not_there_or_another_machine_is_one_clear_error(monkeyp
             connect("ros1://127.0.0.1:1?robot=franka_panda", 0.02)
 
 
-@pytest.mark.skipif(
-    not ROS2_PYTHON, reason="capability 'ROS 2' (ros-rclpy[fastrtps]) is not named by ORBIT_ROS2_PYTHON"
-)
+@pytest.mark.skipif(not ROS2_PYTHON, reason="capability 'ROS 2' (rclpy) is not named by ORBIT_ROS2_PYTHON")
 def test_a_program_of_the_real_ros_2_moves_the_arm(domain: int, tmp_path: Path) -> None:
     environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PATH": "/usr/bin:/bin",
                    "HOME": str(tmp_path)}  # fmt: skip
