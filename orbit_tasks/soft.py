@@ -18,6 +18,7 @@ from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import Color, KeyPoint, MarkerSpec, ObjectSpec, Pose, Scene, SoftBody
 from orbit_core.scene.pose import Vector3
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Phase, Retry
 from orbit_tasks.mdp import matter, picking
 
@@ -69,7 +70,7 @@ class SoftTask(Task):
     ) -> Scene:
         """The robot at the work bench, with those things on it."""
         return Scene(
-            robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
+            robots=(matter.with_grip_force(task_robots.arm(self.robot), self.grip_force),),
             objects=(work_bench(), *objects),
             deformables=bodies,
             terrain=(common.floor(-BENCH_HEIGHT),),
