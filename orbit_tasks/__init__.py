@@ -177,6 +177,12 @@ def register(registry: TaskRegistry) -> None:
     registry.add(
         "Soft-Lifting", "Lift a soft block from the table to a sampled position", "orbit_tasks.soft_lifting:SoftLifting"
     )
+    registry.add(
+        "Fluid-Transport",
+        "Carry a full cup to a sampled position without spilling",
+        "orbit_tasks.fluid_transport:FluidTransport",
+    )
+    registry.add("Fluid-Pouring", "Pour liquid from a cup into a container", "orbit_tasks.fluid_pouring:FluidPouring")
     registry.add("Cartpole-Balance", "Keep a pole standing on a cart", "orbit_tasks.cartpole:CartpoleBalance")
     registry.add("Cartpole-Swing-Up", "Swing a hanging pole up on a cart", "orbit_tasks.cartpole:CartpoleSwingUp")
     registry.add("Ant", "A robot of four legs runs as fast as it can", "orbit_tasks.running:Ant")
