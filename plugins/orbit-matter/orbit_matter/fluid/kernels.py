@@ -25,6 +25,10 @@ from orbit_matter.surfaces import Shapes
 SHADE = wp.constant(0.05)
 """Spacings by which the nearest point of a surface must stand out of another wall to be a wall of its own: of two boxes
 that make one floor, or that overlap, one hides the other."""
+PROBE = wp.constant(0.1)
+"""Spacings below a surface where its depth tells edges from faces; walls of a fifth of a spacing have faces still."""
+SHARP = wp.constant(2.05)
+"""What an edge takes of a wall's weight: 0.6 where its faces are square to each other."""
 CLOSEST = wp.constant(0.25)
 """Spacings that a particle is kept from a wall, should the wall be faster than pressure."""
 ESCAPE = wp.constant(0.5)
@@ -182,9 +186,12 @@ def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt):
     """Find the pressure and the walls of each particle."""
     env, i = wp.tid()
     kind, x, s = env % shapes.kind.shape[0], f.x[env, i], f.s[env, i]
-    # A liquid does not pull.
     stiff = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
-    f.pressed[env, i] = wp.vec2(wp.max(s - 1.0, 0.0) * stiff, f.volume / s)
+    pressed = (s - 1.0) * stiff
+    if pressed < 0.0:
+        # A liquid pulls where it is whole, and not at its surface, where it would curl up.
+        pressed *= wp.clamp((f.packed[env, i] - f.mess - 0.8) * 10.0, 0.0, 1.0)
+    f.pressed[env, i] = wp.vec2(pressed, f.volume / s)
     reach = 2.0 * f.length
     normals, distances, looked = Normals(), Distances(), int(0)
     while looked < NEAREST and felt.near[env, i, wp.min(looked, NEAREST - 1)] >= 0:
@@ -213,6 +220,11 @@ def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt):
         for other in range(count):
             if other != k:
                 left *= 1.0 - share_of(f, f.plane[env, i, other][3])
+        # Just below the nearest point of an edge the surface is nearer than below that of a face.
+        n = wp.vec3(f.plane[env, i, k][0], f.plane[env, i, k][1], f.plane[env, i, k][2])
+        below = x - n * (f.plane[env, i, k][3] + PROBE * f.spacing)
+        depth = surface(links, shapes, env, kind, f.shape[env, i, k], below, 0.0)[3]
+        left *= wp.clamp(1.0 - SHARP * (1.0 - depth / (PROBE * f.spacing)), 0.1, 1.0)
         d = wp.clamp(f.plane[env, i, k][3], 0.0, reach)
         edge = edge_of(f, d) * left
         f.weight[env, i, k] = wp.vec2(edge, edge * d + share_of(f, d) * left)
@@ -272,7 +284,7 @@ def push(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[w
             near = wp.max(plane[3], 0.5 * f.spacing)
             # No more than what stops it within the substep.
             rubbed = wp.min(2.0 * viscosity / density * weight[0] / near, 1.0 / h)
-            given = n * wp.max(pressed, 0.0) - slid * rubbed
+            given = n * pressed - slid * rubbed
             a += given
             kind = env % shapes.kind.shape[0]
             feel(felt, links, env, owner, shapes.link[kind, wall], given * (-mass * share), x - n * plane[3])
@@ -307,7 +319,9 @@ def flow(f: Fluid, links: Links, gravity: wp.array[wp.vec3], h: float):
             # gives back.
             rate += 2.0 * s * toward * weight[0]
     # Errors of the divergence add up; where particles stand tells the density, but for those at the surface.
-    f.rate[env, i] = rate + wp.max(f.packed[env, i] - f.mess - s, 0.0) * f.renewal
+    # Where a gap has opened nothing presses, though the divergence may say so.
+    bare = wp.clamp((0.9 - f.packed[env, i]) * 10.0, 0.0, 1.0)
+    f.rate[env, i] = rate + (wp.max(f.packed[env, i] - f.mess - s, 0.0) + bare * (1.0 - s)) * f.renewal
 
 
 @wp.kernel(enable_backward=False)
