@@ -19,15 +19,15 @@ from orbit_tasks.mdp import fluid
 from orbit_tasks.mdp.fluid import in_cup
 
 TARGET = "target"
-ROOM: Vector3 = (0.14, 0.14, 0.1)
+ROOM: Vector3 = (0.16, 0.16, 0.08)
 """Metres within the container."""
 PLACE = (0.52, 0.2)
 """Metres in x and y of the container."""
-OVER = 0.17
+OVER = 0.15
 """Metres of the cup's middle above the container's rim, so that a cup of any tilt is clear of it."""
-SHORT = 0.02
+SHORT = 0.0
 """Metres by which the cup stays behind the container's middle: liquid leaves it at its lip, and flies on."""
-TILTS = (0.3, 0.6, 0.9, 1.15, 1.4, 1.65, 1.9, 2.2)
+TILTS = (0.3, 0.6, 0.9, 1.15, 1.4, 1.65, 1.9, 2.1, 2.3)
 """Rad of the cup, one after another: fast to where the first drops leave it, and slowly from there on."""
 
 poured = fluid.amount_in(TARGET, ROOM)
@@ -108,7 +108,7 @@ class FluidPouring(fluid.CupTask):
     metadata: TaskMetadata = replace(
         fluid.CupTask.metadata, view=look_at(eye=(1.25, 0.55, 0.75), target=(0.5, 0.05, 0.15))
     )
-    episode_length: float = 11.0
+    episode_length: float = 12.0
     least_poured: float = 0.9
     observations: FluidPouringObservations = field(default_factory=FluidPouringObservations)
     rewards: FluidPouringRewards = field(default_factory=FluidPouringRewards)

@@ -271,8 +271,8 @@ class CupTask(Task):
     """Metres between particles of the liquid: 1,000 of them fill the cup."""
     density: float = 1000.0
     """kg/m^3 of the liquid."""
-    viscosity: float = 1e-3
-    """Pa s of the liquid: 1e-3 is water, 0.1 oil, 10 honey."""
+    viscosity: float = 1.0
+    """Pa s of the liquid, as of glycerol: water has 1e-3, olive oil 0.1, honey 10."""
     grip_force: float = 50.0
     """Newtons at most that the gripper closes with: less, and a full cup turns about the fingers by its weight."""
     place: tuple[float, float] = (0.5, -0.1)
