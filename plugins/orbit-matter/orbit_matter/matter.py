@@ -14,7 +14,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneLayout
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, ConfigurationError, SceneLayout
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
@@ -215,6 +215,9 @@ class ParticleMatter(Matter):
         self._set_anchors(deformable, particles, _FREE, env_ids)
 
     def _set_anchors(self, deformable: int, particles: Tensor, link: int, env_ids: Tensor | None) -> None:
+        if self._fluids.has(deformable):
+            name = self._layout.scene.deformables[deformable].name
+            raise ConfigurationError(f"'{name}' is a liquid, which nothing holds: hold the vessel that it is in")
         if self._solids.has(deformable):
             self._solids.set_anchors(deformable, particles, link, env_ids)
             return

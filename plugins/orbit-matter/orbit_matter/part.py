@@ -278,9 +278,7 @@ class Part:
                 self._solids.launch_push(self._links, lasting=True)
         if self._fluid is not None:
             share = 1.0 / self._stepping.substeps
-            self._fluid.launch_substep(
-                self._links, self._colliders.shapes, self._gravity, self._stepping.h, share
-            )
+            self._fluid.launch_substep(self._links, self._colliders.shapes, self._gravity, self._stepping.h, share)
         if not self._p:
             return
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +30,8 @@ RENEWED = 0.2
 """Seconds in which densities follow where particles are."""
 NOWHERE = 1e9
 """Metres; where particles are taken to have been that were not searched yet."""
-WALLS = 3
-"""That act on a particle at a time, as many as make a corner."""
+WALLS = 6
+"""That act on a particle at a time: in a narrow vessel all of its sides do."""
 MACH = 6.0
 """Speed of sound over the speed of free fall through the liquid's height: densities differ by 0.8 % at rest."""
 LEAST_HEIGHT = 0.1
@@ -97,7 +98,7 @@ def build(scene: Scene) -> FluidModel | None:
     height = max(float(np.ptp(np.concatenate(rest) @ pull)) / gravity, LEAST_HEIGHT)
     return FluidModel(
         tuple(n for n, _ in chosen),
-        tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)),
+        tuple(slice(int(a), int(b)) for a, b in pairwise(ends)),
         np.concatenate(rest).astype(np.float32),
         np.repeat([n for n, _ in chosen], counts).astype(np.int32),
         np.repeat([spec.density for _, spec in chosen], counts).astype(np.float32),
@@ -126,6 +127,7 @@ class Fluids:
             "fluid_x": self._rest.repeat(num_envs, 1, 1),
             "fluid_v": torch.zeros(num_envs, count, 3, **make),
             "fluid_s": torch.ones(num_envs, count, **make),
+            "fluid_packed": torch.zeros(num_envs, count, **make),
             "fluid_searched": torch.full((num_envs, count, 3), NOWHERE, **make),
             "fluid_shielded": torch.zeros(num_envs, count, WALLS, 4, **make),
         }

@@ -17,6 +17,7 @@ from orbit_matter import kernels as particles
 from orbit_matter.fluid import fluids, kernels
 from orbit_matter.fluid.fluids import FluidModel
 
+
 class FluidPart:
     """Liquids of environments in a row.
 
@@ -37,7 +38,7 @@ class FluidPart:
         made, model, shape = kernels.Fluid(), self._model, (self._n, self._p)
         made.x, made.v = wp.from_torch(memory["fluid_x"], wp.vec3), wp.from_torch(memory["fluid_v"], wp.vec3)
         made.s, made.parameters = wp.from_torch(memory["fluid_s"]), wp.from_torch(memory["parameters"])
-        made.packed = wp.zeros(shape, dtype=float)
+        made.packed = wp.from_torch(memory["fluid_packed"])
         made.pushed, made.rate = wp.zeros(shape, dtype=wp.vec3), wp.zeros(shape, dtype=float)
         made.pressed = wp.zeros(shape, dtype=wp.vec2)
         made.rest_density, made.viscosity = wp.array(model.densities), wp.array(model.viscosities)

@@ -10,6 +10,7 @@ from orbit_conformance.scenarios import (
     contact_forces,
     drives,
     fits,
+    fluids,
     free_motion,
     friction,
     grasp,
@@ -62,5 +63,6 @@ SCENARIOS: tuple[Scenario, ...] = (
     *cloths.SCENARIOS,
     *matter_contact.SCENARIOS,
     *solids.SCENARIOS,
+    *fluids.SCENARIOS,
     *solid_contact.SCENARIOS,
 )
