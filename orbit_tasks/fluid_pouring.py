@@ -126,7 +126,9 @@ class FluidPouring(fluid.CupTask):
     def expert(self, env: Environment) -> Expert:
         def tilted(tilt: float) -> Phase:
             pose = fluid.carrying(pouring_place, tilt)
-            return Phase(pose, gripper_open=False, position_tolerance=0.03, rotation_tolerance=0.1, dwell=0.4, timeout=1.0)
+            return Phase(
+                pose, gripper_open=False, position_tolerance=0.03, rotation_tolerance=0.1, dwell=0.4, timeout=1.0
+            )
 
         return Expert(
             env,

@@ -121,6 +121,7 @@ class FluidTransport(fluid.CupTask):
     least_kept: float = 0.95
     observations: FluidTransportObservations = field(default_factory=FluidTransportObservations)
     rewards: FluidTransportRewards = field(default_factory=FluidTransportRewards)
+    events: fluid.CupEvents = field(default_factory=fluid.CupEvents)
     commands: FluidTransportCommands = field(default_factory=FluidTransportCommands)
 
     def scene(self) -> Scene:

@@ -278,7 +278,6 @@ class CupTask(Task):
     place: tuple[float, float] = (0.5, -0.1)
     """Metres in x and y of the stand."""
     terminations: CupTerminations = field(default_factory=CupTerminations)
-    events: CupEvents = field(default_factory=CupEvents)
 
     def with_cup(self, *objects: ObjectSpec, markers: tuple[MarkerSpec, ...] = ()) -> Scene:
         """The robot at the work bench, with the filled cup on its stand and those objects."""
