@@ -34,6 +34,7 @@ from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
 from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene
 from orbit_core.scene.pose import Vector3
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking
 from orbit_tasks.pixels import ArmPixels
@@ -75,7 +76,7 @@ def cube_height(env: Environment[Lift, LiftMemory]) -> Tensor:
 @once_per_state
 def hand_to_cube(env: Environment[Lift]) -> Tensor:
     """(N, 3) from the hand to the cube."""
-    return cube_position(env) - common.hand_pose(env)[:, :3]
+    return cube_position(env) - common.hand_position(env)
 
 
 @once_per_state
@@ -97,6 +98,7 @@ def reaching(env: Environment[Lift]) -> Tensor:
 @once_per_state
 def lifted(env: Environment[Lift, LiftMemory]) -> Tensor:
     """(N,) 1 where the cube is off the table, else 0."""
+    # By its own half height: a cube that is tilted on an edge is lower than that.
     return (cube_height(env) > 2.0 * env.state.rest_height).float()
 
 
@@ -111,10 +113,24 @@ def patch(world: World) -> tuple[tuple[float, float], tuple[float, float]]:
     return low[:2], (high[0] - 0.05, high[1])
 
 
+def narrowed(bounds: Bounds, spread: float) -> Bounds:
+    """Return the middle part of a range, a share ``spread`` of it.
+
+    Raises:
+        ConfigurationError: the share is not between 0 and 1.
+    """
+    if not 0.0 <= spread <= 1.0:
+        raise ConfigurationError(f"a spread is the share of a range, between 0 and 1, not {spread:g}")
+    margin = 0.5 * (1.0 - spread) * (bounds[1] - bounds[0])
+    return bounds[0] + margin, bounds[1] - margin
+
+
 def place_cube(env: Environment[Lift, LiftMemory], env_ids: Tensor) -> None:
     """Place the cube on a patch of the table in the hand's workspace, 20 x 50 cm for a Panda, turned by any angle."""
-    height, (low, high) = env.state.rest_height, patch(env.world)
-    place = env.world.random.uniform((4,), (*low, height, -math.pi), (*high, height, math.pi), env_ids)
+    height, (low, high), spread = env.state.rest_height, patch(env.world), env.task.start_spread
+    (left, right), (near, far) = (narrowed(bounds, spread) for bounds in zip(low, high, strict=True))
+    turn = math.pi * spread
+    place = env.world.random.uniform((4,), (left, near, height, -turn), (right, far, height, turn), env_ids)
     pose = common.standing(place)
     env.world.objects["cube"].set_root_pose(pose, env_ids)
 
@@ -124,10 +140,13 @@ class LiftGoal(UniformPositionCommand):
     """Position above the patch, from 10 cm above the workspace's lower face to its upper one."""
 
     marker: str | None = "goal"
+    spread: float = 1.0
+    """Share of these ranges that goals are drawn from, about the middle; 0 for one fixed goal."""
 
     def reach(self, env: Environment) -> dict[str, Bounds]:
         (low, high), (bottom, top) = patch(env.world), common.workspace(env.world)
-        return {"x": (low[0], high[0]), "y": (low[1], high[1]), "z": (bottom[2] + 0.1, top[2])}
+        whole = {"x": (low[0], high[0]), "y": (low[1], high[1]), "z": (bottom[2] + 0.1, top[2])}
+        return {name: narrowed(bounds, self.spread) for name, bounds in whole.items()}
 
 
 def at_cube(env: Environment[Lift]) -> Tensor:
@@ -245,6 +264,8 @@ class Lift(Task):
     """What is lifted; :func:`orbit_core.objects.object_kinds` has other kinds."""
     tolerance: float = 0.02
     """Metres."""
+    start_spread: float = 1.0
+    """Share of the patch and of the turns that the cube's start is drawn from, about the middle; 0 for one start."""
     observations: LiftObservations | LiftPixelObservations = field(default_factory=LiftObservations)
     rewards: LiftRewards = field(default_factory=LiftRewards)
     terminations: LiftTerminations = field(default_factory=LiftTerminations)
@@ -253,7 +274,7 @@ class Lift(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(common.arm(self.robot),),
+            robots=(task_robots.arm(self.robot),),
             objects=(self.cube_at((0.5, 0.0, 0.0)), work_bench()),
             terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(GOAL,),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol
 
@@ -39,6 +40,10 @@ class ActorSource(Protocol):
         """
         ...
 
+    def digest(self, name: str) -> str:
+        """Return the SHA-256 of what the actor was learned as; empty for one that is no file."""
+        ...
+
 
 def check_actor(name: str) -> None:
     """Reject a name that no actor has.
@@ -58,6 +63,11 @@ def make_actor(name: str, environment: Environment, seed: int) -> Actor:
         ConfigurationError: the policy was learned for another environment.
     """
     return scripted_actor(name, environment, seed) if name in ACTORS else _source(name).make(name, environment, seed)
+
+
+def actor_digest(name: str) -> str:
+    """Return the SHA-256 of a policy's files; empty for actors that are no file."""
+    return "" if name in ACTORS else _source(name).digest(name)
 
 
 @functools.cache
@@ -119,5 +129,27 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
     matter = {"matter": settings.matter, "matter_settings": {**settings.matter_settings, **own_matter}}
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
     task = configure(entry.task_type(), fields)  # a field may bear the name of an argument of make
+    if settings.cameras:
+        from orbit_core.mdp.sensing import with_cameras
+
+        with_cameras(task, _camera_sizes(settings.cameras))
     capture = settings.capture
     return make(task, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged, capture=capture)
+
+
+def _camera_sizes(words: Iterable[str]) -> dict[str, tuple[int, int]]:
+    """Return width and height of each camera's pictures.
+
+    Raises:
+        ConfigurationError: a word is no name and size, or a camera is named twice.
+    """
+    sizes: dict[str, tuple[int, int]] = {}
+    for word in words:
+        matched = re.fullmatch(r"([^:]+):(\d{1,5})x(\d{1,5})", word)
+        if matched is None or matched[1] in sizes:
+            raise ConfigurationError(
+                f"a camera is its name and its pictures' width and height, each named once, such as front:84x84, not "
+                f"'{word}'"
+            )
+        sizes[matched[1]] = int(matched[2]), int(matched[3])
+    return sizes

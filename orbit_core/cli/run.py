@@ -5,27 +5,29 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.making import check_actor, make_actor, make_environment
+from orbit_core.cli.making import actor_digest, check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.settings import RunSettings, check_output, check_positive, check_size, parse_settings
+from orbit_core.envs.actors import Actor, RemoteSource
 from orbit_core.rollout.estimates import Estimate, Statistic, statistic
-from orbit_core.rollout.stepping import EpisodeCounter, Episodes, Pace, ReachWatch, StepObserver, roll_out
+from orbit_core.rollout.pictures import Recorder, video_recorder
+from orbit_core.rollout.stepping import EpisodeCounter, Pace, ReachWatch, StepObserver, roll_out
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from orbit_core.envs.environment import Environment, EpisodeEnd
     from orbit_core.envs.premises import PremiseCheck
-    from orbit_core.rollout.video import VideoRecorder
 
 # Share of looks at hands' targets that must find one out of reach for the table to report it
 _REPORTED_SHARE = 0.01
+_OUTPUTS = ("json", "video", "overwrite", "config")
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,10 @@ class RunResult:
     episode_steps: Statistic
     premises: tuple[PremiseCheck, ...]
     """Premises of the task about an episode's start, and the number of sampled starts in which each failed."""
+    unanswered: int
+    """Episodes in which a policy server did not answer; they count as failures."""
+    failures: dict[str, int]
+    """What policy servers did in place of an answer, and how often."""
     out_of_reach: float
     """In [0, 1]: of looks at what hands were asked for, those that found it out of reach."""
     farthest_out_of_reach: float
@@ -58,6 +64,10 @@ class RunResult:
     """Steps of single environments over the time spent acting and stepping; building and filming left out."""
     wall_seconds: float
     """Seconds from the settings to the result, building and filming included."""
+    settings: dict[str, Any]
+    """All settings but files that the run writes, for ``orbit rerun``."""
+    agent_digest: str
+    """SHA-256 of the policy's file; empty if no policy's file acted."""
 
     def as_json(self) -> dict[str, Any]:
         """Return all fields for a file, the rate's interval apart, and ``metric``, the leading one with its name."""
@@ -91,9 +101,10 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     start = time.perf_counter()
     environment = make_environment(settings, settings.num_envs)
     try:
-        episodes, pace, reach = _episodes(environment, settings, progress)
+        counter, actor, pace, reach = _episodes(environment, settings, progress)
     finally:
         environment.close()
+    episodes = counter.episodes()
     return RunResult(
         task=settings.task or "",
         backend=environment.world.backend,
@@ -109,17 +120,29 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         episode_return=statistic(episodes.returns.tolist()),
         episode_steps=statistic(episodes.steps.tolist()),
         premises=environment.premises.checks,
+        unanswered=counter.unanswered,
+        failures=dict(actor.failures) if isinstance(actor, RemoteSource) else {},
         out_of_reach=reach.share,
         farthest_out_of_reach=reach.farthest,
         env_steps_per_second=pace.env_steps_per_second,
         wall_seconds=time.perf_counter() - start,
+        settings=_plain(settings),
+        agent_digest=actor_digest(settings.agent),
     )
+
+
+def _plain(settings: RunSettings) -> dict[str, Any]:
+    """Return the settings as JSON takes them, the files that a run writes left out."""
+    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
+    kept = {name: value for name, value in values.items() if name not in _OUTPUTS}
+    # What a TOML file gave is in the fields already.
+    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in kept.items()}
 
 
 class _ProgressReporter(StepObserver):
     """Reports the progress of a run."""
 
-    def __init__(self, counter: EpisodeCounter, recorder: VideoRecorder | None, progress: Progress) -> None:
+    def __init__(self, counter: EpisodeCounter, recorder: Recorder | None, progress: Progress) -> None:
         self._counter = counter
         self._recorder = recorder
         self._progress = progress
@@ -128,10 +151,12 @@ class _ProgressReporter(StepObserver):
         self._progress(self._counter.counted, 0.0 if self._recorder is None else self._recorder.filmed)
 
 
-def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Episodes, Pace, ReachWatch]:
+def _episodes(
+    environment: Environment, settings: RunSettings, progress: Progress
+) -> tuple[EpisodeCounter, Actor, Pace, ReachWatch]:
     """Step until every environment's share of the episodes is in."""
-    counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device)
     actor = make_actor(settings.agent, environment, settings.seed)
+    counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device, actor)
     reach = ReachWatch(environment)
     # Seeded last, so that draws made while building do not change the episodes.
     environment.reset(settings.seed)
@@ -140,18 +165,15 @@ def _episodes(environment: Environment, settings: RunSettings, progress: Progres
         filming = () if recorder is None else (recorder,)
         observers = (*filming, counter, reach, _ProgressReporter(counter, recorder, progress))
         pace = roll_out(environment, actor, observers, lambda: counter.complete)
-    return counter.episodes(), pace, reach
+    return counter, actor, pace, reach
 
 
-def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:
+def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[Recorder | None]:
     """Return the recorder of the video that the settings ask for, or None."""
-    # The encoder is optional, and imported only for a video.
     if settings.video is None:
         return nullcontext()
-    from orbit_core.rollout.video import VideoRecorder
-
     width, height = settings.video_size
-    return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
+    return video_recorder(environment, settings.video, width=width, height=height, frames=settings.frames)
 
 
 def main(words: Sequence[str]) -> None:
@@ -181,6 +203,9 @@ def _table(result: RunResult) -> Table:
     table.add_row("success rate", result.success_rate.percent())
     for name, metric in result.metrics.items():
         table.add_row(name, _words(metric))
+    if result.unanswered:
+        reason = max(result.failures, key=lambda name: result.failures[name])
+        table.add_row("episodes without an answer", f"{result.unanswered}, counted as failures: {reason}")
     for check in result.premises:
         if check.failed:
             failures = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"

@@ -21,7 +21,6 @@ from tyro.conf import Positional, Suppress, UseAppendAction, arg
 from orbit_core.configuration import configured, field_types, read_toml
 from orbit_core.files import storage_faults, sweep
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
-from orbit_core.moved import moved_name
 
 Name = Annotated[str | None, arg(metavar="NAME")]
 File = Annotated[Path | None, arg(metavar="FILE")]
@@ -51,6 +50,9 @@ class EnvironmentSettings:
     that does what the task needs if left out."""
     device: Annotated[str, arg(metavar="NAME")] = "cpu"
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
+    cameras: Annotated[tuple[str, ...], arg(metavar="NAME:WxH")] = ()
+    """Cameras whose colour pictures the policy sees in place of the state that they show, such as front:84x84; the
+    task's own observations if left out."""
     compile: bool = False
     """Compile the layer's part of a step: seconds at the first steps, and less time in all that follow."""
     capture: bool = True
@@ -257,7 +259,3 @@ def _hints(kind: type) -> dict[str, Any]:
 def _is_option(hint: Any) -> bool:
     marks = getattr(hint, "__metadata__", ())
     return tyro.conf.Positional not in marks and tyro.conf.Suppress not in marks
-
-
-def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from orbit_core.interfaces.errors import UnknownNameError
@@ -21,6 +22,16 @@ class Actor(Protocol):
     def act(self) -> Tensor:
         """(N, A) the next action."""
         ...
+
+
+@runtime_checkable
+class RemoteSource(Protocol):
+    """An actor that asks another program, which may not answer."""
+
+    unanswered: Sequence[bool]
+    """Environments whose present episode got no answer: it counts as a failure."""
+    failures: Mapping[str, int]
+    """What went wrong, and how often."""
 
 
 @runtime_checkable

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import PoseFollower
+from orbit_core.envs.actors import RemoteSource
 from orbit_core.rollout.estimates import Estimate, proportion
 
 if TYPE_CHECKING:
@@ -127,9 +128,13 @@ class EpisodeCounter(StepObserver):
         episodes: to count.
         num_envs: of the environment.
         device: of the environment.
+        actor: that acts; episodes in which it got no answer count as failures.
     """
 
-    def __init__(self, episodes: int, num_envs: int, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self, episodes: int, num_envs: int, device: torch.device | str = "cpu", actor: Actor | None = None
+    ) -> None:
+        self._remote = actor if isinstance(actor, RemoteSource) else None
         ids = torch.arange(num_envs, device=device)
         # Environments with a lower index take the remainder.
         self._left = episodes // num_envs + (ids < episodes % num_envs).long()
@@ -138,6 +143,8 @@ class EpisodeCounter(StepObserver):
         """Episodes to count."""
         self.counted = 0
         """Episodes that have been counted."""
+        self.unanswered = 0
+        """Of these, episodes in which the actor got no answer."""
 
     @property
     def complete(self) -> bool:
@@ -163,7 +170,12 @@ class EpisodeCounter(StepObserver):
         end = end.only(rows)
         self._left[end.env_ids] -= 1
         returns = sum(end.rewards.values(), torch.zeros_like(end.steps, dtype=torch.float32))
-        self._counted.append(Episodes(end.env_ids, end.success, end.steps, returns, end.metrics))
+        success = end.success
+        if self._remote is not None:
+            unanswered = torch.tensor(self._remote.unanswered, device=success.device)[end.env_ids]
+            success = success & ~unanswered
+            self.unanswered += int(unanswered.sum())
+        self._counted.append(Episodes(end.env_ids, success, end.steps, returns, end.metrics))
         self.counted += len(rows)
 
     def episodes(self) -> Episodes:

@@ -31,6 +31,7 @@ from orbit_core.scene import (
 )
 from orbit_core.scene.pose import Vector3
 from orbit_motion.experts import Phase
+from orbit_motion.workspace import arm
 from orbit_tasks.mdp import matter, picking
 
 LIQUID, CUP, STAND = "liquid", "cup", "stand"
@@ -289,7 +290,7 @@ class CupTask(Task):
             LIQUID, half, self.density, Pose((x, y, floor + half[2])), self.viscosity, self.spacing,
         )  # fmt: skip
         return Scene(
-            robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
+            robots=(matter.with_grip_force(arm(self.robot), self.grip_force),),
             objects=(work_bench(), box(STAND, (0.08, 0.08, RAISED), **stand), cup(Pose((x, y, floor))), *objects),
             deformables=(liquid,),
             terrain=(common.floor(-BENCH_HEIGHT),),

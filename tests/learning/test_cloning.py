@@ -17,9 +17,10 @@ from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_data.hdf5 import Hdf5Dataset
+from orbit_learn.cli.trained import PlaySettings, restore
 from orbit_learn.cloning.encoding import FINE, Encoding, Labels, encoding_for
 from orbit_learn.cloning.networks import ClonedRecurrent, ClonedTransformer, Planner
-from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer
+from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer, shifted
 from orbit_learn.description import Part, group_parts
 from orbit_learn.memory import Remembering
 from orbit_learn.policy import PolicyActor, load_policy
@@ -249,3 +250,28 @@ def test_a_dataset_of_another_task_is_named(demos: Path, tmp_path: Path) -> None
 def test_unknown_algorithms_tell_the_nearest() -> None:
     with pytest.raises(UnknownNameError, match="diffusion"):
         ImitationSettings(algorithm="diffusio")
+
+
+def test_pictures_are_shifted_by_a_few_pixels_and_vectors_are_not() -> None:
+    torch.manual_seed(0)
+    rows = torch.arange(20, dtype=torch.uint8)[None, :, None, None].expand(64, 20, 10, 3).clone()
+    moved = shifted(rows)
+    steps = moved.int().diff(dim=1)
+    assert bool(((steps == 0) | (steps == 1)).all()), "rows stay in order, and edges repeat"
+    assert set((moved[:, 10, 0, 0].int() - 10).tolist()) == set(range(-4, 5))
+    vector = torch.rand(4, 7)
+    assert shifted(vector) is vector
+
+
+def test_a_device_that_torch_lacks_is_named(demos: Path, environment: Environment, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="setting 'device' is 'nowhere'"):
+        train(environment, demos, tmp_path, replace(QUICK, device="nowhere"))
+    train(environment, demos, tmp_path, replace(QUICK, device="cpu"))
+
+
+def test_playing_shows_a_policy_the_pictures_that_it_learned_from() -> None:
+    record = {"task": "Lift", "cameras": ["front:84x84"]}
+    assert restore(PlaySettings(policy=Path("p")), record, "Lift").settings.cameras == ("front:84x84",)
+    other = restore(PlaySettings(policy=Path("p"), cameras=("front:64x64",)), record, "Lift")
+    assert other.settings.cameras == ("front:64x64",)
+    assert any("cameras" in line for line in other.differences)

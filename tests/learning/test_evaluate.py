@@ -114,12 +114,17 @@ def test_the_page_needs_nothing_else_and_hides_no_name() -> None:
 
 def test_the_command_evaluates_once_and_then_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = f"evaluate reach expert --backend {default_backend()} --episodes 2 --jobs 1 --output {tmp_path}"
-    words += " --set episode_length=0.2 --variant near:position_tolerance=10"
+    words += " --set episode_length=0.2 --variant near:position_tolerance=10,rotation_tolerance=4"
     assert main(words.split()) == 0
     first = (tmp_path / "results.jsonl").read_text()
     assert len(first.splitlines()) == 5
-    starts = {json.loads(line)["block"]["fingerprint"] for line in first.splitlines()[1:]}
+    blocks = [json.loads(line)["block"] for line in first.splitlines()[1:]]
+    starts = {block["fingerprint"] for block in blocks}
     assert len(starts) == 1, "policies and variants begin alike"
+    assert all(any(letter.isdigit() for letter in block["engine"]) for block in blocks), "versions are kept"
+    near = [block for block in blocks if block["key"]["variant"] == "near"]
+    assert [block["reached"] for block in near] == [[1, 1]] * 2, "any hand is near from the first step on"
+    assert all(block["reached"] == [10, 10] for block in blocks if block not in near)
     assert main(words.split()) == 0
     assert (tmp_path / "results.jsonl").read_text() == first
     assert "Where success varies" in (tmp_path / "index.html").read_text()

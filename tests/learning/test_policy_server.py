@@ -15,11 +15,12 @@ import pytest
 import torch
 
 from orbit_core.backends import default_backend
+from orbit_core.cli import main
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.pretrained import policy_path
 from orbit_learn.policy import PolicyActor, load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_learn.remote.client import PolicyServer, RemoteActor, ServerAddress, ServerFailure
 from orbit_learn.remote.server import PolicyService
 from orbit_learn.remote.wire import decode, encode
@@ -168,6 +169,17 @@ def test_a_server_that_misbehaves_fails_its_episode_alone(environment: Environme
     torch.testing.assert_close(action[1], torch.full((size,), 0.1))
     assert actor.failed == 1
     assert told in next(iter(actor.failures))
+
+
+def test_a_run_counts_episodes_without_an_answer_as_failures(capsys: pytest.CaptureFixture[str]) -> None:
+    with listening(answers(None)) as address:
+        words = f"run Reach --backend {default_backend()} --num-envs 2 --episodes 2 --set episode_length=0.1"
+        # Any hand is near enough, so that an answer alone decides.
+        words += " --set position_tolerance=10 --set rotation_tolerance=4"
+        assert main([*words.split(), "--agent", f"{address}?timeout=0.2"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "success rate 0.0 %" in told
+    assert "episodes without an answer 2, counted as failures" in told
 
 
 def test_the_next_episode_asks_a_server_again(environment: Environment) -> None:

@@ -28,9 +28,9 @@ from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, OrbitError, UnknownNameError
 from orbit_data.manifest.manifest import Manifest, ObservationTermManifest
 from orbit_data.tensor_file import parse_json
-from orbit_learn.convolutional import TermByTerm
 from orbit_learn.description import PolicyDescription
 from orbit_learn.memory import MemoryModule, StepByStep
+from orbit_learn.networks import TermByTerm
 from orbit_learn.policy_cost import depth_of
 from orbit_learn.policy_file import check_action, manifest_document, manifest_of
 
@@ -242,7 +242,8 @@ def _numbers(weight: Any, onnx: Any, name: str = "") -> Tensor:
 
 
 SUFFIX = ".onnx"
-_KEY = "orbit"
+KEY = "orbit"
+"""Key of the description in the metadata."""
 _MEMORY = "orbit_memory"
 
 
@@ -264,7 +265,7 @@ def write_onnx(
     Raises:
         ConfigurationError: the exporter is not installed.
     """
-    onnx, path = _onnx(), as_path(path)
+    onnx, path = onnx_package(), as_path(path)
     example = description.zeros(2)  # two environments: a single one could be traced as a constant size
     exported = copy.deepcopy(module).cpu().eval()
     names = list(example) if isinstance(example, dict) else ["observation"]
@@ -294,7 +295,7 @@ def write_onnx(
         deployed = {} if manifest is None else deployment_metadata(manifest, description.group, str(path.stem))
         begins = json.dumps({name: value[0].tolist() for name, value in memory.items()})
         first = {_MEMORY: begins} if memory else {}
-        onnx.helper.set_model_props(model, {**deployed, **first, _KEY: document})
+        onnx.helper.set_model_props(model, {**deployed, **first, KEY: document})
         onnx.save(model, str(written))
 
 
@@ -305,14 +306,14 @@ def read_onnx(path: Path | str) -> tuple[PolicyDescription, Manifest | None, nn.
         OrbitError: the file is malformed, has an unknown operator, weights in other files or that are not finite, or
             parts that do not fit each other; the message names the part.
     """
-    onnx = _onnx()
+    onnx = onnx_package()
     from google.protobuf.message import DecodeError  # which onnx raises for damaged files
 
     path = as_path(path)
     data = read_bytes(path)
     try:
         model = onnx.load_model_from_string(data)
-        document = parse_json({entry.key: entry.value for entry in model.metadata_props}.get(_KEY, "{}"))
+        document = parse_json({entry.key: entry.value for entry in model.metadata_props}.get(KEY, "{}"))
         _check_no_memory(document, path)
         graph = OnnxGraph(model.graph, onnx).requires_grad_(False).eval()
     except (DecodeError, ValueError, TypeError, OrbitError) as error:
@@ -338,7 +339,12 @@ def _check_no_memory(document: Any, path: Path) -> None:
         )
 
 
-def _onnx() -> Any:
+def onnx_package() -> Any:
+    """Return the package ``onnx``.
+
+    Raises:
+        ConfigurationError: it is not installed.
+    """
     try:
         import onnx
     except ImportError as error:

@@ -287,6 +287,9 @@ class Part:
             self._launch_rows([*contacts, *numbers])
         else:
             self._launch_wide([*contacts, *numbers])
+        if self._solids is not None:
+            stiffness, h = self._stepping.contact_stiffness, self._stepping.h
+            self._solids.launch_lay(self._particles, stiffness, h, steps / self._stepping.substeps)
 
     def _launch_rows(self, contacts: list[Any]) -> None:
         """The rest of a substep, one launch thread for each environment."""

@@ -28,8 +28,8 @@ _DECLARED = {
     ),
     Capability.SOFT_BODIES: approximate(
         "a beam of the default resolution droops 2 % too much at most, and strains of more than 30 % are too soft; it "
-        "meets links and terrain by points of its surface, and no cloth, rope or other soft body, nor itself; links "
-        "feel it one physics step late, and free bodies lighter than a third of it may hop on it"
+        "meets links, terrain, other soft bodies and itself by points of its surface, and particles of cloth and "
+        "ropes; links feel it one physics step late, and free bodies lighter than a third of it may hop on it"
     ),
     Capability.FLUIDS: approximate(
         "a liquid is particles of one spacing: of six layers of them the volume at rest is within 2 %, the force on a "

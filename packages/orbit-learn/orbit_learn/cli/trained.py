@@ -86,7 +86,10 @@ def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Res
         for name, value in chosen.items()
         if name not in fields or _told(value) != _told(fields[name])
     ]
-    played = replace(settings, fields={**fields, **settings.fields})
+    cameras = settings.cameras or tuple(record.get("cameras", ()))
+    if cameras != tuple(record.get("cameras", ())):
+        differences.append(f"cameras {_told(cameras)} in place of {_told(record.get('cameras') or _TASKS)}")
+    played = replace(settings, fields={**fields, **settings.fields}, cameras=cameras)
     for name, installed in (("backend", backend_names()), ("renderer", renderer_names()), ("matter", None)):
         learned, own = record.get(name), getattr(settings, name)
         # A backend that is not installed here is left open, so that the policy can still be played on another.

@@ -22,8 +22,8 @@ from orbit_learn.memory import Memory, MemoryModule
 from orbit_learn.networks import perceptron
 
 _MOST_UNITS, _MOST_CHUNK, _MOST_LAYERS = 8192, 512, 16
+# Of a mixture's components: without it a likelihood grows without bounds on data that repeat.
 _LEAST_DEVIATION = 1e-2
-"""Of a mixture's components: without it a likelihood grows without bounds on data that repeat."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +105,7 @@ class ClonedTransformer(ClonedNetwork):
     """
 
     name: ClassVar[str] = "cloned_transformer"
-    width: int = 128
+    width: int = 64
     heads: int = 4
     encoder_layers: int = 2
     decoder_layers: int = 1
@@ -193,13 +193,27 @@ class Planner(MemoryModule):
         return {"plan": torch.zeros(size, device=device), "step": step}
 
     def act(self, observation: Tensor | Mapping[str, Tensor], memory: Memory) -> tuple[Tensor, Memory]:
-        due = memory["step"] >= self.network.executed
-        plan, step = memory["plan"], memory["step"]
+        made = None
         # Exported graphs plan at every step, for they hold no branches.
-        if torch.onnx.is_in_onnx_export() or bool(due.any()):
+        if torch.onnx.is_in_onnx_export() or bool(self.due(memory).any()):
             made = self.labels.actions(self.outputs(self.encoder(observation)), self.encoder.vectors(observation))
-            plan = torch.where(due[:, None, None], made, plan)
-            step = torch.where(due, 0, step)
+        return self.followed(made, memory)
+
+    def due(self, memory: Memory) -> Tensor:
+        """Return (N,) bool, true where the plan is executed and a new one is due."""
+        return memory["step"] >= self.network.executed
+
+    def followed(self, made: Tensor | None, memory: Memory) -> tuple[Tensor, Memory]:
+        """Return the next actions (N, A) of plans, and the plans with their places.
+
+        Args:
+            made: new plans (N, H, A), taken where one is due; None where none is.
+            memory: of the step before.
+        """
+        plan, step = memory["plan"], memory["step"]
+        if made is not None:
+            due = self.due(memory)
+            plan, step = torch.where(due[:, None, None], made, plan), torch.where(due, 0, step)
         return _row(plan, step), {"plan": plan, "step": step + 1}
 
     def errors(self, outputs: Tensor, labels: Tensor, valid: Tensor) -> Tensor:
@@ -297,17 +311,14 @@ class RecurrentPlanner(Planner):
 
     def act(self, observation: Tensor | Mapping[str, Tensor], memory: Memory) -> tuple[Tensor, Memory]:
         # The memory begins again when a plan is due, never within one.
-        again = (memory["seen"] >= self._network.horizon) & (memory["step"] >= self.network.executed)
+        again = (memory["seen"] >= self._network.horizon) & self.due(memory)
         kept = (~again).float()[:, None, None]
         state = tuple((memory[name] * kept).transpose(0, 1).contiguous() for name in ("hidden", "cell"))
         seen, (hidden, cell) = self.lstm(self.encoder(observation)[:, None], state)
         made = self.labels.actions(self.head.plan(seen[:, 0]), self.encoder.vectors(observation))
-        due = memory["step"] >= self.network.executed
-        plan = torch.where(due[:, None, None], made, memory["plan"])
-        step = torch.where(due, 0, memory["step"])
+        action, plans = self.followed(made, memory)
         count = torch.where(again, 0, memory["seen"]) + 1
-        states = {"hidden": hidden.transpose(0, 1), "cell": cell.transpose(0, 1), "seen": count}
-        return _row(plan, step), {"plan": plan, "step": step + 1, **states}
+        return action, {**plans, "hidden": hidden.transpose(0, 1), "cell": cell.transpose(0, 1), "seen": count}
 
     def loss(self, observation: Tensor | Mapping[str, Tensor], actions: Tensor, valid: Tensor) -> Tensor:
         batch, length = actions.shape[:2]
@@ -343,7 +354,8 @@ class TransformerPlanner(Planner):
         self.writer = nn.TransformerDecoder(decoder, network.decoder_layers)
         self.head = nn.Linear(width, action_size)
         # Of training alone: what a demonstration has done, as a latent variable.
-        self.style = nn.TransformerEncoder(style, network.encoder_layers, enable_nested_tensor=False)
+        # As deep as the decoder: it reads a whole chunk, which takes most of a gradient step's time.
+        self.style = nn.TransformerEncoder(style, network.decoder_layers, enable_nested_tensor=False)
         self.shown = nn.Linear(action_size, width)
         self.style_places = nn.Parameter(torch.zeros(chunk + 2, width))
         nn.init.normal_(self.style_places, std=0.02)
@@ -439,8 +451,8 @@ class DiffusionPlanner(Planner):
         return float(_squared_cosine(torch.tensor(level / self._network.noises)))
 
 
+# Waves that show a level of noise to the network.
 _TIMES = 16
-"""Waves that show a level of noise to the network."""
 
 
 def _squared_cosine(time: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
@@ -30,10 +31,12 @@ from orbit_learn.distill import copied_actor
 from orbit_learn.ends import EpisodeTally
 from orbit_learn.memory import Remembering, map_seen
 from orbit_learn.networks import ActorNetwork
-from orbit_learn.trainer import Progress, Trainer
+from orbit_learn.trainer import Progress, Trainer, set_half_cosine
 
 _MOST_GRADIENT = 1.0
 _MODES = 5
+_SHIFT = 4
+"""Pixels that pictures are shifted by in training."""
 ALGORITHMS = ("bc", "bc-gmm", "bc-rnn", "bc-rnn-gmm", "act", "diffusion")
 
 
@@ -49,33 +52,43 @@ class ImitationSettings:
     iterations: int = 40
     updates_per_iteration: int = 200
     """Gradient steps in an iteration."""
-    batch_size: int = 256
+    batch_size: int = 0
+    """Chunks in a gradient step; 0 for the algorithm's own: 64 for act, whose steps take long, and 256 for others."""
     learning_rate: float = 1e-3
     chunk: int = 16
     """Actions that are planned at a time."""
     executed: int = 8
     """Actions of a plan that are executed before the next one is made."""
     hidden_size: int = 256
-    """Units of hidden layers; width of a transformer."""
+    """Units of hidden layers; a transformer is a quarter as wide, a denoiser twice."""
     ensemble: float | None = None
     """For act: plan at every step and average plans for one moment with weights exp(-ensemble * age)."""
     only_successes: bool = False
     """Leave out episodes that failed; with noise on the actions they teach too."""
     evaluate_every: int = 10
     """Iterations between evaluations, each an episode in every environment; the last iteration is always evaluated."""
+    device: str = ""
+    """Torch device of the gradient steps, such as cuda; the environment's if left out."""
     steps_per_iteration: int = 0
     """Environment steps of an iteration; demonstrations are recorded before."""
 
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
             raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS, "library imitation")
-        for name in ("updates_per_iteration", "batch_size", "learning_rate", "hidden_size", "evaluate_every"):
+        if self.batch_size < 0:
+            raise ConfigurationError(f"imitation setting 'batch_size' is at least 0, not {self.batch_size}")
+        for name in ("updates_per_iteration", "learning_rate", "hidden_size", "evaluate_every"):
             if not getattr(self, name) > 0:
                 raise ConfigurationError(f"imitation setting '{name}' is positive, not {getattr(self, name)}")
         if not 0 < self.executed <= self.chunk:
             raise ConfigurationError(
                 f"imitation setting 'executed' is 1 to chunk, which is {self.chunk}, not {self.executed}"
             )
+
+    @property
+    def chunks_per_update(self) -> int:
+        """Chunks in a gradient step."""
+        return self.batch_size or (64 if self.algorithm == "act" else 256)
 
 
 class ImitationTrainer(Trainer[ImitationSettings]):
@@ -106,7 +119,8 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         vectors = planner.encoder.vectors(shown.observed(every))
         planner.encoder.fit(vectors)
         planner.labels.fit(shown.windows(every, settings.chunk)[0], vectors)
-        self._planner = planner.to(environment.device)
+        self._device = _device(settings.device) if settings.device else environment.device
+        self._planner = planner.to(self._device)
         self._optimizer = torch.optim.AdamW(self._planner.parameters(), settings.learning_rate, weight_decay=1e-6)
         self._generator = torch.Generator().manual_seed(seed)
         self._iteration = 0
@@ -141,22 +155,21 @@ class ImitationTrainer(Trainer[ImitationSettings]):
 
     def _update_all(self, iteration: int) -> None:
         """Take the gradient steps of an iteration."""
-        settings, shown, device = self.settings, self._demonstrations, self.environment.device
+        settings, shown, device = self.settings, self._demonstrations, self._device
         total = settings.iterations * settings.updates_per_iteration
         losses = torch.zeros((), device=device)
         sequence = torch.arange(self._planner.sequence)
         self._planner.train()
         for update in range(settings.updates_per_iteration):
-            progress = min(1.0, (iteration * settings.updates_per_iteration + update) / total)
-            for group in self._optimizer.param_groups:
-                group["lr"] = settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
-            count = max(1, settings.batch_size // self._planner.sequence)
+            progress = (iteration * settings.updates_per_iteration + update) / total
+            set_half_cosine(self._optimizer, settings.learning_rate, progress)
+            count = max(1, settings.chunks_per_update // self._planner.sequence)
             rows = torch.randint(shown.steps, (count,), generator=self._generator)
             if self._planner.sequence > 1:
                 # Sequences stay within their episode; near its end its last steps repeat.
                 rows = torch.minimum(rows[:, None] + sequence, shown.ends[rows][:, None])
             actions, valid = shown.windows(rows, self._planner.network.chunk)
-            seen = map_seen(lambda value: value.to(device), shown.observed(rows))
+            seen = map_seen(lambda value: shifted(value.to(device)), shown.observed(rows))
             loss = self._planner.loss(seen, actions.to(device), valid.to(device))
             self._optimizer.zero_grad()
             loss.backward()
@@ -170,7 +183,8 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         """Play an episode in every environment; return the steps of all environments."""
         environment = self.environment
         seen, _ = environment.reset(self.seed + 1)  # other episodes than the demonstrations'
-        acting = Remembering(self._planner, environment.num_envs, environment.device)
+        planner = copy.deepcopy(self._planner).to(environment.device)
+        acting = Remembering(planner, environment.num_envs, environment.device)
         begun = torch.ones(environment.num_envs, dtype=torch.bool, device=environment.device)
         first = begun.clone()
         self._tally = EpisodeTally(environment.device)
@@ -185,6 +199,33 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         return environment.max_episode_steps * environment.num_envs
 
 
+def shifted(value: Tensor) -> Tensor:
+    """Return pictures (B, H, W, C) shifted by up to ``_SHIFT`` pixels each way, their edges repeated; else the value.
+
+    Why: Kostrikov et al., Image Augmentation Is All You Need (2021); a network of few pictures learns their pixels.
+    """
+    if value.dim() < 4:
+        return value
+    count, height, width = value.shape[:3]
+    shift = torch.randint(-_SHIFT, _SHIFT + 1, (2, count, 1), device=value.device)
+    rows = (torch.arange(height, device=value.device) + shift[0]).clamp(0, height - 1)
+    columns = (torch.arange(width, device=value.device) + shift[1]).clamp(0, width - 1)
+    each = torch.arange(count, device=value.device)[:, None, None]
+    return value[each, rows[:, :, None], columns[:, None, :]]
+
+
+def _device(name: str) -> torch.device:
+    """Return a torch device that can hold a network.
+
+    Raises:
+        ConfigurationError: there is none of that name here.
+    """
+    try:
+        return torch.zeros(0, device=name).device
+    except (RuntimeError, AssertionError) as error:
+        raise ConfigurationError(f"imitation setting 'device' is '{name}', which torch rejects: {error}") from None
+
+
 def _network(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
     """Return the network of an algorithm."""
     shared: dict[str, Any] = {"encoding": encoding, "chunk": settings.chunk, "executed": settings.executed}
@@ -194,5 +235,5 @@ def _network(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
     if settings.algorithm in ("bc-rnn", "bc-rnn-gmm"):
         return ClonedRecurrent(**shared, hidden_size=settings.hidden_size, modes=modes)
     if settings.algorithm == "act":
-        return ClonedTransformer(**shared, width=settings.hidden_size, ensemble=settings.ensemble)
+        return ClonedTransformer(**shared, width=settings.hidden_size // 4, ensemble=settings.ensemble)
     return ClonedDiffusion(**shared, width=2 * settings.hidden_size)

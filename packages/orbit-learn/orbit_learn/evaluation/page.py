@@ -22,7 +22,7 @@ _SURE = 0.05
 
 def page(plan: Plan, blocks: Sequence[Block]) -> str:
     """Return the page as HTML, which needs no other file."""
-    engines = sorted({f"{block.key.backend} {block.engine}" for block in blocks})
+    engines = sorted({f"{block.key.backend} ({block.engine})" for block in blocks})
     parts = [
         f"<h1>{escape(plan.task)}</h1>",
         f"<p>{plan.episodes} episodes of each policy, engine, variant and seed ({len(plan.seeds)} seeds), from the "

@@ -34,6 +34,7 @@ class Plan:
 
     def blocks(self) -> Iterator[BlockKey]:
         """Yield all blocks, those of one environment one after another."""
+        # Engine and variant outermost: an environment is built once for all policies and seeds.
         for backend in self.backends:
             for variant in self.variants:
                 for policy in self.policies:
@@ -57,7 +58,7 @@ class Block:
 
     key: BlockKey
     engine: str
-    """Version of the engine."""
+    """Names and versions of the packages that the engine depends on."""
     success: tuple[bool, ...]
     returns: tuple[float, ...]
     steps: tuple[int, ...]
@@ -66,6 +67,8 @@ class Block:
     """Each term's contribution to the return."""
     failed: tuple[bool, ...]
     """Episodes in which the policy did not answer, or the simulation diverged; they count as failures."""
+    reached: tuple[int, ...] = ()
+    """Steps until success, from which on it lasted to the end; of a failure the episode's steps."""
     fingerprint: str = ""
     """Digest of the first observations, rounded: blocks of one seed begin alike."""
 
@@ -117,6 +120,7 @@ def read_results(path: Path | str) -> tuple[Plan, list[Block]]:
     lines = read_bytes(path, _MOST_BYTES).split(b"\n")
     try:
         plan = msgspec.convert(msgspec.json.decode(lines[0])["plan"], Plan)
+        # The last line is empty, or was cut off in the middle of a write; its block is run again.
         blocks = [msgspec.convert(msgspec.json.decode(line)["block"], Block) for line in lines[1:-1] if line]
     except (msgspec.DecodeError, msgspec.ValidationError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{path} holds no results of an evaluation: {error}") from None

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from orbit_core.backends import versions_of
+from orbit_core.backends import backend
 from orbit_core.cli.making import make_actor, make_environment
 from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.envs.actors import RemoteSource
 from orbit_core.envs.observation_layout import leaves_of
 from orbit_learn.evaluation.results import Block, BlockKey, Plan
 
@@ -82,19 +83,25 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
     rounded = [(value.double() * 1e3).round().long() for value in leaves_of(seen) if value.is_floating_point()]
     fingerprint = hashlib.sha256(b"".join(value.cpu().numpy().tobytes() for value in rounded)).hexdigest()[:16]
     ends: dict[int, tuple[EpisodeEnd, int]] = {}
+    none = (False,) * environment.num_envs
     failed = [False] * environment.num_envs
-    for _ in range(environment.max_episode_steps):
+    # Last step without success: an episode that succeeds has reached its goal in the step after it.
+    outside = torch.zeros(environment.num_envs, dtype=torch.int64, device=environment.device)
+    reached = [0] * environment.num_envs
+    for step in range(1, environment.max_episode_steps + 1):
         *_, info = environment.step(actor.act())
         if "final" in info:
             end = info["final"]
-            unanswered = getattr(actor, "unanswered", failed)
-            lost = failed if environment.lost is None else environment.lost.now.tolist()
+            unanswered = actor.unanswered if isinstance(actor, RemoteSource) else none
+            lost = none if environment.lost is None else environment.lost.now.tolist()
             for row, index in enumerate(end.env_ids.tolist()):
                 if index not in ends:
                     ends[index] = end, row
+                    reached[index] = int(outside[index]) + 1 if bool(end.success[row]) else step
                     failed[index] = bool(unanswered[index] or lost[index])
         if len(ends) == environment.num_envs:
             break
+        outside = torch.where(environment.success(), outside, step)
     rows = [ends[index] for index in range(environment.num_envs)]
 
     def each(value: Callable[[EpisodeEnd], torch.Tensor]) -> tuple[float, ...]:
@@ -109,10 +116,11 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
         close()
     return Block(
         key=key,
-        engine=versions_of(key.backend).get(key.backend, ""),
+        engine=", ".join(f"{name} {version}" for name, version in backend(key.backend).versions().items()),
         success=tuple(success),
         returns=tuple(map(sum, zip(*rewards.values(), strict=True))) if rewards else (0.0,) * len(rows),
         steps=tuple(int(value) for value in each(lambda end: end.steps)),
+        reached=tuple(reached),
         metrics=metrics,
         rewards=rewards,
         failed=tuple(failed),

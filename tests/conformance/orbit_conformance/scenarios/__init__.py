@@ -29,6 +29,7 @@ from orbit_conformance.scenarios import (
     seals,
     sensing,
     solid_contact,
+    solid_pairs,
     solids,
     springs,
     terrain,
@@ -65,4 +66,5 @@ SCENARIOS: tuple[Scenario, ...] = (
     *solids.SCENARIOS,
     *fluids.SCENARIOS,
     *solid_contact.SCENARIOS,
+    *solid_pairs.SCENARIOS,
 )

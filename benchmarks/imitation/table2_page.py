@@ -1,0 +1,109 @@
+"""Page of the results of table2.py, in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from orbit_core.rollout.estimates import proportion
+
+_COLUMNS = {"none": "No change", "goal": "G", "start": "I", "both": "Both"}
+# Success and length over 100 trials (Mittal et al. 2023, table II).
+_PUBLISHED = {
+    "bc": {"none": (1.00, 234), "goal": (0.89, 307), "start": (0.47, 321), "both": (0.43, 324)},
+    "bc-rnn": {"none": (1.00, 249), "goal": (1.00, 251), "start": (0.88, 286), "both": (0.87, 293)},
+}
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """Evaluation of the trainings of one algorithm in one cell on one engine."""
+
+    cell: str
+    action: str
+    algorithm: str
+    engine: str
+    trainings: Sequence[Mapping[str, Any]]
+
+    def text(self) -> str:
+        successes = sum(each["successes"] for each in self.trainings)
+        trials = sum(each["trials"] for each in self.trainings)
+        rate = proportion(successes, trials)
+        length = sum(each["length"] * each["trials"] for each in self.trainings) / trials
+        return f"{rate.value:.2f} [{rate.low:.2f}, {rate.high:.2f}], {length:.0f}"
+
+
+def page(results: Mapping[str, Any]) -> str:
+    """Return the page of a ledger as it was read from its file."""
+    settings, jobs = results["settings"], results["jobs"]
+    parts: dict[tuple[str, ...], list[Any]] = {}
+    for name, done in jobs.items():
+        kind, *place = name.split(".")
+        if kind == "evaluate" and done["ended"]:
+            parts.setdefault(tuple(place[:4]), []).extend(done["result"])
+    found = [_Outcome(*place, trainings) for place, trainings in parts.items()]  # pyright: ignore[reportCallIssue]
+    actions = _unique(outcome.action for outcome in found)
+    algorithms = _unique(outcome.algorithm for outcome in found)
+    engines = _unique(outcome.engine for outcome in found)
+    engines.sort(key=lambda name: name != settings["engine"])
+    text = [_HEAD.format(**settings, versions=", ".join(_versions(found)))]
+    for action in actions:
+        for engine in engines:
+            where = "the engine of the demonstrations" if engine == settings["engine"] else "transferred"
+            text.append(f"## `{action}` on {engine}, {where}\n")
+            own = [outcome for outcome in found if (outcome.action, outcome.engine) == (action, engine)]
+            text.append(_table(own, algorithms))
+    text.append("## Cost\n\nCore seconds of one thread on the machine of these figures, mean of a job.\n")
+    text.append(_costs(jobs))
+    return "\n".join(text)
+
+
+def _table(outcomes: Sequence[_Outcome], algorithms: Sequence[str]) -> str:
+    cells = {(outcome.algorithm, outcome.cell): outcome.text() for outcome in outcomes}
+    lines = ["| | " + " | ".join(_COLUMNS.values()) + " |", "|---" * (1 + len(_COLUMNS)) + "|"]
+    for algorithm in algorithms:
+        row = [cells.get((algorithm, cell), "not run") for cell in _COLUMNS]
+        lines.append(f"| `{algorithm}` | " + " | ".join(row) + " |")
+        if published := _PUBLISHED.get(algorithm):
+            row = [f"{published[cell][0]:.2f}, {published[cell][1]}" for cell in _COLUMNS]
+            lines.append(f"| `{algorithm}`, published | " + " | ".join(row) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _costs(jobs: Mapping[str, Any]) -> str:
+    costs: dict[tuple[str, ...], list[float]] = {}
+    for name, done in jobs.items():
+        if done["ended"]:
+            kind, _, action, which, *rest = name.split(".")
+            key = (
+                (kind, action) if kind == "record" else (kind, action, which, *(rest[:1] if kind == "evaluate" else ()))
+            )
+            costs.setdefault(key, []).append(done["core_seconds"])
+    lines = ["| job | number | core seconds each |", "|---|---|---|"]
+    for key, values in sorted(costs.items()):
+        lines.append(f"| {', '.join(key)} | {len(values)} | {sum(values) / len(values):.0f} |")
+    total = sum(done["core_seconds"] for done in jobs.values())
+    lines.append(f"| all, interrupted ones included | {len(jobs)} | {total:.0f} in total |")
+    return "\n".join(lines) + "\n"
+
+
+def _versions(found: Sequence[_Outcome]) -> list[str]:
+    return sorted({f"{outcome.engine} ({each['engine']})" for outcome in found for each in outcome.trainings})
+
+
+def _unique(names: Iterable[str]) -> list[str]:
+    return list(dict.fromkeys(names))
+
+
+_HEAD = """# Measured: imitation
+
+The paper's table II, repeated by `benchmarks/imitation/table2.py` (Mittal et al., Orbit, 2023): Lift with one start of
+the cube or any, and one goal or any. G: goals vary, I: starts vary. {demos} demonstrations of the scripted expert on
+{engine}, half of them with noise, {seeds} trainings of each policy, {episodes} episodes of each training and engine,
+all from the same starts. Versions: {versions}.
+
+Each field is success with Wilson's interval of 95 %, and the mean number of steps of 0.02 s until the success that
+lasts to the episode's end; failures count with their whole episode. The published figures are success and length over
+100 trials, whose task, controller and rate differ from these. The arm's joints start within 0.05 rad everywhere.
+"""

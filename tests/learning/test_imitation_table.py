@@ -1,0 +1,91 @@
+"""The script of the paper's table of imitation: its jobs, how they go on, and its page."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FOLDER = Path(__file__).parents[2] / "benchmarks" / "imitation"
+
+
+@pytest.fixture(autouse=True)
+def scripts(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.syspath_prepend(str(FOLDER))
+    yield
+    for name in ("work", "table2", "table2_page"):
+        sys.modules.pop(name, None)
+
+
+def test_a_job_begins_after_what_it_needs_and_is_done_once(tmp_path: Path) -> None:
+    from work import Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
+
+    words = ["list", "libraries"]
+    jobs = [
+        Job("second", lambda: words, ("first",), read=lambda: {"from": (tmp_path / "logs/first.log").read_text()[:3]}),
+        Job("first", lambda: words),
+        Job("wrong", lambda: ["list", "nothing"]),
+        Job("never", lambda: words, ("wrong",)),
+    ]
+    path = tmp_path / "results.json"
+    assert not run_jobs(jobs, Ledger(path, {"demos": 1}), 2, 600.0, tmp_path / "logs", 0)
+    again = Ledger(path, {"demos": 1})
+    assert {name for name in again.jobs if again.ended(name)} == {"first", "second"}
+    assert again.jobs["second"].result == {"from": (tmp_path / "logs/first.log").read_text()[:3]}
+    assert again.jobs["first"].core_seconds > 0.0
+    before = (tmp_path / "logs/first.log").read_text()
+    assert run_jobs(jobs[:2], again, 2, 600.0, tmp_path / "logs", 0)
+    assert (tmp_path / "logs/first.log").read_text() == before
+    with pytest.raises(SystemExit, match="other demos"):
+        Ledger(path, {"demos": 2})
+
+
+def test_nothing_outlasts_the_budget(tmp_path: Path) -> None:
+    from work import Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
+
+    jobs = [Job("late", lambda: ["list", "libraries"])]
+    assert not run_jobs(jobs, Ledger(tmp_path / "results.json", {}), 1, 1.0, tmp_path / "logs", 0)
+    assert not (tmp_path / "logs/late.log").exists(), "there is no time to begin it"
+
+
+def test_every_cell_is_recorded_trained_and_evaluated(tmp_path: Path) -> None:
+    from table2 import CELLS, table_jobs  # pyright: ignore[reportMissingImports]
+
+    settings: dict[str, Any] = {
+        "jobs": 1, "demos": 1001, "seeds": 2, "episodes": 100, "algorithms": ["bc", "act"], "iterations": None,
+        "actions": ["joint_position", "pictures"], "cells": [cell.name for cell in CELLS], "engine": "mujoco",
+        "transfer": ["bullet"], "device": "cpu", "renderer": "sapien", "renderer_setting": [], "output": tmp_path,
+    }  # fmt: skip
+    jobs = {job.name: job for job in table_jobs(argparse.Namespace(**settings))}
+    assert all(need in jobs for job in jobs.values() for need in job.needs)
+    recorded = [list(job.words()) for name, job in jobs.items() if name.startswith("record.both.joint_position")]
+    counts = [int(words[words.index("--episodes") + 1]) for words in recorded]
+    assert counts == [251, 250, 250, 250]
+    assert ["--noise" in words for words in recorded] == [False, True, False, True]
+    assert len({words[words.index("--seed") + 1] for words in recorded}) == 4
+    assert "start_spread=0.0" in jobs["train.goal.joint_position.act.1"].words()
+    assert "--cameras" in jobs["record.both.pictures.0"].words()
+    assert sum(name.startswith("evaluate.both.pictures.bc.bullet") for name in jobs) == 10
+    assert "evaluate.both.joint_position.bc.bullet.0" in jobs
+
+
+def test_the_page_adds_parts_up_and_shows_what_was_published(tmp_path: Path) -> None:
+    from table2_page import page  # pyright: ignore[reportMissingImports]
+
+    def done(successes: int, trials: int, length: float) -> dict[str, Any]:
+        result = [{"policy": "bc-0", "engine": "x 1", "successes": successes, "trials": trials, "length": length}]
+        return {"ended": True, "seconds": 1.0, "core_seconds": 2.0, "result": result}
+
+    settings = {"demos": 2, "engine": "mujoco", "seeds": 1, "episodes": 20}
+    jobs = {
+        "evaluate.both.joint_position.bc.mujoco.0": done(10, 10, 100.0),
+        "evaluate.both.joint_position.bc.mujoco.1": done(0, 10, 200.0),
+    }
+    text = page(json.loads(json.dumps({"settings": settings, "jobs": jobs})))
+    assert "| `bc` | not run | not run | not run | 0.50 [0.30, 0.70], 150 |" in text
+    assert "| `bc`, published | 1.00, 234 | 0.89, 307 | 0.47, 321 | 0.43, 324 |" in text
