@@ -2,15 +2,15 @@
 
 Start a simulated one first, or name the interface of a real one::
 
-    orbit robot --task Velocity-Flat --set robot=unitree_go2 --backend mujoco --bridge unitree --port 1 --direct --realtime
+    orbit robot --task Velocity-Flat --set robot=unitree_go2 --bridge unitree --port 1 --direct --realtime
     python examples/walk_over_dds.py unitree://127.0.0.1:1/go2 10
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import fields
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from orbit_core.envs import Environment, TerminationTerm, make
 from orbit_core.mdp import common
 from orbit_core.scene import Scene
 from orbit_deploy import PathKind, connect, robot_world
+from orbit_deploy.realtime import prioritize
 from orbit_tasks import walking
 from orbit_tasks.velocity_flat import VelocityFlat, VelocityMemory, projected_gravity
 
@@ -36,10 +37,11 @@ def leans(env: Environment[Any, Any]) -> torch.Tensor:
     return projected_gravity(env)[:, 2] > -0.5
 
 
+@dataclass(kw_only=True)
 class Walk(VelocityFlat):
     """Task of the policy, with what a robot measures and without rewards, which are for learning."""
 
-    state_type = WalkState
+    state_type: ClassVar[type[VelocityMemory]] = WalkState
 
     def __post_init__(self) -> None:
         for term in fields(self.rewards):
@@ -55,6 +57,9 @@ class Walk(VelocityFlat):
 
 def main(address: str, seconds: float) -> None:
     """Walk forward at 0.6 m/s, and print how far the robot came and how late commands were."""
+    # Before there are threads, which inherit the priority
+    prioritize()
+    torch.set_num_threads(1)
     task = Walk(robot="unitree_go2", episode_length=seconds + 60.0)
     period = task.physics_dt * task.decimation
     link = connect(address, period, path=PathKind.DIRECT)

@@ -150,7 +150,8 @@ def test_a_trajectory_of_some_joints_moves_these_only(program: Program) -> None:
               JointTrajectoryPoint([0.25], time_from_start=duration_of(0.5))]  # fmt: skip
     program.trajectory(JointTrajectory(joint_names=["joint1"], points=points))
     assert eventually(lambda: abs(program.where[1] - 0.25) < 0.02, 10.0)
-    assert abs(program.where[0] - before[0]) < 0.02 and abs(program.where[2] - before[2]) < 0.02
+    assert abs(program.where[0] - before[0]) < 0.02
+    assert abs(program.where[2] - before[2]) < 0.02
 
 
 def test_an_array_of_positions_is_held_until_the_robot_is_there(program: Program) -> None:
@@ -201,7 +202,8 @@ def test_a_picture_keeps_its_bytes() -> None:
     for version in (False, True):
         read = Image.deserialize(picture.serialize(use_version_2=version))
         assert (read.header, read.height, read.width, read.encoding) == (picture.header, 12, 20, "rgb8")
-        assert read.step == 60 and read.data == data
+        assert read.step == 60
+        assert read.data == data
 
 
 def test_a_robot_that_is_not_there_or_another_machine_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,8 +222,9 @@ def test_a_robot_that_is_not_there_or_another_machine_is_one_clear_error(monkeyp
 
 
 @pytest.mark.skipif(not ROS2_PYTHON.exists(), reason="capability 'ROS 2' (ros-rclpy[fastrtps]) has no environment here")
-def test_a_program_of_the_real_ros_2_moves_the_arm(domain: int) -> None:
-    environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PATH": "/usr/bin:/bin"}
+def test_a_program_of_the_real_ros_2_moves_the_arm(domain: int, tmp_path: Path) -> None:
+    environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PATH": "/usr/bin:/bin",
+                   "HOME": str(tmp_path)}  # fmt: skip
     script = Path(__file__).with_name("ros2_program.py")
     ended = subprocess.run(
         [str(ROS2_PYTHON), str(script)], env=environment, capture_output=True, text=True, timeout=60.0

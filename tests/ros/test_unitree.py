@@ -73,7 +73,8 @@ def test_a_message_read_back_is_the_one_that_was_written() -> None:
         message.record["reserve"] = 77
         assert message.seal().sealed
         read = kind.deserialize(message.serialize())
-        assert read.sealed and read.record == message.record
+        assert read.sealed
+        assert read.record == message.record
         data = bytearray(message.serialize())
         data[40] ^= 1
         assert not kind.deserialize(bytes(data)).sealed

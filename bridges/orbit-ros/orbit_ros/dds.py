@@ -104,6 +104,7 @@ class Ros2Node(RosNode):
         self._readers, self._conditions, self._writers = [], [], []
 
     def _listen(self) -> None:
+        sources: dict[tuple[int, DataReader[Any]], str] = {}
         while not self._ended.is_set():
             try:
                 self._waits.wait(duration(milliseconds=20))
@@ -115,7 +116,17 @@ class Ros2Node(RosNode):
                 for sample in reader.take(20):
                     # A publisher that leaves yields a sample without data.
                     if isinstance(sample, IdlStruct):
-                        _call(callback, sample, str(sample.sample_info.publication_handle))  # pyright: ignore
+                        handle: int = sample.sample_info.publication_handle  # pyright: ignore
+                        if (handle, reader) not in sources:
+                            sources[handle, reader] = _program(reader, handle)
+                        _call(callback, sample, sources[handle, reader])
+
+
+def _program(reader: DataReader[Any], handle: int) -> str:
+    """Return the identity of the program that a publisher belongs to, which may publish several topics."""
+    found = reader.get_matched_publication_data(handle)
+    # A publisher that has left again is itself only.
+    return str(found.participant_key) if found is not None else str(handle)
 
 
 def _call(callback: Callable[[Any, str], None], sample: IdlStruct, source: str) -> None:

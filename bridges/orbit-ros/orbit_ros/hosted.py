@@ -1,4 +1,4 @@
-"""Link to a robot whose computer knows no sessions: our own computer of it runs in this process and keeps the limits."""
+"""Link to a robot whose computer knows no sessions: our own one runs in this process and keeps the limits."""
 
 from __future__ import annotations
 
@@ -104,5 +104,6 @@ class HostedLink(RobotLink):
             self._sent = (-1, 0.0)
 
     def _note(self, fault: Fault) -> None:
-        if fault.code != "watchdog":
+        # While an environment is built, Python's lock holds the loop up: the robot rests meanwhile, as without commands.
+        if fault.code not in ("watchdog", "overrun"):
             self._faults.append(fault)

@@ -3,10 +3,17 @@
 # Types are read when the classes are made, so that their annotations are no strings.
 import struct
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float64, int32, sequence, uint8, uint32
+from cyclonedds.idl.types import float64, int32, uint8, uint32
+
+if TYPE_CHECKING:
+    # Values are lists, which Cyclone's own marks do not say.
+    from collections.abc import Sequence as sequence
+    from typing import Annotated as array
+else:
+    from cyclonedds.idl.types import array, sequence
 
 
 @dataclass
@@ -152,7 +159,7 @@ class PoseWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCov
     """Pose and its covariance (6, 6), row by row."""
 
     pose: Pose = field(default_factory=Pose)
-    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
+    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)  # pyright: ignore[reportAssignmentType]
 
 
 @dataclass
@@ -160,7 +167,7 @@ class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithC
     """Twist and its covariance (6, 6), row by row."""
 
     twist: Twist = field(default_factory=Twist)
-    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
+    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)  # pyright: ignore[reportAssignmentType]
 
 
 @dataclass
@@ -203,11 +210,11 @@ class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
 
     header: Header = field(default_factory=Header)
     orientation: Quaternion = field(default_factory=Quaternion)
-    orientation_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)
+    orientation_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)  # pyright: ignore[reportAssignmentType]
     angular_velocity: Vector3 = field(default_factory=Vector3)
-    angular_velocity_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)
+    angular_velocity_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)  # pyright: ignore[reportAssignmentType]
     linear_acceleration: Vector3 = field(default_factory=Vector3)
-    linear_acceleration_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)
+    linear_acceleration_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)  # pyright: ignore[reportAssignmentType]
 
 
 _CDR, _CDR2 = bytes((0, 1, 0, 0)), bytes((0, 7, 0, 0))

@@ -1,4 +1,4 @@
-"""A robot's computer as a robot of ROS: it publishes joints, clock, frames and bodies, and takes trajectories and arrays.
+"""A robot's computer as a robot of ROS: joints, clock, frames and bodies out, trajectories and arrays in.
 
 With the simulated robot, a world of ours is the robot of ROS programs.
 """
@@ -74,7 +74,7 @@ class _Goal:
 class RosServer:
     """Serves one robot's computer to ROS.
 
-    Commands are anonymous in ROS: the publisher of the first one has the robot until it is silent for half a second, and
+    Commands are anonymous in ROS: the program of the first one has the robot until it is silent for half a second, and
     others are ignored with a fault.
 
     Args:

@@ -1,6 +1,6 @@
 """``LowCmd_`` and ``LowState_`` of Go2 (``unitree_go``) and G1 (``unitree_hg``) as NumPy records over their bytes.
 
-Number by number, Python takes 400 to 900 us for a message, which is too dear at 500 Hz. All members are of fixed size, so
+Number by number, Python takes 400 to 900 us for a message, too dear at 500 Hz. All members are of fixed size, so
 that a message is one record in C's layout, which the checksum needs too, and a permutation of bytes makes it CDR.
 """
 
@@ -43,7 +43,7 @@ class Fixed(IdlStruct):
     def of(cls, record: Record) -> Self:
         """Return the message of a record (1,) in C's layout."""
         made = cls.__new__(cls)
-        made.__dict__["values"] = record
+        vars(made)["values"] = record
         return made
 
     def serialize(self, buffer: Any = None, endianness: Any = None, use_version_2: bool | None = None) -> bytes:
@@ -122,7 +122,7 @@ def _places(kind: type) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
                 add(own, offset + index * own.itemsize)
         elif layout.fields is not None:
             for name in layout.names or ():
-                field, at, *_ = layout.fields[name]
+                field, at, *_ = layout.fields[name]  # pyright: ignore[reportArgumentType]
                 add(field, offset + at)
         else:
             # CDR aligns numbers to their size, and ends structs without padding.

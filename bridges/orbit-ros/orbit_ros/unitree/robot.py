@@ -21,7 +21,7 @@ from orbit_ros.unitree.models import COMMAND, ODOMETRY, STATE, unitree_model
 RATE = 500.0
 """Rate of commands, Hz, as in Unitree's examples."""
 # Seconds for the robot to be found, and after which a silent one is lost
-_FOUND, _LOST = 8.0, 0.2
+_FOUND, _LOST = 8.0, 0.5
 _HEAD, _LOW_LEVEL = (0xFE, 0xEF), 0xFF
 
 
