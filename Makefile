@@ -20,9 +20,9 @@ EXAMPLE_SCENARIOS := free_fall projectile sliding_to_rolling ball_on_slope landi
 	friction_per_environment gravity_per_environment frame_and_joint_sensors imu_in_a_circle magnetic_seal beside_a_reset \
 	snapshot resting_weight rays_on_primitives
 # ORBIT's own distributions lie in this checkout; what `.[EXTRAS]` asks for is found among what is named with it.
-OWN := . $(wildcard packages/orbit-*) ./orbit_tasks tests/conformance
+OWN := . $(wildcard packages/orbit-*) $(wildcard bridges/orbit-*) ./orbit_tasks tests/conformance
 SOURCES := checkout.txt constraints.txt $(OWN:%=%/pyproject.toml) $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
-CODE := orbit_core orbit_tasks packages plugins tests benchmarks assets tools examples
+CODE := orbit_core orbit_tasks packages bridges plugins tests benchmarks assets tools examples
 
 # Kernels, compiled steps, parsed robots and wheels may be kept between runs, and runs may share them.
 export ORBIT_TEST_CACHE ?= $(HOME)/.cache/orbit-tests

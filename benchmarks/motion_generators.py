@@ -17,13 +17,13 @@ from collections.abc import Callable
 
 import torch
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_core.actions import ActionTerm, motion_generators, with_drives_for
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import ContactSensorSpec, Scene
 from orbit_core.world import simulate
+from orbit_motion.compliant import Servo
 from orbit_motion.mpc.predictive import Predictive
-from orbit_motion.servo import Servo
 
 ROBOTS = {
     "base_velocity": "base_omni_franka_panda",

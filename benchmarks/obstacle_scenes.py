@@ -17,17 +17,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_core.actions import Actuate, with_drives_for
-from orbit_core.actions.full_ik import FullIk
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import PlanningError, World
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import Box, Capsule, ContactSensorSpec, ObjectSpec, Pose, Scene, Shape, Sphere, single_link
 from orbit_core.sensors import ContactSensor
 from orbit_core.world import simulate
 from orbit_motion import RmpFlow, RmpFlowConfig
+from orbit_motion.full_ik import FullIk
 from orbit_motion.planning import JointPlanner, TrajectoryFollower, time_optimal
-from orbit_motion.planning.trajectory import JointTrajectory
+from orbit_motion.planning.follower import JointTrajectory
 
 SHAPES = (Sphere(0.08), Box((0.05, 0.05, 0.15)), Capsule(0.05, 0.1))
 SPARE = 0.03

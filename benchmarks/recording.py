@@ -18,7 +18,7 @@ from typing import Any
 
 from orbit_core.envs import ObservationTerm, make
 from orbit_core.envs.actors import scripted_actor
-from orbit_core.mdp.images import camera_color
+from orbit_core.mdp.sensing import camera_color
 from orbit_core.rollout.stepping import StepObserver, roll_out
 from orbit_core.scene import Channel
 from orbit_data.manifest.manifest import Manifest

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot
 from orbit_core.actuators import ActuatorContext, ActuatorModel, actuator_models
-from orbit_core.robots import robot
 from orbit_core.scene import ActuatorConfig, Scene
 from orbit_core.world import simulate
 

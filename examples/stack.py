@@ -10,6 +10,7 @@ from orbit_core.envs import Environment, EventTerm, ObservationGroup, Observatio
 from orbit_core.mdp import common
 from orbit_core.scene import Scene
 from orbit_motion.experts import Expert
+from orbit_motion.workspace import arm
 from orbit_tasks.mdp import picking
 
 EDGE = 0.05
@@ -75,7 +76,7 @@ class Stack(Task):
         colors = {"red": (0.8, 0.15, 0.1, 1.0), "blue": (0.1, 0.25, 0.8, 1.0)}
         cubes = [box(name, (EDGE, EDGE, EDGE), mass=0.1, color=color) for name, color in colors.items()]
         objects, floor = (*cubes, work_bench()), common.floor(-BENCH_HEIGHT)
-        return Scene(robots=(common.arm(self.robot),), objects=objects, terrain=(floor,), physics_dt=self.physics_dt)
+        return Scene(robots=(arm(self.robot),), objects=objects, terrain=(floor,), physics_dt=self.physics_dt)
 
     def success(self, env: Environment) -> Tensor:
         return (distance(env) < self.tolerance) & (reach(env) > EDGE)

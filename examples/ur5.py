@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from orbit_assets.cache import Model, cached_articulation
+from orbit_assets.catalogue import RobotEntry, robots
 from orbit_assets.sources import model_folder
 from orbit_assets.urdf import read_urdf
 from orbit_core.envs import make
-from orbit_core.robots import RobotEntry, robots
 from orbit_core.scene import Articulation, EndEffector, ImplicitPd, RobotSpec
 
 SOURCE = "example-robot-data"

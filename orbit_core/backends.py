@@ -20,9 +20,8 @@ import importlib_metadata
 from orbit_core import __version__
 from orbit_core.configuration import configured, settings_table
 from orbit_core.installing import install_extra, upgrade_command
-from orbit_core.interfaces.backend import Backend
+from orbit_core.interfaces.backend import CONTRACT, Backend, contract_text
 from orbit_core.interfaces.capabilities import IMAGES, MATTER, Capability
-from orbit_core.interfaces.contract import CONTRACT, contract_text
 from orbit_core.interfaces.errors import (
     BackendNotInstalledError,
     ConfigurationError,

@@ -17,18 +17,21 @@ from orbit_core.installing import editable_folder, install_command, upgrade_comm
 from orbit_core.interfaces.errors import ConfigurationError
 
 CORE = "orbit-core"
+# Distribution of ORBIT that brings most of what plugins bring under an entry-point group.
 _BROUGHT_BY = {
     "orbit.tasks": "orbit-tasks",
     "orbit.robots": "orbit-assets",
     "orbit.objects": "orbit-assets",
     "orbit.decompositions": "orbit-assets",
     "orbit.motion": "orbit-motion",
+    "orbit.starts": "orbit-motion",
+    "orbit.recorders": "orbit-viewer",
     "orbit.policies": "orbit-policies",
     "orbit.actors": "orbit-learn",
     "orbit.actuators": "orbit-learn",
-    "orbit.lists": "orbit-learn",
+    "orbit.lists": "orbit-assets orbit-learn",
+    "orbit.info": "orbit-assets",
 }
-"""Distribution of ORBIT that brings most of what plugins bring under an entry-point group."""
 _REQUIREMENT = re.compile(r"\s*(orbit[-_.][\w.-]*\w)\s*(?:\[[^\]]*\])?\s*\(?([^;()@]*)\)?\s*(?:;(.*))?$", re.IGNORECASE)
 _COMPATIBLE = re.compile(r"~=\s*(\d+)\.(\d+)\.(\d+)")
 _RELEASE = re.compile(r"(\d+)\.(\d+)\.(\d+)")
@@ -103,12 +106,12 @@ def is_installed(name: str) -> bool:
 
 
 def missing_note(group: str) -> str:
-    """Return a sentence with the command that installs ORBIT's distribution for an entry-point group.
+    """Return what is missing of ORBIT's distributions for an entry-point group, with the commands that install it.
 
-    Empty where that distribution is installed, or where none of ORBIT's brings anything under the group.
+    Empty where they are installed, or where none of ORBIT's brings anything under the group.
     """
-    name = _BROUGHT_BY.get(group, CORE)
-    return "" if is_installed(name) else f"the distribution {name} is not installed: {install_command(name)}"
+    missing = (name for name in _BROUGHT_BY.get(group, CORE).split() if not is_installed(name))
+    return "; ".join(f"the distribution {name} is not installed: {install_command(name)}" for name in missing)
 
 
 @functools.cache

@@ -19,23 +19,18 @@ PackageFunctions = tuple[Callable[[str], object], Callable[[], list[str]]]
 def lazy_names(
     package: str,
     modules: Mapping[str, Sequence[str]],
-    otherwise: Callable[[str, str], object] | None = None,
 ) -> PackageFunctions:
     """Return the functions of a package that exports names of its modules.
 
     Args:
         package: full name.
         modules: exported names by the module that defines them, relative to the package.
-        otherwise: called with the package and a name that is not exported, such as
-            `orbit_core.moved.moved_name`; its result is the name's value.
     """
     module_of = {name: module for module, names in modules.items() for name in names}
 
     def find(name: str) -> object:
         if name in module_of:
             return getattr(importlib.import_module(f"{package}.{module_of[name]}"), name)
-        if otherwise is not None:
-            return otherwise(package, name)
         raise _unknown(package, name)
 
     return find, lambda: _shown(package, module_of)

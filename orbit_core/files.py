@@ -10,7 +10,6 @@ import ctypes
 import errno
 import fcntl
 import os
-import platform
 import re
 import secrets
 import shutil
@@ -62,7 +61,6 @@ def read_bytes(path: Path | str, most: int = MAX_FILE) -> bytes:
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of the errors by which a system says that there is no room."""
-LOCK = ".lock"
 # Names of the folders that things are written in
 _PARTIAL = re.compile(r"\.orbit-[0-9a-f]{8}\.partial")
 # Folder within such a folder that holds what is being replaced, where two names cannot be exchanged at once
@@ -248,30 +246,3 @@ def _to_disk(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-class FolderLock:
-    """Holds a folder until it is released. The system releases what a process held that died.
-
-    Raises:
-        ConfigurationError: another process holds it; names that.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        # No link is followed: in a folder from elsewhere it could name any file, which would be emptied.
-        self._file = os.fdopen(os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+")
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = self._file.read().strip()
-            self._file.close()
-            raise ConfigurationError(
-                f"a run of process {holder} is writing into folder {folder}: wait for its end, or give another --output"
-            ) from None
-        self._file.truncate(0)
-        self._file.write(f"{os.getpid()} on {platform.node()}\n")
-        self._file.flush()
-
-    def release(self) -> None:
-        """Release the folder."""
-        self._file.close()

@@ -1,11 +1,10 @@
-"""Old import paths: modules that moved into other distributions still import under their old names, with a warning.
+"""Old import paths: modules and names that moved still import from where they were, with a warning, for one release.
 
-The tables (here and in old_names.toml) hold for one release. A module's old name gives the very same module.
+``old_names.toml`` lists them. A module's old name gives the very same module.
 """
 
 from __future__ import annotations
 
-import functools
 import importlib
 import importlib.abc
 import importlib.machinery
@@ -21,39 +20,11 @@ from typing import Any
 from orbit_core.installing import install_command
 from orbit_core.interfaces.errors import ConfigurationError
 
-_TABLE = Path(__file__).with_name("old_names.toml")
-_ROBOTS = ("RobotCatalogue", "RobotEntry", "robot", "robot_info", "robot_names")
-_OBJECTS = ("ObjectConfig", "object_config", "object_kinds")
-NAMES = {
-    "orbit_motion": {"orbit_core.actions": ()},
-    "orbit_assets": {
-        "orbit_core.robots": _ROBOTS,
-        "orbit_core.objects": _OBJECTS,
-        "orbit_core.preparation.merge": ("merge_fixed_links",),
-        "orbit_core.preparation.validation": ("sort_links", "validate", "validate_entity"),
-    },
-    "orbit_assets.object_kinds": {"orbit_core.objects": _OBJECTS},
-    "orbit_assets.drive_design": {
-        "orbit_core.dynamics.workspace": ("DriveResponse", "ReflectedInertia", "drive_responses", "reflected_inertia"),
-    },
-    "orbit_core.cli.settings": {
-        "orbit_learn.cli.trained": ("PlaySettings",),
-        "orbit_motion.cli.grasp": ("GraspSettings",),
-        "orbit_viewer.cli.view": ("ViewSettings",),
-    },
-    "orbit_core.envs": {"orbit_motion.experts": ()},
-    "orbit_core.mdp.common": {"orbit_assets.objects": ("BENCH_HEIGHT", "work_bench")},
-    "orbit_core.sensors": {"orbit_data.bounding_boxes": ("BoundingBoxes2d", "BoundingBoxes3d")},
-}
-"""Module -> modules that have names now which were its own: these, or all of ``__all__`` where none is given."""
-
-
-@functools.cache
-def old_modules() -> dict[str, str]:
-    """Return the name that each module or package has now by its old one; the longest prefix counts."""
-    table = tomllib.loads(_TABLE.read_text(encoding="utf-8"))
-    merged = {f"{new.rpartition('.')[0]}.{old}": new for new, olds in table["merged"].items() for old in olds}
-    return table["moved"] | merged
+_TABLE = tomllib.loads(Path(__file__).with_name("old_names.toml").read_text(encoding="utf-8"))
+MODULES: dict[str, str] = _TABLE["modules"]
+"""Old name of a module or package -> its name now; the longest prefix counts."""
+NAMES: dict[str, dict[str, str]] = _TABLE["names"]
+"""Module -> names that it had, each with the module that has it now; ``*`` for all that the other exports."""
 
 
 def moved_name(module: str, name: str) -> Any:
@@ -62,14 +33,14 @@ def moved_name(module: str, name: str) -> Any:
     Raises:
         AttributeError: it never had that name, or the distribution that brings it is not installed.
     """
-    for other, names in NAMES[module].items():
-        if names and name not in names:
+    for old, other in NAMES[module].items():
+        if old not in (name, "*"):
             continue
         try:
             found = importlib.import_module(other)
         except ModuleNotFoundError:
             continue
-        if name in (names or found.__all__):
+        if old == name or name in found.__all__:
             _warn(f"{module}.{name}", f"{other}.{name}", 3)
             return getattr(found, name)
     raise AttributeError(f"module '{module}' has no attribute '{name}'")
@@ -79,18 +50,20 @@ def new_name(name: str) -> str | None:
     """Return the name that a module has now; None where it has not moved."""
     parts = name.split(".")
     for count in range(len(parts), 1, -1):
-        if (new := old_modules().get(".".join(parts[:count]))) is not None:
+        if (new := MODULES.get(".".join(parts[:count]))) is not None:
             return ".".join([new, *parts[count:]])
     return None
 
 
 class MovedFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds modules by their old names."""
+    """Finds modules by their old names, and gives modules the names that they had."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """Return a specification that loads the module of the new name, if the name is an old one."""
+        """Return a specification that loads the module of the new name, or one that had other names before."""
+        if fullname in NAMES:
+            return _with_old_names(fullname, path, target)
         new = new_name(fullname) if fullname.startswith("orbit_") else None
         if new is None:
             return None
@@ -120,6 +93,33 @@ class MovedFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def exec_module(self, module: ModuleType) -> None:
         """Give the module its own specification back, which the import system has replaced."""
         module.__spec__ = self._spec
+
+
+def _with_old_names(
+    fullname: str, path: Sequence[str] | None, target: ModuleType | None
+) -> importlib.machinery.ModuleSpec | None:
+    """Return a module's own specification, with a loader that lets the module answer to names that it had."""
+    spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
+    if spec is None or spec.loader is None:
+        return spec
+    execute = spec.loader.exec_module
+
+    def exec_module(module: ModuleType) -> None:
+        execute(module)
+        own = vars(module).get("__getattr__")
+
+        def find(name: str) -> Any:
+            if own is not None:
+                try:
+                    return own(name)
+                except AttributeError:
+                    pass
+            return moved_name(fullname, name)
+
+        vars(module)["__getattr__"] = find
+
+    spec.loader.exec_module = exec_module
+    return spec
 
 
 def install() -> None:

@@ -108,9 +108,11 @@ class Registry(Generic[Value]):
             ConfigurationError: Two packages bring it, or the package that brings it is broken or does not fit.
         """
         self._add_installed()
+        # Names come from command lines and files, and may be anything.
         if not isinstance(name, str) or name not in self._loads:
             self._warnings.clear()  # the error names all of them
             raise UnknownNameError(self.kind, name, self._unique_names(), note=self.note)
+        # Neither package's value is used: which of the two would otherwise depend on the order of installation.
         if name in self._twice:
             self._warnings.clear()
             raise ConfigurationError(self._twice[name])
@@ -142,6 +144,7 @@ class Registry(Generic[Value]):
         """Add the values of installed packages, once."""
         if self._installed:
             return
+        # Set before the entry points are read: a plugin that asks the registry while it loads must not start again.
         self._installed = True
         warn_of_copies("orbit-core")
         for point in importlib_metadata.entry_points(group=self.group):
@@ -156,6 +159,7 @@ class Registry(Generic[Value]):
     def _read(self, point: EntryPoint, origin: _Origin) -> None:
         """Call an entry point that adds its values: all of them are added, or none."""
         assert self._read_point is not None
+        # Collected apart, so that a package that fails halfway leaves nothing behind.
         self._adding = origin, {}
         try:
             check_distribution(origin.distribution)
@@ -178,6 +182,7 @@ class Registry(Generic[Value]):
             clash = self._clash(name, first, origin)
             if first is not _PROGRAM:
                 self._twice[name] = clash
+            # A program that registers a name itself means to replace what a package brings.
             used = "the former is used" if first is _PROGRAM else "neither is used"
             self._warnings.append(f"{clash}; {used}")
 

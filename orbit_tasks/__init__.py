@@ -32,7 +32,12 @@ if TYPE_CHECKING:
     from orbit_tasks.room_reorganization import RoomReorganization
     from orbit_tasks.rope_reshaping import RopeReshaping
     from orbit_tasks.running import Ant, Humanoid
+    from orbit_tasks.soft_dropping import SoftDropping
+    from orbit_tasks.soft_lifting import SoftLifting
+    from orbit_tasks.soft_placing import SoftPlacing
+    from orbit_tasks.soft_stacking import SoftStacking
     from orbit_tasks.stack_pyramid import Stack, StackPyramid
+    from orbit_tasks.tower_of_hanoi import TowerOfHanoi
     from orbit_tasks.velocity_flat import VelocityFlat
     from orbit_tasks.velocity_rough import VelocityRough
 
@@ -63,8 +68,13 @@ __all__ = [
     "Recover",
     "RoomReorganization",
     "RopeReshaping",
+    "SoftDropping",
+    "SoftLifting",
+    "SoftPlacing",
+    "SoftStacking",
     "Stack",
     "StackPyramid",
+    "TowerOfHanoi",
     "VelocityFlat",
     "VelocityRough",
     "register",
@@ -103,10 +113,15 @@ __getattr__, __dir__ = lazy_names(
             "Ant",
             "Humanoid",
         ),
+        "soft_dropping": ("SoftDropping",),
+        "soft_lifting": ("SoftLifting",),
+        "soft_placing": ("SoftPlacing",),
+        "soft_stacking": ("SoftStacking",),
         "stack_pyramid": (
             "Stack",
             "StackPyramid",
         ),
+        "tower_of_hanoi": ("TowerOfHanoi",),
         "velocity_flat": ("VelocityFlat",),
         "velocity_rough": ("VelocityRough",),
     },
@@ -176,6 +191,16 @@ def register(registry: TaskRegistry) -> None:
     )
     registry.add(
         "Soft-Lifting", "Lift a soft block from the table to a sampled position", "orbit_tasks.soft_lifting:SoftLifting"
+    )
+    registry.add("Soft-Stacking", "Put one soft block on another", "orbit_tasks.soft_stacking:SoftStacking")
+    registry.add(
+        "Soft-Placing", "Put a soft block on a pad, turned as the pad is", "orbit_tasks.soft_placing:SoftPlacing"
+    )
+    registry.add("Soft-Dropping", "Drop a soft block into a container", "orbit_tasks.soft_dropping:SoftDropping")
+    registry.add(
+        "Tower-Of-Hanoi",
+        "Put three soft rings round a rod, in decreasing size",
+        "orbit_tasks.tower_of_hanoi:TowerOfHanoi",
     )
     registry.add("Cartpole-Balance", "Keep a pole standing on a cart", "orbit_tasks.cartpole:CartpoleBalance")
     registry.add("Cartpole-Swing-Up", "Swing a hanging pole up on a cart", "orbit_tasks.cartpole:CartpoleSwingUp")

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
 from orbit_assets.objects import BENCH_HEIGHT, work_bench
-from orbit_assets.rods import Course, bent_rod, ring_on_handle, spline
+from orbit_assets.pegs import Course, bent_rod, ring_on_handle, spline
 from orbit_core.dynamics.transforms import (
     pose_inverse,
     pose_multiply,
@@ -37,6 +37,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common, randomize
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import held
 
@@ -273,7 +274,7 @@ class BeatTheBuzz(Task):
     def scene(self) -> Scene:
         self.bound(penalty=(0.0, 1e3))
         ring = ring_on_handle(RING, RADIUS, BAR, REACH)
-        robot = held.with_tool(common.arm(self.robot, gripper=False), ring, f"{RING}_middle")
+        robot = held.with_tool(task_robots.arm(self.robot, gripper=False), ring, f"{RING}_middle")
         box = common.placed_workspace(robot)
         course = course_of(self.rod)
         place = (0.5 * (box.low[0] + box.high[0]), 0.5 * (box.low[1] + box.high[1]), HEIGHT)

@@ -30,6 +30,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformScalarCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, RobotSpec, Scene, look_at
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 
 DRAWER = "drawer_joint"
@@ -88,6 +89,7 @@ def place_cabinet(env: Environment[Cabinet], env_ids: Tensor) -> None:
     """Place the cabinet up to 5 cm off its place each way, turned by up to 0.1 rad."""
     u = 2.0 * env.world.random.uniform((3,), env_ids=env_ids) - 1.0
     cabinet = env.world.objects["cabinet"]
+    # Not raised or lowered: the cabinet stands on its plinth.
     zero = torch.zeros_like(u[:, 0])
     nominal = torch.tensor(cabinet.spec.pose.position, device=env.device)
     position = nominal + torch.stack((0.05 * u[:, 0], 0.05 * u[:, 1], zero), dim=1)
@@ -243,7 +245,7 @@ class Cabinet(Task):
     commands: CabinetCommands = field(default_factory=CabinetCommands)
 
     def scene(self) -> Scene:
-        return self.scene_with(common.arm(self.robot), PLINTH)
+        return self.scene_with(task_robots.arm(self.robot), PLINTH)
 
     def scene_with(self, robot: RobotSpec, plinth: float) -> Scene:
         """The cabinet before a robot, on a plinth of that height in metres."""

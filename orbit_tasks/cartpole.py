@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot
 from orbit_core.actions import ActionTerms, JointEffortConfig
 from orbit_core.actions.joints import JointEffort
 from orbit_core.envs import (
@@ -33,7 +34,6 @@ from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
-from orbit_core.robots import robot
 from orbit_core.scene import RobotSpec, Scene, look_at
 
 SLIDER, HINGE = "slider", "hinge"

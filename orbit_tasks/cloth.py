@@ -20,6 +20,7 @@ from orbit_core.interfaces.layout import gripper_positions
 from orbit_core.mdp import common
 from orbit_core.scene import Cloth, MarkerSpec, ObjectSpec, PhysicsMaterial, Pose, Scene
 from orbit_core.scene.pose import Vector3
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Phase
 from orbit_tasks.mdp import matter
 
@@ -68,7 +69,7 @@ class ClothTask(Task):
     def on_bench(self, cloth: Cloth, *objects: ObjectSpec, markers: tuple[MarkerSpec, ...] = ()) -> Scene:
         """The robot at the work bench, with the cloth and those objects on it."""
         return Scene(
-            robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
+            robots=(matter.with_grip_force(task_robots.arm(self.robot), self.grip_force),),
             objects=(work_bench(), *objects),
             deformables=(cloth,),
             terrain=(common.floor(-BENCH_HEIGHT),),

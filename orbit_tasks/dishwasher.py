@@ -32,6 +32,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformScalarCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import held
 
@@ -93,6 +94,7 @@ def door_open(env: Environment[Dishwasher]) -> Tensor:
 @once_per_state
 def rack_lacks(env: Environment[Dishwasher]) -> Tensor:
     """(N,) metres between the rack and where it should be; while the door is not open, all of the way."""
+    # All of it while the door is shut, so that pulling at a rack behind it earns nothing.
     return torch.where(door_open(env), (env.commands["goal"][:, 0] - rack(env)).abs(), env.commands["goal"][:, 0])
 
 
@@ -118,6 +120,7 @@ def reaching(env: Environment[Dishwasher]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to behind the bar that is to be pulled next."""
     behind = torch.stack((hook(DOOR_BAR)(env), hook(RACK_BAR)(env)), dim=1)[..., :3]
     distance = vector_norm(behind - common.hand_pose(env)[:, None, :3], dim=2)
+    # One bar at a time: a hand between both would otherwise earn from each.
     return common.nearness(torch.where(door_open(env), distance[:, 1], distance[:, 0]), 0.15)
 
 
@@ -155,6 +158,7 @@ def hook(bar: str, height: float = -DEEP, behind: float = BEHIND) -> TermFunctio
 def pull_door(env: Environment[Dishwasher]) -> Tensor:
     """(N, 7) the hand a little further on the bar's way than the door is open, and no further than to let go."""
     thing, into = env.world.objects[THING], inward(env)
+    # Ahead of the door, so that the hand pulls it along.
     angle = (door(env) + 0.25).clamp(max=LET_GO + 0.05)[:, None]
     up = torch.eye(3, device=env.device)[2]
     hinge = thing.root_pose[:, :3] + FRONT * into + HINGE * up
@@ -279,7 +283,7 @@ class Dishwasher(Task):
 
     def scene(self) -> Scene:
         self.bound(door_goal=(0.1, 1.45), tolerance=(1e-6, 0.1))
-        robot = common.arm(self.robot)
+        robot = task_robots.arm(self.robot)
         box = common.placed_workspace(robot)
         # The door's bar as far as the hand reaches: it comes nearer by its height, and the rack's by a hand's breadth.
         pose = Pose((box.high[0] - 0.03 - FRONT, 0.5 * (box.low[1] + box.high[1]), 0.0))

@@ -72,6 +72,7 @@ def at_staff(height: float):
 
     def pose(env: Environment[FlagHoisting]) -> Tensor:
         staff = env.world.objects[STAFF].root_pose
+        # The staff turns about the vertical only as long as it is on the tray.
         yaw = 2.0 * torch.atan2(staff[:, 6], staff[:, 3])
         position = torch.cat((staff[:, :2], torch.full_like(staff[:, :1], height)), dim=1)
         return torch.cat((position, common.facing_down(yaw)), dim=1)
@@ -182,6 +183,7 @@ class FlagHoisting(cloth.ClothTask):
     commands: FlagHoistingCommands = field(default_factory=FlagHoistingCommands)
 
     def scene(self) -> Scene:
+        # The last row of the grid of particles, which is numbered row by row.
         edge = tuple(range(self.particles * (self.particles - 1), self.particles**2))
         flag = self.cloth((0.45, -0.05, TRAY))
         flag = replace(flag, attachments=(Attachment(edge, STAFF, STAFF),), color=(0.85, 0.65, 0.2, 1.0))
@@ -208,6 +210,7 @@ class FlagHoisting(cloth.ClothTask):
         phases = (
             Phase(at_staff(height + 0.1), position_tolerance=0.02, free=True),
             Phase(at_staff(height), position_tolerance=0.004, timeout=1.2),
+            # Fingers that are still closing would lift without the staff.
             Phase(at_staff(height), gripper_open=False, dwell=closing, timeout=closing),
             Phase(cloth.here(cloth.CARRIED), gripper_open=False, position_tolerance=0.03, timeout=1.2),
             Phase(at_goal, gripper_open=False),

@@ -30,6 +30,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformPositionCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, tabletop
 
@@ -73,6 +74,7 @@ def rod_pose(env: Environment[Handover]) -> Tensor:
 def rod_direction(env: Environment[Handover, HandoverMemory]) -> Tensor:
     """(N, 3) unit vector along the rod, from the giver's side to the receiver's."""
     along = quat_rotate(rod_pose(env)[:, 3:], env.state.along)
+    # A rod has no front: its direction is chosen so that each arm always takes the same end.
     return torch.where(along[:, :1] < 0.0, -along, along)
 
 
@@ -86,7 +88,7 @@ def grip(env: Environment[Handover], agent: str) -> Tensor:
 @once_per_state
 def hand_to_grip(env: Environment[Handover], agent: str) -> Tensor:
     """(N, 3) from that agent's hand to where it holds the rod."""
-    return grip(env, agent) - common.hand_pose(env, agent)[:, :3]
+    return grip(env, agent) - common.hand_position(env, agent)
 
 
 @once_per_state
@@ -110,13 +112,16 @@ def lifted(env: Environment[Handover]) -> Tensor:
 @once_per_state
 def received(env: Environment[Handover]) -> Tensor:
     """(N,) 1 where the rod is off the table and beyond the middle, where the receiver alone can have brought it."""
+    # By a grip beyond the middle, where the giver's hand would have to be past the place of the handover.
     beyond = rod_pose(env)[:, 0] > 0.5 * env.task.spacing + GRIP
+    # Off the table as well, because a rod that was pushed across has not been handed over.
     return lifted(env) * beyond.float()
 
 
 def reaching(env: Environment[Handover], agent: str) -> Tensor:
     """(N,) in [0, 1]: how near that agent's hand is to where it holds the rod; for the giver, 1 once it has given."""
     near = common.nearness(vector_norm(hand_to_grip(env, agent), dim=1), 0.1)
+    # The giver keeps its reward once it has given; otherwise it would hold on to the rod.
     return torch.maximum(near, received(env)) if agent == GIVER else near * lifted(env)
 
 
@@ -165,7 +170,7 @@ def carried(agent: str, goal: TermFunction) -> TermFunction:
 
     def target(env: Environment[Handover]) -> Tensor:
         wanted = goal(env)
-        position = wanted + common.hand_pose(env, agent)[:, :3] - rod_pose(env)[:, :3]
+        position = wanted + common.hand_position(env, agent) - rod_pose(env)[:, :3]
         return torch.cat((position, _facing_down(agent, torch.zeros_like(wanted[:, 0]))), dim=1)
 
     return target
@@ -278,7 +283,10 @@ class Handover(tabletop.TabletopTask):
         bench = table("table", size=(self.spacing + 0.6, 1.4, BENCH_HEIGHT), pose=middle)
         facing_giver = Pose((self.spacing, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         return Scene(
-            robots=(common.arm(self.robot, agent=GIVER), common.arm(self.robot, agent=RECEIVER, pose=facing_giver)),
+            robots=(
+                task_robots.arm(self.robot, agent=GIVER),
+                task_robots.arm(self.robot, agent=RECEIVER, pose=facing_giver),
+            ),
             objects=(rod, bench),
             terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),

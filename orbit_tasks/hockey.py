@@ -21,6 +21,7 @@ from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import held, premises, tabletop
 
@@ -44,6 +45,7 @@ class HockeyMemory(tabletop.TabletopMemory):
     """(N,) metres, the shortest distance in the episode."""
 
     def update(self, env: Environment[Hockey]) -> None:
+        # The least of the episode, because a puck that bounces out again was nearer before.
         self.nearest.copy_(torch.minimum(self.nearest, distance(env)))
         position, velocity = net_at(env, env.step_dt)
         env.world.robots["net"].set_position_targets(position[:, None])
@@ -79,6 +81,7 @@ def puck_to_inside(env: Environment[Hockey]) -> Tensor:
     """(N, 3) the shortest way on the ice on which the whole puck comes behind the line, between the posts."""
     puck, line = puck_position(env), net_position(env)
     aside = 0.5 * WIDTH - RADIUS
+    # Less a radius at the line and the sides: the whole puck must be inside.
     x = puck[:, 0].clamp(line[:, 0] + RADIUS, line[:, 0] + DEPTH)
     y = torch.clamp(puck[:, 1], line[:, 1] - aside, line[:, 1] + aside)
     return torch.stack((x, y, puck[:, 2]), dim=1) - puck
@@ -154,6 +157,7 @@ def behind(back: float, height: float) -> TermFunction:
 def follow_through(env: Environment[Hockey]) -> Tensor:
     """(N, 7) the blade well beyond the puck on its way to the net, but 3 cm behind the line at most."""
     position = puck_position(env) + 0.15 * aim(env)
+    # Not further than just beyond the line, where the stick would hit the net.
     limit = net_position(env)[:, 0] + 0.03
     return _facing(env, torch.cat((torch.minimum(position[:, 0], limit)[:, None], position[:, 1:]), 1), STRIKE)
 
@@ -246,7 +250,7 @@ class Hockey(tabletop.TabletopTask):
         return ("puck",)
 
     def scene(self) -> Scene:
-        robot = held.with_tool(common.arm(self.robot, gripper=False), stick(), "blade")
+        robot = held.with_tool(task_robots.arm(self.robot, gripper=False), stick(), "blade")
         near, line = common.workspace_of(robot).low[0], common.workspace_of(robot).high[0] + 0.08
         end = line + DEPTH + 0.05
         ice = (end - near + 0.1, 1.0, THICKNESS)

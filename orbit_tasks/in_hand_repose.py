@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
+from orbit_assets.catalogue import robot
 from orbit_assets.object_kinds import BoxConfig
 from orbit_core.dynamics import transforms
 from orbit_core.envs import (
@@ -36,7 +37,6 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformOrientationCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
-from orbit_core.robots import robot
 from orbit_core.scene import MarkerSpec, Pose, RobotSpec, Scene, look_at
 from orbit_core.scene.pose import Vector3
 
@@ -87,6 +87,7 @@ class HandMemory(TaskState):
         self.beside = self.place + torch.tensor((0.15, 0.0, 0.05), device=env.device)
 
     def update(self, env: Environment[InHandRepose]) -> None:
+        # Kept before the goal changes, because rewards and metrics judge the goal that was pursued.
         self.distance.copy_(rotation_distance(env))
         torch.lt(self.distance, env.task.tolerance, out=self.reached)
         self.count += self.reached
@@ -95,6 +96,7 @@ class HandMemory(TaskState):
 def object_pose(env: Environment[InHandRepose, HandMemory]) -> Tensor:
     """(N, 7) from the place above the palm where the object starts."""
     pose = env.world.objects[OBJECT].root_pose
+    # Relative to the palm, so that one policy serves hands that are mounted at different heights.
     return torch.cat((pose[:, :3] - env.state.place, pose[:, 3:]), dim=1)
 
 
@@ -133,6 +135,7 @@ def dropped(env: Environment[InHandRepose]) -> Tensor:
 
 def place_object(env: Environment[InHandRepose, HandMemory], env_ids: Tensor) -> None:
     """Place the object above the palm, within 5 mm and turned anyhow; it falls into the fingers."""
+    # Small, because the fingers catch what falls on the palm's middle, and not what falls on its edge.
     offset = env.world.random.uniform((3,), -0.005, 0.005, env_ids)
     pose = torch.cat((env.state.place + offset, common.random_rotations(env.world, env_ids)), dim=1)
     env.world.objects[OBJECT].set_root_pose(pose, env_ids)
@@ -183,6 +186,7 @@ class HandRewards:
     """Rewards of an orientation near the goal and of each goal that is reached, less what slips or hurries."""
 
     turned: RewardTerm | None = RewardTerm(lambda env: 1.0 / (env.state.distance + 0.1), 1.0)
+    # As in Isaac Gym's task: a goal takes many steps, at each of which nearness is paid.
     reached: RewardTerm | None = RewardTerm(lambda env: env.state.reached.float(), 250.0)
     slipped: RewardTerm | None = RewardTerm(slipped, -10.0)
     action: RewardTerm | None = RewardTerm(common.action_size, -1e-3)
@@ -259,6 +263,7 @@ class InHandRepose(Task):
     def scene(self) -> Scene:
         self.bound(tolerance=(1e-3, torch.pi), goals=(1, 1000))
         item = self.object.build(OBJECT, Pose((0.0, 0.0, 1.0)))
+        # Refused here: it would hang in the air above the palm, and every episode would run to its end.
         if item.fixed_base:
             raise ConfigurationError(
                 f"field 'object' of task In-Hand-Repose is a '{self.object.name}' whose base is fixed, which no hand "

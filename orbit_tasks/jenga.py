@@ -20,6 +20,7 @@ from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import Color, PhysicsMaterial, Pose, RobotSpec, Scene, look_at
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking, tabletop
 
@@ -280,7 +281,7 @@ class Jenga(tabletop.TabletopTask):
         self.bound(
             layers=(7, 16), protrusion=(0.02, 0.05), slack=(0.0, 0.003), tolerance=(1e-6, 0.05), penalty=(0.0, 1e3)
         )
-        at = distance_of_tower(robot := common.arm(self.robot))
+        at = distance_of_tower(robot := task_robots.arm(self.robot))
         middle = Pose((at, 0.0, 0.5 * PLINTH))
         plinth = box("plinth", (0.2, 0.2, PLINTH), fixed_base=True, material=SMOOTH, pose=middle)
         looser = (*SIZE[:2], SIZE[2] - self.slack)

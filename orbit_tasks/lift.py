@@ -34,6 +34,7 @@ from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
 from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene
 from orbit_core.scene.pose import Vector3
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import picking
 from orbit_tasks.pixels import ArmPixels
@@ -75,7 +76,7 @@ def cube_height(env: Environment[Lift, LiftMemory]) -> Tensor:
 @once_per_state
 def hand_to_cube(env: Environment[Lift]) -> Tensor:
     """(N, 3) from the hand to the cube."""
-    return cube_position(env) - common.hand_pose(env)[:, :3]
+    return cube_position(env) - common.hand_position(env)
 
 
 @once_per_state
@@ -97,6 +98,7 @@ def reaching(env: Environment[Lift]) -> Tensor:
 @once_per_state
 def lifted(env: Environment[Lift, LiftMemory]) -> Tensor:
     """(N,) 1 where the cube is off the table, else 0."""
+    # By its own half height: a cube that is tilted on an edge is lower than that.
     return (cube_height(env) > 2.0 * env.state.rest_height).float()
 
 
@@ -272,7 +274,7 @@ class Lift(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(common.arm(self.robot),),
+            robots=(task_robots.arm(self.robot),),
             objects=(self.cube_at((0.5, 0.0, 0.0)), work_bench()),
             terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(GOAL,),

@@ -9,6 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot, robot_names
 from orbit_core.actions import ActionTerm, MotionGenerator, preset_terms
 from orbit_core.actions.base import JointTarget
 from orbit_core.actions.embodiment import leg_joints
@@ -16,10 +17,9 @@ from orbit_core.actions.mobile_base import ROUNDING
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.pretrained import policy_path
-from orbit_core.robots import robot, robot_names
 from orbit_core.scene import RobotSpec
 from orbit_learn.policy import Policy, load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_tasks.walking import COMMAND, JOINT_READINGS, LAST_ACTION, READINGS, carries_arm
 
 # 1/s: the velocity that an expert asks for, over the displacement that is left.
@@ -102,17 +102,21 @@ class Locomotion(MotionGenerator):
             )
         self._every = max(slower, 1)
         if faster > 1:
+            # The policy acts several times within a control step: a servo asks it between physics steps.
             self._each = round(steps)
             world.add_servo(self._turn)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
+        # More than rounding beyond one: callers that compute their commands reach the limit by a last bit too much.
         self.clamped += command.abs().amax(1) > 1.0 + ROUNDING
         self._velocity.copy_(command.clamp(-1.0, 1.0) * self._limits)
+        # A command begins a period, and the first turn is taken at once below.
         self._since = 0
         if self._every == 1:
             self._legs_command.copy_(self._asked())
         else:
+            # Counted for each environment, because a reset begins a new period there only.
             due = (self._waited % self._every == 0).unsqueeze(1)
             self._legs_command.copy_(torch.where(due, self._asked(), self._legs_command))
             self._waited.add_(1)
@@ -181,6 +185,7 @@ class Locomotion(MotionGenerator):
 
     def _check_joints(self, learned: str, source: str) -> None:
         """Refuse the policy of a robot that has none of these joints; nothing is known of one that is not installed."""
+        # The file names a robot of a package that is not here; joint counts are checked all the same.
         if learned not in robot_names():
             return
         known, own = robot(learned).articulation.joint_names, [self.robot.joint_names[joint] for joint in self.joints]

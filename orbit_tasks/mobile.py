@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_assets.audit.geometry import shape_points
+from orbit_assets.audit.checks import shape_points
 from orbit_core.actions import ActionTerm, preset_terms
 from orbit_core.actions.embodiment import arm_joints_of
 from orbit_core.dynamics.transforms import quat_rotate
@@ -19,6 +19,7 @@ from orbit_core.envs.terms import POSE, EventFunction, TermFunction, measured_in
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
 from orbit_core.scene import RobotSpec
+from orbit_motion import workspace as task_robots
 from orbit_tasks.locomotion import LocomotionConfig
 
 # The action term that moves a walking robot; other bases' terms are of that name too.
@@ -32,7 +33,7 @@ def mobile(name: str, gripper: bool = True) -> RobotSpec:
         UnknownNameError: there is none of that name.
         ConfigurationError: it has no base that moves, no arm, or no gripper where one is needed.
     """
-    spec = common.arm(name, gripper)
+    spec = task_robots.arm(name, gripper)
     if spec.planar_base is None and spec.differential_base is None and not spec.feet:
         raise ConfigurationError(
             f"robot '{name}' has no base that moves, which this task needs: mount it on one, as in 'base_omni+{name}', "
@@ -60,6 +61,7 @@ def stand_at(world: World, place: Tensor, env_ids: Tensor) -> None:
     """Put the robot's base to places (n, 3), x and y in m and heading in rad, its joints where they are."""
     robot = common.robot_of(world)
     base = robot.spec.planar_base
+    # A planar base is three joints of the robot, and only other bases move with the root.
     if base is not None:
         robot.set_joint_state(place, joints=robot.find_joints(base.x, base.y, base.yaw), env_ids=env_ids)
         return
@@ -87,6 +89,7 @@ def start_in_ring(middle: tuple[float, float], radii: tuple[float, float], sprea
         around(env, env_ids)
         bounds = (radii[0], -math.pi, -math.pi), (radii[1], math.pi, math.pi)
         distance, bearing, heading = env.world.random.uniform((3,), *bounds, env_ids).unbind(1)
+        # Distance and bearing are drawn evenly, so that near places are as frequent as far ones.
         x, y = middle[0] + distance * bearing.cos(), middle[1] + distance * bearing.sin()
         stand_at(env.world, torch.stack((x, y, heading), 1), env_ids)
 
@@ -103,6 +106,7 @@ def base_radius(robot: RobotSpec) -> float:
     clouds = [cloud for shape in link.collisions if len(cloud := shape_points(shape))]
     if not clouds:
         raise ConfigurationError(f"the base of robot '{robot.name}' has no shapes that could be kept off things")
+    # A circle, because a base turns on its way, and its corners must then be free as well.
     return max(float(np.linalg.norm(cloud[:, :2], axis=1).max()) for cloud in clouds)
 
 
@@ -130,7 +134,7 @@ def near_to(target: TermFunction, scale: float) -> TermFunction:
     centimetres."""
 
     def near(env: Environment) -> Tensor:
-        way = target(env)[:, :3] - common.hand_pose(env)[:, :3]
+        way = target(env)[:, :3] - common.hand_position(env)
         return common.nearness(torch.linalg.vector_norm(way, dim=1), scale)
 
     return near

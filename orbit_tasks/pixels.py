@@ -10,7 +10,7 @@ from orbit_core.envs import Environment, ObservationGroup, ObservationTerm
 from orbit_core.envs.task import ROBOT
 from orbit_core.envs.terms import measured_in
 from orbit_core.mdp import common
-from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
+from orbit_core.mdp.sensing import camera_color, camera_depth, camera_segmentation
 from orbit_core.scene import END_EFFECTOR, CameraSpec, Channel, look_at
 
 # Pixels, both ways.

@@ -28,6 +28,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformPoseCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mobile import sag_rate
 from orbit_tasks.pixels import ArmPixels
@@ -147,7 +148,8 @@ class Reach(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(common.arm(self.robot, gripper=False, room=(0.0, 0.0, 0.0)),),
+            # A workspace of any size will do: goals are drawn within what the arm reaches.
+            robots=(task_robots.arm(self.robot, gripper=False, room=(0.0, 0.0, 0.0)),),
             objects=(work_bench(),),
             terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),
@@ -169,5 +171,6 @@ class Reach(Task):
         return {"position_error_m": position_error(env), "rotation_error_rad": rotation_error(env)}
 
     def expert(self, env: Environment) -> Expert:
+        # One phase that never ends: the goal stays, and success is judged at the episode's end.
         goal = Phase(generated_command("goal"), free=True)
         return Expert(env, (goal,), sag_rate=sag_rate(env.world))

@@ -22,6 +22,7 @@ from orbit_core.interfaces import Node, Port
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Scene, look_at
+from orbit_motion import workspace as task_robots
 from orbit_tasks import walking
 from orbit_tasks.trunk import angular_velocity, projected_gravity
 
@@ -43,6 +44,7 @@ class RecoverMemory(walking.SpeedLimited):
 @once_per_state
 def tilt(env: Environment[Recover]) -> Tensor:
     """(N,) rad between the trunk's upward axis and the vertical."""
+    # Clamped: rounding beyond one would make the angle NaN.
     return torch.acos((-projected_gravity(env)[:, 2]).clamp(-1.0, 1.0))
 
 
@@ -66,6 +68,7 @@ def upright(env: Environment[Recover]) -> Tensor:
 
 def raised(env: Environment[Recover]) -> Tensor:
     """(N,) 0 to 1: how high the trunk is, where it is upright."""
+    # Squared, so that height counts little until the trunk is nearly upright; jumping higher earns nothing.
     return upright(env).square() * height(env).clamp(0.0, 1.0)
 
 
@@ -83,11 +86,13 @@ def drop(env: Environment[Recover, RecoverMemory], env_ids: Tensor) -> None:
     """Drop the robot in any orientation and any posture."""
     robot = common.robot_of(env.world)
     pose = torch.zeros(len(env_ids), 7, device=env.device)
+    # Higher than at home, because stretched legs reach further down than bent ones.
     pose[:, 2] = _FALL * env.state.home_height
     pose[:, 3:] = common.random_rotations(env.world, env_ids)
     robot.set_root_pose(pose, env_ids)
     low, high = robot.position_limits.unbind(1)
     home = robot.home_positions
+    # Half a turn around home at most: limits of joints that turn without end are no range to draw from.
     reach = (high - low).clamp_max(torch.pi)
     low, high = low.maximum(home - 0.5 * reach), high.minimum(home + 0.5 * reach)
     share = env.world.random.uniform((len(robot.joint_names),), env_ids=env_ids)
@@ -192,7 +197,7 @@ class Recover(Task):
     events: RecoverEvents = field(default_factory=RecoverEvents)
 
     def scene(self) -> Scene:
-        robot = walking.scaled(common.legged(self.robot), self.action_scale)
+        robot = walking.scaled(task_robots.legged(self.robot), self.action_scale)
         return Scene(robots=(robot,), terrain=(common.floor(),), physics_dt=self.physics_dt)
 
     def randomize(self) -> None:

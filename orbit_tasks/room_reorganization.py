@@ -99,6 +99,7 @@ def reaching(env: Environment[RoomReorganization]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the first thing that is not in its place; 1 where all are."""
     away = vector_norm(positions(env) - common.hand_pose(env)[:, None, :3], dim=2)
     done = in_place(env)
+    # The first zero; where all are done the result is replaced below.
     first = done.long().argmin(1, keepdim=True)
     return torch.where(done.all(1), 1.0, common.nearness(away.gather(1, first).squeeze(1), 0.5))
 
@@ -107,6 +108,7 @@ def place_things(env: Environment[RoomReorganization, RoomMemory], env_ids: Tens
     """Draw the room, in which slot of desk and sideboard each thing stands, a little off and turned, and its place."""
     room.place_furniture(env.world, env_ids)
     slots = [(piece, y) for piece in (room.DESK, room.SIDEBOARD) for y in piece.slots]
+    # Sorting random numbers gives a permutation for each environment in one operation.
     taken = env.world.random.uniform((len(slots),), env_ids=env_ids).argsort(1)
     order = env.world.random.uniform((len(THINGS),), env_ids=env_ids).argsort(1)
     stands = torch.stack([_stand(env, piece, y, env_ids) for piece, y in slots], 1)
@@ -260,6 +262,7 @@ def tidying(world: World, number: int, surface: float) -> tuple[Phase, ...]:
         thing, facing = env.world.objects[name].root_pose, env.state.docks[:, number, 0, 2]
         turned = 2.0 * torch.atan2(thing[:, 6], thing[:, 3]) - facing
         quarter = 0.5 * math.pi
+        # Things are square or round: of four equal grasps the one that needs the least turn of the wrist.
         yaw = facing + turned - quarter * torch.round(turned / quarter)
         return torch.cat((thing[:, :3], common.facing_down(yaw)), 1)
 

@@ -20,6 +20,7 @@ from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import KeyPoint, MarkerShape, MarkerSpec, Pose, Rope, Scene, look_at
+from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mdp import matter
 
@@ -97,6 +98,7 @@ def _bent(points: Tensor, angle: Tensor) -> Tensor:
     """(n, 5, 3) with those behind the middle turned about it by an angle (n,)."""
     middle = points[:, KEY_POINTS // 2 : KEY_POINTS // 2 + 1]
     turned = middle + _turn(points - middle, angle[:, None])
+    # The middle itself stays: it is what the half turns about.
     behind = torch.arange(KEY_POINTS, device=points.device) > KEY_POINTS // 2
     return torch.where(behind[:, None], turned, points)
 
@@ -232,13 +234,14 @@ class RopeReshaping(Task):
 
     def scene(self) -> Scene:
         points = line(self.length, self.particles)
+        # Not the very ends, so that fingers around the last key point hold rope on both sides.
         places = torch.linspace(1, self.particles - 2, KEY_POINTS).round().int().tolist()
         named = tuple(KeyPoint(f"point{number}", (place,)) for number, place in enumerate(places))
         pose = Pose.from_euler(0.0, 0.0, 0.5 * math.pi, (0.5, 0.0, self.radius))
         rope = Rope(ROPE, points, 0.15, pose, self.radius, bending_stiffness=5e-4, friction=0.8, key_points=named)
         markers = (MarkerSpec(f"goal{number}", MarkerShape.SPHERE, size=0.02) for number in range(KEY_POINTS))
         return Scene(
-            robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
+            robots=(matter.with_grip_force(task_robots.arm(self.robot), self.grip_force),),
             objects=(work_bench(),),
             deformables=(rope,),
             terrain=(common.floor(-BENCH_HEIGHT),),
@@ -272,6 +275,7 @@ class RopeReshaping(Task):
                 Phase(around, position_tolerance=0.005, timeout=1.2),
                 Phase(around, gripper_open=False, dwell=0.4, timeout=0.4),
                 *(Phase(lead(part), False, position_tolerance=0.015, timeout=1.0) for part in WAYPOINTS),
+                # Tolerances that are always met: the hand only opens here, and waits until the rope is free.
                 Phase(lead(1.0), position_tolerance=1.0, rotation_tolerance=4.0, dwell=0.3),
                 Phase(above),
             ),

@@ -30,6 +30,7 @@ from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Scene, look_at
+from orbit_motion import workspace as task_robots
 from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
 
@@ -45,6 +46,7 @@ class RunningMemory(TaskState):
 
 def mean_speed(env: Environment[Any, RunningMemory]) -> Tensor:
     """(N,) m/s along x in the episode so far."""
+    # At least one step, because metrics are also read before the first.
     return env.state.way / (env.state.episode_step.clamp_min(1) * env.step_dt)
 
 
@@ -61,6 +63,7 @@ def heading(env: Environment[Running]) -> Tensor:
     pose = common.robot_of(env.world).root_pose
     ahead = torch.zeros_like(pose[:, :3])
     ahead[:, 0] = 1.0
+    # Normalised, because a trunk that leans forward projects to less than one.
     return torch.nn.functional.normalize(quat_rotate(pose[:, 3:], ahead)[:, :2], dim=1)
 
 
@@ -180,7 +183,7 @@ class Running(Task):
     events: RunningEvents = field(default_factory=RunningEvents)
 
     def scene(self) -> Scene:
-        return Scene(robots=(common.legged(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
+        return Scene(robots=(task_robots.legged(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
 
     def randomize(self) -> None:
         """All masses, the ground's friction, and noise on what a real robot estimates."""
@@ -219,6 +222,7 @@ class Humanoid(Running):
     robot: str = "humanoid"
     least_height: float = 0.9
     least_speed: float = 1.0
+    # More for staying up than the Ant gets: two legs fall sooner than four.
     rewards: RunningRewards = field(default_factory=lambda: RunningRewards(alive=RewardTerm(alive, 2.0)))
     metadata: TaskMetadata = replace(
         Running.metadata,

@@ -52,6 +52,7 @@ class VelocityMemory(biped.WalkingMemory):
 
 def mean_errors(env: Environment[Any, VelocityMemory]) -> Tensor:
     """(N, 2) m/s and rad/s, over the episode so far."""
+    # Terms are evaluated after a step, when at least one has been counted.
     return env.state.errors / env.state.episode_step[:, None]
 
 
@@ -102,7 +103,9 @@ def tilt(env: Environment[VelocityFlat]) -> Tensor:
 @once_per_state
 def fallen(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) the trunk touches something, or leans by more than 60 degrees."""
+    # Squares are compared, which saves a root; a newton is far above rounding and far below a fall.
     touching = biped.contacts_of(env.world).forces[:, 0].square().sum(1) > 1.0
+    # Minus one upright: beyond a half the trunk leans by more than 60 degrees.
     return touching | (projected_gravity(env)[:, 2] > -0.5)
 
 
@@ -240,6 +243,7 @@ class VelocityFlat(Task):
 
     def scene(self) -> Scene:
         robot = walking.walker(self.robot, self.action_scale)
+        # Here, because the number of feet is known once the robot is.
         biped.suited(self.rewards, len(robot.feet))
         return Scene(
             robots=(robot,),
@@ -261,6 +265,7 @@ class VelocityFlat(Task):
         event = randomize.friction((common.ROBOT, randomize.TERRAIN), friction)
         self.events.friction = EventTerm(event, EventTime.STARTUP)
         self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        # Pushes grow with the curriculum: a robot that cannot stand yet learns nothing from falling.
         push = randomize.push(common.ROBOT, Range(0.0, 0.7, easy=0.0))
         self.events.push = EventTerm(push, EventTime.INTERVAL, interval=(3.0, 6.0))
         common.add_noise(

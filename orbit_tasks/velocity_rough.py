@@ -29,7 +29,7 @@ from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import HeadingVelocityCommand
-from orbit_core.mdp.scans import height_scan
+from orbit_core.mdp.sensing import height_scan
 from orbit_core.scene import Pose, RayCasterSpec, Scene, look_at
 from orbit_core.sensors import grid_pattern
 from orbit_tasks.biped import contacts_of

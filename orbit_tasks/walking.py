@@ -19,6 +19,7 @@ from orbit_core.interfaces import Robot, World, match_names
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
 from orbit_core.scene import ActuatorConfig, RobotSpec
+from orbit_motion import workspace as task_robots
 
 # rad from home for one unit of action. On one leg a robot's weight takes targets far beyond where the leg goes.
 _BIPED_SCALE = 1.0
@@ -39,9 +40,10 @@ def walker(name: str, scale: float | None) -> RobotSpec:
             and takes 1 on two feet.
 
     Raises:
-        UnknownNameError, ConfigurationError: as :func:`orbit_core.mdp.common.legged`; or the scale is not above zero.
+        UnknownNameError, ConfigurationError: as :func:`orbit_motion.workspace.legged`; or the scale is not above
+            zero.
     """
-    spec = common.legged(name)
+    spec = task_robots.legged(name)
     if carries_arm(spec):
         # The legs alone act, by the commands of a robot without the arm.
         legs = replace(joint_commands(replace(spec, end_effectors=())), joints=leg_joints(spec))

@@ -36,6 +36,11 @@ DISTRIBUTIONS = (
     Distribution("orbit_learn", "packages/orbit-learn/orbit_learn", _CORE | {"orbit_data"}),
     Distribution("orbit_data", "packages/orbit-data/orbit_data", _CORE, _VIEWER),
     Distribution("orbit_viewer", "packages/orbit-viewer/orbit_viewer", _CORE),
+    Distribution(
+        "orbit_deploy", "packages/orbit-deploy/orbit_deploy", _CORE | {"orbit_data"}, frozenset({"orbit_learn"})
+    ),
+    Distribution("orbit_zmq", "bridges/orbit-zmq/orbit_zmq", _CORE | {"orbit_deploy"}),
+    Distribution("orbit_ros", "bridges/orbit-ros/orbit_ros", _CORE | {"orbit_deploy"}),
     Distribution("orbit_policies", "packages/orbit-policies/orbit_policies"),
     Distribution("orbit_tasks", "orbit_tasks", _CORE | {"orbit_assets", "orbit_motion", "orbit_learn"}),
     Distribution(

@@ -298,8 +298,8 @@ from orbit_core.cli.making import check_actor, make_environment
 from orbit_core.cli.run import RunSettings
 from orbit_core.envs.registry import task_entry
 from orbit_core.objects import object_config
-from orbit_core.pretrained import pretrained_policy
-from orbit_core.robots import robot
+from orbit_learn.pretrained import pretrained_policy
+from orbit_assets.catalogue import robot
 from orbit_core.scene import ActuatorNetwork
 
 def load(name):

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from orbit_core import files
-from orbit_core.files import FolderLock, Replacement, append_line, check_apart, sweep, written_whole
+from orbit_core.files import Replacement, append_line, check_apart, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, StorageError
+from orbit_data.folder_lock import FolderLock
 from tests.faults import kills, no_file_beyond
 
 

@@ -19,7 +19,6 @@ from orbit_core.cli.bench import Throughput, _plot
 from orbit_core.cli.output import write_json
 from orbit_core.files import append_line
 from orbit_core.interfaces import StorageError
-from orbit_core.rollout.video import VideoFile
 from orbit_core.scene import Articulation, Link, Mesh, Pose, Shape
 from orbit_data.card import write_card
 from orbit_data.episodes import Episode, EpisodeInfo
@@ -30,6 +29,7 @@ from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import Perceptron
 from orbit_learn.policy import Policy
 from orbit_learn.training import write_checkpoint
+from orbit_viewer.video import VideoFile
 from tests.faults import no_file_beyond, small_disk
 
 CORNERS = np.random.default_rng(0).normal(size=(8, 3))

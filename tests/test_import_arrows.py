@@ -32,8 +32,6 @@ RANKS = {
     "moved": 1.6,
     "backends": 2,
     "objects": 2,
-    "pretrained": 2,
-    "robots": 2,
     "dynamics": 2,
     "preparation": 2.5,
     "active": 3,
@@ -191,7 +189,7 @@ ENVIRONMENT = "orbit_core.envs.environment"
 PARTS_OF_AN_ENVIRONMENT = tuple(
     f"orbit_core.envs.{name}"
     for name in (
-        "command_manager", "event_manager", "expert_starts", "multi_agent", "observation_manager", "premises",
+        "command_manager", "event_manager", "multi_agent", "observation_manager", "premises",
         "reward_manager", "state", "task",
     )
 )  # fmt: skip

@@ -11,9 +11,9 @@ from orbit_core import moved
 from orbit_core.interfaces import ConfigurationError
 
 
-@pytest.mark.parametrize("old", sorted(moved.old_modules()))
+@pytest.mark.parametrize("old", sorted(moved.MODULES))
 def test_every_old_name_is_that_of_a_module_that_is_there(old: str) -> None:
-    assert importlib.util.find_spec(moved.old_modules()[old]) is not None
+    assert importlib.util.find_spec(moved.MODULES[old]) is not None
 
 
 def test_an_old_name_gives_the_same_module() -> None:
@@ -31,11 +31,16 @@ def test_an_old_name_gives_the_same_module() -> None:
     [
         ("orbit_core.motion", "orbit_core.actions", "JointPositionConfig"),
         ("orbit_core.motion", "orbit_motion", "RmpFlowConfig"),
-        ("orbit_core.assets", "orbit_core.robots", "robot"),
+        ("orbit_core.assets", "orbit_assets.catalogue", "robot"),
         ("orbit_core.assets.object_kinds", "orbit_core.objects", "ObjectConfig"),
         ("orbit_core.envs", "orbit_motion.experts", "Expert"),
+        ("orbit_core.envs", "orbit_motion.experts.starts", "ExpertStarts"),
+        ("orbit_core.actions", "orbit_motion.full_ik", "FullIkTermConfig"),
+        ("orbit_core.actions.grippers", "orbit_motion.synergies", "synergies_of"),
+        ("orbit_core.actions.workspace", "orbit_core.actions.ik", "PoseFollower"),
+        ("orbit_core.mdp.common", "orbit_motion.workspace", "arm"),
         ("orbit_core.mdp.common", "orbit_assets.objects", "work_bench"),
-        ("orbit_core.dynamics.drive_design", "orbit_core.dynamics.workspace", "drive_responses"),
+        ("orbit_core.dynamics.drive_design", "orbit_core.dynamics.rigid_body", "drive_responses"),
         ("orbit_core.cli.settings", "orbit_learn.cli.trained", "PlaySettings"),
         ("orbit_core.sensors", "orbit_data.bounding_boxes", "BoundingBoxes2d"),
         ("orbit_core.preparation.inertia", "orbit_core.preparation.merge", "combine"),
@@ -55,6 +60,6 @@ def test_a_name_that_never_was_is_no_module() -> None:
 
 @pytest.mark.filterwarnings("ignore::FutureWarning")
 def test_a_distribution_that_is_missing_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(moved.old_modules(), "orbit_core.weather", "orbit_weather")
+    monkeypatch.setitem(moved.MODULES, "orbit_core.weather", "orbit_weather")
     with pytest.raises(ConfigurationError, match=r"is orbit_weather now.*pip install orbit-weather"):
         importlib.import_module("orbit_core.weather")

@@ -19,14 +19,11 @@ from orbit_conformance.results import load
 from orbit_conformance.tasks import compare_recordings
 from orbit_core.files import as_path, read_bytes
 from orbit_core.interfaces import ArgumentError, OrbitError
-from orbit_core.pretrained import policy_path
-from orbit_core.rollout.video import VideoFile
 from orbit_data.card import write_card
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_data.lerobot import read_video, write_lerobot, write_video
-from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.lerobot import LeRobotDataset, read_video, write_lerobot, write_video
 from orbit_data.reading.budget import ReadAccount, ReadBudget
 from orbit_data.recording import PartFolder, RecordingFile
 from orbit_data.tensor_file import read_tensors, write_tensors
@@ -38,7 +35,9 @@ from orbit_learn.networks import Perceptron
 from orbit_learn.onnx_file import read_onnx
 from orbit_learn.policy import Policy, load_policy
 from orbit_learn.policy_file import newest_file, read_policy
+from orbit_learn.pretrained import policy_path
 from orbit_learn.training import read_checkpoint, write_checkpoint
+from orbit_viewer.video import VideoFile
 
 
 def episodes() -> list[Episode]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.pretrained import policy_fields, policy_path, pretrained_policies, pretrained_policy
+from orbit_learn.pretrained import policy_fields, policy_path, pretrained_policies, pretrained_policy
 from tests.forked import run_forked
 
 ABOUT = 'description = "Stacks cubes"\nleast_success = 0.8\n'
@@ -42,7 +42,7 @@ def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
     install(tmp_path, ABOUT + FIELDS + GAP)
     told = ask(
         tmp_path,
-        "from orbit_core.pretrained import *; pile = pretrained_policy('pile');"
+        "from orbit_learn.pretrained import *; pile = pretrained_policy('pile');"
         "print(pile.least_success, pile.gap_on('slippery').reason, pile.gap_on('other'),"
         "len(pretrained_policies()), policy_fields('pile'))",
     )

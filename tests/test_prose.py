@@ -29,28 +29,27 @@ class Limits:
 
 # Distributions that have not reached the goal: each figure may only come nearer to it.
 LIMITS = {
-    "orbit_core": Limits(comments=2.6),
+    "orbit_core": Limits(comments=2.9),
     "orbit_assets": Limits(comments=2.9),
-    "orbit_learn": Limits(comments=2.3),
+    "orbit_learn": Limits(comments=2.8),
     "orbit_data": Limits(comments=2.9),
     "orbit_policies": Limits(comments=0.0),
-    "orbit_tasks": Limits(comments=1.8),
-    "orbit_conformance": Limits(comments=2.6),
-    "orbit_bullet": Limits(openings=2.1, comments=0.8),
+    "orbit_tasks": Limits(comments=2.4),
+    "orbit_conformance": Limits(comments=2.8),
+    "orbit_bullet": Limits(comments=2.9),
     "orbit_matter": Limits(openings=13.0, words=2.1, comments=1.4),
-    "orbit_mjmodel": Limits(comments=1.2),
-    "orbit_mujoco": Limits(openings=3.9, words=2.4, comments=1.8),
-    "orbit_newton": Limits(comments=1.3),
-    "orbit_sapien": Limits(openings=2.6, comments=1.3),
-    "orbit_warp": Limits(openings=2.8, comments=1.6),
-    "orbit_warpkit": Limits(comments=0.9),
+    "orbit_mujoco": Limits(comments=2.9),
+    "orbit_newton": Limits(comments=2.9),
+    "orbit_sapien": Limits(comments=2.9),
+    "orbit_warp": Limits(comments=2.8),
+    "orbit_warpkit": Limits(comments=2.7),
 }
 # Folders of the core that have reached it. They are small: a few lines more must not fail them, hence 2.7 %.
 REACHED = (
     "scene", "interfaces", "dynamics", "sensors", "actuators", "active", "preparation", "plugin_kit", "cli", "rollout",
 )  # fmt: skip
 LIMITS |= {f"orbit_core/{name}": Limits(comments=2.7) for name in REACHED}
-LIMITS["orbit_core/interfaces"] = Limits(openings=2.3, comments=2.6)  # its captured steps are being rewritten
+LIMITS["orbit_core/interfaces"] = Limits(openings=2.2, comments=2.7)  # its captured steps are being rewritten
 FOLDERS = {
     **{distribution.package: ROOT / distribution.folder for distribution in DISTRIBUTIONS},
     **{

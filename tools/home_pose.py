@@ -16,13 +16,13 @@ import torch
 import tyro
 from torch import Tensor
 
-from orbit_core.actions.full_ik import FullIk, FullIkConfig
-from orbit_core.actions.workspace import fitted_workspace
+from orbit_assets.catalogue import robot
 from orbit_core.dynamics.kinematics import KinematicTree, joint_ancestry
 from orbit_core.dynamics.transforms import quat_from_euler, quat_multiply
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.interfaces.names import match_names
-from orbit_core.robots import robot
+from orbit_motion.full_ik import FullIk, FullIkConfig
+from orbit_motion.workspace import fitted_workspace
 
 _COMMANDED = 2.0
 """rad from home that actions reach."""

@@ -15,8 +15,9 @@ import numpy.typing as npt
 import torch
 
 from orbit_core.envs import make
-from orbit_core.rollout.video import OverviewCamera, tile
+from orbit_core.rollout.pictures import OverviewCamera
 from orbit_core.scene import Pose, look_at
+from orbit_viewer.video import tile
 
 SETTINGS = {"antialiasing": 4, "shadow_size": 4096}
 WIDTH, HEIGHT = 480, 400

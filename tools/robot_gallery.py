@@ -22,17 +22,17 @@ import numpy.typing as npt
 import tyro
 from PIL import Image
 
-from orbit_assets.audit.geometry import shape_points
+from orbit_assets.audit.checks import shape_points
 from orbit_assets.audit.robots.postures import home_posture
 from orbit_assets.audit.robots.report import RobotReport, audit_spec
+from orbit_assets.catalogue import RobotEntry, robot_info, robot_names
 from orbit_assets.sources import installed_version
 from orbit_conformance.jobs import Kind
 from orbit_conformance.results import Record, load
 from orbit_conformance.robots.checks import CHECKS
 from orbit_conformance.verdict import Status
 from orbit_core.preparation.validation import link_poses
-from orbit_core.robots import RobotEntry, robot_info, robot_names
-from orbit_core.rollout.video import OverviewCamera
+from orbit_core.rollout.pictures import OverviewCamera
 from orbit_core.scene import AmbientLight, DirectionalLight, Plane, Pose, RobotSpec, Scene, Shape, look_at
 from orbit_core.world import simulate
 

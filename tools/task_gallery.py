@@ -16,11 +16,11 @@ import torch
 import tyro
 from PIL import Image
 
+from orbit_assets.catalogue import robot_info, robot_names
 from orbit_core.envs import make, task_entries
 from orbit_core.envs.actors import ExpertActor
 from orbit_core.mdp.common import ROBOT
-from orbit_core.robots import robot_info, robot_names
-from orbit_core.rollout.video import OverviewCamera
+from orbit_core.rollout.pictures import OverviewCamera
 from orbit_core.scene import look_at
 from orbit_learn.acting import make as create_policy_actor
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from orbit_assets.catalogue import robot
 from orbit_assets.terrain import Boxes, Gap, Pit, Rough, Slope, Stairs, SteppingStones, TerrainGrid, Waves
-from orbit_core.robots import robot
 from orbit_core.scene import CameraSpec, Channel, Pose, Scene, look_at
 from orbit_core.sensors import CameraSensor
 from orbit_core.world import simulate

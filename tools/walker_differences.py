@@ -17,8 +17,8 @@ from torch import Tensor
 
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
-from orbit_core.pretrained import policy_path
 from orbit_learn.policy import load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_tasks.biped import contacts_of
 
 FOOT = 0.022

@@ -44,6 +44,8 @@ class MotionGenerator(Node):
         self.lower_limits, self.upper_limits = robot.position_limits[self.joints].unbind(-1)
         # A slice where joints are adjacent: a view costs less than a gather.
         self._columns = columns_of(self.joints, self.device)
+        # A view of nothing that no engine returns, so that the first read makes the real one.
+        self._whole = self._own = robot.joint_positions[:, :0]
 
     def enter(self, world: World, step_dt: float) -> None:
         """Prepare for a world: read what the generator needs beyond its robot. Called once, before the first turn.
@@ -109,7 +111,13 @@ class MotionGenerator(Node):
     @property
     def positions(self) -> Tensor:
         """(N, k) measured positions of the generator's joints."""
-        return self.robot.joint_positions[:, self._columns]
+        whole = self.robot.joint_positions
+        if not isinstance(self._columns, slice):
+            return whole[:, self._columns]
+        # Most engines return the same tensor at each read, so that its columns are viewed once.
+        if whole is not self._whole:
+            self._whole, self._own = whole, whole[:, self._columns]
+        return self._own
 
     @property
     def velocities(self) -> Tensor:

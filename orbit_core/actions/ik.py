@@ -8,13 +8,15 @@ Manipulators through Kinematically Singular Configurations (1988), for damping t
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from orbit_core.actions.base import CommandMode, LastTargets
+from orbit_core.actions.base import CommandMode, LastTargets, MotionGenerator
 from orbit_core.actions.embodiment import end_effector_moved_by
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.kinematics import KinematicTree
@@ -27,8 +29,11 @@ from orbit_core.dynamics.transforms import (
     quat_multiply,
 )
 from orbit_core.interfaces import Robot
+from orbit_core.registry import Registry
 
 _TOWARDS_POSE_DAMPING = 0.05
+# rad/s or m/s of a joint that counts as resting
+_RESTING = 0.05
 
 
 class IkMethod(Enum):
@@ -221,6 +226,82 @@ class PoseCommand:
         parts = displacement.unflatten(-1, (2, 3))
         lengths = torch.linalg.vector_norm(parts, dim=-1, keepdim=True)
         return (parts * (self._leads / lengths.clamp_min(1e-9)).clamp(max=1.0)).flatten(-2)
+
+
+@dataclass(frozen=True, eq=False)
+class IkSolution:
+    """Positions (N, k), what is missing to the pose in m and rad (N,), and whether it is reached (N,)."""
+
+    positions: Tensor
+    position_error: Tensor
+    rotation_error: Tensor
+    converged: Tensor
+
+
+class PoseSearch(Protocol):
+    """Inverse kinematics to convergence, such as :class:`orbit_motion.full_ik.FullIk`."""
+
+    def solve(self, pose: Tensor, positions: Tensor) -> IkSolution:
+        """Return the joint positions nearest to ``positions`` (N, J) that bring the frame to a pose (N, 7)."""
+        ...
+
+
+@functools.cache
+def pose_searches() -> Registry[Callable[..., PoseSearch]]:
+    """Return constructors of pose searches, from the entry-point group ``orbit.pose_searches``; the first is used."""
+    return Registry("search for poses", "orbit.pose_searches")
+
+
+class PoseFollower(MotionGenerator):
+    """A generator whose commands ask for poses of a frame."""
+
+    frame: str
+    _pose: PoseCommand
+
+    def asked(self) -> Tensor:
+        """(N, 7) the pose of the frame that was last asked for, in each environment's frame."""
+        return self._pose.asked()
+
+    def out_of_reach(self) -> Tensor:
+        """(N, 2) m and rad by which the nearest pose that the joints can take misses :meth:`asked`.
+
+        Zero where it can be reached, to 1e-4 m and 1e-3 rad, within the joints' limits and from where the other joints
+        are; everywhere, where no distribution with a search is installed. The search costs a step nothing: it runs
+        whenever this is called. Obstacles do not count.
+        """
+        with torch.inference_mode():
+            local = pose_multiply(pose_inverse(self.robot.root_pose), self.asked())
+            if self._search is None:
+                return local.new_zeros(len(local), 2)
+            found = self._search.solve(local, self.robot.joint_positions)
+            missing = torch.stack((found.position_error, found.rotation_error), 1)
+            return torch.where(found.converged.unsqueeze(1), 0.0, missing)
+
+    def resting_off(self) -> Tensor:
+        """(N,) bool: whether the frame rests by a centimetre or 0.1 rad and more away from :meth:`asked`."""
+        with torch.inference_mode():
+            off = pose_error(self.robot.frame_pose(self.frame), self.asked())
+            far = (off[:, :3].norm(dim=1) > 0.01) | (off[:, 3:].norm(dim=1) > 0.1)
+            return far & (self.velocities.abs().amax(1) < _RESTING)
+
+    def reach_problem(self, env: int = 0) -> str:
+        """Return the result of :meth:`out_of_reach` for one environment in words; empty if it reaches the pose."""
+        metres, radians = self.out_of_reach()[env].tolist()
+        if not metres and not radians:
+            return ""
+        return (
+            f"'{self.name}': the pose asked of '{self.frame}' of robot '{self.robot.name}' is out of reach by "
+            f"{metres:.3f} m and {radians:.2f} rad"
+        )
+
+    @functools.cached_property
+    def _search(self) -> PoseSearch | None:
+        searches = pose_searches()
+        if not searches.names:
+            return None
+        tree, robot = KinematicTree(self.robot.spec.articulation, self.device), self.robot
+        make = searches.get(searches.names[0])
+        return make(tree, self.frame, self.joints, robot.position_limits, robot.home_positions)
 
 
 def displaced(pose: Tensor, displacement: Tensor) -> Tensor:

@@ -94,6 +94,16 @@ class JointPosition(MotionGenerator):
         return self._lead
 
     @property
+    def home(self) -> Tensor:
+        """Home positions (k,) of the joints, rad or m."""
+        return self._home
+
+    @property
+    def spans(self) -> tuple[Tensor, Tensor]:
+        """Ways (k,) of a command of 1 and of one of -1, rad or m."""
+        return self._above, self._below
+
+    @property
     def affine(self) -> tuple[Tensor, Tensor] | None:
         # Only equal spans on both sides of home make the map affine.
         straight = torch.allclose(self._above, self._below)

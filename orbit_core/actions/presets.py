@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from orbit_core.actions.base import CommandMode
-from orbit_core.actions.differential_ik import DifferentialIkConfig, FullIkTermConfig
+from orbit_core.actions.differential_ik import DifferentialIkConfig
 from orbit_core.actions.embodiment import joint_commands
-from orbit_core.actions.grippers import BinaryGripperConfig, GraspSynergiesConfig
+from orbit_core.actions.grippers import BinaryGripperConfig
 from orbit_core.actions.joints import JointEffortConfig, JointPositionConfig, JointVelocityConfig
 from orbit_core.actions.mobile_base import BaseVelocityConfig, DifferentialDriveConfig
 from orbit_core.actions.term import ActionTerm
@@ -22,12 +22,10 @@ from orbit_core.scene import ActuatorConfig, RobotSpec
 GROUP = "orbit.motion"
 _OWN = (
     DifferentialIkConfig,
-    FullIkTermConfig,
     JointPositionConfig,
     JointVelocityConfig,
     JointEffortConfig,
     BinaryGripperConfig,
-    GraspSynergiesConfig,
     BaseVelocityConfig,
     DifferentialDriveConfig,
 )

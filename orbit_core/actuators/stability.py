@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.dynamics.workspace import workspace_mass_matrices
+from orbit_core.dynamics.rigid_body import workspace_mass_matrices
 from orbit_core.interfaces import Backend, ConfigurationError, DriveIntegration, EntityLayout, SceneLayout
 from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.scene import Articulation, ImplicitPd

@@ -2,18 +2,163 @@
 
 from __future__ import annotations
 
+import math
+import types
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import Any
 
 import torch
 from torch import Tensor, fx
 
-from orbit_core.capture.compile import compiled
 from orbit_core.capture.python_state import PythonState, frozen_by_trace
 from orbit_core.capture.trace import CapturedTrace, NotTraceable, Tracer
-from orbit_core.interfaces import World
+from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.interfaces.capture import Schedule
+
+# Compiling a traced step with torch's inductor: many small operations become a few loops ------------------------------
+
+_REMEDY = "or leave compile out"
+
+
+def check_compiler(device: torch.device) -> None:
+    """Look for what inductor compiles with.
+
+    Raises:
+        ConfigurationError: it is not there; says what to install.
+    """
+    if device.type == "cpu":
+        from torch._inductor.cpp_builder import get_cpp_compiler
+        from torch._inductor.exc import InvalidCxxCompiler
+
+        try:
+            get_cpp_compiler()
+        except (InvalidCxxCompiler, RuntimeError):
+            raise ConfigurationError(
+                f"compile needs a C++ compiler and found none: install g++ or clang, name one in CXX, {_REMEDY}"
+            ) from None
+        return
+    from torch.utils._triton import has_triton
+
+    if not has_triton():
+        raise ConfigurationError(f"compile needs Triton on device '{device}': pip install triton, {_REMEDY}")
+
+
+def compiled(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callable[..., Sequence[Tensor]]:
+    """The graph, for inputs of the same shapes, as compiled code; what inductor cached on disk is taken from there.
+
+    Args:
+        graph: of operations.
+        inputs: that it takes; a tensor on another device than the rest is replaced by a copy on theirs.
+        fixed: whether it always takes these very tensors. What it gives may then be the same tensors each time.
+
+    Raises:
+        ConfigurationError: inductor fails.
+    """
+    _spell_out_products(graph)
+    try:
+        with torch.no_grad():
+            on_cpu = all(tensor.device.type == "cpu" for tensor in inputs)
+            return _on_cpu(graph, inputs, fixed) if on_cpu else _on_gpu(graph, inputs)
+    except Exception as error:  # of many kinds: inductor's own, the compiler's, the operating system's
+        first = next(iter(str(error).splitlines()), "")
+        raise ConfigurationError(
+            f"the step could not be compiled, for {type(error).__name__}: {first}; check the compiler, {_REMEDY}"
+        ) from error
+
+
+def _on_gpu(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]]:
+    import torch._inductor as inductor
+
+    # Numbers of Python's lie on the host, from where compiled code would copy them to the device each time.
+    device = next(tensor.device for tensor in inputs if tensor.device.type != "cpu")
+    inputs[:] = [tensor.to(device) if tensor.dim() == 0 else tensor for tensor in inputs]
+    for node in graph.graph.nodes:
+        if "device" in node.kwargs:
+            node.kwargs = {**node.kwargs, "device": device}
+    graph.recompile()
+    return inductor.compile(graph, list(inputs))  # pyright: ignore[reportReturnType]
+
+
+def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callable[..., Sequence[Tensor]]:
+    from torch._inductor import config
+    from torch._inductor.compile_fx import compile_fx_inner
+    from torch._inductor.decomposition import select_decomp_table
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    functional = torch.func.functionalize(graph, remove="mutations")
+    pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*inputs)
+    # Threads cost more than they save on a step's small tensors, and the engine needs the cores. Sizes never change.
+    with config.patch({"cpp.threads": 1, "size_asserts": False}):
+        # The inner entry point: the outer one wraps the code in guards that cost more than the kernels.
+        code: Any = compile_fx_inner(pure, list(inputs))
+    call = code.current_callable
+    return (_launches(call, inputs) if fixed else None) or (lambda *tensors: call(list(tensors)))
+
+
+# Names in inductor's code that only make room for what its kernels write
+_OF_MEMORY = {"clear", "empty_strided_cpu", "reinterpret_tensor", "torch"}
+
+
+def _launches(call: Any, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]] | None:
+    """The kernels that inductor's code calls, on the memory of one call; None where it does more than call kernels.
+
+    For a step's few numbers the code around the kernels takes several times as long as they do.
+    """
+    function = getattr(call, "__func__", call)
+    names = {name for name in function.__code__.co_names if not isinstance(getattr(torch, name, None), torch.dtype)}
+    kernels = {name for name in names if name.startswith("cpp_fused")}
+    if names - kernels - _OF_MEMORY:
+        return None
+    launches: list[tuple[Callable[..., None], tuple[Any, ...]]] = []
+
+    def noting(kernel: Callable[..., None]) -> Callable[..., None]:
+        return lambda *arguments: launches.append((kernel, arguments))
+
+    # A copy of the function with its own globals: inductor's module stays as it is.
+    module = function.__globals__
+    noted = {**module, **{name: noting(module[name]) for name in kernels}}
+    copy = types.FunctionType(function.__code__, noted, function.__name__, function.__defaults__, function.__closure__)
+    owner = getattr(call, "__self__", None)
+    outputs = copy(list(inputs)) if owner is None else copy(owner, list(inputs))
+
+    def launch(*_: Tensor) -> Sequence[Tensor]:
+        for kernel, arguments in launches:
+            kernel(*arguments)
+        return outputs
+
+    return launch
+
+
+_FEW_NUMBERS = 1024
+
+
+def _spell_out_products(graph: fx.GraphModule) -> None:
+    """Products of small matrices become multiplications and sums, which melt into the loops around them."""
+    aten = torch.ops.aten
+    for node in list(graph.graph.nodes):
+        if node.target not in (aten.mm.default, aten.addmm.default) or node.kwargs:
+            continue
+        left, right = node.args[-2:]
+        # Large products stay: BLAS is faster than a fused loop there.
+        if min(math.prod(side.meta["shape"]) for side in (left, right)) > _FEW_NUMBERS:
+            continue
+        with graph.graph.inserting_before(node):
+
+            def call(function: Any, *arguments: Any) -> fx.Node:
+                return graph.graph.call_function(function, arguments)
+
+            products = call(
+                aten.mul.Tensor, call(aten.unsqueeze.default, left, -1), call(aten.unsqueeze.default, right, 0)
+            )
+            result = call(aten.sum.dim_IntList, products, [1])
+            if node.target is aten.addmm.default:
+                result = call(aten.add.Tensor, result, node.args[0])
+        node.replace_all_uses_with(result)
+        graph.graph.erase_node(node)
+    graph.recompile()
+
 
 _wanted: ContextVar[bool] = ContextVar("kernels wanted", default=False)
 

@@ -27,6 +27,7 @@ COMMANDS = {
     "list": ("listing", "Names of all tasks, robots or backends"),
     "info": ("info", "Everything about one task, robot or backend"),
     "run": ("run", "Run a task's episodes with an expert, random or zero agent, and report how they went"),
+    "rerun": ("rerun", "Repeat a run from its file, and report whether it came out the same"),
     "bench": ("bench", "Measure throughput over numbers of environments"),
 }
 """Modules of this package, and what each does."""
@@ -41,6 +42,8 @@ OTHERS = {
     "train-actuator": ("orbit-learn", "Fit a network to logged data of an actuator's joints"),
     "play": ("orbit-learn", "Run a learned policy on any backend, and report how it went"),
     "export": ("orbit-learn", "Write a learned policy as safetensors and ONNX, with its description"),
+    "deploy": ("orbit-deploy", "Run an expert, a learned policy or a person on a robot, through a bridge"),
+    "robot": ("orbit-deploy", "Serve a simulated robot as a robot's computer does, in real time"),
     "check-asset": ("orbit-assets", "Check an asset file: masses, inertias, limits, shapes, and what was changed"),
     "check-robot": (
         "orbit-assets",
@@ -55,7 +58,7 @@ OTHERS = {
 }
 """Distributions of ORBIT that bring further commands, and what each does."""
 # Order in which ``orbit --help`` lists commands; those of other packages come last
-_ORDER = (*list(COMMANDS)[:3], *list(OTHERS)[:-1], "bench", "conformance")
+_ORDER = (*list(COMMANDS)[:4], *list(OTHERS)[:-1], "bench", "conformance")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

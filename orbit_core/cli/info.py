@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional, arg
 
@@ -20,35 +20,16 @@ from orbit_core.cli.settings import parse_words
 from orbit_core.distributions import missing_note
 from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces.capabilities import IMAGES, Capability
-from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.objects import ObjectConfig, object_config, object_kinds
+from orbit_core.interfaces.errors import UnknownNameError
+from orbit_core.objects import ObjectConfig
 from orbit_core.registry import Registry, first_line
-from orbit_core.robots import robot_info, robot_names
 from orbit_core.scene import SensorSpec
 from orbit_core.sensors import TimedSensor, sensor_types
 
 if TYPE_CHECKING:
     from orbit_core.envs.task import Task
     from orbit_core.interfaces.backend import Backend
-    from orbit_core.scene import RobotSpec, Scene
-
-
-def show_object(console: Console, name: str) -> None:
-    """Return the parameters of a kind of object, and what it is made of as they are by default."""
-    config = object_config(name)
-    print_heading(console, f"Object {name}", first_line(type(config)))
-    print_line(console, "brought by", object_kinds().origin(name))
-    parameters = ((field.name, getattr(config, field.name)) for field in dataclasses.fields(config))
-    print_rows(console, "parameter", "default", parameters)
-    try:
-        body = config.build(name).articulation
-    except AssetError as error:
-        print_line(console, "by default", str(error))
-        return
-    print_line(console, "mass", f"{body.mass:.4g} kg")
-    print_line(console, "links", ", ".join(body.link_names))
-    if body.joint_names:
-        print_line(console, "joints", ", ".join(body.joint_names))
+    from orbit_core.scene import Scene
 
 
 def show_sensor(console: Console, name: str) -> None:
@@ -88,6 +69,36 @@ class InfoSettings:
     """Name of a task, robot, object, sensor, backend or renderer."""
 
 
+class InfoSource(Protocol):
+    """A package's things that ``orbit info`` describes; the entry-point group ``orbit.info`` names such objects."""
+
+    def names(self) -> Iterable[str]:
+        """Return the names of all things."""
+        ...
+
+    def has(self, name: str) -> bool:
+        """Return True if there is a thing of that name."""
+        ...
+
+    def show(self, console: Console, name: str) -> None:
+        """Print everything about the thing of that name."""
+        ...
+
+    def like(self, name: str) -> Iterable[str]:
+        """Return the names of others of its kind, which a task is likely to run with in its place."""
+        ...
+
+
+@functools.cache
+def info_sources() -> Registry[InfoSource]:
+    """Return what describes things that installed packages bring, in order of precedence."""
+    return Registry[InfoSource]("kind of thing", "orbit.info")
+
+
+def _source_of(name: str) -> InfoSource | None:
+    return next((source for source in info_sources().values.values() if source.has(name)), None)
+
+
 def main(words: Sequence[str]) -> None:
     """Print what is known of a name."""
     # Names of different kinds do not clash in practice; the order decides where they do.
@@ -95,10 +106,8 @@ def main(words: Sequence[str]) -> None:
     console = make_console()
     if name in task_entries():
         _show_task(console, name)
-    elif "+" in name or name in robot_names():
-        _show_robot(console, name)
-    elif name in object_kinds().names:
-        show_object(console, name)
+    elif source := _source_of(name):
+        source.show(console, name)
     elif name in sensor_types().names:
         show_sensor(console, name)
     elif name in backend_names() or name in installable_backends():
@@ -106,9 +115,10 @@ def main(words: Sequence[str]) -> None:
     elif name in renderer_names():
         _show_plugin(console, f"Renderer {name}", renderer(name), IMAGES)
     else:
-        things = [*task_entries(), *robot_names(), *object_kinds().names, *sensor_types().names]
+        named = [other for source in info_sources().values.values() for other in source.names()]
+        things = [*task_entries(), *named, *sensor_types().names]
         known = [*things, *backend_names(), *installable_backends(), *renderer_names()]
-        note = "; ".join(filter(None, map(missing_note, ("orbit.tasks", "orbit.robots"))))
+        note = "; ".join(filter(None, (missing_note("orbit.tasks"), info_sources().note)))
         raise UnknownNameError("task, robot, object, sensor, backend or renderer", name, known, note=note)
 
 
@@ -130,7 +140,8 @@ def _show_task(console: Console, name: str) -> None:
     print_line(console, "presets of observations, --set observations=NAME", presets)
     for part in ("commands", "rewards", "terminations", "events"):
         print_line(console, part, _terms(task, part))
-    print_line(console, "robots", _robots_like(task.robot))
+    if source := _source_of(task.robot):
+        print_line(console, "robots", ", ".join((f"{task.robot} (default)", *source.like(task.robot))))
     scene = task.scene()
     _show_actions(console, task, scene)
     needs = required_capabilities(scene)
@@ -139,7 +150,7 @@ def _show_task(console: Console, name: str) -> None:
 
 
 def _show_actions(console: Console, task: Task, scene: Scene) -> None:
-    from orbit_core.envs.action_terms import action_terms
+    from orbit_core.envs.action_manager import action_terms
 
     robots = {robot.name: robot for robot in scene.robots}
     table = new_table("action term", "motion generator", "robot", "components", "joints")
@@ -163,82 +174,6 @@ def _terms(task: Task, part: str) -> str:
         return "none"
     names = [field.name for field in dataclasses.fields(collection) if getattr(collection, field.name) is not None]
     return ", ".join(names) or "none"
-
-
-def _robots_like(name: str) -> str:
-    """Return the default robot of a task, then those of its kind: arms, arms with grippers, legged robots."""
-    kind = _kind(name)
-    # Robots of the same kind are the ones that a task is likely to run with.
-    others = [other for other in robot_names() if other != name and _kind(other) == kind]
-    return ", ".join([f"{name} (default)", *others])
-
-
-def _kind(name: str) -> tuple[bool, bool, bool] | None:
-    try:
-        robot = robot_info(name).load()
-    except AssetError:  # its package is not installed
-        return None
-    grippers = any(effector.gripper is not None for effector in robot.end_effectors)
-    return robot.has_arm, grippers, bool(robot.feet)
-
-
-def _show_robot(console: Console, name: str) -> None:
-    entry = robot_info(name)
-    robot = entry.load()
-    body = robot.articulation
-    print_heading(console, f"Robot {name}", entry.description)
-    print_line(console, "source", entry.source or "ORBIT")
-    print_line(console, "licence", entry.licence or "unknown")
-    print_line(console, "categories", ", ".join(category.value for category in robot.categories) or "none")
-    print_line(console, "degrees of freedom", f"{entry.dof}{'' if robot.fixed_base else ', and 6 of its free base'}")
-    print_line(console, "mass", f"{body.mass:.2f} kg")
-    print_line(console, "links", f"{len(body.links)}: {', '.join(body.link_names)}")
-    for effector in robot.end_effectors:
-        hand = f", gripper {', '.join(effector.gripper.joints)}" if effector.gripper else ""
-        arm = ", ".join(effector.arm_joints) or "no arm"
-        print_line(console, "end effector", f"{effector.frame}, moved by {arm}{hand}")
-    for what, places in (("feet", robot.feet), ("wheels", robot.wheels)):
-        if places:
-            print_line(console, what, ", ".join(places))
-    console.print(_joint_table(robot))
-    _show_actuators(console, robot)
-    for note in body.notes:
-        print_line(console, "note", note)
-
-
-def _joint_table(robot: RobotSpec) -> Table:
-    table = new_table("joint", "type", "limits (rad, m)", "effort (N m, N)", "velocity (rad/s, m/s)", "armature")
-    for joint in robot.articulation.movable_joints:
-        kind = f"{joint.type.value}, follows {joint.mimic.joint}" if joint.mimic else joint.type.value
-        limits = f"{joint.lower_limit:.4g} to {joint.upper_limit:.4g}"
-        numbers = (f"{number:.4g}" for number in (joint.effort_limit, joint.velocity_limit, joint.armature))
-        table.add_row(joint.name, kind, limits, *numbers)
-    return table
-
-
-def _show_actuators(console: Console, robot: RobotSpec) -> None:
-    from orbit_core.dynamics.workspace import drive_responses
-    from orbit_core.interfaces.layout import actuator_of_joint
-
-    groups = actuator_of_joint(robot)
-    names = robot.articulation.joint_names
-    responses = drive_responses(robot)
-    for group in robot.actuators:
-        values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group)}
-        # Tables and nested settings of a group do not fit on the line.
-        described = [f"{key} {value:g}" for key, value in values.items() if isinstance(value, float)]
-        own = [response for response in responses if groups[names.index(response.joint)] is group]
-        if own:
-            slowest, fastest = min(drive.slowest for drive in own), max(drive.fastest for drive in own)
-            least, most = min(drive.least_damped for drive in own), max(drive.most_damped for drive in own)
-            described += [f"natural frequency {_span(slowest, fastest)} Hz", f"damping ratio {_span(least, most)}"]
-        print_line(console, f"actuators {', '.join(group.joints)}", f"{type(group).__name__}, {', '.join(described)}")
-
-
-def _span(least: float, most: float) -> str:
-    """Return a range over the workspace, one number where it is none."""
-    low, high = f"{least:.2g}", f"{most:.2g}"
-    return low if low == high else f"{low} to {high}"
 
 
 def _show_plugin(console: Console, title: str, plugin: Backend, shown: Sequence[Capability]) -> None:

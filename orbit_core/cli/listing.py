@@ -22,10 +22,10 @@ Rows = list[tuple[str, str]]
 
 @dataclass(frozen=True)
 class ListSettings:
-    """Names of all tasks, robots, objects, sensors, backends and the like.
+    """Names of all tasks, sensors, backends and the like.
 
-    Further kinds are renderers, matter solvers, kept policies, action spaces and motion generators; with orbit-learn
-    learning libraries.
+    Further kinds are renderers, matter solvers, action spaces and motion generators; with orbit-assets robots and
+    objects, with orbit-learn kept policies and learning libraries.
     """
 
     kind: Annotated[Positional[str], arg(metavar="KIND")] = ""
@@ -57,18 +57,6 @@ def _tasks() -> list[tuple[str, str]]:
     from orbit_core.envs.registry import task_entries
 
     return [(entry.name, entry.description) for entry in task_entries().values()]
-
-
-def _robots() -> list[tuple[str, str]]:
-    from orbit_core.robots import robot_info, robot_names
-
-    return [(name, robot_info(name).description) for name in robot_names()]
-
-
-def _objects() -> list[tuple[str, str]]:
-    from orbit_core.objects import object_kinds
-
-    return [*object_kinds().descriptions.items()]
 
 
 def _sensors() -> list[tuple[str, str]]:
@@ -108,12 +96,6 @@ def _matter() -> list[tuple[str, str]]:
     return rows + _missing(installable_matter())
 
 
-def _policies() -> Rows:
-    from orbit_core.pretrained import pretrained_policies
-
-    return [(policy.name, policy.description) for policy in pretrained_policies().values()]
-
-
 def _actions() -> list[tuple[str, str]]:
     from orbit_core.actions import action_words
 
@@ -143,13 +125,10 @@ def _state(name: str) -> str:
 # Functions import what they list, because each kind loads other modules.
 _LISTS = {
     "tasks": _tasks,
-    "robots": _robots,
-    "objects": _objects,
     "sensors": _sensors,
     "backends": _backends,
     "renderers": _renderers,
     "matter": _matter,
-    "policies": _policies,
     "actions": _actions,
     "motion": _motion,
 }

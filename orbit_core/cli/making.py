@@ -40,6 +40,10 @@ class ActorSource(Protocol):
         """
         ...
 
+    def digest(self, name: str) -> str:
+        """Return the SHA-256 of what the actor was learned as; empty for one that is no file."""
+        ...
+
 
 def check_actor(name: str) -> None:
     """Reject a name that no actor has.
@@ -59,6 +63,11 @@ def make_actor(name: str, environment: Environment, seed: int) -> Actor:
         ConfigurationError: the policy was learned for another environment.
     """
     return scripted_actor(name, environment, seed) if name in ACTORS else _source(name).make(name, environment, seed)
+
+
+def actor_digest(name: str) -> str:
+    """Return the SHA-256 of a policy's files; empty for actors that are no file."""
+    return "" if name in ACTORS else _source(name).digest(name)
 
 
 @functools.cache
@@ -121,7 +130,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
     task = configure(entry.task_type(), fields)  # a field may bear the name of an argument of make
     if settings.cameras:
-        from orbit_core.mdp.images import with_cameras
+        from orbit_core.mdp.sensing import with_cameras
 
         with_cameras(task, _camera_sizes(settings.cameras))
     capture = settings.capture

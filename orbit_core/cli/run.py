@@ -5,17 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.making import check_actor, make_actor, make_environment
+from orbit_core.cli.making import actor_digest, check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.settings import RunSettings, check_output, check_positive, check_size, parse_settings
 from orbit_core.envs.actors import Actor, RemoteSource
 from orbit_core.rollout.estimates import Estimate, Statistic, statistic
+from orbit_core.rollout.pictures import Recorder, video_recorder
 from orbit_core.rollout.stepping import EpisodeCounter, Pace, ReachWatch, StepObserver, roll_out
 
 if TYPE_CHECKING:
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
 
     from orbit_core.envs.environment import Environment, EpisodeEnd
     from orbit_core.envs.premises import PremiseCheck
-    from orbit_core.rollout.video import VideoRecorder
 
 # Share of looks at hands' targets that must find one out of reach for the table to report it
 _REPORTED_SHARE = 0.01
+_OUTPUTS = ("json", "video", "overwrite", "config")
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,10 @@ class RunResult:
     """Steps of single environments over the time spent acting and stepping; building and filming left out."""
     wall_seconds: float
     """Seconds from the settings to the result, building and filming included."""
+    settings: dict[str, Any]
+    """All settings but files that the run writes, for ``orbit rerun``."""
+    agent_digest: str
+    """SHA-256 of the policy's file; empty if no policy's file acted."""
 
     def as_json(self) -> dict[str, Any]:
         """Return all fields for a file, the rate's interval apart, and ``metric``, the leading one with its name."""
@@ -121,13 +126,23 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         farthest_out_of_reach=reach.farthest,
         env_steps_per_second=pace.env_steps_per_second,
         wall_seconds=time.perf_counter() - start,
+        settings=_plain(settings),
+        agent_digest=actor_digest(settings.agent),
     )
+
+
+def _plain(settings: RunSettings) -> dict[str, Any]:
+    """Return the settings as JSON takes them, the files that a run writes left out."""
+    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
+    kept = {name: value for name, value in values.items() if name not in _OUTPUTS}
+    # What a TOML file gave is in the fields already.
+    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in kept.items()}
 
 
 class _ProgressReporter(StepObserver):
     """Reports the progress of a run."""
 
-    def __init__(self, counter: EpisodeCounter, recorder: VideoRecorder | None, progress: Progress) -> None:
+    def __init__(self, counter: EpisodeCounter, recorder: Recorder | None, progress: Progress) -> None:
         self._counter = counter
         self._recorder = recorder
         self._progress = progress
@@ -153,15 +168,12 @@ def _episodes(
     return counter, actor, pace, reach
 
 
-def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:
+def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[Recorder | None]:
     """Return the recorder of the video that the settings ask for, or None."""
-    # The encoder is optional, and imported only for a video.
     if settings.video is None:
         return nullcontext()
-    from orbit_core.rollout.video import VideoRecorder
-
     width, height = settings.video_size
-    return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
+    return video_recorder(environment, settings.video, width=width, height=height, frames=settings.frames)
 
 
 def main(words: Sequence[str]) -> None:

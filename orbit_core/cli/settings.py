@@ -21,7 +21,6 @@ from tyro.conf import Positional, Suppress, UseAppendAction, arg
 from orbit_core.configuration import configured, field_types, read_toml
 from orbit_core.files import storage_faults, sweep
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
-from orbit_core.moved import moved_name
 
 Name = Annotated[str | None, arg(metavar="NAME")]
 File = Annotated[Path | None, arg(metavar="FILE")]
@@ -260,7 +259,3 @@ def _hints(kind: type) -> dict[str, Any]:
 def _is_option(hint: Any) -> bool:
     marks = getattr(hint, "__metadata__", ())
     return tyro.conf.Positional not in marks and tyro.conf.Suppress not in marks
-
-
-def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)

@@ -36,6 +36,7 @@ Columns = slice | Tensor
 def columns_of(indices: Sequence[int], device: torch.device) -> Columns:
     """Return indices as a slice if they are consecutive, since a view costs less than a gather; else a tensor (k,)."""
     first = indices[0] if indices else 0
+    # Joints of one robot are nearly always adjacent, so that most reads and writes become views.
     if list(indices) == list(range(first, first + len(indices))):
         return slice(first, first + len(indices))
     return torch.tensor(list(indices), dtype=torch.int64, device=device)
@@ -73,12 +74,6 @@ class RowSelection:
 
     def values(self, value: Tensor, shape: tuple[int, ...], what: str, bounds: Bounds) -> Tensor:
         """Return numbers (n, *shape) in the form that an engine takes: float32, on the device, without gradient.
-
-        Args:
-            value: that a caller gave.
-            shape: of one environment's values.
-            what: they are, for the message.
-            bounds: that the numbers must keep.
 
         Args:
             value: given by a caller.
@@ -139,9 +134,8 @@ class RowSelector:
         self._all = torch.arange(num_envs, device=device)
         self._num_envs = num_envs
         self._device = device
-        # Indices that were found good, and their version, for one choice goes through many calls
+        # Indices that were checked, and their version, since one selection goes through many calls.
         self._known: tuple[Tensor, int] | None = None
-        """Indices that were checked, and their version, since one selection goes through many calls."""
 
     @contextmanager
     def only(self, mask: Tensor | None) -> Iterator[None]:
@@ -189,6 +183,8 @@ class RowSelector:
         mask = self.mask
         if mask is None:
             return RowSelection(None, self._num_envs, self._device) if env_ids is None else self._checked(env_ids)
+        # Events get all indices under a mask; other indices mean that the caller chose rows by numbers, which a trace
+        # would freeze.
         if env_ids is not None and len(env_ids) != len(mask):
             raise ConfigurationError(
                 f"{len(env_ids)} of {len(mask)} environments are written under a mask: give env_ids as they came"

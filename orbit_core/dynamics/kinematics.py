@@ -118,17 +118,37 @@ class FixedFrame:
         # A row (link's quaternion) times this matrix is the product of the two quaternions.
         right = [[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]]
         self._position = torch.as_tensor(_rotated(position), dtype=torch.float32, device=device)
+        # Single precision, as poses are: a product with doubles would convert them in every step.
         self._rotation = torch.tensor(right, dtype=torch.float32, device=device)
         # copysign needs a tensor; a constant is made once and not at each call.
         self._one = torch.ones(1, device=device)
+        # Views of the last link pose: most engines return the same tensor at each read, and on few numbers a view costs
+        # as much as a product.
+        self._viewed: Tensor | None = None
+        self._origin = self._link = self._column = self._row = self._one
 
-    def __call__(self, link_pose: Tensor) -> Tensor:
-        """(N, 7), w >= 0, for link poses (N, 7)."""
-        link = link_pose[:, 3:]
-        products = (link.unsqueeze(-1) * link.unsqueeze(-2)).flatten(1)
-        rotation = link @ self._rotation
+    def __call__(self, link_pose: Tensor, position: Tensor | None = None) -> Tensor:
+        """Return the frame's poses (N, 7), w >= 0.
+
+        Args:
+            link_pose: (N, 7) poses of the link.
+            position: (N, 3) what :meth:`position` gave for them, if it was called before.
+        """
+        self._view(link_pose)
+        position = self.position(link_pose) if position is None else position
+        rotation = self._link @ self._rotation
         sign = torch.copysign(self._one, rotation[:, :1])
-        return torch.cat((torch.addmm(link_pose[:, :3], products, self._position), rotation * sign), 1)
+        return torch.cat((position, rotation * sign), 1)
+
+    def position(self, link_pose: Tensor) -> Tensor:
+        """(N, 3) of the frame's origin alone, at a third of the operations of the pose."""
+        self._view(link_pose)
+        return torch.addmm(self._origin, (self._column * self._row).flatten(1), self._position)
+
+    def _view(self, link_pose: Tensor) -> None:
+        if link_pose is not self._viewed:
+            self._viewed, self._origin, self._link = link_pose, link_pose[:, :3], link_pose[:, 3:]
+            self._column, self._row = self._link.unsqueeze(-1), self._link.unsqueeze(-2)
 
 
 class KinematicTree:

@@ -8,11 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from orbit_core.exports import lazy_names
-from orbit_core.moved import moved_name
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
-    from orbit_core.envs.expert_starts import ExpertStarts
     from orbit_core.envs.making import make
     from orbit_core.envs.ppo import PpoSettings
     from orbit_core.envs.registry import TaskEntry, TaskRegistry, task_entries, task_entry
@@ -34,31 +32,21 @@ if TYPE_CHECKING:
 
 _MODULES: dict[str, tuple[str, ...]] = {
     "environment": ("Environment",),
-    "expert_starts": ("ExpertStarts",),
     "making": ("make",),
     "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
     "state": ("TaskState", "buffer"),
     "task": ("Subtask", "Task", "TaskMetadata"),
     "terms": (
-        "CommandTerm",
-        "CurriculumTerm",
-        "EventTerm",
-        "EventTime",
-        "ModifyTerm",
-        "ObservationGroup",
-        "ObservationTerm",
-        "PremiseTerm",
-        "RewardTerm",
-        "TerminationTerm",
-        "once_per_state",
+        "CommandTerm", "CurriculumTerm", "EventTerm", "EventTime", "ModifyTerm", "ObservationGroup",
+        "ObservationTerm", "PremiseTerm", "RewardTerm", "TerminationTerm", "once_per_state",
     ),
-}
+}  # fmt: skip
 __all__ = [
-    "CommandTerm", "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ExpertStarts", "ModifyTerm",
+    "CommandTerm", "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ModifyTerm",
     "ObservationGroup", "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Subtask", "Task", "TaskEntry",
     "TaskMetadata", "TaskRegistry", "TaskState", "TerminationTerm", "buffer", "make", "once_per_state", "task_entries",
     "task_entry",
 ]  # fmt: skip
 
-__getattr__, __dir__ = lazy_names(__name__, _MODULES, moved_name)
+__getattr__, __dir__ = lazy_names(__name__, _MODULES)

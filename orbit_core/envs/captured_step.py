@@ -12,9 +12,8 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import keystr, tree_leaves_with_path
 
-from orbit_core.capture.compile import check_compiler
 from orbit_core.capture.python_state import REMEDY, Holder, PythonState
-from orbit_core.capture.replay import CapturedFunction, ScheduledFunction
+from orbit_core.capture.replay import CapturedFunction, ScheduledFunction, check_compiler
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.command_manager import CommandManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo

@@ -13,7 +13,7 @@ from orbit_core.actions import ActionTerms
 from orbit_core.capture.python_state import Values
 from orbit_core.configuration import Presets, configured, field_types
 from orbit_core.dynamics.arguments import MOST_STEPS, whole_number
-from orbit_core.envs.action_terms import action_terms
+from orbit_core.envs.action_manager import action_terms
 from orbit_core.envs.observation_layout import groups_of
 from orbit_core.envs.task import COMPOSED, MOVED_FIELDS, Task
 from orbit_core.envs.terms import CurriculumTerm, ModifyTerm, Term, terms_of

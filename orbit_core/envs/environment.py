@@ -25,8 +25,7 @@ from orbit_core.dynamics.arguments import (
 )
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.linear import SingleThreaded
-from orbit_core.envs.action_manager import ActionManager
-from orbit_core.envs.action_terms import action_terms, driven_scene
+from orbit_core.envs.action_manager import ActionManager, action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered, where_rows
 from orbit_core.envs.command_manager import CommandManager
 from orbit_core.envs.configuration import (
@@ -39,7 +38,6 @@ from orbit_core.envs.configuration import (
 )
 from orbit_core.envs.episode import EpisodeEnd, LostEpisodes, StepInfo
 from orbit_core.envs.event_manager import EventManager
-from orbit_core.envs.expert_starts import ExpertStarts
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
 from orbit_core.envs.observation_layout import (
     POLICY,
@@ -52,6 +50,7 @@ from orbit_core.envs.observation_layout import (
 from orbit_core.envs.observation_layout import check_finite as check_observation
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.premises import PremiseManager
+from orbit_core.envs.registry import episode_starts
 from orbit_core.envs.reward_manager import RewardManager
 from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
@@ -191,7 +190,7 @@ class Environment(Generic[TaskT, StateT]):
         self._started = False
         self.premises = PremiseManager(self, simulated=world is None)
         """What the task takes for granted of an episode's start, and how often it does not hold."""
-        self.starts = ExpertStarts(self) if task.expert_starts else None
+        self.starts = episode_starts().get("expert")(self) if task.expert_starts else None
         """Which episodes begin on the expert's way, where the task asks for such."""
         self._watch = ConfigurationWatch(task)
         self._closed = self._close_step()
@@ -259,6 +258,7 @@ class Environment(Generic[TaskT, StateT]):
         if self._over:
             raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
+        # Before the configuration is compared, so that what a modifier sets holds from this step on.
         if self._modifiers.terms:
             self._modifiers.run(self.steps)
         closed = self._closed if self._started else None
@@ -274,6 +274,7 @@ class Environment(Generic[TaskT, StateT]):
         reward, terminated, truncated = self.advance()
         if self._checks:
             self._rewards.check_finite(reward)
+        # Most steps end no episode, and NumPy's look at a few booleans costs less than torch's.
         if not self._ended.any():
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
@@ -382,9 +383,11 @@ class Environment(Generic[TaskT, StateT]):
         if self.lost is not None:
             reward, terminated, late = self.lost.end(reward, terminated, late)
         torch.logical_or(late, terminated, out=self.done)
+        # Commands that only change at resets cost nothing here.
         if self.commands.changing:
             self.commands.update()  # after rewards, which judge the step by the command that it was taken under
-        return reward, terminated, late & ~terminated
+        # Of booleans, greater means "and not", in one operation.
+        return reward, terminated, torch.gt(late, terminated)
 
     def success(self) -> Tensor:
         """(N,) bool: whether episodes that end now reach the goal."""
@@ -418,6 +421,7 @@ class Environment(Generic[TaskT, StateT]):
         """
         before = self._observe()
         with self.world.selector.only(began):
+            # Terms measure all environments; only the rows of new episodes are kept.
             fresh = self.observer()
         leaves = [where_rows(began, new, old) for new, old in zip(leaves_of(fresh), leaves_of(before), strict=True)]
         self._seen = self._checked_observation(observation_of(self.observation, leaves))
@@ -460,6 +464,7 @@ class Environment(Generic[TaskT, StateT]):
         """Let episodes that have just ended decide how difficult the next will be."""
         if self._curriculum:
             changes = [term.function(self) for term in self._curriculum.values()]
+            # Changes of several terms add up, and the sum is clamped once, so that their order does not matter.
             following = torch.stack([self.state.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
             counted = self.done if self.lost is None else self.done & ~self.lost.now
             write_rows(self.state.difficulty, following, counted)
@@ -468,6 +473,7 @@ class Environment(Generic[TaskT, StateT]):
         """New episodes in some environments, by index, or by mask where the step is traced."""
         if env_ids is None:
             self._seen = None
+        # The world first: everything else may read its state.
         self.world.reset(env_ids)
         self.state.reset(env_ids)
         self.actions.reset(env_ids)

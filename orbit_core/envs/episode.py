@@ -68,6 +68,7 @@ class StepInfo(Mapping[str, EpisodeEnd]):
     @property
     def _found(self) -> EpisodeEnd | None:
         if not self._looked:
+            # This waits for the device, which is why it happens only when somebody asks.
             rows = self.done.nonzero().squeeze(-1)
             self._final = self.everyone.only(rows) if len(rows) else None
             self._looked = True
@@ -124,5 +125,6 @@ class LostEpisodes:
 
     def end(self, reward: Tensor, terminated: Tensor, late: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Reward (N,), terminated (N,) and out of time (N,), with the lost episodes cut short; counts them."""
+        # Added on the device: reading the number is left to :attr:`count`.
         self._count.add_(self.now.sum())
         return reward.masked_fill(self.now, 0.0), terminated & ~self.now, late | self.now

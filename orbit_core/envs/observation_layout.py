@@ -133,6 +133,7 @@ def groups_of(task: Task) -> dict[str, ObservationGroup]:
     owner = f"observations of task {type(task).__name__}"
     if not is_dataclass(task.observations) or isinstance(task.observations, type):
         raise ConfigurationError(f"{owner} must be a dataclass of ObservationGroup, not {task.observations!r}")
+    # A group is a dataclass as well, and would be read as a dataclass of groups with a puzzling error.
     if isinstance(task.observations, ObservationGroup):
         raise ConfigurationError(
             f"{owner} must be a dataclass of ObservationGroup, not one group: put it in a dataclass, as its field "
@@ -174,6 +175,7 @@ def with_sensors_of_terms(scene: Scene, task: Task) -> Scene:
         for name, term in terms_of_group(group).items():
             owner = f"observation term '{name}' of group '{group_name}'"
             for sensor in term.sensors:
+                # Compared by value: several terms may each bring the same camera.
                 if sensors.setdefault(sensor.name, sensor) != sensor:
                     raise ConfigurationError(
                         f"{owner} needs a sensor '{sensor.name}' that differs from that of {owners[sensor.name]}: "
@@ -194,6 +196,7 @@ def _check_group(what: str, group: ObservationGroup) -> None:
     if not terms:
         raise ConfigurationError(f"{what} has no terms: give it one, or set the group to None")
     for name, history in ((None, group.history), *((name, term.history) for name, term in terms.items())):
+        # True is an int to Python, and would count as a history of one.
         if history is not None and (not isinstance(history, int) or isinstance(history, bool) or history < 1):
             place = what if name is None else f"{what}, term '{name}'"
             raise ConfigurationError(f"{place}: history is {history!r}, but must be a whole number of steps from 1 on")
@@ -227,6 +230,7 @@ def _finite(value: Tensor) -> bool:
 
 def surely_finite(values: Tensor) -> bool:
     """Return True if all numbers are finite; False where one is not, or where their sum overflows."""
+    # NumPy does not see a GPU's memory; the float waits for the device, so that callers ask only where that is allowed.
     if values.device.type != "cpu":
         return math.isfinite(float(values.sum()))
     # NumPy's product in the tensor's own memory: on few numbers it costs a third of torch's sum, and warns of nothing.
@@ -246,5 +250,5 @@ def _refuse(group: str, term: str, values: Tensor) -> None:
     raise NonFiniteError(
         f"observation term '{term}' of group '{group}' is not finite in environment{plural} "
         f"{first_few(environments)}: component {component} of environment {environments[0]} is {number}. A term must "
-        "give finite numbers: bound what divides or measures, as orbit_core.mdp.images.camera_depth does"
+        "give finite numbers: bound what divides or measures, as orbit_core.mdp.sensing.camera_depth does"
     )

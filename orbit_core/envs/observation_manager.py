@@ -39,6 +39,7 @@ class Past:
 
     def push(self, value: Tensor) -> Tensor:
         """Take in one step's value (N, ...); gives the last ones (N, length, ...), the newest first."""
+        # Newest first, so that a delay of k steps is index k.
         newest = value[:, None]
         shifted = torch.cat((newest, self._values[:, :-1]), dim=1)
         values = torch.where(self._fresh.view(-1, *(1 for _ in shifted.shape[1:])), newest, shifted)
@@ -69,6 +70,7 @@ class Corruption:
             raise ConfigurationError(
                 f"{what} gives {value.dtype}: scale, noise and bias need torch.float32, so convert it in its function"
             )
+        # Without noise a term keeps its bounds by itself, and the clamp would only cost.
         self._saturation = term.bounds if noisy else None
         self._shape = tuple(value.shape[1:])
         self._bias = torch.zeros_like(value) if term.bias_std else None
@@ -100,6 +102,7 @@ class Corruption:
                 f"the delay of {what} is {self._term.delay}, but was {before._term.delay} when the environment was "
                 "made: change it before"
             )
+        # Kept even if other settings changed, because the past of an episode cannot be measured again.
         self._delay = before._delay
         if self._bias is not None and self._term.bias_std == before._term.bias_std:
             self._bias = before._bias
@@ -134,6 +137,7 @@ class _Delay:
         self._past.reset(env_ids)
 
     def __call__(self, value: Tensor) -> Tensor:
+        # Gather needs an index of the value's shape; the expanded one takes no memory.
         steps = self._steps.view(-1, *(1 for _ in value.shape)).expand_as(value[:, None])
         return self._past.push(value).gather(1, steps).squeeze(1)
 

@@ -70,6 +70,7 @@ class PremiseManager:
         """
         now = terms_of(self._task.premises, PremiseTerm)
         check_same_names("premise", self.terms, now, "give it a function that returns True")
+        # In place, because metrics are named by this dictionary's order.
         self.terms.update(now)
 
     def begin(self, env_ids: Tensor | None) -> None:
@@ -101,7 +102,10 @@ class PremiseManager:
         if not (self.terms and self._simulated):
             return
         world = self._world
+        # Checked starts must not shift the random numbers of the first episodes: seeds give the same runs with premises
+        # and without.
         streams = world.random.save_state()
+        # One environment alone says little of how often a premise fails, so that it begins several times.
         rounds = math.ceil(LEAST_STARTS / world.num_envs)
         failed = torch.zeros(len(self.terms), dtype=torch.int64, device=world.device)
         for _ in range(rounds):
@@ -153,4 +157,5 @@ def _steps(task: Task, name: str) -> int:
     seconds = getattr(task, name)
     if not 0.0 <= seconds <= MOST_STEPS * task.physics_dt:
         raise ConfigurationError(f"{name} must be zero seconds or more, not {seconds:g}")
+    # Less a millionth, because 0.1 s in steps of 5 ms are 20 steps and not 21 by rounding.
     return math.ceil(seconds / task.physics_dt - 1e-6)

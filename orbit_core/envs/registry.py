@@ -1,15 +1,19 @@
-"""Registry of tasks. Plugins add theirs through the entry-point group ``orbit.tasks``."""
+"""Registries of tasks and of sources of starts: entry-point groups ``orbit.tasks`` and ``orbit.starts``."""
 
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any, Protocol
 
 from orbit_core.registry import Registry, faults_named
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
+    from orbit_core.envs.captured_step import CapturableEnvironment
     from orbit_core.envs.task import Task
 
 
@@ -65,3 +69,37 @@ def task_entry(name: str) -> TaskEntry:
         ConfigurationError: two packages bring it.
     """
     return _installed().get(name)
+
+
+class EpisodeStarts(Protocol):
+    """Source of states at which a share of episodes begins, :class:`orbit_motion.experts.starts.ExpertStarts`."""
+
+    seen: Tensor
+    """(M, O) observations of the policy on the way to those states."""
+    done: Tensor
+    """(M, A) actions that were taken there."""
+    began_there: Tensor
+    """(N,) bool: which of the present episodes began at such a state."""
+
+    def record(self, environment: CapturableEnvironment, action: Tensor) -> None:
+        """Find the states, once, before the first episode.
+
+        Args:
+            environment: to play in.
+            action: (N, A) that the environment's next step does.
+        """
+        ...
+
+    def begin(self, env_ids: Tensor | None) -> None:
+        """Put some of these environments, by index, by mask, or all, at such states; called after a reset's events."""
+        ...
+
+    def metrics(self) -> Mapping[str, Tensor]:
+        """Return metrics (N,) of the episodes, by name."""
+        ...
+
+
+@cache
+def episode_starts() -> Registry[Callable[[Any], EpisodeStarts]]:
+    """Return constructors of starts, which take the environment, from the entry-point group ``orbit.starts``."""
+    return Registry("source of starts", "orbit.starts")

@@ -53,6 +53,7 @@ class RewardManager:
         Raises:
             ConfigurationError, ShapeError: a term gives something else than (N,) numbers; names it.
         """
+        # An empty stack is an error, and the sums have the shape (0, N) that is needed.
         if not self.terms:
             return self.sums
         values: list[Tensor] = []
@@ -80,6 +81,7 @@ class RewardManager:
         if surely_finite(reward) or bool(reward.isfinite().all()):
             return
         wrong = (~reward.isfinite()).nonzero().squeeze(-1).tolist()
+        # The step's own values are gone, but a term that was not finite has spoilt its sum.
         names = [name for name, total in zip(self.terms, self.sums, strict=True) if not total[wrong].isfinite().all()]
         terms = f"reward term {' and '.join(map(repr, names))}" if names else "the reward"
         raise NonFiniteError(
@@ -89,8 +91,10 @@ class RewardManager:
 
     def total(self, values: Tensor) -> Tensor:
         """(N,) the reward that the terms' values (terms, N) make."""
-        return self._weights @ values
+        # Four operations with the weights on the left, as the product makes a matrix of them and takes it away again.
+        return torch.mv(values.t(), self._weights)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Forget some environments' sums, by index or mask."""
+        # Transposed, because rows are environments; the view writes into the sums themselves.
         write_rows(self.sums.T, 0.0, env_ids)

@@ -170,8 +170,8 @@ class Task(ABC):
     curriculum_enabled: bool = False
     """Whether the curriculum sets how difficult episodes are; else they are as difficult as can be."""
     expert_starts: float = 0.0
-    """Share of episodes that begin on the expert's way (:class:`orbit_core.envs.ExpertStarts`), for learning what a
-    beginner would not come to."""
+    """Share of episodes that begin on the expert's way (:class:`orbit_motion.experts.starts.ExpertStarts`), for
+    learning what a beginner would not reach."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""
     metadata: TaskMetadata = TaskMetadata()

@@ -11,7 +11,7 @@ from orbit_core.exports import lazy_names
 
 # Type checkers see every name; at run time a name's module is imported when the name is used.
 if TYPE_CHECKING:
-    from orbit_core.interfaces.backend import Backend
+    from orbit_core.interfaces.backend import CONTRACT, Backend
     from orbit_core.interfaces.capabilities import (
         EXACT,
         IMAGES,
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         unsupported,
     )
     from orbit_core.interfaces.capture import CaptureFacet
-    from orbit_core.interfaces.contract import CONTRACT
     from orbit_core.interfaces.engine import Engine, RayHits
     from orbit_core.interfaces.entities import Deformable, JointTarget, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
@@ -70,13 +69,12 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.world import Sensor, World, WorldClock, WorldRandom, WorldSelector
 
 _MODULES = {
-    "backend": ("Backend",),
+    "backend": ("CONTRACT", "Backend"),
     "capabilities": (
         "EXACT", "IMAGES", "MATTER", "Capabilities", "Capability", "DriveIntegration", "Gap", "Level", "Support",
         "approximate", "unsupported",
     ),
     "capture": ("CaptureFacet",),
-    "contract": ("CONTRACT",),
     "engine": ("Engine", "RayHits"),
     "entities": ("Deformable", "JointTarget", "Marker", "Object", "Robot"),
     "errors": (
@@ -97,74 +95,16 @@ _MODULES = {
     "world": ("Sensor", "World", "WorldClock", "WorldSelector", "WorldRandom"),
 }  # fmt: skip
 __all__ = [
-    "BACKGROUND",
-    "CONTRACT",
-    "EXACT",
-    "IMAGES",
-    "MATTER",
-    "MAX_DISTANCE",
-    "MAX_SPEED",
-    "TERRAIN",
-    "Approximation",
-    "ArgumentError",
-    "AssetError",
-    "Backend",
-    "BackendNotInstalledError",
-    "BuildError",
-    "BuiltModel",
-    "Capabilities",
-    "Capability",
-    "CaptureFacet",
-    "ClosedError",
-    "ConfigurationError",
-    "ContactQuery",
-    "Deformable",
-    "DriveIntegration",
-    "Engine",
-    "EntityLayout",
-    "Gap",
-    "Image",
-    "JointParameters",
-    "JointTarget",
-    "Level",
-    "Marker",
-    "Matter",
-    "MatterSolver",
-    "NamedThings",
-    "Node",
-    "NonFiniteError",
-    "Object",
-    "OrbitError",
-    "PlanningError",
-    "Port",
-    "PremiseError",
-    "RayHits",
-    "Renderer",
-    "Robot",
-    "SceneLayout",
-    "Sensor",
-    "ShapeError",
-    "SimulationError",
-    "StorageError",
-    "Support",
-    "UnknownNameError",
-    "UnsupportedCapabilityError",
-    "World",
-    "WorldClock",
-    "WorldRandom",
-    "WorldSelector",
-    "albedo_table",
-    "approximate",
-    "diverged",
-    "divergence_error",
-    "drawn_shapes",
-    "find_name",
-    "first_few",
-    "match_names",
-    "match_values",
-    "matter_divergence_error",
-    "required_capabilities",
-    "unsupported",
+    "BACKGROUND", "CONTRACT", "EXACT", "IMAGES", "MATTER", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation",
+    "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel",
+    "Capabilities", "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
+    "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "JointTarget", "Level",
+    "Marker", "Matter", "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError",
+    "PlanningError", "Port", "PremiseError", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError",
+    "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World",
+    "WorldClock", "WorldRandom", "WorldSelector", "albedo_table", "approximate", "diverged", "divergence_error",
+    "drawn_shapes", "find_name", "first_few", "match_names", "match_values", "matter_divergence_error",
+    "required_capabilities", "unsupported",
 ]  # fmt: skip
 
 __getattr__, __dir__ = lazy_names(__name__, _MODULES)

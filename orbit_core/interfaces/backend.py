@@ -18,6 +18,22 @@ if TYPE_CHECKING:
     from orbit_core.scene import CameraSpec
 
 
+# Version of the contract between the core and plugins -----------------------------------------------------------------
+# A plugin states the version that it was written for, as numbers of its own: ``contract = (1, 0)``. The core checks it
+# when the plugin is loaded, before any engine is built.
+
+CONTRACT = (1, 0)
+"""Version of this core, major and minor: it accepts plugins of the same major number and of no later minor number.
+
+The major number grows with a change that breaks plugins, the minor with an addition that plugins may need.
+"""
+
+
+def contract_text(version: tuple[int, int]) -> str:
+    """Return a version as text, such as ``"1.0"``."""
+    return ".".join(map(str, version))
+
+
 class Backend(ABC):
     """A physics engine, a renderer, or both. Importing and making one must not import the engine itself."""
 
@@ -25,6 +41,8 @@ class Backend(ABC):
     contract: ClassVar[tuple[int, int]]
     """Version of the contract (:data:`~orbit_core.interfaces.CONTRACT`) that the plugin was written for, as numbers of
     its own: ``contract = (1, 0)``. Checked when the plugin is loaded."""
+    simulates: ClassVar[bool] = True
+    """False for a robot's computer: what it drives is built already, and is not compared with the scene."""
     # A class and not an instance, so that commands list its fields without making a backend.
     config_type: ClassVar[type]
     """The dataclass of the engine's own settings; every field has a default."""

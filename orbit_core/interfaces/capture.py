@@ -124,6 +124,7 @@ class _Watching(threading.local):
     watcher: CallTracer | None = None
 
 
+# For each thread, because environments of several threads trace on their own.
 _watching = _Watching()
 
 
@@ -141,6 +142,7 @@ def report_new_memory() -> None:
 @contextmanager
 def traced_by(watcher: CallTracer) -> Iterator[None]:
     """Tell the watcher of every read and call in this thread."""
+    # Nested traces give the thread back to the outer one.
     before, _watching.watcher = _watching.watcher, watcher
     try:
         yield
@@ -173,6 +175,8 @@ class Traceable:
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         for name, member in list(vars(cls).items()):
+            # Marks stand in the contract's classes; what overrides a marked method in a plugin is wrapped without a
+            # mark of its own.
             marks = [mark for kind in cls.__mro__ if (mark := _mark_of(vars(kind).get(name))) is not None]
             if not marks:
                 continue
@@ -201,6 +205,7 @@ def _watched_read(name: str, read: Callable[[Any], Tensor]) -> Callable[[Any], T
     @functools.wraps(read)
     def watched(owner: Traceable) -> Tensor:
         watcher = _watching.watcher
+        # The usual case first: each read of the state passes here, and pays for one look at a variable of the thread.
         return read(owner) if watcher is None else watcher.read(owner, name, functools.partial(read, owner))
 
     return watched
@@ -214,6 +219,7 @@ def _watched_call(name: str, kind: Call, call: Callable[..., Any]) -> Callable[.
         watcher = _watching.watcher
         if watcher is None:
             return call(owner, *arguments, **keywords)
+        # By name, so that a tracer finds the arguments with rows, however they were given.
         bound = signature.bind(owner, *arguments, **keywords)
         bound.apply_defaults()
         given = dict(list(bound.arguments.items())[1:])

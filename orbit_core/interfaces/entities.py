@@ -92,6 +92,10 @@ class Object(ABC):
     def frame_pose(self, name: str) -> Tensor:
         """Return (N, 7) of a link or named frame."""
 
+    def frame_position(self, name: str) -> Tensor:
+        """Return (N, 3) of a link or named frame's origin, m; it costs less than the pose."""
+        return self.frame_pose(name)[:, :3]
+
     @abstractmethod
     def frame_velocity(self, name: str) -> Tensor:
         """Return (N, 6) of a link or named frame."""

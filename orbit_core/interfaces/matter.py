@@ -1,7 +1,7 @@
 """Interface of a matter solver, which registers under ``orbit.matter``: cloth, rope and the like for any engine.
 
 The core couples one with a physics engine at every physics step: poses of links go in, wrenches on links come out
-(:mod:`orbit_core.world.coupling`).
+(:mod:`orbit_core.world.matter`).
 """
 
 from __future__ import annotations

@@ -10,7 +10,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from orbit_core.actions.workspace import with_workspace
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.task import ROBOT
 from orbit_core.envs.terms import (
@@ -26,67 +25,13 @@ from orbit_core.envs.terms import (
 )
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import gripper_positions
-from orbit_core.moved import moved_name
-from orbit_core.robots import robot
 from orbit_core.scene import Plane, Pose, RobotSpec, Shape, Workspace
 from orbit_core.scene.pose import Vector3
-
-# Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more.
-ROOM: Vector3 = (0.15, 0.3, 0.2)
 
 
 def floor(height: float = 0.0) -> Shape:
     """The ground plane."""
     return Shape(Plane(), Pose((0.0, 0.0, height)), color=(0.35, 0.38, 0.42, 1.0), name="floor")
-
-
-def arm(
-    name: str, gripper: bool = True, agent: str = ROBOT, pose: Pose | None = None, room: Vector3 = ROOM
-) -> RobotSpec:
-    """A robot of the catalogue with an end effector, and a gripper on it where that is needed, as an agent of the task.
-
-    Raises:
-        UnknownNameError: there is none of that name.
-        ConfigurationError: it has no end effector, no arm that moves it, or no gripper; or it has no workspace, and
-            none is found (:func:`orbit_core.actions.workspace.with_workspace`), or one that is smaller than the task's
-            ``room``, m along x, y and z.
-    """
-    spec = robot(name, name=agent)
-    spec = spec if pose is None else replace(spec, pose=pose)
-    lacking = None
-    if not spec.end_effectors:
-        lacking = "end effector"
-    elif not spec.has_arm:
-        raise ConfigurationError(
-            f"robot '{name}' has no arm, which this task needs: mount it on one, as in 'ur10+{name}', or choose "
-            "another robot"
-        )
-    elif gripper and spec.end_effector.gripper is None:
-        lacking = "gripper"
-    if lacking:
-        raise ConfigurationError(f"robot '{name}' has no {lacking}, which this task needs: choose another robot")
-    spec = with_workspace(spec)
-    box = placed_workspace(spec)
-    size = [high - low for low, high in zip(box.low, box.high, strict=True)]
-    if any(has < needs for has, needs in zip(size, room, strict=True)):
-        sizes = (" x ".join(f"{length:.2f}" for length in lengths) for lengths in (size, room))
-        raise ConfigurationError(
-            "the workspace of robot '{}' is {} m, and this task needs {} m: choose a larger robot".format(name, *sizes)
-        )
-    return spec
-
-
-def legged(name: str) -> RobotSpec:
-    """A robot of the catalogue with feet, as the task's robot.
-
-    Raises:
-        UnknownNameError: there is none of that name.
-        ConfigurationError: it has no feet.
-    """
-    spec = robot(name, name=ROBOT)
-    if not spec.feet:
-        raise ConfigurationError(f"robot '{name}' has no feet, which this task needs: choose another robot")
-    return spec
 
 
 def robot_of(world: World, agent: str = ROBOT) -> Robot:
@@ -122,7 +67,7 @@ def workspace_of(spec: RobotSpec) -> Workspace:
     if spec.end_effector.workspace is None:
         raise ConfigurationError(
             f"robot '{spec.articulation.name}' has no workspace: take it through "
-            "orbit_core.actions.workspace.with_workspace, or give its end effector one"
+            "orbit_motion.workspace.with_workspace, or give its end effector one"
         )
     return spec.end_effector.workspace
 
@@ -180,6 +125,13 @@ def hand_pose(env: Environment, agent: str = ROBOT) -> Tensor:
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
+@once_per_state
+def hand_position(env: Environment, agent: str = ROBOT) -> Tensor:
+    """(N, 3) of the end effector's origin, in the environment's frame, m."""
+    robot = env.world.robots[agent]
+    return robot.frame_position(robot.spec.end_effector.frame)
+
+
 @functools.cache
 def object_pose(name: str) -> TermFunction:
     """Make a term of the pose (N, 7) of an object, in the environment's frame."""
@@ -208,6 +160,7 @@ class GripperOpening:
 
     def __call__(self) -> Tensor:
         """(N,) in [0, 1], 1 where it is open, the mean of its joints."""
+        # An index_select, because indexing by a tensor costs more on few numbers.
         positions = self._robot.joint_positions.index_select(1, self._joints)
         return ((positions - self._closed) / self._span).clamp(0.0, 1.0).mean(1)
 
@@ -220,6 +173,7 @@ def closing_time(world: World, agent: str = ROBOT) -> float:
     """
     spec = world.robots[agent].spec
     opened, closed = _gripper_ends(spec, "close")
+    # The slowest joint decides, since a gripper is closed when all of its joints are.
     limits = [joint.velocity_limit for joint in spec.articulation.movable_joints]
     return max(abs(closed[joint] - opened[joint]) / limits[joint] for joint in opened)
 
@@ -358,7 +312,3 @@ def place_markers(world: World, names: Sequence[str], positions: Tensor, env_ids
     poses[..., :3], poses[..., 3] = positions, 1.0
     for number, name in enumerate(names):
         world.markers[name].set_pose(poses[:, number], env_ids)
-
-
-def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)

@@ -41,7 +41,10 @@ class Range:
         """(n, *shape) drawn from the environments' own streams."""
         if self.easy is None:
             return env.world.random.uniform(shape, self.low, self.high, env_ids)
+        # One difficulty for all components of an environment's draw.
         difficulty = env.state.difficulty[env_ids].view(-1, *(1 for _ in shape))
+        # Drawn in [0, 1) and scaled afterwards, so that the same draw means the same share of the range at any
+        # difficulty.
         share = env.world.random.uniform(shape, env_ids=env_ids)
         return self.easy + difficulty * (self.low + (self.high - self.low) * share - self.easy)
 
@@ -58,6 +61,7 @@ def masses(entity: str, scale: Range, links: Sequence[str] = (".*",)) -> EventFu
     def event(env: Environment, env_ids: Tensor) -> None:
         thing = _entity(env.world, entity)
         bodies = thing.spec.articulation.links
+        # Links without mass have none to scale.
         chosen = [link for link in thing.find_links(*links) if bodies[link].mass > 0.0]
         factors = scale.sample(env, (len(chosen),), env_ids)
         thing.set_masses(thing.nominal_masses[env_ids][:, chosen] * factors, chosen, env_ids)
@@ -76,12 +80,14 @@ def friction(entities: Sequence[str], coefficient: Range) -> EventFunction:
     """
 
     def event(env: Environment, env_ids: Tensor) -> None:
+        # One draw for all names: the two sides of a contact must have the same coefficient.
         drawn = coefficient.sample(env, (1,), env_ids)
         for name in entities:
             if name == TERRAIN:
                 env.world.set_terrain_friction(drawn[:, 0], env_ids)
             else:
                 thing = _entity(env.world, name)
+                # All links alike, which every engine can do, even one with a coefficient for a whole body.
                 thing.set_friction(drawn.expand(-1, len(thing.link_names)), env_ids=env_ids)
 
     return event
@@ -100,6 +106,7 @@ def gains(entity: str, stiffness: Range, damping: Range, joints: Sequence[str] =
         thing = _entity(env.world, entity)
         nominal = thing.nominal_gains
         chosen = [joint for joint in thing.find_joints(*joints) if joint in nominal]
+        # Factors apply to the description's gains and not to the last ones, which would drift from episode to episode.
         own = torch.tensor([nominal[joint] for joint in chosen], device=env.device)
         values = [
             column * factor.sample(env, (len(chosen),), env_ids)
@@ -130,6 +137,7 @@ def joint_parameters(
         thing = _entity(env.world, entity)
         chosen, parameters = thing.find_joints(*joints), env.world.layout.joint_parameters
         (own,) = (each for each in env.world.layout.entities if each.name == entity)
+        # The layout numbers joints of all entities, and a robot its own.
         columns = [own.joints.start + joint for joint in chosen]
         values: dict[str, Tensor] = {}
         own_values = {
@@ -167,6 +175,7 @@ def joint_limits(
             limit if shift is None else limit + shift.sample(env, (len(chosen),), env_ids)
             for limit, shift in zip(scenes.unbind(-1), (lower, upper), strict=True)
         )
+        # Independent shifts may cross where the range is narrow, and engines refuse limits in the wrong order.
         thing.set_joint_limits(low, torch.maximum(low, high), chosen, env_ids)
 
     return event
@@ -211,6 +220,7 @@ def textures(entities: Sequence[str], choices: Sequence[Texture], links: Sequenc
             thing = _entity(env.world, name)
             chosen = thing.find_links(*links)
             drawn = env.world.random.uniform((len(chosen),), 0.0, float(len(choices)), env_ids).long()
+            # In single precision a draw just below the number of choices may round to it.
             thing.set_textures(choices, drawn.clamp_max(len(choices) - 1), chosen, env_ids)
 
     return event
@@ -233,6 +243,7 @@ def active_model(entity: str, name: str, parameter: str, scale: Range) -> EventF
     return event
 
 
+# A factor and its inverse: as much softer as stiffer.
 def uncertain_gains(entity: str) -> EventFunction:
     """Scale stiffness and damping of all actuators by 0.8 to 1.25: how well a real robot's are known, as a rule."""
     return gains(entity, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
@@ -248,6 +259,7 @@ def push(entity: str, speed: Range) -> EventFunction:
     def event(env: Environment, env_ids: Tensor) -> None:
         thing = _entity(env.world, entity)
         if thing.spec.fixed_base:
+            # Checked when it happens, because the event is made before the scene is.
             raise ConfigurationError(f"'{entity}' cannot be pushed: its base is fixed; name another entity")
         angle = env.world.random.uniform((), -torch.pi, torch.pi, env_ids)
         change = speed.sample(env, (), env_ids)

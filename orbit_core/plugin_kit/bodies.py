@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from orbit_core.interfaces.layout import Approximation, EntityLayout, SceneLayout
 from orbit_core.scene import Articulation, Joint, JointType, Link, Rope, Scene
-from orbit_core.scene.inertias import FloatArray, lacking_moment, principal_axes, raised_moments
+from orbit_core.scene.articulation import FloatArray, lacking_moment, principal_axes, raised_moments
 
 STAND_IN = 1e-9
 """Of the mass, and of the smallest moments of inertia, that a link without mass carries: an engine's stand-in for none,

@@ -141,8 +141,8 @@ def validate(articulation: Articulation) -> Articulation:
     and so may links between joints (:func:`orbit_core.preparation.validation.check_massless`).
 
     Raises:
-        AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` sorts
-            them), a number of a shape, joint or link is impossible (:func:`.scene_data.check_data`),
+        AssetError: names repeat or are unknown, links form no single tree, are out of order (``sort_links`` of
+            orbit-assets sorts them), a number of a shape, joint or link is impossible (:func:`.scene_data.check_data`),
             a mimic is, a drive or home position is of no movable joint, or a body's mass or inertia is impossible.
     """
     try:
@@ -242,31 +242,6 @@ def _check_variant(entity: Entity, variant: Articulation) -> None:
             raise _error(variant, f"'{entity.name}' has variants, which are for solids: use terrain for ground")
 
 
-def sort_links(articulation: Articulation) -> Articulation:
-    """Return the same tree with links in depth-first order and joints in the order of their child links.
-
-    Raises:
-        AssetError: the links form no single tree.
-    """
-    check_structure(articulation)
-    children: dict[str, list[str]] = {}
-    joint_of = {joint.child: joint for joint in articulation.joints}
-    for link in articulation.links:
-        if link.name in joint_of:
-            children.setdefault(joint_of[link.name].parent, []).append(link.name)
-    # check_structure has made sure that there is exactly one.
-    (root,) = (link.name for link in articulation.links if link.name not in joint_of)
-    order: list[str] = []
-    stack = [root]
-    while stack:
-        name = stack.pop()
-        order.append(name)
-        stack += reversed(children.get(name, []))
-    by_name = {link.name: link for link in articulation.links}
-    links = tuple(by_name[name] for name in order)
-    return replace(articulation, links=links, joints=tuple(joint_of[name] for name in order[1:]))
-
-
 def check_structure(articulation: Articulation) -> None:
     """Check that names are unique and that the joints make one tree of all links, in any order.
 
@@ -320,7 +295,7 @@ def _check_order(articulation: Articulation) -> None:
             raise _error(
                 articulation,
                 f"link '{joint.child}' stands out of order: links go parent before child and joints in the order of "
-                "their child links, as orbit_core.preparation.validation.sort_links arranges them",
+                "their child links, as orbit_assets.compose.sort_links arranges them",
             )
 
 

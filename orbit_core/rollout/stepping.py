@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import PoseFollower
 from orbit_core.envs.actors import RemoteSource
 from orbit_core.rollout.estimates import Estimate, proportion
 

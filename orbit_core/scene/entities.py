@@ -109,7 +109,7 @@ class EndEffector:
     """Links or frames at the ends of a hand's fingers."""
     # Optional, because it depends on the whole robot: the same arm reaches elsewhere on another base.
     workspace: Workspace | None = None
-    """None: a task computes it (:func:`orbit_core.actions.workspace.with_workspace`)."""
+    """None: a task computes it (:func:`orbit_motion.workspace.with_workspace`)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,5 @@
 """Timed measurements over what an engine provides: rates, delays and noise, rays, images and point clouds."""
 
-from orbit_core.moved import moved_name
 from orbit_core.sensors.camera import CameraSensor, intrinsic_matrix, point_cloud, project
 from orbit_core.sensors.contact import ContactSensor, ContactTimer
 from orbit_core.sensors.factory import create_sensor, sensor_types
@@ -13,7 +12,3 @@ __all__ = [
     "FrameSensor", "ImuSensor", "JointSensor", "RayCaster", "SensorContext", "TimedSensor", "create_sensor",
     "grid_pattern", "intrinsic_matrix", "lidar_pattern", "point_cloud", "project", "sensor_types",
 ]  # fmt: skip
-
-
-def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)

@@ -130,10 +130,10 @@ class TimedSensor(Sensor):
         self._delay = _delay_in_periods(spec)
         self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
         # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt
+        # Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt.
         self._fleeting = self._lazy and not self._noisy and not self.costly
-        """Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt."""
+        # True while the value of a fleeting sensor is that of the present state.
         self._measured = False
-        """True while the value of a fleeting sensor is that of the present state."""
         self._elapsed = 0
         self._outdated = True
         # Whether nothing was measured yet, or since all environments were reset
@@ -142,10 +142,10 @@ class TimedSensor(Sensor):
         # (N,) environments that were reset and not measured since
         self._waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         # Values of a fleeting sensor at the present state
+        # Values of a fleeting sensor at the present state.
         self._present: Values = {}
-        """Values of a fleeting sensor at the present state."""
+        # Last measurements (1 + delay, N, ...) of all other sensors, the newest first.
         self._held = Memory()
-        """Last measurements (1 + delay, N, ...) of all other sensors, the newest first."""
         self._bias = Memory()
 
     # The world's side ------------------------------------------------------------------------------------------------

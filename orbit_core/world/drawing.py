@@ -60,6 +60,7 @@ class LinkTextures:
         """Bring textures to one resolution, on the device of ``chosen`` (N, L)."""
         sheets: list[Tensor] = []
         for texture in textures:
+            # Turned upside down: pictures begin at the top, and a surface's own axis points up.
             picture = torch.tensor(texture.pixels, dtype=torch.float32).flip(0).permute(2, 0, 1)[None] / 255.0
             sheet = torch.nn.functional.interpolate(picture, (RESOLUTION, RESOLUTION), mode="bilinear", antialias=True)
             sheets.append(sheet[0].permute(1, 2, 0).reshape(-1, 3))
@@ -77,6 +78,7 @@ class LinkTextures:
         total = torch.zeros(*which.shape, 3, device=which.device)
         for along, across in ((0, 0), (1, 0), (0, 1), (1, 1)):
             weight = (right if along else 1.0 - right) * (up if across else 1.0 - up)
+            # Textures repeat, so that one of any size covers a surface.
             pixel = ((row + across) % RESOLUTION) * RESOLUTION + (column + along) % RESOLUTION
             total += weight[..., None] * self.pixels[which * RESOLUTION**2 + pixel]
         return total
@@ -139,6 +141,7 @@ def _shares(
     poses = link_poses.gather(1, seen[..., None].expand(-1, -1, 7)).view(*which.shape, 7)
     points = point_cloud(depth.to(device), lens, eyes)
     places = quat_rotate_inverse(poses[..., 3:], torch.where(points.isfinite(), points, 0.0) - poses[..., :3])
+    # The picture is projected along the axis that the surface faces most: no shape needs texture coordinates.
     facing = quat_rotate_inverse(poses[..., 3:], normals.to(device)).abs().argmax(-1)
     places = places.gather(-1, textures.across[facing])
     colors = textures.colors(which.clamp_min(0), places)
@@ -163,6 +166,7 @@ class Painting:
         self._chosen: Tensor | None = None
         self.textures: LinkTextures | None = None
         """What renderers paint; None while nothing has a texture."""
+        # Weak, because a camera that nobody holds any more must not keep its renderer alive.
         self._renderers: weakref.WeakSet[TexturedRenderer] = weakref.WeakSet()
 
     def add(self, renderer: Renderer) -> Renderer:
@@ -179,6 +183,7 @@ class Painting:
             self._colors = torch.zeros(self._shape, device=self._device)
             for renderer in self._renderers:
                 renderer.set_link_colors(self._colors)
+        # The fourth component says that the link has a colour at all; it is no opacity.
         holding = torch.cat((colors, torch.ones_like(colors[..., :1])), dim=-1)
         write_columns(self._colors, links, holding, env_ids)
 

@@ -71,6 +71,8 @@ class SimulatedObject(ObjectParameters):
         self._frames: dict[str, _FrameHandle] = {}
         # Pose of each frame that was read, with its version of the clock
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
+        # Position alone of each frame of which no more was read, likewise
+        self._frame_positions: dict[str, tuple[int, Tensor]] = {}
         self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
         links, joints = layout.links, layout.joints
         self._root_pose, self._root_velocity = _View(layout.root_link), _View(layout.root_link)
@@ -148,9 +150,22 @@ class SimulatedObject(ObjectParameters):
             frame.link_pose.take(self._engine.link_poses, self._clock.version)
             pose = frame.link_pose.tensor
             if frame.pose_of is not None:
-                pose = frame.pose_of(pose)
+                seen, position = self._frame_positions.get(name, (-1, None))
+                pose = frame.pose_of(pose, position if seen == self._clock.version else None)
             self._frame_poses[name] = (self._clock.version, pose)
         return pose
+
+    def frame_position(self, name: str) -> Tensor:
+        frame, now = self._frame(name), self._clock.version
+        # A pose of this state that was computed before holds the position already.
+        if frame.pose_of is None or self._frame_poses.get(name, (-1,))[0] == now:
+            return self.frame_pose(name)[:, :3]
+        version, position = self._frame_positions.get(name, (-1, None))
+        if position is None or version != now:
+            frame.link_pose.take(self._engine.link_poses, now)
+            position = frame.pose_of.position(frame.link_pose.tensor)
+            self._frame_positions[name] = now, position
+        return position
 
     def frame_velocity(self, name: str) -> Tensor:
         frame = self._frame(name)

@@ -60,6 +60,7 @@ class ObjectParameters(Object):
     @cached_property
     def nominal_masses(self) -> Tensor:
         """(N, links) in kg, of the scene; what :meth:`set_masses` sets does not change them."""
+        # Alternatives of an object have masses of their own, and environments take the kinds in turn.
         kinds = [variant.entities[self.layout.index].spec.articulation for variant in self._engine.layout.variants]
         masses = torch.tensor([[link.mass for link in kind.links] for kind in kinds], device=self._engine.device)
         return masses[torch.arange(self._engine.num_envs, device=self._engine.device) % len(kinds)]
@@ -80,6 +81,7 @@ class ObjectParameters(Object):
         """Stiffness and damping in the scene, by joint, of those that have an actuator with gains."""
         gains: dict[int, tuple[float, float]] = {}
         for group in self.spec.actuators:
+            # A network's stiffness is in its weights, so that it has no gains to scale.
             joints = [] if isinstance(group, ActuatorNetwork) else self.find_joints(*group.joints)
             for joint in joints:
                 gains[joint] = (group.stiffness, group.damping)

@@ -32,6 +32,7 @@ from orbit_core.interfaces import (
     TERRAIN,
     Approximation,
     ArgumentError,
+    Backend,
     Capability,
     ConfigurationError,
     Engine,
@@ -49,18 +50,18 @@ from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
 from orbit_core.world.checks import check_build, check_capacity
-from orbit_core.world.coupling import coupled, rigid_part
-from orbit_core.world.deformables import SimulatedDeformable
 from orbit_core.world.drawing import Painting, with_frames, with_matter
 from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
+from orbit_core.world.matter import SimulatedDeformable, coupled, rigid_part
 from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
 
 
 class SimulatedWorld(World):
     """N environments of a scene in one physics engine.
 
-    :func:`~orbit_core.world.simulate` documents arguments and errors.
+    :func:`~orbit_core.world.simulate` documents arguments and errors. ``backend`` may also be a backend that no plugin
+    registers, such as a robot's computer.
     """
 
     # Never replaced, so that what a reader of World expects holds.
@@ -72,7 +73,7 @@ class SimulatedWorld(World):
         self,
         scene: Scene,
         num_envs: int,
-        backend: str,
+        backend: str | Backend,
         settings: Mapping[str, Any] | None = None,
         device: str | torch.device = "cpu",
         seed: int = 0,
@@ -82,8 +83,8 @@ class SimulatedWorld(World):
         matter_settings: Mapping[str, Any] | None = None,
     ) -> None:
         num_envs, seed = whole_number(num_envs, "num_envs", 1, MOST_ENVIRONMENTS), seed_number(seed)
-        self._plugin = plugin = find_backend(backend)
-        self._renderer_plugin = find_renderer(backend if renderer is None else renderer)
+        self._plugin = plugin = backend if isinstance(backend, Backend) else find_backend(backend)
+        self._renderer_plugin = plugin if renderer is None else find_renderer(renderer)
         if not isinstance(scene, Scene):
             raise ConfigurationError(f"a world needs a Scene, not a {type(scene).__name__}")
         # Everything that can be refused without the engine is refused before it is built, which may take seconds.
@@ -99,16 +100,18 @@ class SimulatedWorld(World):
         self.num_envs = num_envs
         self.device = usable_device(device)
         self.physics_dt = scene.physics_dt
-        self.backend = backend
+        self.backend = plugin.name
         self.settings = config = backend_config(plugin, settings)
-        drawn = settings_table(settings, backend) if self._renderer_plugin.name == backend else {}
+        drawn = settings_table(settings, plugin.name) if self._renderer_plugin.name == plugin.name else {}
         drawn = {**drawn, **settings_table(renderer_settings, "the renderer")}
         self._renderer_config = backend_config(self._renderer_plugin, drawn)
         check_capacity(self.layout, num_envs, self.device)
         check_drives(self.layout, plugin)
         engine = plugin.create_engine(rigid_part(self.layout, solver), num_envs, self.device, config)
         try:
-            check_build(engine, backend)
+            # The check moves the joints.
+            if plugin.simulates:
+                check_build(engine, plugin.name)
             self._engine = coupled(engine, self.layout, solver, matter_settings)
         except OrbitError:
             engine.close()

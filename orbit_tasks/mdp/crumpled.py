@@ -18,10 +18,10 @@ from orbit_core.interfaces import World
 from orbit_core.scene import Scene
 from orbit_core.world import simulate
 
+# Seconds after which a dropped cloth is at rest.
 _SECONDS = 2.0
-"""In which a dropped cloth comes to rest."""
+# rad by which it leans at most as it begins to fall on its edge.
 _LEAN = 0.5
-"""rad by which it leans at most as it begins to fall on its edge."""
 
 
 def crumpled(world: World, name: str, count: int = 16) -> Tensor:

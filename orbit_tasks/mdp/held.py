@@ -9,13 +9,13 @@ from torch import Tensor
 
 from orbit_assets.audit.robots.postures import gripper_posture
 from orbit_assets.compose import attach
-from orbit_core.actions.full_ik import FullIk, IkSolution
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
 from orbit_core.interfaces import ConfigurationError, match_names
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.mdp import common
 from orbit_core.scene import Articulation, Pose, RobotSpec
+from orbit_motion.full_ik import FullIk, IkSolution
 
 
 def with_tool(robot: RobotSpec, tool: Articulation, frame: str) -> RobotSpec:

@@ -36,7 +36,9 @@ def with_grip_force(robot: RobotSpec, force: float) -> RobotSpec:
         replace(
             group,
             effort_limit=force * travel,
+            # Stiff enough that the limit, and not the drive's spring, sets the force on things of any thickness.
             stiffness=max(group.stiffness, force * travel**2 / 5e-4),
+            # A stiffer drive needs more damping to settle as it did.
             damping=2.0 * group.damping,
         )
         if joints & set(match_names(group.joints, names, "joint", f"'{robot.name}'"))
@@ -55,6 +57,7 @@ def _jaw_travel(robot: RobotSpec, gripper: Gripper, joints: list[Joint]) -> floa
         shapes_in_frame(robot, robot.end_effector.frame, links, gripper_posture(robot, gripper, position))
         for position in (gripper.open_position, gripper.closed_position)
     ]
+    # Across the hand's axis only: linked fingers also move along it as they close.
     ways = [np.linalg.norm((b.mean(0) - a.mean(0))[:2]) for a, b in zip(*ends, strict=True)]
     first, last = (
         gripper_positions(robot, gripper, value) for value in (gripper.open_position, gripper.closed_position)

@@ -26,6 +26,7 @@ from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ObjectSpec, RobotSpec, Scene
+from orbit_motion import workspace as task_robots
 from orbit_tasks.mdp import picking, premises
 
 
@@ -49,11 +50,13 @@ def piece_poses(env: Environment[TabletopTask]) -> Tensor:
 def piece_turns(env: Environment[TabletopTask]) -> Tensor:
     """(N, B) rad, at most an eighth of a turn: by how much pieces that are square are turned against the hand."""
     hand = common.turn_facing_down(common.hand_pose(env)[:, 3:])
+    # A square looks the same after a quarter turn, so that larger angles would describe one state in four ways.
     return picking.quarter(picking.quarter_yaw(piece_poses(env)[..., 3:]) - hand[:, None])
 
 
 def dropped(env: Environment[TabletopTask]) -> Tensor:
     """(N,) bool: one of the task's pieces fell off the table."""
+    # Below the table's top by more than a piece can sink in.
     return (piece_poses(env)[..., 2] < -0.05).any(1)
 
 
@@ -118,6 +121,7 @@ def sensed(
     sensors: Callable[[], ObservationGroup], group: Callable[[], ObservationGroup]
 ) -> Callable[[], StateObservations]:
     """Makes a task's observations: the policy sees what sensors show, critic and teacher the state in that group."""
+    # A group each for critic and teacher: settings of one must not change the other.
     return lambda: StateObservations(sensors(), group(), group())
 
 
@@ -154,7 +158,7 @@ class TabletopTask(Task):
     def bench(self, *objects: ObjectSpec, robot: RobotSpec | None = None) -> Scene:
         """The arm, or the ``robot`` in its place, with objects on the work bench."""
         return Scene(
-            robots=(robot or common.arm(self.robot),),
+            robots=(robot or task_robots.arm(self.robot),),
             objects=(*objects, work_bench()),
             terrain=(common.floor(-BENCH_HEIGHT),),
             physics_dt=self.physics_dt,

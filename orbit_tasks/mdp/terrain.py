@@ -68,6 +68,7 @@ class TerrainMemory(TaskState):
         self.cell_origins = torch.tensor(grid.origins, dtype=torch.float32, device=env.device)
         self.kind = count % len(grid.kinds)
         if env.task.curriculum_enabled:
+            # Spread over the easier half, so that each kind of terrain has robots of several levels from the start.
             self.difficulty.copy_(0.5 * ((count // len(grid.kinds) * _GOLDEN) % 1.0))
 
 
@@ -118,8 +119,10 @@ def by_distance(command: TermFunction, share: float = 0.5) -> TermFunction:
         distance = walked(env)
         up = distance > 0.5 * env.task.terrain.cell_size
         asked = share * env.task.episode_length * command(env)[:, :2].norm(dim=1)
+        # Who went up cannot go down: a fast command may ask for more than a cell's size.
         down = ~up & (distance < asked)
         following = (env.state.level + up.long() - down.long()).clamp_min(0)
+        # Back to a random level, so that easy terrain is not forgotten.
         following = torch.where(following > last, env.state.spare_level, following)
         return following / last - env.state.difficulty
 

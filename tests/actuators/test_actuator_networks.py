@@ -26,8 +26,7 @@ from orbit_core.interfaces import ConfigurationError, NonFiniteError
 from orbit_core.scene import ActuatorNetwork, DcMotor, IdealPd, Scene, Transmission, Windings
 from orbit_data.reading.budget import ReadBudget
 from orbit_data.tensor_file import write_tensors
-from orbit_learn.actuators.fitting import FitSettings, fit
-from orbit_learn.actuators.networks import NetworkDescription, read_network, write_network
+from orbit_learn.actuators.networks import FitSettings, NetworkDescription, fit, read_network, write_network
 from orbit_learn.actuators.recordings import QUANTITIES, read_recording
 from orbit_tasks.velocity_flat import VelocityFlat
 from tests.fuzz.watch import watched

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from orbit_assets import sources
+from orbit_assets.catalogue import RobotCatalogue, RobotEntry, robot, robot_info, robot_names
 from orbit_core.interfaces import ConfigurationError, SceneLayout, UnknownNameError
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.validation import validate_entity
-from orbit_core.robots import RobotCatalogue, RobotEntry, robot, robot_info, robot_names
 from orbit_core.scene import Articulation, Box, JointType, Mesh, Pose, RobotSpec, Scene
 
 ROBOTS = ("anymal_c", "cartpole", "franka_panda", "ur10_robotiq_2f85")
@@ -55,7 +55,7 @@ def urdf_mass(path: Path) -> float:
 
 def test_listing_is_light() -> None:
     code = (
-        "import sys; from orbit_core.robots import robot_names, robot_info;"
+        "import sys; from orbit_assets.catalogue import robot_names, robot_info;"
         "print([robot_info(name).description for name in robot_names()]);"
         "print([m for m in ('torch', 'numpy', 'trimesh', 'mujoco', 'pxr') if m in sys.modules])"
     )

@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot
 from orbit_assets.objects import cylinder
 from orbit_assets.sources import installed_urdf
 from orbit_core.actions import BinaryGripperConfig, JointTarget, joint_commands
@@ -17,7 +18,6 @@ from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.names import match_names
 from orbit_core.preparation.validation import validate_entity
-from orbit_core.robots import robot
 from orbit_core.scene import Pose, RobotSpec, Scene
 from orbit_core.world import simulate
 

@@ -14,7 +14,7 @@ from orbit_assets.mass_properties import mass_properties, shapes_mass_properties
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.merge import MassProperties, combine
 from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, Plane, Pose, Shape, Sphere
-from orbit_core.scene.inertias import principal_axes
+from orbit_core.scene.articulation import principal_axes
 
 SIZES = st.floats(0.05, 1.0)
 POSES = st.builds(

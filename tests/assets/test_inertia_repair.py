@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orbit_assets.files import load_articulation
-from orbit_assets.inertia_repair import balance_inertias, balanced
+from orbit_assets.mass_properties import balance_inertias, balanced
 from orbit_assets.options import ReadOptions, Repair
 from orbit_assets.sdf import read_sdf
 from orbit_assets.urdf import read_urdf

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from orbit_assets import sources
+from orbit_assets.catalogue import robot, robot_info, robot_names, robots
 from orbit_assets.robots import maniskill
 from orbit_core.interfaces import SceneLayout, UnknownNameError
 from orbit_core.preparation.validation import validate_entity
-from orbit_core.robots import robot, robot_info, robot_names, robots
 from orbit_core.scene import Scene
 
 INSTALLED = sources.installed_version("mani-skill") is not None

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from orbit_assets import load_articulation
-from orbit_assets.mesh_to_usd import MeshBody, mesh_articulation, mesh_to_usd
+from orbit_assets.usd.writer import MeshBody, mesh_articulation, mesh_to_usd
 from orbit_core.interfaces.errors import ArgumentError, AssetError
 from orbit_core.scene import Mesh, MeshCollision
 

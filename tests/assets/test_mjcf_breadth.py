@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from orbit_assets.audit.geometry import mass_matrix, posture
+from orbit_assets.audit.checks import mass_matrix, posture
 from orbit_assets.mjcf import read_mjcf, read_mjcf_all
 from orbit_assets.options import ReadLimits, ReadOptions, Unsupported
 from orbit_core.interfaces.errors import AssetError

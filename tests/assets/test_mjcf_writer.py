@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from orbit_assets.audit.mjcf_reference import MujocoReference
 from orbit_assets.audit.reference import compare
+from orbit_assets.compose import sort_links
 from orbit_assets.joint_models import BALL, compound
 from orbit_assets.mjcf import read_mjcf, write_mjcf
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.validation import sort_links, validate
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import (
     Articulation,
     Box,

@@ -13,11 +13,11 @@ import torch
 
 from orbit_assets import sources
 from orbit_assets.cache import cached_articulation
+from orbit_assets.catalogue import robot, robot_info, robots
 from orbit_assets.robot_parts import compose
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
 from orbit_core.preparation.validation import link_poses, validate_entity
-from orbit_core.robots import robot, robot_info, robots
 from orbit_core.scene import EndEffector, PlanarBase, Pose, RobotCategory, Scene, Sphere, Workspace
 from orbit_core.world import simulate
 
@@ -168,7 +168,7 @@ def test_an_unknown_part_offers_the_nearest_part():
 
 def test_parts_load_without_the_tensor_library():
     script = (
-        "import sys; from orbit_core.robots import robots\n"
+        "import sys; from orbit_assets.catalogue import robots\n"
         "for entry in robots().entries.values():\n"
         "    if entry.part: entry.load_part()\n"
         "sys.exit('loaded torch' if 'torch' in sys.modules else 0)"

@@ -13,12 +13,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from orbit_assets.compose import sort_links
 from orbit_assets.files import load_articulation
 from orbit_assets.mjcf import read_mjcf, write_mjcf
 from orbit_assets.urdf import read_urdf, write_urdf
 from orbit_assets.usd import read_usd, write_usd
 from orbit_core.interfaces import SceneLayout
-from orbit_core.preparation.validation import sort_links, validate
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import (
     Articulation,
     Box,

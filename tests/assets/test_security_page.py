@@ -9,7 +9,9 @@ import pytest
 
 from orbit_assets import load_articulation
 from orbit_assets.options import ReadLimits, ReadOptions
-from orbit_assets.xacro import expansion, expressions, process, values
+from orbit_assets.xacro import functions as expressions
+from orbit_assets.xacro import process, values
+from orbit_assets.xacro import process as expansion
 from orbit_core.interfaces.errors import AssetError
 from tests.fuzz.mutations import MUTATIONS
 from tests.fuzz.run import MEMORY, SECONDS

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from orbit_assets.compose import attach
-from orbit_assets.convex import convex_shape, distance, within
-from orbit_assets.self_contacts import without_home_contacts
+from orbit_assets.decomposition import convex_shape, distance, within, without_home_contacts
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import (
     Articulation,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from orbit_assets.catalogue import robot
 from orbit_assets.terrain import (
     Boxes,
     Flat,
@@ -24,7 +25,6 @@ from orbit_assets.terrain import (
     Waves,
 )
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.robots import robot
 from orbit_core.scene import HeightField, Mesh
 
 KINDS: tuple[TerrainKind, ...] = (

@@ -12,7 +12,7 @@ from trimesh.exchange.dae import export_collada
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from orbit_assets.audit.geometry import shape_points
+from orbit_assets.audit.checks import shape_points
 from orbit_assets.files import asset_file, load_articulation
 from orbit_assets.meshes import load_mesh, load_parts, simplified_hull
 from orbit_assets.options import ReadOptions, Unsupported

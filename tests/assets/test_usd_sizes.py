@@ -9,10 +9,10 @@ import pytest
 from pxr import UsdUtils
 
 from orbit_assets import load_articulation
+from orbit_assets.catalogue import robot
 from orbit_assets.options import ReadLimits, ReadOptions
 from orbit_assets.usd import write_usd
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.robots import robot
 
 BODY = (
     'def Cube "ball" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"])\n{\n    double size = 1\n}\n'

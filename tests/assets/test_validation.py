@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from orbit_assets.compose import sort_links
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.preparation.validation import sort_links, validate, validate_entity
+from orbit_core.preparation.validation import validate, validate_entity
 from orbit_core.scene import (
     Articulation,
     Box,

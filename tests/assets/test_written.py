@@ -18,7 +18,7 @@ from orbit_assets.usd import write_usd
 from orbit_core.cli import main
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Box, Joint, JointType, Link, Pose, Shape
-from orbit_core.scene.inertias import DOUBLE, SINGLE, lacking_moment, raised_moments, solid_moments
+from orbit_core.scene.articulation import DOUBLE, SINGLE, lacking_moment, raised_moments, solid_moments
 
 Write = Callable[[Articulation, Path], tuple[str, ...]]
 WRITERS: dict[str, Write] = {"xml": write_mjcf, "urdf": write_urdf, "usda": write_usd}

@@ -14,7 +14,7 @@ from orbit_assets.audit.reference import compare
 from orbit_assets.files import load_articulation
 from orbit_assets.options import ReadOptions
 from orbit_assets.urdf import read_urdf
-from orbit_assets.xacro import expansion
+from orbit_assets.xacro import process as expansion
 from orbit_core.interfaces.errors import AssetError
 from tools.asset_corpus import corpus, options_for
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from orbit_assets.xacro.expressions import evaluate
-from orbit_assets.xacro.functions import global_symbols, launch_symbols, tokenize
+from orbit_assets.xacro.functions import evaluate, global_symbols, launch_symbols, tokenize
 from orbit_assets.xacro.values import ExpressionError, Function, Namespace
 
 XACRO = Namespace(

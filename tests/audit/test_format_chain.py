@@ -15,14 +15,14 @@ import pytest
 import trimesh.creation
 
 from orbit_assets import load_articulation
-from orbit_assets.audit.geometry import FloatArray, Posture, mass_matrix, posture, shape_points
+from orbit_assets.audit.checks import FloatArray, Posture, mass_matrix, posture, shape_points
+from orbit_assets.catalogue import robot
 from orbit_assets.mjcf import write_mjcf
 from orbit_assets.mjcf.writer import renamed_world
 from orbit_assets.urdf import write_urdf
 from orbit_assets.usd import write_usd
 from orbit_core.objects import object_config, object_kinds
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.robots import robot
 from orbit_core.scene import Articulation, Joint
 
 TOLERANCE = 1e-6

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orbit_assets import load_articulation
-from orbit_assets.audit.geometry import mass_matrix, posture
+from orbit_assets.audit.checks import mass_matrix, posture
 from orbit_assets.audit.mjcf_reference import MujocoReference
 from orbit_assets.audit.reference import Comparison, PinocchioReference, compare, pinocchio_installed
 from orbit_core.interfaces.errors import AssetError

@@ -14,8 +14,8 @@ import pytest
 
 from orbit_assets.audit.checks import Severity
 from orbit_assets.audit.robots.report import RobotReport, audit_robot, audit_spec
+from orbit_assets.catalogue import RobotEntry, robot, robot_info
 from orbit_core.cli import main
-from orbit_core.robots import RobotEntry, robot, robot_info
 from orbit_core.scene import IdealPd, Pose, RobotSpec
 
 Edit = Callable[[RobotSpec], RobotSpec]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.rollout.video import VideoFile, tile
+from orbit_viewer.video import VideoFile, tile
 
 
 def test_pictures_are_tiled_in_rows():

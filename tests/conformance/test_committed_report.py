@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from orbit_assets.catalogue import robot_names
 from orbit_conformance.jobs import Kind
 from orbit_conformance.report.page import page_of, render
 from orbit_conformance.report.ranking import rankings
 from orbit_conformance.results import Result, load
 from orbit_conformance.scenarios import SCENARIOS
 from orbit_conformance.tolerances import loose_tolerances
-from orbit_core.robots import robot_names
 
 ROBOTS = [name for name in robot_names() if not name.startswith("maniskill_")]
 ENGINES = ("bullet", "mujoco", "sapien", "warp")

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import pytest
 
-from orbit_conformance.declarations import check_declarations
 from orbit_conformance.report.declared import declarations_of
 from orbit_conformance.results import load
 from orbit_conformance.scenario import Metric, Scenario, Trial
+from orbit_conformance.settings import check_declarations
 from orbit_conformance.verdict import Status, judge, run_scenario
 from orbit_core import backends
 from orbit_core.backends import default_backend

@@ -11,12 +11,11 @@ from pathlib import Path
 import pytest
 
 from orbit_conformance.cli.conformance import main
-from orbit_conformance.divergence import Divergence
 from orbit_conformance.jobs import Job, Kind
 from orbit_conformance.publish import publish
 from orbit_conformance.report import plots
 from orbit_conformance.results import BackendInfo, Ending, Parting, Record, load, save
-from orbit_conformance.verdict import Status
+from orbit_conformance.verdict import Divergence, Status
 from orbit_core.interfaces import AssetError, ConfigurationError, Gap
 
 from .test_results import record, result

@@ -10,7 +10,7 @@ import pytest
 
 from orbit_conformance.hardware import Hardware
 from orbit_conformance.jobs import Job, Kind
-from orbit_conformance.report.differences import differences
+from orbit_conformance.report.page import differences
 from orbit_conformance.report.ranking import USES, Figure, Missing, Ranking, Use, Value, rank
 from orbit_conformance.results import Ending, Header, Record, Result, ScenarioInfo, ScenarioResult
 from orbit_conformance.scenario import Metric

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from orbit_conformance.compare import compare
 from orbit_conformance.execution import Outcome
 from orbit_conformance.hardware import Hardware
 from orbit_conformance.jobs import Job, Kind
 from orbit_conformance.journal import PREVIOUS, Journal
+from orbit_conformance.merge import compare
 from orbit_conformance.results import Ending, Header, Record, Result, ScenarioInfo, ScenarioResult, load, save
 from orbit_conformance.scenario import Metric
 from orbit_conformance.settings import Part, Settings

@@ -9,19 +9,17 @@ from typing import Any
 
 import pytest
 
-from orbit_conformance.declarations import check_declarations
 from orbit_conformance.execution import execute
 from orbit_conformance.jobs import Job, Kind, plan
 from orbit_conformance.report.page import page_of, render
 from orbit_conformance.results import Result, decode, encode
-from orbit_conformance.robots.check import TIME_STEP, Measures, RobotCheck, RobotResult, judge_check
+from orbit_conformance.robots.check import ROBOT_GAPS, TIME_STEP, Measures, RobotCheck, RobotResult, judge_check
 from orbit_conformance.robots.checks import CHECKS, check_robot, load_robot
-from orbit_conformance.robots.exceptions import ROBOT_GAPS
 from orbit_conformance.robots.grasping import GRASP
 from orbit_conformance.robots.standing import STAND
 from orbit_conformance.runner import header_of
 from orbit_conformance.scenario import Trial
-from orbit_conformance.settings import QUICK_ROBOTS, Part, choose
+from orbit_conformance.settings import QUICK_ROBOTS, Part, check_declarations, choose
 from orbit_conformance.verdict import Status
 from orbit_core.backends import backend, default_backend
 from orbit_core.interfaces import ConfigurationError, Gap, SimulationError, UnknownNameError, World

@@ -9,8 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_conformance.task_audit import EXPERT, Status, TaskAudit, audit_task
-from orbit_conformance.task_starts import coverage
+from orbit_conformance.task_audit import EXPERT, Status, TaskAudit, audit_task, coverage
 from orbit_core.cli import main
 from orbit_core.envs import Environment, EventTerm, TaskMetadata
 from orbit_core.envs.registry import task_entries

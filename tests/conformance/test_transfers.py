@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from orbit_conformance.compare import compare
 from orbit_conformance.episodes import TaskResult
 from orbit_conformance.execution import execute
 from orbit_conformance.hardware import Hardware
 from orbit_conformance.jobs import Job, Kind, plan
+from orbit_conformance.merge import compare
 from orbit_conformance.report.page import write_report
 from orbit_conformance.results import Ending, Header, PolicyInfo, Record, Result, load, save
 from orbit_conformance.settings import Part, Settings, choose
@@ -21,8 +21,8 @@ from orbit_conformance.verdict import Status
 from orbit_core import backends
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import Capabilities, Capability, unsupported
-from orbit_core.pretrained import PretrainedPolicy, TransferGap
 from orbit_core.rollout.estimates import mean, proportion
+from orbit_learn.pretrained import PretrainedPolicy, TransferGap
 
 SLIPS = TransferGap(backend="slippery", least_success=0.6, reason="its bars are oiled")
 KEPT = PretrainedPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from orbit_conformance.contract.truth import assert_near
+from orbit_conformance.contract.fixtures import assert_near
 
 
 @pytest.mark.parametrize(("measured", "way"), [(0.25, "0.05 above the truth 0.2"), (0.1, "0.1 below the truth 0.2")])

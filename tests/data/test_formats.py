@@ -19,8 +19,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import common_manifest, divided, opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_data.lerobot import write_lerobot
-from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.lerobot import LeRobotDataset, write_lerobot
 from orbit_data.recording import RecordingFile, record
 
 BACKEND = default_backend()

@@ -25,7 +25,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset
-from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.lerobot import LeRobotDataset
 from orbit_data.manifest.manifest import Manifest
 
 STEPS = 6

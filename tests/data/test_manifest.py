@@ -19,12 +19,11 @@ from orbit_core.envs.observation_layout import groups_of, terms_of_group
 from orbit_core.envs.registry import task_entries
 from orbit_core.envs.terms import unit_of
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.pretrained import policy_path, pretrained_policies
-from orbit_data.manifest.compare import Kind, check_manifest, differences
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Kind, Manifest, check_manifest, differences
 from orbit_data.manifest.plain import as_plain, digest
 from orbit_learn.networks import perceptron, perceptron_actor
 from orbit_learn.policy import Policy, PolicyActor, PolicyDescription, load_policy
+from orbit_learn.pretrained import policy_path, pretrained_policies
 
 BACKEND = default_backend()
 OTHER = next(name for name in backend_names() if name != BACKEND)

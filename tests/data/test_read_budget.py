@@ -28,7 +28,7 @@ from orbit_data.cli.read_budget import ReadSettings
 from orbit_data.episodes import Episode, EpisodeInfo
 from orbit_data.formats import opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset
-from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.lerobot import LeRobotDataset
 from orbit_data.reading.budget import ReadAccount, ReadBudget
 from orbit_data.zarr_reader import ZarrDataset
 from tests.fuzz.watch import watched

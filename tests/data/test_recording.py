@@ -19,8 +19,7 @@ from orbit_core.envs import Environment, TerminationTerm, make
 from orbit_core.envs.actors import Actor, scripted_actor
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_data.hdf5 import Hdf5Dataset
-from orbit_data.manifest.compare import check_manifest
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Manifest, check_manifest
 from orbit_data.recording import RecordingFile, record
 from orbit_tasks.reach import Reach
 

@@ -14,7 +14,7 @@ from orbit_assets.drive_design import (
     designed_drives,
     with_armature,
 )
-from orbit_core.dynamics.workspace import drive_responses, reflected_inertia
+from orbit_core.dynamics.rigid_body import drive_responses, reflected_inertia
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.scene import Articulation, ImplicitPd, Joint, JointType, Link, Mimic, Pose, RobotSpec
 

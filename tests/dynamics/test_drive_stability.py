@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orbit_core.actuators.stability import ExplicitGains, unstable_drive
-from orbit_core.dynamics.workspace import workspace_mass_matrices
+from orbit_core.dynamics.rigid_body import workspace_mass_matrices
 from orbit_core.scene import Articulation, Joint, JointType, Link, Mimic, Pose
 
 STEP = 0.01

@@ -11,10 +11,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from orbit_assets.catalogue import robot
 from orbit_core.dynamics.kinematics import KinematicTree, PointJacobian, mimic_matrix
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.robots import robot
 from orbit_core.scene import Articulation, Joint, JointType, Link, Mimic, Pose
 
 Build = Callable[[Articulation, bool], Any]

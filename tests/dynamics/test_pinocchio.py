@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot
 from orbit_core.dynamics.rigid_body import RigidBodyModel
-from orbit_core.robots import robot
 from orbit_core.scene import Articulation
-from orbit_motion.mpc.model import pinocchio_model
+from orbit_motion.mpc.predictive import pinocchio_model
 
 pinocchio = pytest.importorskip("pinocchio", reason="the reference for rigid bodies is not installed (pip: pin)")
 ROOT = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)

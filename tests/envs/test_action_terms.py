@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_assets.compose import attach
 from orbit_core.actions import (
     ActionTerms,
@@ -23,7 +24,6 @@ from orbit_core.backends import default_backend
 from orbit_core.envs import Environment, make
 from orbit_core.envs.configuration import configure
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import (
     Articulation,
     EndEffector,

@@ -109,6 +109,7 @@ def test_a_closed_step_is_the_same_step(whole: bool, action: str) -> None:
         "Cloth-Dropping",
         "Rope-Reshaping",
         "Soft-Lifting",
+        "Soft-Placing",
     ],
 )
 def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:

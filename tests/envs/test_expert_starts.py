@@ -15,7 +15,7 @@ from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.cli.train import TrainSettings, for_training, train
 from orbit_learn.ends import EpisodeTally
-from orbit_learn.imitation import imitate_expert
+from orbit_learn.rsl_rl import imitate_expert
 from orbit_tasks.lift import Lift
 
 NUM_ENVS = 4

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from orbit_core.actions.full_ik import FullIk
 from orbit_core.backends import backend_names
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
@@ -13,6 +12,7 @@ from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.mdp import common
 from orbit_motion.experts.mppi import Mppi, MppiConfig
+from orbit_motion.full_ik import FullIk
 from orbit_tasks.cartpole import state
 
 BACKENDS = [name for name in ("mujoco", "bullet") if name in backend_names()]

@@ -14,7 +14,9 @@ from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.envs.configuration import configure
 from orbit_core.envs.observation_layout import one_tensor
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, ShapeError, UnknownNameError
-from orbit_core.mdp import common, images, scans
+from orbit_core.mdp import common
+from orbit_core.mdp import sensing as images
+from orbit_core.mdp import sensing as scans
 from orbit_core.scene import CameraSpec, Channel, RayCasterSpec, look_at
 from orbit_tasks.reach import Reach, ReachObservations, ReachState
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import torch
 
+from orbit_assets.catalogue import robot, robot_info
 from orbit_assets.objects import box, capsule, cylinder, sphere, table
 from orbit_core.backends import backend, renderer
 from orbit_core.cli import main
 from orbit_core.envs import make
 from orbit_core.interfaces import OrbitError
-from orbit_core.robots import robot, robot_info
 from orbit_core.scene import (
     CameraSpec,
     Channel,

@@ -14,11 +14,10 @@ from torch import Tensor
 
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.mdp.images import camera_color, camera_depth
+from orbit_core.mdp.sensing import camera_color, camera_depth
 from orbit_core.scene import CameraSpec, Channel
-from orbit_learn.convolutional import Convolutional, Picture, PictureEncoder, convolutional
 from orbit_learn.description import Part, PolicyDescription, group_parts
-from orbit_learn.networks import ActorNetwork
+from orbit_learn.networks import ActorNetwork, Convolutional, Picture, PictureEncoder, convolutional
 from orbit_learn.policy import Policy, PolicyNode, load_policy
 from orbit_tasks.reach import Reach
 

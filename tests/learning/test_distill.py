@@ -15,7 +15,7 @@ from orbit_core.cli import main
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
-from orbit_core.mdp.images import camera_color, camera_depth
+from orbit_core.mdp.sensing import camera_color, camera_depth
 from orbit_core.scene import END_EFFECTOR, CameraSpec, Channel, look_at
 from orbit_learn.distill import DistillSettings, DistillTrainer, ReplayBuffer, RunningMoments
 from orbit_learn.policy import PolicyActor, load_policy

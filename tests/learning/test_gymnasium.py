@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
 from dataclasses import dataclass
 
@@ -21,14 +23,24 @@ from orbit_core.envs import RewardTerm, make, task_entries
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.mdp import common
+from orbit_learn.registration import register
 from orbit_tasks.reach import Reach
 
 BACKEND = default_backend()
 
 
 def test_every_task_has_an_id() -> None:
-    orbit_learn.register()  # again: harmless
+    register()  # again: harmless
     assert {f"orbit/{name}-v0" for name in task_entries()} <= set(gymnasium.registry)
+
+
+@pytest.mark.parametrize("first", ["orbit_learn", "gymnasium"])
+def test_tasks_have_their_ids_whichever_is_imported_first_and_gymnasium_only_when_it_is_used(first: str) -> None:
+    second = {"orbit_learn": "gymnasium", "gymnasium": "orbit_learn"}[first]
+    code = f"import sys, {first}; early = 'gymnasium' in sys.modules; import {second}, gymnasium;"
+    code += "print(early, 'orbit/Lift-v0' in gymnasium.registry)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(first == "gymnasium"), "True"]
 
 
 CHEAP = {"Nut-Bolt": {"thread": "boxes"}, "Jenga": {"layers": 7}}

@@ -18,13 +18,13 @@ from orbit_core.backends import default_backend, renderer_names
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
-from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
+from orbit_core.mdp.sensing import camera_color, camera_depth, camera_segmentation
 from orbit_core.scene import CameraSpec, Channel, look_at
-from orbit_learn.convolutional import Convolutional
-from orbit_learn.groups import tensors_by_name
 from orbit_learn.learners import trainer_type
+from orbit_learn.networks import Convolutional
 from orbit_learn.policy import PolicyActor, load_policy
 from orbit_learn.sb3 import seen_arrays
+from orbit_learn.spaces import tensors_by_name
 from orbit_learn.torchrl import TorchRlEnvironment
 from orbit_learn.training import Training, read_checkpoint
 from orbit_tasks.reach import Reach, ReachState

@@ -20,11 +20,11 @@ from orbit_core.envs.observation_layout import groups_of, terms_of_group
 from orbit_core.envs.registry import task_entries
 from orbit_core.envs.terms import meaning_of
 from orbit_core.interfaces import World
-from orbit_core.pretrained import policy_path
 from orbit_learn.cli.export import main as export
 from orbit_learn.cli.play import played
 from orbit_learn.cli.trained import PlaySettings
 from orbit_learn.policy import load_policy
+from orbit_learn.pretrained import policy_path
 
 BACKEND = default_backend()
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -11,8 +11,8 @@ import torch
 from onnx import helper
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_learn.convolutional import Convolutional, Picture, PictureEncoder
 from orbit_learn.description import Part
+from orbit_learn.networks import Convolutional, Picture, PictureEncoder
 from orbit_learn.policy import Policy, load_policy
 from tests.learning.test_bad_policy_files import DESCRIPTION, PRODUCT, changed, constant, model, put, saved, weight
 

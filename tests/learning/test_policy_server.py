@@ -19,8 +19,8 @@ from orbit_core.cli import main
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.pretrained import policy_path
 from orbit_learn.policy import PolicyActor, load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_learn.remote.client import PolicyServer, RemoteActor, ServerAddress, ServerFailure
 from orbit_learn.remote.server import PolicyService
 from orbit_learn.remote.wire import decode, encode

@@ -12,10 +12,10 @@ from safetensors.torch import load_file
 from orbit_core.backends import default_backend
 from orbit_core.cli.making import make_actor, make_environment
 from orbit_core.cli.run import run
-from orbit_core.pretrained import policy_path, pretrained_policies
 from orbit_learn.cli.play import played
 from orbit_learn.cli.trained import PlaySettings
 from orbit_learn.policy import load_policy
+from orbit_learn.pretrained import policy_path, pretrained_policies
 
 KEPT_ACTIONS = sorted(Path(__file__).with_name("kept_actions").iterdir())
 """``<policy>_<iteration>.safetensors``: an observation (16, O), or the terms of one (4, ...) of a policy that sees

@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_core.dynamics.kinematics import KinematicTree, PointJacobian
 from orbit_core.interfaces import Robot
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import RobotSpec
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_core.actions import ActionTerm, Actuate, MotionGenerator, with_drives_for
 from orbit_core.backends import backend_names
 from orbit_core.interfaces import Robot, World
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import ObjectSpec, Scene, SensorSpec, Shape
 from orbit_core.world import simulate
 

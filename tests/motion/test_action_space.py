@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_core.actions import ACTION_PRESETS, Actuate, MotionGenerator, preset_terms, with_drives_for
 from orbit_core.dynamics.transforms import pose_error, quat_from_rotation_vector, quat_multiply
 from orbit_core.interfaces import SceneLayout, UnknownNameError
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import Scene
 
 MakeRobot = Callable[..., Any]

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_core.actions import BinaryGripperConfig, DifferentialIkConfig, JointTarget, joint_commands
 from orbit_core.configuration import Text, configured
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.preparation.validation import validate_entity
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import EndEffector, Gripper
 
 MakeRobot = Callable[..., Any]

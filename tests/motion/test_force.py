@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from orbit_core.actions import CommandMode, JointPositionConfig
-from orbit_core.actions.full_ik import FullIk
 from orbit_core.actions.term import ActionTerm
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
@@ -30,6 +29,7 @@ from orbit_core.scene import (
 )
 from orbit_core.sensors import ContactSensor, ForceTorqueSensor
 from orbit_motion import AdmittanceConfig, HybridForceMotionConfig
+from orbit_motion.full_ik import FullIk
 from tests.motion.servo_world import BACKENDS, ENGINES, Held, held, wrench_on_hand
 
 TOUCH = ContactSensorSpec(name="touch", entity="robot", links=("panda_link7", ".*finger"), rate=500.0)

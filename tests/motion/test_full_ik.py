@@ -8,12 +8,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.actions.full_ik import FullIk
+from orbit_assets.catalogue import robot, robot_names
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.interfaces.names import match_names
-from orbit_core.robots import robot, robot_names
+from orbit_motion.full_ik import FullIk
 
 
 @dataclass

@@ -9,8 +9,8 @@ from torch import Tensor
 from orbit_core.capture.replay import CapturedFunction, fusing
 from orbit_core.scene import Plane, Shape
 from orbit_motion import HybridForceMotionConfig, JointImpedanceConfig, OperationalSpaceConfig, RmpFlowConfig
+from orbit_motion.compliant import Servo
 from orbit_motion.gains import GainCommand
-from orbit_motion.servo import Servo
 from tests.motion.servo_world import BACKENDS, held
 
 

@@ -14,7 +14,6 @@ from orbit_core.actions import (
     CommandMode,
     DifferentialIk,
     DifferentialIkConfig,
-    FullIkTermConfig,
     IkMethod,
     JointEffort,
     JointEffortConfig,
@@ -28,6 +27,7 @@ from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.dynamics.transforms import pose_error, pose_multiply
 from orbit_core.interfaces import ConfigurationError
 from orbit_motion import CartesianImpedanceConfig, HybridForceMotionConfig, PrioritizedIkConfig, RmpFlowConfig
+from orbit_motion.full_ik import FullIkTermConfig
 from tests.motion.servo_world import BACKENDS, held
 
 MakeRobot = Callable[..., Any]

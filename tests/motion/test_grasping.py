@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_assets.objects import box
 from orbit_core.actions import JointPositionConfig
 from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.interfaces import ArgumentError, ConfigurationError, PlanningError
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import Box, Cylinder, Geometry, Plane, Pose, Shape, Sphere, single_link
 from orbit_motion.grasping import GraspConfig, GraspPlanner, HandBoxes, grasp_candidates, surface_of, surface_of_cloud
 from orbit_motion.planning import PlannerConfig, StillWorld

@@ -10,18 +10,12 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.actions import (
-    BaseVelocityConfig,
-    CommandMode,
-    DifferentialDriveConfig,
-    GraspSynergiesConfig,
-    preset_terms,
-)
-from orbit_core.actions.grippers import synergies_of
+from orbit_core.actions import BaseVelocityConfig, CommandMode, DifferentialDriveConfig, preset_terms
 from orbit_core.dynamics.transforms import pose_error, quat_yaw
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import Plane, Shape
 from orbit_motion import WholeBodyIkConfig
+from orbit_motion.synergies import GraspSynergiesConfig, synergies_of
 from tests.motion.servo_world import BACKENDS, held
 
 MakeRobot = Callable[..., Any]

@@ -13,7 +13,7 @@ from orbit_core.agent import AgentGraph, Edge, FunctionNode
 from orbit_core.interfaces import ConfigurationError, PlanningError, Port
 from orbit_core.scene import Box, ObjectSpec, Pose, Shape, single_link
 from orbit_motion.planning import JointPlanner, PlannerConfig, TrajectoryFollower, jerk_limited, time_optimal
-from orbit_motion.planning.trajectory import JointTrajectory
+from orbit_motion.planning.follower import JointTrajectory
 from tests.motion.servo_world import BACKENDS, Held, held
 
 LIMITS = np.array([2.0, 1.0, 3.0]), np.array([4.0, 6.0, 5.0]), np.array([40.0, 30.0, 60.0])

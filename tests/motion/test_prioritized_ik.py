@@ -10,13 +10,13 @@ import pytest
 import torch
 from scipy.optimize import LinearConstraint, minimize
 
-from orbit_core.actions import Actuate, CommandMode, FullIkTermConfig, MotionGenerator
+from orbit_core.actions import Actuate, CommandMode, MotionGenerator
 from orbit_core.actions.base import speed_limited_lead
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError
 from orbit_motion import PrioritizedIkConfig, Priority
-from orbit_motion.prioritized_ik import manipulability, manipulability_gradient
-from orbit_motion.qp import solve_qp
+from orbit_motion.full_ik import FullIkTermConfig
+from orbit_motion.prioritized_ik import manipulability, manipulability_gradient, solve_qp
 from tests.motion.servo_world import BACKENDS, held
 
 MakeRobot = Callable[..., Any]

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from orbit_core.actions import CommandMode, DifferentialIkConfig, FullIkTermConfig
+from orbit_core.actions import CommandMode, DifferentialIkConfig
 from orbit_core.actions.differential_ik import PoseTermConfig
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import PoseFollower
 from orbit_core.rollout.stepping import ReachWatch
 from orbit_motion import (
     Admittance,
@@ -24,6 +24,7 @@ from orbit_motion import (
     RmpFlowConfig,
 )
 from orbit_motion.compliant import Compliant
+from orbit_motion.full_ik import FullIkTermConfig
 from tests.motion.conftest import KinematicRobot
 
 MakeRobot = Callable[..., KinematicRobot]

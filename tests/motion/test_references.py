@@ -16,7 +16,7 @@ from pink.limits import ConfigurationLimit, VelocityLimit
 from orbit_core.actions.ik import damped_least_squares
 from orbit_core.envs import make
 from orbit_motion import PrioritizedIkConfig
-from orbit_motion.mpc.model import pinocchio_model
+from orbit_motion.mpc.predictive import pinocchio_model
 
 MakeRobot = Callable[..., Any]
 

@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot as catalogue_robot
 from orbit_assets.objects import cabinet
-from orbit_core.actions.full_ik import FullIk
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import Box, Capsule, Cylinder, ObjectSpec, Pose, Scene, Shape, Sphere, single_link
 from orbit_core.scene.shapes import Geometry
 from orbit_core.world import simulate
 from orbit_motion import RmpFlow, RmpFlowConfig
-from orbit_motion.clearance import _surface, collision_spheres
-from orbit_motion.obstacles import Obstacles
+from orbit_motion.full_ik import FullIk
+from orbit_motion.obstacles import Obstacles, _surface, collision_spheres
 from orbit_motion.rmpflow import Barrier
 from tests.motion.servo_world import BACKENDS, ENGINES, held
 

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core import robots as catalogue
-from orbit_core.actions import workspace
-from orbit_core.actions.full_ik import FullIk
-from orbit_core.actions.workspace import fitted_workspace, with_workspace
+from orbit_assets import catalogue
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_multiply
 from orbit_core.envs import make
@@ -32,6 +29,9 @@ from orbit_core.scene import (
     RobotSpec,
     Workspace,
 )
+from orbit_motion import workspace
+from orbit_motion.full_ik import FullIk
+from orbit_motion.workspace import fitted_workspace, with_workspace
 
 UPPER, LOWER, HAND = 0.2, 0.2, 0.1
 
@@ -126,7 +126,7 @@ def test_goals_are_drawn_where_the_arm_reaches_and_larger_tasks_refuse_it(
     monkeypatch: pytest.MonkeyPatch, fitted: Workspace
 ) -> None:
     computed = list[RobotSpec]()
-    monkeypatch.setattr(common, "robot", lambda _, **fields: replace(five_joint_arm(), **fields))
+    monkeypatch.setattr(workspace, "robot", lambda _, **fields: replace(five_joint_arm(), **fields))
     monkeypatch.setattr(workspace, "fitted_workspace", lambda spec: (computed.append(spec), fitted)[1])
     env = make("Reach", 8, "mujoco", robot="five_joints", seed=0)
     env.reset()
@@ -134,4 +134,4 @@ def test_goals_are_drawn_where_the_arm_reaches_and_larger_tasks_refuse_it(
     assert _missed(five_joint_arm(), env.commands["goal"]) == 0
     env.close()
     with pytest.raises(ConfigurationError, match=r"this task needs .* choose a larger robot"):
-        common.arm("five_joints", gripper=False, room=(1.0, 1.0, 1.0))
+        workspace.arm("five_joints", gripper=False, room=(1.0, 1.0, 1.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_assets.rods import ring_on_handle, spline
+from orbit_assets.pegs import ring_on_handle, spline
 from orbit_core.envs import make
 from orbit_core.interfaces import AssetError, ConfigurationError
 from orbit_core.mdp import common

@@ -11,7 +11,7 @@ from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.envs import make
 from orbit_core.envs.observation_layout import terms_of_group
 from orbit_core.interfaces import ConfigurationError, OrbitError
-from orbit_core.mdp.images import with_cameras
+from orbit_core.mdp.sensing import with_cameras
 from orbit_core.scene import CameraSpec
 from orbit_tasks.lift import Lift, LiftGoal, narrowed
 

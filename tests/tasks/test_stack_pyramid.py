@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from orbit_conformance.task_starts import coverage
+from orbit_conformance.task_audit import coverage
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
-from orbit_core.pretrained import policy_fields
 from orbit_core.sensors import CameraSensor
+from orbit_learn.pretrained import policy_fields
 from orbit_tasks import stack_pyramid as tasks
 from orbit_tasks.mdp import picking, tabletop
 from tests.tasks.experts import episode

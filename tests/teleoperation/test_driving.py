@@ -5,17 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from orbit_core.actions import (
-    ActionTerms,
-    BinaryGripperConfig,
-    DifferentialIkConfig,
-    GraspSynergiesConfig,
-    JointPositionConfig,
-)
+from orbit_core.actions import ActionTerms, BinaryGripperConfig, DifferentialIkConfig, JointPositionConfig
 from orbit_core.backends import default_backend
 from orbit_core.envs import make
 from orbit_data.teleoperation.device import Event, Reading
 from orbit_data.teleoperation.driver import Driver
+from orbit_motion.synergies import GraspSynergiesConfig
 
 BACKEND = default_backend()
 UP = Reading(twist=(0.0, 0.0, 0.2, 0.0, 0.0, 0.0))

@@ -9,10 +9,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from orbit_assets.catalogue import robot_info, robot_names
 from orbit_conformance.scenarios import SCENARIOS
 from orbit_core.backends import backend_names
 from orbit_core.envs.registry import task_entries, task_entry
-from orbit_core.robots import robot_info, robot_names
 from tests.tiers.revision import Revision, current_revision
 from tests.tiers.selection import select
 from tests.tiers.slow_list import read_slow_list

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 from viser import ViserServer
 
+from orbit_assets.catalogue import robot
 from orbit_assets.objects import box, sphere
 from orbit_core.interfaces import SceneLayout
-from orbit_core.robots import robot
 from orbit_core.scene import CameraSpec, Channel, Cloth, Mesh, Scene
 from orbit_core.sensors import CameraSensor
 from orbit_viewer.scene_view import Frame, SceneView

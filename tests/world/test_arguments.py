@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot
 from orbit_assets.objects import box
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.dynamics.random import RandomStreams
@@ -22,7 +23,6 @@ from orbit_core.interfaces import (
     UnknownNameError,
     World,
 )
-from orbit_core.robots import robot
 from orbit_core.scene import CameraSpec, JointSensorSpec, MarkerSpec, Pose, Scene
 from orbit_core.world import simulate
 

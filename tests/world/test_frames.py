@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orbit_assets.catalogue import robot
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import SceneLayout
 from orbit_core.plugin_kit.meshes import AXIS_COLORS
-from orbit_core.robots import robot
-from orbit_core.rollout.video import OverviewCamera
+from orbit_core.rollout.pictures import OverviewCamera
 from orbit_core.scene import Frame, Pose, RobotSpec, Scene
 from orbit_core.world import simulate
 from orbit_core.world.drawing import frame_lengths, frame_shapes, with_frames

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot
 from orbit_assets.joint_models import BALL, compound
 from orbit_assets.objects import box
 from orbit_core.backends import default_backend
@@ -22,7 +23,6 @@ from orbit_core.interfaces import (
     UnknownNameError,
     World,
 )
-from orbit_core.robots import robot
 from orbit_core.scene import (
     Articulation,
     ContactSensorSpec,
@@ -67,7 +67,10 @@ def test_a_frames_pose_and_jacobian_agree_with_the_description(make_world: MakeW
     tree = KinematicTree(arm.spec.articulation)
     frame = arm.spec.end_effector.frame
     poses = tree.forward(arm.root_pose, arm.joint_positions)
+    position = arm.frame_position(frame)  # before the pose, from which it would be taken
     torch.testing.assert_close(arm.frame_pose(frame), tree.frame_pose(poses, frame), atol=2e-6, rtol=0)
+    assert torch.equal(position, arm.frame_pose(frame)[:, :3])
+    assert torch.equal(arm.frame_position(frame), position)
     torch.testing.assert_close(arm.jacobian(frame), tree.jacobian(poses, frame), atol=2e-6, rtol=0)
 
 

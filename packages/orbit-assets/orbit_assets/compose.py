@@ -11,7 +11,7 @@ from orbit_assets.mass_properties import shapes_mass_properties
 from orbit_assets.meshes import simplified_hull
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.interfaces.names import match_names
-from orbit_core.preparation.validation import check_structure, sort_links
+from orbit_core.preparation.validation import check_structure
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mesh, Pose, Shape
 
 
@@ -295,3 +295,28 @@ def renamed(articulation: Articulation, rename: Callable[[str], str]) -> Articul
     )
     check_structure(changed)  # two names may have become one
     return changed
+
+
+def sort_links(articulation: Articulation) -> Articulation:
+    """Return the same tree with links in depth-first order and joints in the order of their child links.
+
+    Raises:
+        AssetError: the links form no single tree.
+    """
+    check_structure(articulation)
+    children: dict[str, list[str]] = {}
+    joint_of = {joint.child: joint for joint in articulation.joints}
+    for link in articulation.links:
+        if link.name in joint_of:
+            children.setdefault(joint_of[link.name].parent, []).append(link.name)
+    # check_structure has made sure that there is exactly one.
+    (root,) = (link.name for link in articulation.links if link.name not in joint_of)
+    order: list[str] = []
+    stack = [root]
+    while stack:
+        name = stack.pop()
+        order.append(name)
+        stack += reversed(children.get(name, []))
+    by_name = {link.name: link for link in articulation.links}
+    links = tuple(by_name[name] for name in order)
+    return replace(articulation, links=links, joints=tuple(joint_of[name] for name in order[1:]))

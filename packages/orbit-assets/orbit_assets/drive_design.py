@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.names import match_names
-from orbit_core.moved import moved_name
 from orbit_core.scene import Articulation, ImplicitPd, Joint
 
 MOTOR_TIME = 0.005
@@ -70,7 +69,7 @@ def designed_drives(articulation: Articulation, designs: Sequence[DriveDesign]) 
         ConfigurationError: a frequency or damping ratio is not positive, or a joint has two designs.
         UnknownNameError: a pattern matches no movable joint.
     """
-    from orbit_core.dynamics.workspace import reflected_inertia  # loads torch, which most robots are listed without
+    from orbit_core.dynamics.rigid_body import reflected_inertia
 
     largest = reflected_inertia(articulation).largest
     names = articulation.joint_names
@@ -108,7 +107,3 @@ def _drive(joint: Joint, design: DriveDesign, inertia: float) -> ImplicitPd:
 def _rounded(value: float) -> float:
     """To three significant digits: gains are chosen, not measured."""
     return float(f"{value:.3g}")
-
-
-def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions
+from orbit_assets.source_text import names_file
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Articulation
-from orbit_core.scene.inertias import raised_moments
+from orbit_core.scene.articulation import raised_moments
 
 _SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usdz", ".sdf")
 

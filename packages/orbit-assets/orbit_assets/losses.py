@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from orbit_core.scene import Articulation, Geometry, Joint, Link, Mesh, MeshCollision
-from orbit_core.scene.inertias import lacking_moment, principal_axes
+from orbit_core.scene.articulation import lacking_moment, principal_axes
 
 JointTraits = tuple[tuple[str, Callable[[Joint], object]], ...]
 """Properties of joints that a format lacks, each with its test."""

@@ -2,19 +2,321 @@
 
 from __future__ import annotations
 
+import io
+import json
+import re
+import struct
+import warnings
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import numpy.typing as npt
 
-from orbit_assets.mesh_files import bounded_pictures, open_mesh
-from orbit_assets.naming import names_file, naming
 from orbit_assets.options import ReadOptions
+from orbit_assets.outside import check_archive, check_file, check_picture, resolve_file
+from orbit_assets.source_text import names_file, naming
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Color, Mesh
 from orbit_core.scene.pose import Vector3
+
+# Mesh files decoded by trimesh, which opens no other file and allocates no more than the caller allows.
+# Files are checked before they are decoded, for the decoders take a truncated file for a smaller mesh. COLLADA files
+# with no other fault than a missing texture are repaired.
+
+# Bytes, of a binary STL file.
+_STL_HEADER, _STL_TRIANGLE = 84, 50
+# Least number of words in a line of an OBJ file, by its first word.
+_LEAST_WORDS = {b"v": 4, b"f": 4, b"vn": 4, b"vt": 2}
+_COLLADA = "http://www.collada.org/2005/11/COLLADASchema"
+_GREY = "0.7 0.7 0.7 1"
+
+
+def check_stl(data: bytes, path: Path) -> None:
+    """Check that a binary STL file holds as many triangles as its header says.
+
+    Raises:
+        AssetError: it has fewer.
+    """
+    # ASCII files begin with "solid", but so do some binary ones: the word "facet" decides.
+    if data[:5].lower() == b"solid" and b"facet" in data[:1024].lower():
+        return
+    if len(data) < _STL_HEADER:
+        raise AssetError(f"mesh file '{path}' has {len(data)} bytes, fewer than an STL file's header: export it again")
+    (count,) = struct.unpack("<I", data[80:84])
+    held = (len(data) - _STL_HEADER) // _STL_TRIANGLE
+    if count > held:
+        raise AssetError(
+            f"mesh file '{path}' says {count} triangles and holds {held}: it is cut short, export it again"
+        )
+
+
+def check_obj(data: bytes, path: Path) -> None:
+    """Check that the last line of an OBJ file is complete; a truncated file ends within one.
+
+    Raises:
+        AssetError: the last line lacks words.
+    """
+    if data.endswith(b"\n"):
+        return
+    last = data.rpartition(b"\n")[2].split()
+    if last and len(last) < _LEAST_WORDS.get(last[0], 0):
+        said = b" ".join(last)[:80].decode("utf-8", "replace")
+        raise AssetError(f"mesh file '{path}' ends within a line, '{said}': it is cut short, export it again")
+
+
+def check_obj_faces(data: bytes, path: Path) -> None:
+    """Check that the faces of an OBJ file refer to vertices that it has.
+
+    Raises:
+        AssetError: a face names another.
+    """
+    lines = [line.split() for line in data.splitlines()]
+    vertices = sum(words[:1] == [b"v"] for words in lines)
+    for words in lines:
+        numbers = (word.partition(b"/")[0] for word in words[1:] if words[0] == b"f")
+        highest = max((int(number) for number in numbers if number.isdigit()), default=0)
+        if highest > vertices:
+            raise AssetError(
+                f"mesh file '{path}' has a face of vertex {highest} and {vertices} vertices: it is cut short or mixed "
+                "up, export it again"
+            )
+
+
+def without_broken_textures(data: bytes) -> bytes:
+    """Replace textures of a COLLADA file that name no picture of it by grey.
+
+    Samplers and surfaces that lead to none are taken out. Decoders drop the material over them, and with it the
+    geometry that bears it. A file without such is given back as it is.
+    """
+    root = ElementTree.fromstring(data)
+    images = {image.get("id") for image in root.iter(_tag("image"))}
+    broken = 0
+    for effect in root.iter(_tag("effect")):
+        parameters = {parameter.get("sid"): parameter for parameter in effect.iter(_tag("newparam"))}
+        for slot in list(effect.iter()):
+            for texture in slot.findall(_tag("texture")):
+                if not _leads_to(texture.get("texture"), parameters, images):
+                    slot.remove(texture)
+                    ElementTree.SubElement(slot, _tag("color")).text = _GREY
+                    broken += 1
+        broken += _remove_dangling(effect, parameters, images)
+    if not broken:
+        return data
+    ElementTree.register_namespace("", _COLLADA)
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _leads_to(name: str | None, parameters: dict[str | None, Element], images: set[str | None]) -> bool:
+    """Return True if a texture, a sampler or a surface leads to a picture."""
+    met: set[str | None] = set()
+    while name not in images:
+        parameter = parameters.get(name)
+        if parameter is None or name in met:
+            return False
+        met.add(name)
+        further = next((each for tag in ("source", "init_from") for each in parameter.iter(_tag(tag))), None)
+        name = (further.text or "").strip() if further is not None else None
+    return True
+
+
+def _remove_dangling(effect: Element, parameters: dict[str | None, Element], images: set[str | None]) -> int:
+    """Remove samplers and surfaces that lead to no picture, over which decoders stumble; return their number."""
+    dangling = {id(each) for name, each in parameters.items() if _holds_picture(each)}
+    dangling -= {id(each) for name, each in parameters.items() if _leads_to(name, parameters, images)}
+    for holder in list(effect.iter()):
+        for parameter in holder.findall(_tag("newparam")):
+            if id(parameter) in dangling:
+                holder.remove(parameter)
+    return len(dangling)
+
+
+def _holds_picture(parameter: Element) -> bool:
+    return parameter.find(_tag("surface")) is not None or parameter.find(_tag("sampler2D")) is not None
+
+
+def _tag(name: str) -> str:
+    return f"{{{_COLLADA}}}{name}"
+
+
+SUFFIXES = ("stl", "obj", "dae", "zae", "glb", "gltf", "ply", "off", "3mf")
+"""Suffixes of the formats that are read; other formats of trimesh have not been tested against the limits."""
+_ENTITY = re.compile(rb"<!\s*(ENTITY|DOCTYPE)")
+
+
+def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
+    """Decode a mesh file as a trimesh scene.
+
+    Args:
+        path: the file; files that it names, such as pictures, must be where ``model`` may name files.
+        options: the limits, and the files that may be opened.
+        model: the file that names the mesh.
+
+    Raises:
+        AssetError: the file is missing, of another format, cannot be decoded, or goes beyond the limits.
+    """
+    import trimesh
+
+    check_file(path, options)
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in SUFFIXES:
+        raise AssetError(f"mesh file '{path}' is of no format that is read: export it as {', '.join(SUFFIXES)}")
+    if suffix in ("zae", "3mf"):
+        check_archive(path, options)
+    data = path.read_bytes()
+    _check_content(data, suffix, path, options)
+    try:
+        if suffix == "dae":
+            data = without_broken_textures(data)
+        neighbours = _Neighbours(path, options, model).as_trimesh()
+        # From memory: given a path, trimesh would open neighbouring files itself, past the resolver.
+        scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=neighbours, process=False)
+        _check_size(scene, path, options)
+        return scene
+    except AssetError:
+        raise
+    except ImportError as error:
+        raise AssetError(
+            f"mesh file '{path}' needs a decoder that is not installed ({error}): {install_extra('robots')}"
+        ) from error
+    except Exception as error:  # decoders raise errors of any class
+        if suffix == "obj":
+            check_obj_faces(data, path)
+        raise AssetError(f"mesh file '{path}' cannot be read ({error}): re-export it") from error
+
+
+@contextmanager
+def bounded_pictures(options: ReadOptions) -> Iterator[None]:
+    """Limit the pixels of pictures that Pillow opens, and keep it from running Ghostscript, which it does for
+    PostScript.
+
+    trimesh opens pictures at any time while a mesh is read or copied: all reading of a mesh belongs in this context.
+    """
+    from PIL import EpsImagePlugin, Image
+
+    program, pixels = EpsImagePlugin.gs_binary, Image.MAX_IMAGE_PIXELS
+    EpsImagePlugin.gs_binary, Image.MAX_IMAGE_PIXELS = False, options.limits.pixels
+    try:
+        with warnings.catch_warnings():
+            # Pillow only warns between one and two times the limit: the warning must be an error.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            yield
+    finally:
+        EpsImagePlugin.gs_binary, Image.MAX_IMAGE_PIXELS = program, pixels
+
+
+class _Neighbours:
+    """Files that a mesh names, by their names."""
+
+    def __init__(self, path: Path, options: ReadOptions, model: Path) -> None:
+        self.path = path
+        self.options = options
+        self.model = model
+
+    def get(self, name: Any) -> bytes:
+        """Return the bytes of a file.
+
+        Raises:
+            AssetError: the model may not name it, or it is a picture of too many pixels.
+            FileNotFoundError: it is missing, which most decoders take for a mesh without a picture.
+        """
+        text = name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name)
+        text = text.strip().replace("\\", "/")
+        if "://" not in text and not (self.path.parent / text).is_file():
+            raise FileNotFoundError(text)
+        data = resolve_file(text, self.path, self.options, model=self.model).read_bytes()
+        check_picture(data[:24], text, self.options)
+        return data
+
+    def as_trimesh(self) -> Any:
+        """Return an instance of trimesh's own resolver class, which is imported only when a mesh is read."""
+        from trimesh.resolvers import Resolver
+
+        neighbours = self
+
+        class Neighbours(Resolver):
+            def __init__(self) -> None:
+                pass
+
+            def get(self, key: Any) -> bytes:
+                return neighbours.get(key)
+
+            def write(self, name: str, data: Any) -> None:
+                raise AssetError(f"reading a mesh writes no file '{name}'")
+
+            def namespaced(self, namespace: str) -> Any:
+                return self
+
+            def keys(self) -> Any:
+                return ()
+
+        return Neighbours()
+
+
+def _check_size(scene: Any, path: Path, options: ReadOptions) -> None:
+    """Reject more triangles than the limits allow, each instance of a mesh counted, before instances are copied."""
+    instances = scene.graph.geometry_nodes
+    faces = sum(len(instances.get(name, ())) * len(getattr(each, "faces", ())) for name, each in scene.geometry.items())
+    if faces > options.limits.vertices:
+        raise AssetError(
+            f"mesh file '{path}' holds {faces} triangles: make it smaller, or raise ReadLimits.vertices from "
+            f"{options.limits.vertices}"
+        )
+
+
+def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -> None:
+    """Reject truncated files, and files that make a decoder allocate memory out of proportion to their size."""
+    # NUL bytes are removed so that UTF-16 does not hide a declaration.
+    if any(_ENTITY.search(document.replace(b"\0", b"")) for document in _documents(data, suffix)):
+        raise AssetError(f"mesh file '{path}' declares XML entities: export it again without")
+    if suffix == "stl":
+        check_stl(data, path)
+    if suffix == "obj":
+        check_obj(data, path)
+    if suffix in ("glb", "gltf"):
+        _check_accessors(_gltf_header(data, path), path, options)
+
+
+def _documents(data: bytes, suffix: str) -> Iterator[bytes]:
+    """Yield the XML of a mesh file, and all files of an archive, for its own tables say which of them are XML."""
+    if suffix == "dae":
+        yield data
+    elif suffix in ("zae", "3mf"):
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            yield from map(archive.read, archive.namelist())
+
+
+def _gltf_header(data: bytes, path: Path) -> Any:
+    """Return the JSON of a glTF file, text or binary."""
+    # GLB: 12 bytes of header, then the JSON chunk with its length and type in 8 bytes.
+    if data[:4] == b"glTF" and len(data) >= 20:
+        (length,) = struct.unpack("<I", data[12:16])
+        data = data[20 : 20 + length]
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise AssetError(f"mesh file '{path}' is no glTF ({error}): export it again") from None
+
+
+def _check_accessors(header: Any, path: Path, options: ReadOptions) -> None:
+    """Limit the size of glTF accessors: one without data makes a decoder allocate as many zeros as it says."""
+    accessors = header.get("accessors", []) if isinstance(header, dict) else []
+    for accessor in accessors if isinstance(accessors, list) else []:
+        count = accessor.get("count", 0) if isinstance(accessor, dict) else 0
+        # Three numbers per vertex or corner are the most that an accessor needs.
+        if not isinstance(count, int) or not 0 <= count <= 3 * options.limits.vertices:
+            raise AssetError(
+                f"mesh file '{path}' has an accessor of {count} elements: give {3 * options.limits.vertices} at most, "
+                "or raise ReadLimits.vertices"
+            )
+
 
 # Directions, in addition to the six along the axes, in which a simplified hull keeps the farthest point of the exact
 # one.

@@ -24,7 +24,6 @@ from orbit_assets.objects import (
     table,
 )
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.moved import moved_name
 from orbit_core.objects import ObjectConfig
 from orbit_core.scene import Color, Mesh, ObjectSpec, PhysicsMaterial, Pose
 from orbit_core.scene.pose import Vector3
@@ -219,7 +218,3 @@ class DishwasherConfig(ObjectConfig):
     @property
     def rest_height(self) -> float:
         return 0.0
-
-
-def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)

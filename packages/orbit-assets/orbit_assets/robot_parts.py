@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from orbit_assets.cache import Model, cached_articulation
 from orbit_assets.compose import attach
-from orbit_assets.self_contacts import without_home_contacts
+from orbit_assets.decomposition import without_home_contacts
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.names import match_values
 from orbit_core.preparation.merge import merge_fixed_links

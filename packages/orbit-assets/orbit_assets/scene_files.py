@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from orbit_assets.naming import names_file
 from orbit_assets.options import ReadOptions
 from orbit_assets.placed import PlacedArticulation, SceneParts
+from orbit_assets.source_text import names_file
 from orbit_assets.usd.library import unique_names
 from orbit_core.interfaces.errors import AssetError, ConfigurationError
 from orbit_core.preparation.merge import merge_fixed_links

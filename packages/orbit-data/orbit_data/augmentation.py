@@ -181,8 +181,8 @@ class PiecewiseActor:
         self._rows = torch.arange(count, device=device)
         self._demo = torch.zeros(count, dtype=torch.int64, device=device)
         self._stage = torch.zeros_like(self._demo)
+        # Step (N,) within the piece.
         self._step = torch.zeros_like(self._demo)
-        """Step (N,) within the piece."""
         self._waited = torch.zeros_like(self._demo)
         self._frame = torch.zeros(count, 7, device=device)
 

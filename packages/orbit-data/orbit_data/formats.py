@@ -14,10 +14,8 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_data.card import CARD, card, check_card, write_card
 from orbit_data.episodes import Dataset, Episode
 from orbit_data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
-from orbit_data.lerobot import check_replaceable, write_lerobot
-from orbit_data.lerobot_reader import LeRobotDataset
-from orbit_data.manifest.compare import Kind, differences
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.lerobot import LeRobotDataset, check_replaceable, write_lerobot
+from orbit_data.manifest.manifest import Kind, Manifest, differences
 from orbit_data.reading.budget import TRUSTED, ReadBudget
 from orbit_data.zarr_reader import SUFFIXES as ZARR
 from orbit_data.zarr_reader import ZarrDataset, is_zarr

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 CLEAN = "clean_actions"
 """Array of the actions that the demonstrator chose, before noise; ``actions`` are those that were executed."""
+# Probability of new noise at a step: noise that changes at each step is what the drives average away.
 _RENEWED = 0.1
-"""Probability of new noise at a step: noise that changes at each step is what the drives average away."""
+# Added to the seed, so that noise is not the numbers that the task draws.
 _STREAM = 0xDA27
-"""Added to the seed, so that noise is not the numbers that the task draws."""
 
 
 class NoisyActor(Actor):

@@ -23,7 +23,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from orbit_core.envs.observation_layout import POLICY
-from orbit_core.files import LOCK, FolderLock, as_path, read_bytes, storage_faults, sweep, written_whole
+from orbit_core.files import as_path, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, Object, Robot, ShapeError, UnknownNameError, World
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 from orbit_core.sensors.contact import ContactSensor
@@ -42,9 +42,9 @@ from orbit_data.episodes import (
     Episode,
     EpisodeInfo,
 )
+from orbit_data.folder_lock import LOCK, FolderLock
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_data.manifest.compare import Kind, differences
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Kind, Manifest, differences
 from orbit_data.noise import CLEAN, NoisyActor
 from orbit_data.reading.budget import MAX_DOCUMENT, TRUSTED
 from orbit_data.reading.hdf5 import hdf5_module

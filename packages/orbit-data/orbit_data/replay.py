@@ -15,8 +15,7 @@ from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import ConfigurationError, Object
 from orbit_core.rollout.estimates import Estimate, proportion
 from orbit_data.episodes import ACTIONS, INITIAL, POSES, STATES, Array, Dataset, Episode
-from orbit_data.manifest.compare import check_manifest
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Manifest, check_manifest
 from orbit_data.manifest.plain import as_plain
 from orbit_data.recording import tracked_frames
 from orbit_data.states import TaskMemory, WorldStates

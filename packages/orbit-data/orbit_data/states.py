@@ -123,8 +123,8 @@ class TaskMemory:
         self._world.clock.touch()  # cached observations depend on the memory too
 
 
+# Names of memory that recordings from before commands were terms have.
 _RENAMED = {"VelocityFlat.command": "VelocityFlat.velocity"}
-"""Names of memory that recordings from before commands were terms have."""
 
 
 def _renamed(name: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from orbit_core.exports import lazy_names
-from orbit_learn.registration import register
+from orbit_learn.registration import register_when_imported
 
 if TYPE_CHECKING:
     from orbit_learn.description import PolicyDescription
@@ -67,4 +67,4 @@ __getattr__, __dir__ = lazy_names(
     },
 )
 
-register()
+register_when_imported()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orbit_core.pretrained import policy_path, pretrained_policies
+from orbit_learn.pretrained import policy_path, pretrained_policies
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
@@ -39,3 +40,16 @@ def make(name: str, environment: Environment, seed: int) -> Actor:
     from orbit_learn.policy import PolicyActor
 
     return PolicyActor(environment, policy_path(name))
+
+
+def digest(name: str) -> str:
+    """Return the SHA-256 of a policy's files; empty for a policy server."""
+    if name.startswith(SCHEMES):
+        return ""
+    path = policy_path(name)
+    # A folder's newest policy acts: all of them count, in the order of their names.
+    files = sorted(path.glob("*.safetensors")) if path.is_dir() else [path]
+    found = hashlib.sha256()
+    for file in files:
+        found.update(file.read_bytes())
+    return found.hexdigest()

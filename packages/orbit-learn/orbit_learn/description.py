@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 """Version of the documents in policies' files; another is refused."""
+# Bounds what a file may ask to be allocated before anything else of it is known to be sound.
 _MOST_COMPONENTS = 2**20
 _FORMS = {True: "side by side", False: "as a dictionary"}
 _DTYPES = {
@@ -52,6 +53,7 @@ class Part:
         if self.dtype not in _DTYPES:
             raise ValueError(f"part '{self.name}' is of {self.dtype!r}, which is none of {', '.join(_DTYPES)}")
         if self.shape is None:
+            # The usual way to complete a frozen dataclass.
             object.__setattr__(self, "shape", (self.size,))
         assert self.shape is not None
         if any(extent < 0 for extent in self.shape) or math.prod(self.shape) != self.size:
@@ -194,6 +196,7 @@ class PolicyDescription:
         given = group_parts(layout)
         if not self.concatenated:
             by_name = {part.name: part for part in given}
+            # Only the policy's terms, in its order: a dictionary may hold others.
             given = tuple(by_name[part.name] for part in self.observation_parts if part.name in by_name)
         return None if given == self.observation_parts else f"has {_told(group_parts(layout))}"
 
@@ -225,6 +228,7 @@ def group_parts(layout: GroupLayout) -> tuple[Part, ...]:
 
 
 def _part(name: str, term: TermLayout) -> Part:
+    # JSON has no infinity.
     low, high = (bound if math.isfinite(bound) else None for bound in (term.low, term.high))
     dtype = str(term.dtype).removeprefix("torch.")
     return Part(name, math.prod(term.shape), tuple(term.shape), dtype, low, high, term.camera)

@@ -16,12 +16,11 @@ from orbit_core.envs.actors import Teacher
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.pretrained import policy_path
-from orbit_learn.convolutional import PictureActor, convolutional
 from orbit_learn.description import group_parts
 from orbit_learn.memory import Remembering
-from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron
+from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron, PictureActor, convolutional
 from orbit_learn.policy import load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_learn.trainer import LoopTrainer, set_half_cosine
 
 
@@ -152,8 +151,8 @@ class RunningMoments:
     def __init__(self, size: int, device: torch.device) -> None:
         self.count = torch.zeros((), device=device)
         self.mean = torch.zeros(size, device=device)
+        # Sum (size,) of squared deviations from the mean.
         self._squares = torch.zeros(size, device=device)
-        """Sum (size,) of squared deviations from the mean."""
 
     def add(self, rows: Tensor) -> None:
         """Add rows (M, size)."""
@@ -221,8 +220,8 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         # If all episodes began together, the buffer would contain one time of the episode after the other.
         environment.state.episode_step.random_(environment.max_episode_steps)
         self._buffer = ReplayBuffer(settings.buffer_size, self._seen["policy"], environment.action_size)
+        # Whether (N,) the student leads each environment's episode.
         self._student_leads = torch.zeros(environment.num_envs, dtype=torch.bool, device=device)
-        """Whether (N,) the student leads each environment's episode."""
         # Leaders are drawn for whole episodes, so that the success of those that the student led can be measured.
         self._draw_leaders(torch.ones_like(self._student_leads), 0)
         self._loss = torch.zeros((), device=device)

@@ -19,7 +19,7 @@ from orbit_core.envs.making import make
 from orbit_core.envs.observation_layout import Observation, map_leaves
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
-from orbit_core.rollout.video import OverviewCamera
+from orbit_core.rollout.pictures import OverviewCamera
 from orbit_core.world.lifetime import mark_closed
 from orbit_learn.ends import all_ends
 from orbit_learn.spaces import action_space, observation_space

@@ -28,9 +28,9 @@ from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, OrbitError, UnknownNameError
 from orbit_data.manifest.manifest import Manifest, ObservationTermManifest
 from orbit_data.tensor_file import parse_json
-from orbit_learn.convolutional import TermByTerm
 from orbit_learn.description import PolicyDescription
 from orbit_learn.memory import MemoryModule, StepByStep
+from orbit_learn.networks import TermByTerm
 from orbit_learn.policy_cost import depth_of
 from orbit_learn.policy_file import check_action, manifest_document, manifest_of
 

@@ -13,8 +13,7 @@ from torch import Tensor, nn
 from orbit_core.envs.observation_layout import leaf_shapes
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, Node, Port
-from orbit_data.manifest.compare import check_manifest, renamed_group
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Manifest, check_manifest, renamed_group
 from orbit_learn import onnx_file
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.memory import Remembering, Seen
@@ -92,6 +91,7 @@ def load_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
     if path.suffix == onnx_file.SUFFIX:
         description, manifest, module = onnx_file.read_onnx(path)
         return Policy(module.to(device), None, description, manifest)
+    # Refused by the name and before reading: unpickling a file runs what it says.
     if path.suffix != SUFFIX:
         raise ConfigurationError(
             f"{path} is no policy: policies are {SUFFIX} and {onnx_file.SUFFIX} files, because others, such as pickles "
@@ -127,6 +127,7 @@ class PolicyNode(Node):
         self.inputs = self._own_inputs() if inputs is None else inputs
         self.outputs = (Port("action", (policy.description.action_size,)),)
         self._module = policy.module
+        # Made at the first turn, when the number of environments is known.
         self._acting: Remembering | None = None
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -182,5 +183,6 @@ class PolicyActor:
 
     def act(self) -> Tensor:
         """Return the next action (N, A)."""
+        # Nobody informs an actor of resets, but the step count of a new episode is zero.
         begun = self._environment.state.episode_step == 0
         return self._acting.act(self._environment.observe()[self._group], begun)

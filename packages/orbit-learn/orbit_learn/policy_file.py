@@ -31,9 +31,8 @@ from orbit_core.registry import ClassRegistry
 from orbit_data.manifest.manifest import Manifest
 from orbit_data.tensor_file import read_tensors, write_tensors
 from orbit_learn.cloning.networks import ClonedDiffusion, ClonedPerceptron, ClonedRecurrent, ClonedTransformer
-from orbit_learn.convolutional import Convolutional
 from orbit_learn.description import PolicyDescription
-from orbit_learn.networks import ActorNetwork, Network, Perceptron
+from orbit_learn.networks import ActorNetwork, Convolutional, Network, Perceptron
 from orbit_learn.policy_cost import limited
 
 GROUP = "orbit.networks"

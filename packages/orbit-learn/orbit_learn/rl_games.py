@@ -19,9 +19,8 @@ from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import Observation, one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
-from orbit_learn.groups import CRITIC, check_groups, critic_group
 from orbit_learn.networks import ActorNetwork, perceptron_actor
-from orbit_learn.spaces import action_space, critic_space, observation_space
+from orbit_learn.spaces import CRITIC, action_space, check_groups, critic_group, critic_space, observation_space
 from orbit_learn.trainer import LoopTrainer
 
 

@@ -7,7 +7,7 @@ import io
 import math
 import os
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -15,23 +15,252 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # its logger imports git, 
 
 import torch
 from rsl_rl.env import VecEnv
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment, Observation
+from orbit_core.envs.observation_layout import POLICY, GroupLayout, one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.pretrained import policy_path
-from orbit_learn.convolutional import convolutional, convolutional_actor
 from orbit_learn.description import group_parts
-from orbit_learn.groups import ACTOR, check_groups, critic_group, tensor_names, tensors_by_name
-from orbit_learn.imitation import imitate_expert
-from orbit_learn.networks import ActorNetwork, NormalizedActor, Perceptron, perceptron_actor
+from orbit_learn.networks import (
+    MOST_DEVIATIONS,
+    ActorNetwork,
+    Convolutional,
+    NormalizedActor,
+    Perceptron,
+    convolutional,
+    convolutional_actor,
+    encoded_pictures,
+    joined_vectors,
+    perceptron_actor,
+)
 from orbit_learn.policy import Policy, load_policy
-from orbit_learn.rsl_rl_models import PartlyKnown, PictureModel
+from orbit_learn.pretrained import policy_path
+from orbit_learn.spaces import ACTOR, check_groups, critic_group, tensor_names, tensors_by_name
 from orbit_learn.trainer import Progress, Trainer
-from orbit_learn.warm_start import columns_seen, started_from
+
+# Parts of RSL-RL's models: one that sees a dictionary of terms, pictures among them, as ORBIT's own network does, and
+# statistics of observations that go on from those of a policy.
+
+
+class PictureModel(MLPModel):
+    """RSL-RL's model of linear layers, behind the encoders of a network ``convolutional``.
+
+    RSL-RL's own CNNModel takes one floating-point picture a camera, channels first; this one keeps colours as uint8
+    until it sees them, so that the steps that are remembered take a fourth of the memory.
+
+    Args:
+        obs: an example.
+        obs_groups: names of the tensors of each set, ``<group>/<term>``.
+        obs_set: "actor" or "critic".
+        output_dim: components of the output.
+        network: of the group's terms.
+        settings: of the linear layers, as RSL-RL has them.
+    """
+
+    def __init__(
+        self,
+        obs: TensorDict,
+        obs_groups: dict[str, list[str]],
+        obs_set: str,
+        output_dim: int,
+        network: Convolutional,
+        **settings: Any,
+    ) -> None:
+        self.network: Convolutional
+        object.__setattr__(self, "network", network)  # which the base class asks for before it is a module
+        self._prefix = obs_groups[obs_set][0].partition("/")[0] + "/"
+        super().__init__(obs, obs_groups, obs_set, output_dim, **settings)
+        self.encoders = network.build_encoders()
+
+    def get_latent(self, obs: TensorDict, masks: Tensor | None = None, hidden_state: Any = None) -> Tensor:
+        terms = self._terms(obs)
+        vectors = self.obs_normalizer(joined_vectors(self.network, terms)).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
+        return torch.cat((vectors, encoded_pictures(self.network, self.encoders, terms)), dim=-1)
+
+    def update_normalization(self, obs: TensorDict) -> None:
+        if self.obs_normalization:
+            self.obs_normalizer.update(joined_vectors(self.network, self._terms(obs)))  # pyright: ignore[reportCallIssue]
+
+    def _terms(self, obs: TensorDict) -> dict[str, Tensor]:
+        return {name: obs[self._prefix + name] for name in self._names}
+
+    @property
+    def _names(self) -> list[str]:
+        pictures = [picture.term for encoder in self.network.encoders for picture in encoder.pictures]
+        return [*pictures, *(part.name for part in self.network.vectors)]
+
+    def _get_obs_dim(self, obs: TensorDict, obs_groups: dict[str, list[str]], obs_set: str) -> tuple[list[str], int]:
+        return obs_groups[obs_set], self.network.vector_size
+
+    def _get_latent_dim(self) -> int:
+        return self.obs_dim + self.network.features
+
+
+class PartlyKnown(EmpiricalNormalization):
+    """Statistics of observations of which some stay, for a policy's layers were learned with them.
+
+    Others, of what the policy did not see, follow from what is shown from now on.
+
+    Args:
+        mean: (size,) at first.
+        std: (size,) at first, with ``eps`` in it.
+        known: components that stay as they are.
+        weight: how many observations those at first count for.
+    """
+
+    count: Tensor
+    _mean: Tensor
+    _var: Tensor
+    _std: Tensor
+
+    def __init__(self, mean: Tensor, std: Tensor, known: Sequence[int], weight: int) -> None:
+        super().__init__(len(mean))
+        self.count.fill_(weight)
+        self._known = list(known)
+        self._mean.copy_(mean)
+        self._std.copy_((std - self.eps).clamp_min(0.0))
+        self._var.copy_(self._std.square())
+
+    def update(self, x: Tensor) -> None:
+        known = self._mean[:, self._known], self._var[:, self._known], self._std[:, self._known]
+        super().update(x)
+        self._mean[:, self._known], self._var[:, self._known], self._std[:, self._known] = known
+
+
+# A learned policy as the start of a training in an environment that shows more than it saw, such as a walker's on
+# terrain that it now sees.
+
+LAST_ACTION = "last_action"
+# At first, of what the environment shows now and the policy did not see: robots that begin on level ground see the
+# same everywhere, and will see more than that.
+_LEAST_STD = 0.2
+
+
+def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
+    """Return a network that acts in the environment as the policy acts, whatever is shown there beside what the policy
+    saw.
+
+    Terms of the observation are matched by their names. What is new weighs nothing, and is normalised by what the
+    environment shows now, on which a training that goes on improves. Where joints' targets are
+    ``offset + scale * command``, commands are of the environment's own scale, and so is the last action among what is
+    seen.
+
+    Raises:
+        ConfigurationError: the policy was learned for another robot, action or rate; it saw what the environment does
+            not show, or something other than one tensor; or its network is no perceptron.
+    """
+    description, layout, module = policy.description, environment.observation[POLICY], policy.module
+    if not isinstance(policy.network, Perceptron) or not isinstance(module, NormalizedActor) or not layout.concatenated:
+        raise ConfigurationError("a training begins with a policy whose network is a perceptron that sees one tensor")
+    description.check_action(environment)
+    columns = columns_seen(policy, layout)
+    shown = one_tensor(environment.observe(), POLICY)
+    mean, std = shown.mean(0).cpu(), shown.std(0, unbiased=False).clamp_min(_LEAST_STD).cpu()
+    mean[columns], std[columns] = module.mean.cpu(), module.std.cpu()
+    ratio, shift = _rescaled(policy, environment)
+    if LAST_ACTION in layout.columns:
+        last = layout.columns[LAST_ACTION]
+        mean[last], std[last] = mean[last] * ratio + shift, std[last] * ratio
+    weights = {name: value.detach().cpu().clone() for name, value in module.state_dict().items()}
+    first = torch.zeros(len(weights["layers.0.weight"]), layout.size)
+    first[:, columns] = weights["layers.0.weight"]
+    end = f"layers.{2 * len(policy.network.hidden_sizes)}"
+    weights[f"{end}.weight"] *= ratio[:, None]
+    weights[f"{end}.bias"] = weights[f"{end}.bias"] * ratio + shift
+    started = policy.network.build(layout.size, description.action_size)
+    started.load_state_dict({**weights, "layers.0.weight": first, "mean": mean, "std": std})
+    return ActorNetwork(policy.network, started.requires_grad_(False).eval())
+
+
+def columns_seen(policy: Policy, layout: GroupLayout) -> list[int]:
+    """Where the environment shows the components that the policy saw, in their order.
+
+    Raises:
+        ConfigurationError: the policy saw what the environment does not show.
+    """
+    columns: list[int] = []
+    for part in policy.description.observation_parts:
+        found = layout.columns.get(part.name)
+        if found is None or found.stop - found.start != part.size:
+            raise ConfigurationError(f"the policy to begin with saw {part}, which the environment does not show so")
+        columns += range(found.start, found.stop)
+    return columns
+
+
+def _rescaled(policy: Policy, environment: Environment) -> tuple[Tensor, Tensor]:
+    """Ratio (A,) and shift (A,) that turn the policy's command into one by which the environment does the same."""
+    ratio, shift = torch.ones(policy.description.action_size), torch.zeros(policy.description.action_size)
+    if policy.manifest is None:
+        return ratio, shift
+    begin = 0
+    for part, generator in zip(policy.description.action_parts, environment.actions.generators, strict=True):
+        place = slice(begin, begin + part.size)
+        begin += part.size
+        learned = policy.manifest.action_terms.get(part.name)
+        if learned is None or learned.scale is None or learned.offset is None or generator.affine is None:
+            continue
+        offset, scale = (value.cpu() for value in generator.affine)
+        ratio[place] = torch.tensor(learned.scale) / scale
+        shift[place] = (torch.tensor(learned.offset) - offset) / scale
+    return ratio, shift
+
+
+# A policy's first steps after the task's expert, before it learns by itself -------------------------------------------
+# Why: Rajeswaran et al., Learning Complex Dexterous Manipulation with Deep Reinforcement Learning and Demonstrations
+# (2018), where imitation comes first and a policy gradient after.
+
+# Moments in a gradient step.
+_BATCH = 4096
+
+
+def imitate_expert(environment: Environment, network: nn.Module, normalizer: nn.Module, settings: PpoSettings) -> float:
+    """Fit what the network does to what the expert did where episodes begin on its way (:class:`ExpertStarts`).
+
+    A last action among what the policy sees is taken from other moments: an expert mostly does what it did before, and
+    who learns that from it never begins anything, such as to close a gripper (de Haan et al., Causal Confusion in
+    Imitation Learning, 2019).
+
+    Args:
+        environment: whose expert it is.
+        network: from normalised observations (K, O) to the means of actions (K, A).
+        normalizer: of observations; takes those on the expert's way into its statistics.
+        settings: number of gradient steps, and the learning rate.
+
+    Returns:
+        the mean squared error of the last gradient step.
+
+    Raises:
+        ConfigurationError: no episodes begin on the expert's way, or the policy sees more than one tensor.
+    """
+    starts = environment.starts
+    if starts is None or not starts.seen.numel():
+        raise ConfigurationError(
+            f"imitation_steps={settings.imitation_steps} needs what an expert saw and did: set expert_starts of the "
+            "task above zero, and let the policy see one tensor, or set imitation_steps=0"
+        )
+    seen, done = starts.seen, starts.done
+    last = environment.observation[POLICY].columns.get("last_action")
+    if settings.normalize_observations:
+        normalizer.update(seen)  # pyright: ignore[reportCallIssue]
+    optimizer = torch.optim.Adam(network.parameters(), settings.learning_rate)
+    generator = torch.Generator(seen.device).manual_seed(0)
+    loss = torch.zeros((), device=seen.device)
+    for _ in range(settings.imitation_steps):
+        rows = torch.randint(len(seen), (min(_BATCH, len(seen)),), generator=generator, device=seen.device)
+        shown = seen[rows]
+        if last is not None:
+            shown[:, last] = shown[:, last].roll(1, 0)  # rows are drawn at random
+        loss = (network(normalizer(shown)) - done[rows]).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    return float(loss.detach())
+
 
 MOST_STD = 1.0
 """Most that the deviation of actions grows to, where it does not begin wider."""

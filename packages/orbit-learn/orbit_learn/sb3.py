@@ -21,17 +21,17 @@ from torch import Tensor, nn
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.ppo import PpoSettings
-from orbit_learn.convolutional import (
+from orbit_learn.description import group_parts
+from orbit_learn.networks import (
     MOST_DEVIATIONS,
+    ActorNetwork,
     Convolutional,
     PictureFeatures,
     convolutional,
     convolutional_actor,
+    perceptron_actor,
 )
-from orbit_learn.description import group_parts
-from orbit_learn.groups import ACTOR, check_groups
-from orbit_learn.networks import ActorNetwork, perceptron_actor
-from orbit_learn.spaces import group_space
+from orbit_learn.spaces import ACTOR, check_groups, group_space
 from orbit_learn.trainer import Progress, Trainer
 
 Seen = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]

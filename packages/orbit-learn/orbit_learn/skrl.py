@@ -22,12 +22,27 @@ from torch import Tensor, nn
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.ppo import PpoSettings
-from orbit_learn.convolutional import MOST_DEVIATIONS, PictureFeatures, convolutional, convolutional_actor
 from orbit_learn.description import Part, group_parts
 from orbit_learn.ends import true_next
-from orbit_learn.groups import ACTOR, CRITIC, check_groups, critic_group
-from orbit_learn.networks import ActorNetwork, perceptron, perceptron_actor
-from orbit_learn.spaces import action_space, critic_space, group_space, observation_space
+from orbit_learn.networks import (
+    MOST_DEVIATIONS,
+    ActorNetwork,
+    PictureFeatures,
+    convolutional,
+    convolutional_actor,
+    perceptron,
+    perceptron_actor,
+)
+from orbit_learn.spaces import (
+    ACTOR,
+    CRITIC,
+    action_space,
+    check_groups,
+    critic_group,
+    critic_space,
+    group_space,
+    observation_space,
+)
 from orbit_learn.trainer import LoopTrainer
 
 

@@ -20,11 +20,18 @@ from torchrl.objectives.value import GAE
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout, Observation
 from orbit_core.envs.ppo import PpoSettings
-from orbit_learn.convolutional import PictureFeatures, convolutional, convolutional_actor, joined_vectors
 from orbit_learn.description import group_parts
 from orbit_learn.ends import EpisodeTally, true_next
-from orbit_learn.groups import ACTOR, check_groups, critic_group
-from orbit_learn.networks import ActorNetwork, perceptron, perceptron_actor
+from orbit_learn.networks import (
+    ActorNetwork,
+    PictureFeatures,
+    convolutional,
+    convolutional_actor,
+    joined_vectors,
+    perceptron,
+    perceptron_actor,
+)
+from orbit_learn.spaces import ACTOR, check_groups, critic_group
 from orbit_learn.trainer import LoopTrainer
 
 
@@ -138,8 +145,8 @@ class TorchRlEnvironment(EnvBase):
         super().__init__(device=device, batch_size=batch)
         self.environment = environment
         self._tally = tally
+        # Whether (N,) the environment has begun the next episode already.
         self._begun = torch.zeros(batch, dtype=torch.bool, device=device)
-        """Whether (N,) the environment has begun the next episode already."""
         commanded, single = (torch.Size((environment.num_envs, size)) for size in (environment.action_size, 1))
         groups = {
             name: group_spec(environment.observation[name], environment.num_envs, device)

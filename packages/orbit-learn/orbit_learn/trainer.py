@@ -100,6 +100,7 @@ class Trainer(ABC, Generic[Settings]):
     """Options of ``orbit train`` for the settings: first the one of ``key=value``, then those of single fields."""
 
     def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
+        # Settings are shared by libraries, so that one which lacks a feature must say so, and not ignore it.
         if getattr(settings, "imitation_steps", 0) and not self.imitates:
             raise ConfigurationError(
                 f"library '{self.name}' imitates no expert before it learns: use --library rsl-rl, or "
@@ -140,11 +141,13 @@ class Trainer(ABC, Generic[Settings]):
         """Return a copy of the policy on the CPU, with its normalisation and without exploration."""
 
 
+# Libraries that run their own loop report progress by themselves, and derive from `Trainer`.
 class LoopTrainer(Trainer[Settings]):
     """Trainer whose library does one iteration at a time."""
 
     def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
+        # Before the networks are made: their first weights come from torch's own generator.
         torch.manual_seed(seed)
         self.tally = EpisodeTally(environment.device)
         """Tally of episodes; :meth:`iterate` must add every step."""
@@ -174,6 +177,7 @@ class LoopTrainer(Trainer[Settings]):
             for iteration in range(first, last + 1):
                 self.iterate(iteration)
                 self._iteration = iteration + 1
+                # Counted since this call, because a resumed training adds the steps of earlier ones.
                 done = (iteration - first + 1) * self.batch + self.steps_ahead
                 returns, success_rate, episodes = self.tally.read()
                 seconds = time.perf_counter() - begin
@@ -181,6 +185,7 @@ class LoopTrainer(Trainer[Settings]):
                 progress = Progress(iteration, done, seconds, returns, success_rate, episodes, **measured)
                 board.add_scalar("episode/return", progress.episode_return, iteration)
                 board.add_scalar("episode/success_rate", progress.success_rate, iteration)
+                # An algorithm without a single loss has no curve to draw.
                 if not math.isnan(progress.loss):
                     board.add_scalar("loss", progress.loss, iteration)
                 report(progress)

@@ -133,8 +133,8 @@ class Training:
     def __post_init__(self) -> None:
         self._steps_before, self._seconds_before, self._diverged_before = 0, 0.0, 0
         self._diverged_last = 0
+        # Last completed iteration.
         self._done = -1
-        """Last completed iteration."""
         self.manifest = Manifest.of(self.trainer.environment, self.task, self.trainer.seed)
         """Manifest of the environment."""
         self.saved: Path | None = None

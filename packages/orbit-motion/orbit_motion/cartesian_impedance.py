@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import Robot
-from orbit_motion.compliant import Compliant, CompliantConfig, HandState, without_free
-from orbit_motion.servo import check_rate
+from orbit_motion.compliant import Compliant, CompliantConfig, HandState, check_rate, without_free
 
 # Iterations: enough for motions whose frequencies differ by a factor of 15.
 _ROOT_ITERATIONS = 8

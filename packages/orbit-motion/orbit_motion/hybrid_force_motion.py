@@ -13,11 +13,10 @@ from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import RobotSpec
-from orbit_motion.compliant import HandState, without_free
-from orbit_motion.force_reading import ForceReading
+from orbit_motion.admittance import ForceReading
+from orbit_motion.compliant import HandState, check_rate, without_free
 from orbit_motion.gains import CommandedGains
 from orbit_motion.operational_space import OperationalSpace, OperationalSpaceConfig
-from orbit_motion.servo import check_rate
 
 _NAMES = ("x", "y", "z")
 

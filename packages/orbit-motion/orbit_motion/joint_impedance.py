@@ -14,12 +14,12 @@ from orbit_core.actions.arm_dynamics import ArmState
 from orbit_core.actions.base import CommandMode, LastTargets
 from orbit_core.actions.ik import towards_pose
 from orbit_core.actions.term import ActionTerm
-from orbit_core.dynamics.workspace import workspace_mass_matrices
+from orbit_core.dynamics.rigid_body import workspace_mass_matrices
 from orbit_core.interfaces import Robot
 from orbit_core.interfaces.layout import joint_constants
 from orbit_core.scene import RobotSpec
+from orbit_motion.compliant import Servo, check_rate
 from orbit_motion.gains import CommandedGains, GainCommand, GainRange
-from orbit_motion.servo import Servo, check_rate
 
 
 @dataclass(frozen=True, kw_only=True)

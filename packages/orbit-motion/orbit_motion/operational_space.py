@@ -9,8 +9,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from orbit_core.interfaces import Robot
-from orbit_motion.compliant import Compliant, CompliantConfig, HandState, without_free
-from orbit_motion.servo import check_rate
+from orbit_motion.compliant import Compliant, CompliantConfig, HandState, check_rate, without_free
 
 
 @dataclass(frozen=True, kw_only=True)

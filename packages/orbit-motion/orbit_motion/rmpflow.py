@@ -20,15 +20,14 @@ from torch import Tensor
 
 from orbit_core.actions.base import CommandMode, JointTarget, LastTargets
 from orbit_core.actions.differential_ik import PoseTermConfig
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import PoseFollower
 from orbit_core.dynamics.kinematics import KinematicTree, drift_at
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error, quat_rotate
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
-from orbit_motion.clearance import Clearance
 from orbit_motion.fusion import Fused
-from orbit_motion.obstacles import Obstacles
+from orbit_motion.obstacles import Clearance, Obstacles
 
 # Share of the range below which a distance counts as this in the metric: float32 resolves what is left free.
 _NEAREST = 0.03

@@ -33,19 +33,19 @@ class Actuation:
         # Light links of fingers, each between its gear and its wheel, would be solved slowly, and the fingers
         # be bent by what they hold: leaders bear it all.
         self._armature = on_leaders(layout, parameters.armature)
+        # What leaders (J,) bear of their followers' armature; a follower's own, negative.
         self._carried_over = self._armature - parameters.armature
-        """What leaders (J,) bear of their followers' armature; a follower's own, negative."""
         soft = soft_springs(layout, self._dt)
+        # Stiffness (J,) of springs that are torques, taken at the beginning of each step.
         self._pulling = np.where(soft, parameters.spring_stiffness, 0.0)
-        """Stiffness (J,) of springs that are torques, taken at the beginning of each step."""
+        # Stiffness (J,) of those too stiff for that, which the second wheel takes at the end of the step.
         self._sprung = np.where(soft, 0.0, parameters.spring_stiffness)
-        """Stiffness (J,) of those too stiff for that, which the second wheel takes at the end of the step."""
         self._rest = parameters.spring_rest
         damping = on_leaders(layout, parameters.damping)
+        # Inertia of the second wheel of each joint (J,).
         self._slow = self._armature + self._dt * (damping + self._dt * self._sprung)
-        """Inertia of the second wheel of each joint (J,)."""
+        # Joints whose two wheels are one.
         self._shared = ~np.isfinite(self._limit)
-        """Joints whose two wheels are one."""
         self._driven = (parameters.drive_stiffness + parameters.drive_damping > 0) & own
         self._drives: dict[tuple[int, int], Wheels] = {}
         self._passive: dict[tuple[int, int], Wheels] = {}
@@ -66,6 +66,8 @@ class Actuation:
         return Wheels(self._stage.client, file, [(body, numbers[column - start]) for column in columns])
 
     def _build_passive(self) -> None:
+        # A drive without a limit takes damping and armature into its one wheel, because each wheel costs the solver a
+        # row.
         alone = (self._slow > 0) & ~(self._shared & self._driven)
         self._passive_columns = self._columns(alone)
         for slot in range(self._stage.count):
@@ -104,8 +106,8 @@ class Actuation:
         dt = self._dt
         drive = dt * (self.stiffness * dt + self.damping)
         self._inertia = np.where(self._driven, drive + np.where(self._joined, self._slow, 0.0), 0.0)
+        # Joints whose effort is a torque.
         self._plain = (drive == 0) & ~(self._joined & (self._inertia > 0))
-        """Joints whose effort is a torque."""
         self._inverse = np.divide(1.0, self._inertia, out=np.zeros_like(drive), where=self._inertia > 0)
         self._carried = np.where(self._joined, self._armature, 0.0)
         for slot in slots:
@@ -118,6 +120,8 @@ class Actuation:
         joints = joints[own]
         self.stiffness[np.ix_(slots, joints)] = k[:, own]
         self.damping[np.ix_(slots, joints)] = d[:, own]
+        # Wheels exist only for joints that were driven when the world was built; the first gains of another build all
+        # of them again.
         undriven = joints[~self._driven[joints]]
         if len(undriven):
             self._driven[undriven] = True
@@ -140,6 +144,7 @@ class Actuation:
         """Before the steps of a command."""
         buffers = self._buffers
         self._given = buffers.efforts + self.damping * buffers.velocity_targets
+        # Where a wheel bounds the effort by its gear's force, clipping here would bound it twice.
         torques = np.where(self._plain, np.clip(buffers.efforts, -self._limit, self._limit), 0.0)
         self._torques = torques if torques.any() or self._pulling.any() else None
 
@@ -151,6 +156,7 @@ class Actuation:
         drawn = self._dt * self._sprung * pull
         if self._drive_columns:
             carried = np.where(self._joined, drawn, 0.0) + self._carried * velocities
+            # Lists of Python numbers, which Bullet reads without converting each.
             speeds = ((self._dt * self._push + carried) * self._inverse).tolist()
             for (slot, entity), wheels in self._drives.items():
                 row = speeds[slot]

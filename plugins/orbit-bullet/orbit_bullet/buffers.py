@@ -33,6 +33,7 @@ class Buffers:
 
     def rows(self, start: int, stop: int) -> Buffers:
         """Views of some environments."""
+        # Views and no copies: what a worker writes is what the core reads.
         return Buffers(**{field.name: getattr(self, field.name)[start:stop] for field in fields(self)})
 
 
@@ -62,6 +63,7 @@ def private_buffers(shapes: Shapes) -> Buffers:
 def shared_buffers(shapes: Shapes, path: Path) -> Buffers:
     """Create buffers in a file that several processes map; the last of them frees its memory."""
     size = sum(int(np.prod(shape)) for shape in shapes.values())
+    # A mapping of length zero is an error, and a scene may have nothing to share.
     block = np.memmap(path, dtype=np.float32, mode="r+" if path.exists() else "w+", shape=(max(size, 1),))
     arrays, start = {}, 0
     for name, shape in shapes.items():

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import ContactQuery
 
+# A body's slot and a link's index in the layout, or TERRAIN.
 _Place = tuple[int, int]
-"""A body's slot and a link's index in the layout, or TERRAIN."""
 
 
 class ContactMeter:
@@ -41,6 +41,8 @@ class ContactMeter:
                 continue
             wanted = self._queries_of(first[1], second[1])
             if wanted:
+                # Bullet's tuple: the normal on the second body, then two directions of friction with the force along
+                # each.
                 n, a, b, f, g = point[7], point[11], point[13], point[10], point[12]
                 force = np.array([normal_force * n[i] + f * a[i] + g * b[i] for i in range(3)])
                 for query, sign in wanted:

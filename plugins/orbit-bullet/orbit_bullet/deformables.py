@@ -23,12 +23,12 @@ from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
 from orbit_core.scene import Cloth, SoftBody
 
 FloatArray = npt.NDArray[np.float64]
+# Damping ratio of a spring between two particles.
 _SPRING_DAMPING = 0.05
-"""Damping ratio of a spring between two particles."""
+# Damping over stiffness of a soft body, per second.
 _SOLID_DAMPING = 0.01
-"""Damping over stiffness of a soft body, per second."""
+# Times its size at rest, beyond which a deformable counts as diverged.
 _GREATEST_SPAN = 10.0
-"""Times its size at rest, beyond which a deformable counts as diverged."""
 
 
 def check_stability(layout: SceneLayout) -> None:
@@ -162,6 +162,8 @@ class Deformables:
             frictionCoeff=spec.friction, **self._material(body),
         )  # fmt: skip
         nodes = self._nodes(body)
+        # Bullet reorders and splits the mesh's vertices as it loads them, always alike: matched once, the nodes stay
+        # the same.
         if not len(body.particles):
             body.particles = _match(spec.pose.transform(spec.mesh.vertices) + self._stage.origins[0], nodes)
         body.positions = nodes[body.particles]
@@ -176,6 +178,8 @@ class Deformables:
                 "useBendingSprings": int(spec.bending_stiffness > 0),
                 "springElasticStiffness": spring_stiffness(spec),
                 "springDampingStiffness": 2 * _SPRING_DAMPING * math.sqrt(spring_stiffness(spec) * particle),
+                # Bullet's bending springs resist distances between second neighbours: a moment over the square of a
+                # length.
                 "springBendingStiffness": spec.bending_stiffness / edge**2,
                 "springDampingAllDirections": 1,
                 "useSelfCollision": 0,
@@ -228,6 +232,7 @@ class Deformables:
         step = self._stage.layout.scene.physics_dt
         for body in self._bodies:
             positions = self._nodes(body)[body.particles]
+            # Bullet gives no velocities of nodes.
             velocities = 0.0 if still else (positions - body.positions) / step
             self._buffers.particle_positions[0, body.columns] = positions - self._stage.origins[0]
             self._buffers.particle_velocities[0, body.columns] = velocities
@@ -237,6 +242,8 @@ class Deformables:
         for body in self._bodies:
             positions = self._buffers.particle_positions[0, body.columns]
             rest = np.ptp(np.asarray(body.spec.mesh.vertices), axis=0).max()
+            # Springs that gain energy blow a body up within a few steps, and its size shows that for all particles at
+            # once.
             if not np.ptp(positions, axis=0).max() < _GREATEST_SPAN * rest:  # NaN too
                 return False
         return True

@@ -23,8 +23,8 @@ from orbit_bullet.urdf import write_urdf
 
 FloatArray = npt.NDArray[np.float64]
 _UNLIMITED = 1e12
+# rad/s that a flywheel may reach.
 _FASTEST = 1e9
-"""rad/s that a flywheel may reach."""
 
 
 class Wheels:
@@ -42,6 +42,7 @@ class Wheels:
         self._zeros = [[0.0]] * self._count
         self._gears = []
         for wheel, (body, joint) in enumerate(joints):
+            # Bullet gives each new joint a motor that holds it, which would brake the wheel.
             client.setJointMotorControl2(self.body, wheel, client.VELOCITY_CONTROL, force=0)
             client.changeDynamics(
                 self.body, wheel, linearDamping=0, angularDamping=0, jointDamping=0, maxJointVelocity=_FASTEST
@@ -54,8 +55,10 @@ class Wheels:
     def set(self, inertias: FloatArray, limits: FloatArray) -> None:
         """Inertia and greatest force (W,) of each wheel; one without inertia does nothing."""
         for wheel, (inertia, limit) in enumerate(zip(inertias.tolist(), limits.tolist(), strict=True)):
+            # Bullet takes a body without inertia for one that does not move.
             moment = max(inertia, 1e-9)
             self._client.changeDynamics(self.body, wheel, localInertiaDiagonal=(moment, moment, moment))
+            # A gear without force is as good as none, and keeps its place for later gains.
             force = min(limit, _UNLIMITED) if inertia > 0 else 0.0
             self._client.changeConstraint(self._gears[wheel], gearRatio=-1.0, maxForce=force)
 

@@ -72,8 +72,8 @@ def refusals(what: str, kind: type[OrbitError]) -> Iterator[None]:
         raise kind(f"{what}: {error}") from error
 
 
+# Held while the terminal is away: two threads that interleave would leave the process without it for good.
 _silencing = threading.RLock()
-"""Held while the terminal is away: two threads that interleave would leave the process without it for good."""
 
 
 @contextlib.contextmanager

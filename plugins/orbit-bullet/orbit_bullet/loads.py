@@ -30,6 +30,7 @@ class Loads:
         self._free = np.array([number not in held for number in range(links)], dtype=float)
         compensated = [layout.entities[entity].spec.gravity_compensation for entity in layout.entity_of_link]
         self._heavy = 1.0 - np.array(compensated, dtype=float)
+        # Each link that differs from the world costs a call at each step, so that the world takes what most links have.
         most_compensated = (self._free * self._heavy).sum() < (self._free * (1 - self._heavy)).sum()
         self._world_gravity = np.zeros(3) if most_compensated else scene_gravity
         stage.client.setGravity(*self._world_gravity.tolist())
@@ -55,6 +56,7 @@ class Loads:
         frame = client.WORLD_FRAME
         for body, link, force, torque in self._active:
             if force is not None:
+                # Bullet has the base's centre of mass in another call than a link's.
                 if link < 0:
                     center = client.getBasePositionAndOrientation(body)[0]
                 else:

@@ -20,14 +20,14 @@ from orbit_core.interfaces import Approximation, SceneLayout
 from orbit_core.scene import Capsule, Cylinder, PhysicsMaterial, Shape, Sphere
 
 FloatArray = npt.NDArray[np.float64]
+# The value in the place of zero, which has no logarithm.
 _LEAST = 1e-6
-"""The value in the place of zero, which has no logarithm."""
+# Sliding friction of a pair below which its torsional and rolling friction fall short, rather than disturb others'.
 _LEAST_SLIDING = 0.01
-"""Sliding friction of a pair below which its torsional and rolling friction fall short, rather than disturb others'."""
+# Metres below which deviations of torsional and rolling friction count as parts of this.
 _LEAST_LENGTH = 1e-4
-"""Metres below which deviations of torsional and rolling friction count as parts of this."""
+# Relative deviation of a pair's value.
 _WORTH_REPORTING = 0.02
-"""Relative deviation of a pair's value."""
 
 
 class PairProducts:

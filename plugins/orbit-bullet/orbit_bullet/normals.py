@@ -12,8 +12,8 @@ from orbit_core.plugin_kit.rotations import cross, rotate
 from orbit_core.scene import CameraSpec
 
 _Array = npt.NDArray[Any]
+# Cost of a neighbour without a further one that shows how flat it is, in 1/m.
 _LONE = 1e3
-"""Cost of a neighbour that has no further one to tell how flat it is, in 1/m."""
 
 
 def normals_of(depth: _Array, seen: _Array, camera: CameraSpec, poses: _Array) -> _Array:

@@ -29,8 +29,8 @@ assert pybullet.loadPlugin(sys.argv[1], "_eglRendererPlugin") >= 0
 pybullet.getCameraImage(8, 8, renderer=pybullet.ER_BULLET_HARDWARE_OPENGL)
 """
 _PROBE_SECONDS = 60.0
+# EGL's numbers of the surfaces that a context draws to and reads from.
 _DRAW, _READ = 0x3059, 0x305A
-"""EGL's numbers of the surfaces that a context draws to and reads from."""
 
 
 class OpenGl:
@@ -55,11 +55,11 @@ class OpenGl:
 
 
 _lock = threading.Lock()
+# The client of this process once it is made. It stays until the process ends: to close it would end EGL's display,
+# which other libraries of the process share.
 _made: list[OpenGl] = []
-"""The client of this process once it is made. It stays until the process ends: to close it would end EGL's display,
-which other libraries of the process share."""
+# The same while no renderer has it.
 _free: list[OpenGl] = []
-"""The same while no renderer has it."""
 
 
 def acquire() -> OpenGl | None:
@@ -133,8 +133,8 @@ def _egl() -> ctypes.CDLL:
     return library
 
 
+# Display, surface to draw to, surface to read from, and context.
 _Current = tuple[Any, Any, Any, Any]
-"""Display, surface to draw to, surface to read from, and context."""
 
 
 def _current(egl: ctypes.CDLL) -> _Current:

@@ -33,8 +33,8 @@ CLIENT_MEMORY = 29e6
 """Bytes of a Bullet world, whatever is in it."""
 MOST_CLIENTS = 1000
 """Bullet worlds in a process: Bullet has room for 1,024, renderers among them."""
+# Seconds that workers have to end by themselves, all together.
 _PATIENCE = 5.0
-"""Seconds that workers have to end by themselves, all together."""
 
 
 class Pool(ABC):
@@ -105,6 +105,7 @@ class ProcessPool(Pool):
     ) -> None:
         self.ranges = split_evenly(num_envs, workers)
         shapes = shapes_of(layout, num_envs)
+        # In memory where the system has it: a file on a disk would be written back again and again.
         parent = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
         self._processes: list[Any] = []
         self._connections: list[Any] = []
@@ -280,8 +281,8 @@ def _cause(code: int | None) -> str:
     return f"with exit code {code}"
 
 
+# Held while the user's script is hidden, so that each thread puts back what it found.
 _hiding = threading.Lock()
-"""Held while the user's script is hidden, so that each thread puts back what it found."""
 
 
 @contextlib.contextmanager

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import time
 
+# Seconds between two lines, and before the first.
 _SILENT_FOR = 10.0
-"""Seconds between two lines, and before the first."""
 
 
 class BuildProgress:

@@ -14,12 +14,12 @@ from orbit_core.interfaces import BACKGROUND
 FloatArray = npt.NDArray[np.floating]
 RAYS_PER_CALL = 16_000
 """Bullet's own bound is 16,384."""
+# Shapes that a ray may meet, its own links among them, before what else it meets is not looked at.
 _MOST_SURFACES = 32
-"""Shapes that a ray may meet, its own links among them, before what else it meets is not looked at."""
+# Body, link and share of the ray's length, as of a hit.
 _MISS = (-1, -1, 1.0)
-"""Body, link and share of the ray's length, as of a hit."""
+# Part of a stretch that the next repeats: a ray meets no height field that its stretch ends or begins on.
 _OVERLAP = 1e-3
-"""Part of a stretch that the next repeats: a ray meets no height field that its stretch ends or begins on."""
 
 
 def cast_rays(
@@ -54,6 +54,7 @@ def _meet(
         hits = _cast_past(stage, begin, begin + length * along, mask, past)
         met = np.array([hit[0] >= 0 for hit in hits])
         yield from ((searching[n], begun + hits[n][2] * length, hits[n]) for n in met.nonzero()[0])
+        # Rays that met something are done; with few left the later stretches cost little.
         searching, begun = searching[~met], begun + (1.0 - _OVERLAP) * length
 
 

@@ -34,10 +34,10 @@ from orbit_core.scene import CameraSpec, Channel, Shape
 from orbit_core.scene.pose import Vector3
 
 _Array = npt.NDArray[Any]
+# Up to which the software renderer is the faster.
 _TINY_PIXELS = 128 * 128
-"""Up to which the software renderer is the faster."""
+# Position of markers while they are not drawn.
 _HIDDEN = (0.0, 0.0, -1e4)
-"""Position of markers while they are not drawn."""
 
 
 class BulletRenderer(HostRenderer):
@@ -84,8 +84,8 @@ class BulletRenderer(HostRenderer):
             self._marker_bodies = [shapes.add(shape) for shape, _ in marks]
         self._place(self._marker_bodies, np.tile((*_HIDDEN, 1.0, 0, 0, 0), (len(marks), 1)))
         last = max((*self._bodies, *self._marker_bodies), default=0)
+        # At a body's number plus one, as the next.
         self._link_of_body = np.full(last + 2, BACKGROUND, dtype=np.int32)
-        """At a body's number plus one, as the next."""
         self._albedo_of_body = np.zeros((last + 2, 3), dtype=np.uint8)
         self._albedo_of_body[np.array(self._bodies, dtype=np.int64) + 1] = albedo_table(layout)[1:]
         for body, (shape, _) in zip(self._marker_bodies, marks, strict=True):

@@ -19,18 +19,18 @@ from orbit_core.scene.pose import Vector3
 
 _Array = npt.NDArray[Any]
 
+# Pixels of the map along its side for each along the picture's longer side.
 _FINER = 2
-"""Pixels of the map along its side for each along the picture's longer side."""
+# Metres from the camera to the middle of what is seen: rays 1 m off the middle are askew by 1 mm/m.
 _AWAY = 1000.0
-"""Metres from the camera to the middle of what is seen: rays 1 m off the middle are askew by 1 mm/m."""
+# Metres before and behind the middle that count.
 _DEEP = 20.0
-"""Metres before and behind the middle that count."""
+# Metres around the middle beyond which all is lit.
 _REACH = 3.0
-"""Metres around the middle beyond which all is lit."""
+# Metres that a surface may be behind what the light reaches, on top of its slant over half a square.
 _SLACK = 0.002
-"""Metres that a surface may lie behind what the light reaches, besides what its slant over half a square comes to."""
+# Least cosine between surface and light that the slack is computed with.
 _GRAZING = 0.05
-"""Cosine between surface and light, the least that the slack is reckoned with."""
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,9 @@ from orbit_core.interfaces import (
 from orbit_core.plugin_kit.rotations import compose, cross
 
 FloatArray = npt.NDArray[np.float64]
+# Share of the way beyond a joint's limit that a step removes; the joint keeps the speed of it. Bullet has one number
+# for limits and for the openings of loops, so that scenes with loops use theirs.
 _STOP_ERP = 0.1
-"""Share of the way beyond a joint's limit that a step removes; the joint keeps the speed of it. Bullet has one number
-for limits and for the openings of loops, so that scenes with loops use theirs."""
 Rows = npt.NDArray[np.int64]
 
 
@@ -60,6 +60,7 @@ class Simulation:
         self.client = Client()
         with silence(), refusals("Bullet cannot build the scene", SimulationError):
             if layout.scene.deformables:
+                # Before anything is added: it empties the world.
                 self.client.resetSimulation(self.client.RESET_USE_DEFORMABLE_WORLD)
             self._set_options(config)
             self.stage = Stage(self.client, layout, files, self.count, config)
@@ -80,7 +81,9 @@ class Simulation:
             fixedTimeStep=self.layout.scene.physics_dt,
             numSolverIterations=config.solver_iterations,
             solverResidualThreshold=0.0,  # the residual is of all environments: leaving early would couple them
+            # Islands are not merged into batches: environments would be solved together, and depend on each other.
             minimumSolverIslandSize=1,
+            # Sorted, because results would otherwise depend on the order in which pairs began to overlap.
             deterministicOverlappingPairs=1,
             contactERP=config.contact_erp,
             erp=config.joint_erp if looped else _STOP_ERP,
@@ -216,6 +219,7 @@ class Simulation:
         if entity.spec.fixed_base:
             still = np.concatenate((origin, quaternion[:, [1, 2, 3, 0]], np.zeros((len(rows), 6))), -1)
             self._readings.bodies[rows, entity.root_link] = still
+        # Bullet has velocities of centres of mass, and the contract those of origins.
         linear = velocity[:, :3] + cross(velocity[:, 3:], center - origin)
         for index, slot in enumerate(rows):
             body = self.stage.bodies[slot][number]
@@ -360,9 +364,11 @@ class Simulation:
         everything = np.arange(self.count)
         changed = [not np.array_equal(old, new) for old, new in zip(before, self._arrays, strict=True)]
         if changed[4]:
+            # The indices are those of `_arrays`: 4 friction, 6 masses, 8 and 9 gains.
             self._surfaces.apply_friction(everything)
         if changed[6]:
             self._apply_masses(everything, np.flatnonzero((before[6] != self.loads.masses).any(axis=0)))
+        # Only what differs is sent, because each wheel and gear costs a call.
         if changed[8] or changed[9]:
             joints = np.arange(len(self.layout.joints))
             self.set_gains(everything, joints, self.actuation.stiffness.copy(), self.actuation.damping.copy())

@@ -37,18 +37,18 @@ SPACING = 2048.0
 GROUND, GROUND_DEPTH = 1000.0, 10.0
 """Half extents in metres of the box that stands for a plane: Bullet keeps one contact point a step on its own planes,
 on which sliding boxes rattle, and finds all of them on a box."""
+# Share of an overlap that a step removes between things that rebound.
 _REBOUND_ERP = 0.001
-"""Share of an overlap that a step removes between things that rebound."""
+# N/m, as good as rigid: Bullet takes the share from a spring and a damper.
 _REBOUND_STIFFNESS = 1e9
-"""N/m, as good as rigid: Bullet takes the share from a spring and a damper."""
+# Bullet meets a height field cell by cell on shorter rays, and by chunks of 16 cells, some of which it misses, on
+# longer ones.
 _RAY_CELLS = 15
-"""Bullet meets a height field cell by cell on shorter rays, and by chunks of 16 cells, some of which it misses, on
-longer ones."""
+# Bytes of a folder's name: Bullet keeps names of files in 1,024.
 _LONGEST_FOLDER = 960
-"""Bytes of a folder's name: Bullet keeps names of files in 1,024."""
 _GEAR_FORCE = 1e9
+# Share of a mimic joint's error that a step removes.
 _GEAR_ERP = 0.2
-"""Share of a mimic joint's error that a step removes."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,8 @@ class Stage:
         self.joints: list[list[int]] = [[] for _ in layout.entities]
         """Bullet's number of each movable joint of each entity."""
         self.places: dict[tuple[int, int], tuple[int, int]] = {}
-        self.loops: list[ClosedLoop] = []
         """Slot and layout link (or TERRAIN) of each body and Bullet link."""
+        self.loops: list[ClosedLoop] = []
         self.root_inertials = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.entities), 1))
         """For each entity the base's centre of mass and principal axes in the root link's frame (E, 7)."""
         self.ray_stretch = math.inf
@@ -149,6 +149,7 @@ class Stage:
 
     def groups(self, slot: int, static: bool) -> tuple[int, int]:
         """Collision group and mask: two bits an environment, for what moves and what does not; bit 0 is for rays."""
+        # Two bits, because what does not move must not be tested against its like.
         moving, still = 1 << (2 * slot + 1), 1 << (2 * slot + 2)
         return (still, moving | 1) if static else (moving, moving | still | 1)
 
@@ -187,6 +188,7 @@ class Stage:
         match shape.geometry:
             case Plane():
                 extents = (GROUND, GROUND, GROUND_DEPTH)
+                # So that the box's upper face is where the plane is.
                 ground = pose @ Pose((0.0, 0.0, -GROUND_DEPTH))
                 return client.createCollisionShape(client.GEOM_BOX, halfExtents=extents), ground
             case Box(half_extents):
@@ -229,6 +231,7 @@ class Stage:
         client, spec, number = self.client, entity.spec, entity.index
         articulation = spec.articulation
         flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_USE_IMPLICIT_CYLINDER
+        # Faces and edges of hulls, without which separating axes (`enableSAT`) do not apply to them.
         flags |= client.URDF_INITIALIZE_SAT_FEATURES
         if articulation.self_collisions:
             flags |= client.URDF_USE_SELF_COLLISION | client.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
@@ -241,6 +244,7 @@ class Stage:
                 flags=flags,
             )
         self.bodies[slot].append(body)
+        # Bodies of all environments come from the same file, and have the same numbers.
         if slot == 0:
             self._number_links(body, entity)
         self._set_up_links(slot, body, entity)

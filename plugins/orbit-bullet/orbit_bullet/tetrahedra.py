@@ -11,10 +11,10 @@ from orbit_core.interfaces import AssetError
 from orbit_core.scene import Mesh
 
 FloatArray = npt.NDArray[np.float64]
+# Least volume of a tetrahedron, over that of a regular one with the same longest edge.
 _FLATTEST = 0.1
-"""Least volume of a tetrahedron, over that of a regular one with the same longest edge."""
+# Least distance of an inner node from the surface's vertices, in mean edge lengths.
 _INTERIOR = 0.6
-"""Least distance of an inner node from the surface's vertices, in mean edge lengths."""
 
 
 def fill(mesh: Mesh, name: str) -> tuple[FloatArray, npt.NDArray[np.int64]]:

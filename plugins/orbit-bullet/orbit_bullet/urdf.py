@@ -31,7 +31,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_core.scene.inertias import solid_moments
+from orbit_core.scene.articulation import solid_moments
 
 _KINDS = {
     JointType.FIXED: "fixed",
@@ -41,8 +41,8 @@ _KINDS = {
 }
 HULL_MARGIN = 0.001
 """Metres around a hull, which Bullet fixes when it reads the file."""
+# The value in the place of infinity in the file.
 _UNLIMITED = 1e9
-"""The value in the place of infinity in the file."""
 
 
 class MeshFiles:

@@ -20,10 +20,10 @@ from orbit_core.scene import (
     Sphere,
 )
 
+# Rows of faces from pole to pole.
 _BALL_ROWS = 32
-"""Rows of faces from pole to pole."""
+# Half extent in metres of the square that is drawn for a plane.
 _GROUND = 1000.0
-"""Half extent in metres of the square that stands for a plane."""
 
 
 class VisualShapes:

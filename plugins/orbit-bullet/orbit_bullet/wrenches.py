@@ -30,6 +30,7 @@ class WrenchMeter:
         self._links = [_beyond(layout, link) for link in layout.wrench_links]
         free_roots = {entity.root_link for entity in layout.entities if not entity.spec.fixed_base}
         self._held = [link not in free_roots for link in layout.wrench_links]
+        # Per kilogram, because masses differ between environments and inertias are scaled with them.
         self._unit_inertias = np.array([link.inertia / max(link.mass, 1e-12) for link in layout.links])
 
     def begin(self, raw: FloatArray, poses: FloatArray) -> None:
@@ -43,6 +44,7 @@ class WrenchMeter:
         rates = [
             (new - old) / self._stage.layout.scene.physics_dt for new, old in zip(after, self._before, strict=True)
         ]
+        # A rate over a step is the mean of the wrench over it, which is that of the step's middle to second order.
         centers, poses = 0.5 * (raw[..., :3] + self._centers_before), self._halfway(poses)
         outer = self._contacts()
         self._add_loops(outer, poses)
@@ -64,6 +66,7 @@ class WrenchMeter:
     def _halfway(self, after: FloatArray) -> FloatArray:
         """(K, L, 7) poses in the middle of the last step, over which a wrench is the mean."""
         before = self._poses_before
+        # Quaternions of opposite signs are one rotation, and their mean would be none.
         same = np.copysign(1.0, (after[..., 3:] * before[..., 3:]).sum(-1, keepdims=True))
         quaternions = after[..., 3:] + same * before[..., 3:]
         quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)

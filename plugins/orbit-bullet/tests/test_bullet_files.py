@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from orbit_assets import sources
+from orbit_assets.catalogue import robot
 from orbit_assets.files import load_articulation
 from orbit_bullet import BulletConfig, stage, urdf
 from orbit_bullet.actuation import Actuation
@@ -17,7 +18,6 @@ from orbit_bullet.readback import read_model
 from orbit_bullet.stage import Stage, write_scene
 from orbit_core.interfaces import AssetError, BuildError, BuiltModel, ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.meshes import height_field_mesh
-from orbit_core.robots import robot
 from orbit_core.scene import (
     Articulation,
     Entity,

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import warp as wp
 
 from orbit_core.interfaces import SceneLayout
+from orbit_core.scene import Fluid
 from orbit_matter.contact import Felt
 from orbit_matter.kernels import Links
 
@@ -55,7 +56,13 @@ class Bodies:
 
 
 def free_links(layout: SceneLayout) -> list[int]:
-    """Indices of the links of free bodies: of what is neither fixed nor has joints."""
+    """Indices of the links of free bodies that matter moves: of what is neither fixed nor has joints.
+
+    Beside liquids alone there are none. A liquid gives way to what presses on it, so that a step's delay does no harm,
+    and what it presses with in one step says too little of the next: a light cup went up and down in its water.
+    """
+    if all(isinstance(spec, Fluid) for spec in layout.scene.deformables):
+        return []
     return [e.links.start for e in layout.entities if e.spec.is_free_body]
 
 

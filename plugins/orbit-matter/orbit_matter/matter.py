@@ -14,18 +14,21 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneLayout
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, ConfigurationError, SceneLayout
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
 from orbit_matter import attached, bodies, contact, kernels, rows, self_contact, stability, substeps
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
+from orbit_matter.fluid import kernels as fluid_kernels
+from orbit_matter.fluid.fluids import Fluids
 from orbit_matter.model import build
 from orbit_matter.part import Part, Stepping
+from orbit_matter.solids import inside as solid_inside
 from orbit_matter.solids import kernels as solid_kernels
 from orbit_matter.solids import launches as solid_launches
-from orbit_matter.solids import limits
+from orbit_matter.solids import laying, limits
 from orbit_matter.solids import rows as solid_rows
 from orbit_matter.solids.solids import Solids
 from orbit_warpkit.graphs import Graphs
@@ -56,6 +59,10 @@ class ParticleMatter(Matter):
         count = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))
         solid = substeps.of_solids(layout.scene, config.substep)
         count = max(1, math.ceil(count / solid)) * solid if len(self._model.rest) else solid
+        self._fluids = Fluids(layout.scene, num_envs, device)
+        if self._fluids.model is not None:
+            longest = min(self._fluids.model.longest_substep, config.substep or math.inf)
+            count = max(count, math.ceil(layout.scene.physics_dt / longest / solid - 1e-6) * solid)
         self._stepping = Stepping(
             layout.scene.physics_dt, count, sweeps, config.contact_stiffness, solid, config.solid_iterations
         )
@@ -66,7 +73,11 @@ class ParticleMatter(Matter):
         load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
         if self._solids.model.deformables:
             by_rows = (solid_rows,) if device.type == "cpu" else ()
-            load_kernels("orbit-matter", (solid_kernels, solid_launches, *by_rows), self._graphs.device)
+            load_kernels(
+                "orbit-matter", (solid_inside, solid_kernels, solid_launches, laying, *by_rows), self._graphs.device
+            )
+        if self._fluids.model is not None:
+            load_kernels("orbit-matter", (fluid_kernels,), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
@@ -80,7 +91,7 @@ class ParticleMatter(Matter):
         scene, links = self._layout.scene, len(self._layout.links)
         make = {"dtype": torch.float32, "device": self._device}
         rest = torch.as_tensor(model.rest, **make)
-        frictions = torch.tensor([spec.friction for spec in scene.deformables], **make)  # pyright: ignore[reportAttributeAccessIssue]
+        frictions = torch.tensor([getattr(spec, "friction", 0.0) for spec in scene.deformables], **make)
         parameters = torch.ones(n, len(scene.deformables), len(PARAMETERS), **make)
         parameters[..., PARAMETERS.index("friction")] = frictions
         kinds = torch.arange(n) % self._colliders.kinds
@@ -103,7 +114,7 @@ class ParticleMatter(Matter):
             "center": torch.as_tensor(center, **make)[kinds].contiguous(),
             "known": torch.zeros(n, mass.shape[1], dtype=torch.int32, device=self._device),
         }
-        self._tensors |= self._solids.tensors
+        self._tensors |= self._solids.tensors | self._fluids.tensors
         for name, width in (("seen", 13), ("given", 6), ("body_x", 3), ("body_q", 4), ("body_v", 3), ("body_w", 3)):
             self._tensors[name] = torch.zeros(n, mass.shape[1], width, **make)
         self._start = torch.zeros(n, max(links, 1), 7, **make)
@@ -141,7 +152,7 @@ class ParticleMatter(Matter):
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}
         with wp.ScopedDevice(self._graphs.device):
             return tuple(
-                Part(slice(a, b), memory, self._model, self._colliders, self._stepping, self._solids)
+                Part(slice(a, b), memory, self._model, self._colliders, self._stepping, self._solids, self._fluids)
                 for a, b in pairwise(bounds)
             )
 
@@ -173,17 +184,24 @@ class ParticleMatter(Matter):
     def positions(self, deformable: int) -> Tensor:
         if self._solids.has(deformable):
             return self._solids.positions(deformable)
+        if self._fluids.has(deformable):
+            return self._fluids.positions(deformable)
         return self._tensors["x"][:, self._model.slices[deformable]]
 
     def velocities(self, deformable: int) -> Tensor:
         if self._solids.has(deformable):
             return self._solids.velocities(deformable)
+        if self._fluids.has(deformable):
+            return self._fluids.velocities(deformable)
         return self._tensors["v"][:, self._model.slices[deformable]]
 
     def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None) -> None:
         if self._solids.has(deformable):
             self._solids.write(deformable, positions, velocities, env_ids)
             self._orient(env_ids)
+            return
+        if self._fluids.has(deformable):
+            self._fluids.write(deformable, positions, velocities, env_ids)
             return
         columns = self._model.slices[deformable]
         write_rows(self._tensors["x"][:, columns], positions, env_ids)
@@ -200,6 +218,9 @@ class ParticleMatter(Matter):
         self._set_anchors(deformable, particles, _FREE, env_ids)
 
     def _set_anchors(self, deformable: int, particles: Tensor, link: int, env_ids: Tensor | None) -> None:
+        if self._fluids.has(deformable):
+            name = self._layout.scene.deformables[deformable].name
+            raise ConfigurationError(f"'{name}' is a liquid, which nothing holds: hold the vessel that it is in")
         if self._solids.has(deformable):
             self._solids.set_anchors(deformable, particles, link, env_ids)
             return
@@ -235,6 +256,7 @@ class ParticleMatter(Matter):
         write_rows(self._tensors["v"], torch.zeros_like(take_rows(rest, env_ids)), env_ids)
         write_rows(self._tensors["searched"], _NOWHERE, env_ids)
         self._solids.reset(env_ids)
+        self._fluids.reset(env_ids)
         self._hold(link_poses, env_ids)
         for name in ("forces", "torques", "known"):
             write_rows(self._tensors[name], torch.zeros_like(take_rows(self._tensors[name], env_ids)), env_ids)
@@ -280,7 +302,7 @@ class ParticleMatter(Matter):
         of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
-        of_solids = limits.light_bodies(self._layout) + limits.apart(self._layout)
+        of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_solids
 
     @property
@@ -297,7 +319,11 @@ class ParticleMatter(Matter):
         slow = (self._tensors["v"].abs() <= MAX_SPEED).all(-1)
         sound = near & slow
         found = [
-            self._solids.diverged(number) if self._solids.has(number) else ~sound[:, columns].all(1)
+            self._solids.diverged(number)
+            if self._solids.has(number)
+            else self._fluids.diverged(number)
+            if self._fluids.has(number)
+            else ~sound[:, columns].all(1)
             for number, columns in enumerate(self._model.slices)
         ]
         return torch.stack(found, dim=1)

@@ -15,6 +15,8 @@ from torch import Tensor
 
 from orbit_matter import attached, bodies, contact, kernels, rows, self_contact
 from orbit_matter.colliders import Colliders
+from orbit_matter.fluid.fluids import Fluids
+from orbit_matter.fluid.part import FluidPart
 from orbit_matter.model import Constraints, Model
 from orbit_matter.solids.part import SolidPart
 from orbit_matter.solids.solids import Solids
@@ -55,6 +57,7 @@ class Part:
         colliders: what they meet; ``rows`` begin with the first kind of environment.
         stepping: how long a substep is.
         solids: of every environment.
+        fluids: of every environment.
     """
 
     def __init__(
@@ -65,6 +68,7 @@ class Part:
         colliders: Colliders,
         stepping: Stepping,
         solids: Solids,
+        fluids: Fluids,
     ) -> None:
         self._rows, memory = rows, {name: tensor[rows] for name, tensor in memory.items()}
         self._model, self._colliders, self._stepping = model, colliders, stepping
@@ -85,6 +89,7 @@ class Part:
         self._triangles.multiplier = wp.zeros((self._n, len(model.triangles.particles)), dtype=wp.vec3)
         self._bends = _struct(kernels.Bends(), model.bends)
         self._solids = self._make_solids(memory, solids)
+        self._fluid = None if fluids.model is None else FluidPart(memory, fluids.model, felt)
 
     def _make_solids(self, memory: Mapping[str, Tensor], solids: Solids) -> SolidPart | None:
         if not solids.model.deformables:
@@ -196,6 +201,8 @@ class Part:
 
     def search_again(self) -> None:
         """Find the pairs that the last search found, from where particles then were."""
+        if self._fluid is not None:
+            self._fluid.search_again()
         if self._neighbours is not None:
             self._neighbours.stale.fill_(1)
             self._launch_search(self._neighbours, renewed=0)
@@ -219,6 +226,8 @@ class Part:
         if self._solids is not None:
             dt = self._stepping.physics_dt
             self._solids.launch_near(self._links, self._colliders.shapes, self._gravity, dt)
+        if self._fluid is not None:
+            self._fluid.launch_near(self._links, self._colliders.shapes, self._stepping.physics_dt)
         if self.takes_rows and self._p:
             wp.launch(rows.find_near, self._n, inputs=near)
         else:
@@ -267,6 +276,9 @@ class Part:
             self._solids.launch_step(self._links, self._colliders.shapes, self._gravity, 1.0 / steps)
             if self._free:
                 self._solids.launch_push(self._links, lasting=True)
+        if self._fluid is not None:
+            share = 1.0 / self._stepping.substeps
+            self._fluid.launch_substep(self._links, self._colliders.shapes, self._gravity, self._stepping.h, share)
         if not self._p:
             return
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
@@ -275,6 +287,9 @@ class Part:
             self._launch_rows([*contacts, *numbers])
         else:
             self._launch_wide([*contacts, *numbers])
+        if self._solids is not None:
+            stiffness, h = self._stepping.contact_stiffness, self._stepping.h
+            self._solids.launch_lay(self._particles, stiffness, h, steps / self._stepping.substeps)
 
     def _launch_rows(self, contacts: list[Any]) -> None:
         """The rest of a substep, one launch thread for each environment."""

@@ -320,7 +320,7 @@ def test_more_particles_than_memory_are_refused_with_how_many_fit(monkeypatch: p
 def test_a_device_that_the_solver_lacks_is_refused() -> None:
     from orbit_core.backends import matter_solver
     from orbit_core.interfaces import Capabilities, Capability, SceneLayout, unsupported
-    from orbit_core.world.coupling import coupled
+    from orbit_core.world.matter import coupled
 
     engine = SimpleNamespace(device=torch.device("cuda"), num_envs=1)
     solver = matter_solver("orbit-matter")

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot
 from orbit_core.envs import make
-from orbit_core.robots import robot
 from orbit_tasks.mdp.matter import with_grip_force
 
 

@@ -19,14 +19,14 @@ from orbit_mjmodel.materials import ContactParameters
 
 PRISM_DEPTH = 0.01
 """Metres that each face of a surface reaches inward."""
+# Largest difference of a solid's corners from those of a box, over its size, and of its angles.
 _SQUARE = 1e-6
-"""Largest difference of a solid's corners from those of a box, over its size, and of its angles."""
+# Metres of ground below the lowest point of a height field.
 _GROUND_DEPTH = 0.1
-"""Metres of ground below the lowest point of a height field."""
+# Metres; narrower faces are left out.
 _LEAST_WIDTH = 1e-5
-"""Metres; narrower faces are left out."""
+# Levels of the octree that holds a mesh's distances: its finest cells are 2^-7 of the mesh's box.
 _FIELD_DEPTH = 7
-"""Levels of the octree that holds a mesh's distances: its finest cells are 2^-7 of the mesh's box."""
 FloatArray = npt.NDArray[np.float64]
 Part = tuple[mujoco.mjtGeom, tuple[float, float, float], str, Pose]
 """A geom's type, size, asset and pose."""

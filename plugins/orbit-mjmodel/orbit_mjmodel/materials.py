@@ -18,8 +18,8 @@ from orbit_mjmodel.config import ModelConfig
 STEPS_PER_BOUNCE = 8
 """Physics steps that a rebound lasts, enough for the integrator to resolve it, where :mod:`orbit_mjmodel.rebounds` has
 no pair: on cloth, with the integrator RK4 or pyramidal cones, and on shapes that differ between environments."""
+# Damping ratio above which the integrator would not follow; it rebounds at a tenth of the speed.
 _MOST_DAMPED = 1.3
-"""Damping ratio above which the integrator would not follow; it rebounds at a tenth of the speed."""
 SOFT_IMPEDANCE = 0.1
 """Impedance of a compliant contact: the share of a load that it cancels outright rather than by giving way."""
 OVERRIDING = 1e6

@@ -27,44 +27,44 @@ from orbit_mjmodel.addresses import MATTER_BODY, body_name
 from orbit_mjmodel.chains import chain_positions
 from orbit_mjmodel.materials import OVERRIDING
 
+# What MuJoCo's bending of flexes is too soft by: strips that droop by a quarter and by four fifths of their length then
+# do so as elasticas within 7 % at 10 pieces, and 1 % at 20.
 _BENDING = 1.75
-"""What MuJoCo's bending of flexes is too soft by: strips that droop by a quarter and by four fifths of their length
-then do so as elasticas within 7 % at 10 pieces, and 1 % at 20."""
+# Impedance of contacts and of what is held: a particle is so light that a softer contact gives way by centimetres.
 _STIFF = (0.99, 0.9999, 0.001, 0.5, 2.0)
-"""Impedance of contacts and of what is held: a particle is so light that a softer contact gives way by centimetres."""
+# How many times as stiff contacts of cloth are as MuJoCo would have them, which are as soft as a particle is light: a
+# finger's corner came through triangles of 7 mg, which are 2 mm thick, as it pinched, and the cloth hung on it, 1.9 mm
+# deep, when the fingers had opened. Six times as stiff, cloth that slides on a slope is 3 % too fast.
 _FIRMER = 4.0
-"""How many times as stiff contacts of cloth are as MuJoCo would have them, which are as soft as a particle is light: a
-finger's corner came through triangles of 7 mg, which are 2 mm thick, as it pinched, and the cloth hung on it, 1.9 mm
-deep, when the fingers had opened. Six times as stiff, cloth that slides on a slope is 3 % too fast."""
+# Time constant of contacts in seconds, where two steps are not longer.
 _FASTEST = 0.004
-"""Time constant of contacts in seconds, where two steps are not longer."""
 _SELF_CONTACT = int(mujoco.mjtFlexSelf.mjFLEXSELF_AUTO)
 _EXACT_MEMBRANE = int(mujoco.__version__.partition(".")[0]) >= 4
+# Of MuJoCo's ``elastic2d``.
 _STRETCH_AND_BEND, _STRETCH = 3, 2
-"""Of MuJoCo's ``elastic2d``."""
+# Radii of rope along it, within which it does not touch itself: pieces of a bent rope overlap there.
 _CLEARANCE = 3.0
-"""Radii of rope along it, within which it does not touch itself: pieces of a bent rope overlap there."""
 
+# Of a rope: MuJoCo's matrices of a chain grow with the square of its pieces, to 70 MB each for these.
 _MOST_PIECES = 1000
-"""Of a rope: MuJoCo's matrices of a chain grow with the square of its pieces, to 70 MB each for these."""
+# Of ``D h^2 / (rho l^4)`` with edges l: MuJoCo ends its solution at a residual of 1e-8 of the largest forces, so that
+# cloth as stiff as this falls as it should on meshes of 9 to 33 rows, and at two to seven times that more slowly.
 _STIFFEST_BEND = 100.0
-"""Of ``D h^2 / (rho l^4)`` with edges l: MuJoCo ends its solution at a residual of 1e-8 of the largest forces, so that
-cloth as stiff as this falls as it should on meshes of 9 to 33 rows, and at two to seven times that more slowly."""
 
+# How many times as long as cloth's the time constant of a rope's contacts is: on the limit of two steps its pieces
+# rattle on what they lie on, and creep by 4 mm/s where friction should hold them.
 _SOFTER = 2.0
-"""How many times as long as cloth's the time constant of a rope's contacts is: on the limit of two steps its pieces
-rattle on what they lie on, and creep by 4 mm/s where friction should hold them."""
+# Inertia of a rope's pieces about their own axes, over that of their mass at their radius. A rope that rolled would
+# turn by more than a radian in a step, and so could not be bent: its pieces' spin, which does not move anything else,
+# is stopped in each step, and friction then gains so little on it that they roll by 0.1 mm/s at 5 ms.
 _SPIN = 300.0
-"""Inertia of a rope's pieces about their own axes, over that of their mass at their radius. A rope that rolled would
-turn by more than a radian in a step, and so could not be bent: its pieces' spin, which nothing else hangs on, is
-stopped in each step, and friction then gains so little on it that they roll by 0.1 mm/s at 5 ms."""
+# Inertia of a rope's joints over its tension, a piece's length and the square of a step. The pull of pieces across the
+# rope is explicit, which a step allows to four times that of a piece's own mass: ropes that were lighter against what
+# hung on them sank through bars in growing waves. With half of this 1 kg on a rope of 5 g/m still did.
 _TAUT = 4.0
-"""Inertia of a rope's joints over its tension, a piece's length and the square of a step. The pull of pieces across the
-rope is explicit, which a step allows to four times that of a piece's own mass: ropes that were lighter against what
-hung on them sank through bars in growing waves. With half of this 1 kg on a rope of 5 g/m still did."""
+# Of a rope's joints, over a piece's mass times its length squared and a step: what the shortest waves lose in a step,
+# without which a whipping chain gains energy. The slowest wave of 50 pieces loses a millionth of that.
 _INNER_DAMPING = 0.1
-"""Of a rope's joints, over a piece's mass times its length squared and a step: what the shortest waves lose in a step,
-without which a whipping chain gains energy. The slowest wave of 50 pieces loses a millionth of that."""
 
 
 @dataclass(frozen=True, eq=False)

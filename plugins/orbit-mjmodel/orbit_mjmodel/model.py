@@ -21,7 +21,7 @@ import numpy.typing as npt
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
 from orbit_core.plugin_kit.bodies import inertia_approximations, is_massless
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, PhysicsMaterial, Pose, Shape
-from orbit_core.scene.inertias import solid_moments
+from orbit_core.scene.articulation import solid_moments
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import (
@@ -46,15 +46,15 @@ from orbit_mjmodel.matter import (
 )
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
+# Stiffness of the spring that lifts what has sunk in, as a share of ``1 / dt^2``. An impact sinks in by up to one
+# step's way, so that the spring adds up to this to the restitution; half of it is taken off in advance.
 _LIFT = 0.005
-"""Stiffness of the spring that lifts what has sunk in, as a share of ``1 / dt^2``. An impact sinks in by up to one
-step's way, so that the spring adds up to this to the restitution; half of it is taken off in advance."""
+# Share of the speed of slip that friction may remove in a step, up to Coulomb's limit. The larger it is, the more of an
+# impact's slip is stopped, and the higher hops what slides on: MuJoCo's convex cone adds ``mu`` times the share that
+# friction could not remove to the speed along the normal.
 _GRIP = 0.9
-"""Share of the speed of slip that friction may remove in a step, up to Coulomb's limit. The larger it is, the more of
-an impact's slip is stopped, and the higher hops what slides on: MuJoCo's convex cone adds ``mu`` times the share that
-friction could not remove to the speed along the normal."""
+# Integrators that turn the acceleration at the beginning of a step into the speed at its end.
 _ONE_STEP = ("implicitfast", "implicit", "euler")
-"""Integrators that turn the acceleration at the beginning of a step into the speed at its end."""
 # Less, and a box on four contacts rebounds too fast; more, and single precision loses momentum.
 _IMPEDANCE = (0.997, 0.997, 0.001, 0.5, 2.0)
 
@@ -137,23 +137,23 @@ def slots(own: Sequence[Slot], kinds: Iterable[Sequence[Slot]]) -> Iterator[Slot
 
 
 AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
+# The value in the place of infinity where only one side of a joint is limited.
 _UNLIMITED = 1e10
-"""The value in the place of infinity where only one side of a joint is limited."""
+# kg, and kg m^2, of a body without mass while its model is compiled.
 _COMPILED_MASS = 1e-3
-"""kg, and kg m^2, of a body without mass while its model is compiled."""
+# Impedance of mimic joints, of loops and of joint limits. With MuJoCo's own, 0.95, a joint that 100 N m push against
+# its limit is 19 mrad beyond it, and with this less than one.
 _STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
-"""Impedance of mimic joints, of loops and of joint limits. With MuJoCo's own, 0.95, a joint that 100 N m push against
-its limit is 19 mrad beyond it, and with this less than one."""
+# Among a weld's data, the weight of its angles relative to its distances.
 _TORQUE_SCALE = 10
-"""Among a weld's data, the weight of its angles beside its distances."""
+# Radians or metres on either side of a joint whose limits are one position, as MuJoCo takes no range without width.
 _NO_WIDTH = 5e-7
-"""Radians or metres on either side of a joint whose limits are one position, as MuJoCo takes no range without width."""
+# N or N m of a drive whose effort limit is zero, as MuJoCo takes no range without width here either.
 _NO_FORCE = 1e-9
-"""N or N m of a drive whose effort limit is zero, as MuJoCo takes no range without width here either."""
+# Where a scene asks for firm friction: what it holds creeps sixteen times slower.
 _FIRM_IMPRATIO = 10.0
-"""Where a scene asks for firm friction: what it holds creeps sixteen times slower."""
+# Impedance of joint friction. With MuJoCo's own, 0.9, a joint that friction holds creeps two hundred times faster.
 _HARD_FRICTION = (0.999, 0.9999, 0.001, 0.5, 2.0)
-"""Impedance of joint friction. With MuJoCo's own, 0.9, a joint that friction holds creeps two hundred times faster."""
 
 
 @dataclass(frozen=True, eq=False)

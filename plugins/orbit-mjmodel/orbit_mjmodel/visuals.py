@@ -15,8 +15,8 @@ from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_core.scene import Box, Capsule, Cylinder, Entity, HeightField, Mesh, Plane, Scene, Shape, Sky, Sphere
 
 _HEIGHT_FIELD_BASE = 0.01
+# Pixels along a side of the cube that shows the sky.
 _SKY_SIZE = 256
-"""Pixels along a side of the cube that shows the sky."""
 _DARK = (0.0, 0.0, 0.0)
 _GEOM = mujoco.mjtGeom
 

@@ -26,6 +26,7 @@ class MujocoCapture(CaptureFacet):
         self._expressions: _Expressions | None = None
 
     def expression(self, name: str) -> Tensor | None:
+        # Made when a step is first traced: who does not trace pays nothing for the views.
         self._expressions = self._expressions or _Expressions(*self._parts)
         method = getattr(self._expressions, name, None)
         return None if method is None else method()
@@ -56,6 +57,7 @@ class _Expressions:
     def link_poses(self) -> Tensor:
         """(N, L, 7)"""
         quaternions = self._fields["xquat"][:, self._bodies]
+        # By the sign bit, as NumPy's copysign does in the state: a zero may be negative.
         signs = torch.where(torch.signbit(quaternions[..., :1]), -1.0, 1.0)
         return torch.cat((self._fields["xpos"][:, self._bodies], signs * quaternions), -1).float()
 

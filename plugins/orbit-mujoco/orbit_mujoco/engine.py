@@ -38,6 +38,7 @@ from orbit_mujoco.parameters import Parameters
 from orbit_mujoco.state import DERIVED_STAGE, State
 
 _NEAR_SINGULAR = mujoco.mjtWarning.mjWARN_INERTIA.value
+# The warning that MuJoCo also gives, for no harm, where its solver meets cloth's bending at a residual of 1e-8.
 _DIVERGENCE = [
     warning.value
     for warning in (
@@ -47,7 +48,6 @@ _DIVERGENCE = [
         mujoco.mjtWarning.mjWARN_BADCTRL,
     )
 ]
-"""The warning that MuJoCo also gives, for no harm, where its solver meets cloth's bending at a residual of 1e-8."""
 _NO_STAGE = mujoco.mjtStage.mjSTAGE_NONE.value
 
 
@@ -92,8 +92,8 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._targets = tuple(tensor.numpy() for tensor in self._commands)
         self._cleared = [tensor.numpy() for tensor in (*self._commands[1:], *self._measurements) if tensor.numel()]
         self._home = self._targets[0][0].copy()
+        # Environments with warnings or errors that MuJoCo's own reset alone clears.
         self._failed = np.zeros(num_envs, dtype=bool)
-        """Environments with warnings or errors that MuJoCo's own reset alone clears."""
         self._batch.reset(keyframe=0, stage=_NO_STAGE)
         self._initial = self._batch.state[0].copy()
         self.reset()

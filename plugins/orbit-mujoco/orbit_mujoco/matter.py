@@ -95,6 +95,7 @@ class NativeMatter:
             self._qpos[rows, one.positions] = (positions - self._rest[deformable]).reshape(len(positions), -1)
             self._qvel[rows, one.velocities] = velocities.reshape(len(velocities), -1)
         else:
+            # A chain cannot stretch, so that only the directions of what was asked for can be taken.
             coordinates = chain_positions(positions)
             self._qpos[rows, one.positions] = coordinates
             self._qvel[rows, one.velocities] = chain_velocities(positions, velocities, coordinates)
@@ -119,6 +120,8 @@ class NativeMatter:
         """
         self._state.derive()
         for one in self._matter:
+            # The force that slows exactly by exp(-rate h) over an explicit step; rate itself would overshoot at large
+            # steps.
             rate = -np.expm1(-one.spec.damping * self._step) / self._step
             masses = self._parameters.masses[..., one.bodies]
             if isinstance(one.spec, Cloth):
@@ -197,6 +200,7 @@ class NativeMatter:
                 "choose a matter solver"
             )
         elif rope:
+            # The first piece hangs on its free joint, which has no spring.
             joints = self._model.body_jntadr[one.bodies][1:]
             parameters.scale("jnt_stiffness", joints, values, rows)
             parameters.scale("dof_damping", np.arange(one.velocities.start + 6, one.velocities.stop), values, rows)

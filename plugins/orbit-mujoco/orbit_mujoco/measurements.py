@@ -22,8 +22,8 @@ from orbit_mjmodel.matter import MatterAddresses, matter_name
 from orbit_mjmodel.wrenches import CompositeInertias, held_up_beyond
 from orbit_mujoco.parameters import Parameters
 
+# Data (bit 1: force), reduction (3: net force, world axes), slots.
 _NET_FORCE = (2, 3, 1)
-"""Data (bit 1: force), reduction (3: net force, world axes), slots."""
 _Target = tuple[mujoco.mjtObj, str]
 
 

@@ -33,10 +33,10 @@ from orbit_mujoco.renderer_rays import HIDDEN_GROUP, sky_colors, trace
 _COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FACE)
 _ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, mujoco.mjtRndFlag.mjRND_CULL_FACE)
 _LIGHT_DISTANCE = 6.0
+# Times the farthest camera's range is drawn: the cube of the sky then hides nothing in range.
 _SKY = 2.0
-"""Times the farthest camera's range is drawn: the cube of the sky then hides nothing in range."""
+# Metres that are drawn at least: a light's view of the scene ends where the camera's does, and beyond is no shadow.
 _LIGHT_REACH = 2.0 * _LIGHT_DISTANCE
-"""Metres that are drawn at least: a light's view of the scene ends where the camera's does, and beyond is no shadow."""
 
 _Array = npt.NDArray[Any]
 _open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot
 from orbit_conformance.bodies import WEIGHTLESS, rotor, scene
 from orbit_core.backends import backend_names
 from orbit_core.interfaces import World
-from orbit_core.robots import robot
 from orbit_core.scene import (
     Articulation,
     ImplicitPd,

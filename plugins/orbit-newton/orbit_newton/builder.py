@@ -66,11 +66,13 @@ def build_model(layout: SceneLayout, num_envs: int, device: wp.Device, gap: floa
     """
     built = _Builder(layout, gap, maximal)
     scene = newton.ModelBuilder()
+    # One world is built in Python and copied by Newton, since building each would take as long as the first.
     scene.replicate(built.world, num_envs)
     # Newton's validation would change inertias; the core has checked them.
     model = scene.finalize(device=device, skip_validation_inertia=True)
     joints = np.array(built.joints, dtype=np.int64)
     roots = np.array(built.roots, dtype=np.int64)
+    # A fixed root has no coordinates, and where it would have some the next joint's begin.
     free = np.array([not entity.spec.fixed_base for entity in layout.entities], dtype=bool)
     position_starts = np.array(built.world.joint_q_start, dtype=np.int64)
     velocity_starts = np.array(built.world.joint_qd_start, dtype=np.int64)
@@ -118,6 +120,7 @@ class _Builder:
 
     def _rotor_inertias(self) -> npt.NDArray[np.float64]:
         """(L,) of motors, where links are to carry them."""
+        # Only for solvers that move bodies: one of joints takes the armature as it is.
         inertias = np.zeros(len(self.layout.links))
         if self.maximal:
             for entity in self.layout.entities:
@@ -165,6 +168,7 @@ class _Builder:
         return self.world.add_joint_fixed(-1, entity.root_link, parent_xform=pose, collision_filter_parent=False)
 
     def _add_joint(self, joint: Joint, parent: int, child: int) -> int:
+        # Both frames are turned so that every joint moves about or along x, of which XPBD knows angles best.
         turned = Pose.from_axis_angle(*_from_x(joint.axis))
         frames = {
             "parent_xform": transform(joint.parent_pose @ turned),
@@ -202,6 +206,8 @@ class _Builder:
                 follower = entity.joints.start + offset
                 leader = entity.joints.start + names.index(joint.mimic.joint)
                 factor = joint.mimic.multiplier
+                # The description relates positions of the contract, and Newton its coordinates, whose zeros are
+                # shifted.
                 constant = joint.mimic.offset + factor * self.zeros[leader] - self.zeros[follower]
                 coefficients = (float(constant), float(factor))
                 self.world.set_joint_mimic(self.joints[follower], self.joints[leader], coeffs=coefficients)
@@ -217,6 +223,7 @@ class _Builder:
         apart = {frozenset(pair) for entity in self.layout.entities for pair in _pairs_apart(entity)}
         immovable = {entity.root_link for entity in self.layout.entities if entity.spec.fixed_base} | {TERRAIN}
         for (one, first), (other, second) in combinations(enumerate(self.shapes.links), 2):
+            # Contacts of what cannot move would only fill the buffer.
             still = first in immovable and second in immovable
             if first == second or still or frozenset((first, second)) in apart:
                 self.world.add_shape_collision_filter_pair(one, other)
@@ -236,6 +243,7 @@ def _pairs_apart(entity: EntityLayout) -> list[tuple[int, int]]:
 def _from_x(axis: Vector3) -> tuple[Vector3, float]:
     """The rotation, as axis and angle, that takes x to ``axis``; XPBD knows angles about x best."""
     x, y, z = map(float, np.asarray(axis) / np.linalg.norm(axis))
+    # Along x the axis of the turn is undefined: none for +x, and half a turn about z for -x.
     if abs(y) + abs(z) < 1e-9:
         return (0.0, 0.0, 1.0), 0.0 if x > 0 else math.pi
     return (0.0, -z / math.hypot(y, z), y / math.hypot(y, z)), math.atan2(math.hypot(y, z), x)

@@ -38,6 +38,7 @@ class ContactFinder:
         """Find the contacts of the state's poses."""
         if self._pipeline is not None:
             self._pipeline.collide(state, self.contacts, dt=self._interval)
+            # Copied, because XPBD overwrites the first shape of each contact to give the pair its own coefficients.
             wp.copy(self.shapes[0], self.contacts.rigid_contact_shape0)
             wp.copy(self.shapes[1], self.contacts.rigid_contact_shape1)
 
@@ -46,6 +47,7 @@ def _pipeline(model: newton.Model, capacity: int, ahead: float) -> newton.Collis
     """``capacity`` contacts of all environments, or what Newton estimates where it is zero; found ``ahead`` at most."""
     return newton.CollisionPipeline(
         model,
+        # The builder has listed the pairs that may touch; Newton's other broad phases would search all of them again.
         broad_phase="explicit",
         rigid_contact_max=capacity or None,
         include_static_kinematic_pairs=False,

@@ -80,11 +80,13 @@ class NewtonEngine(PartedEngine[State, Parameters]):
             self._dynamics = dynamics(plant)
             self._state = State(plant, self._graphs, self._dynamics.maximal)
             self._diverged = wp.zeros(num_envs, dtype=int)
+            # One word for all environments: after a step the host reads this alone, not a flag for each of them.
             self._summary = wp.zeros(1, dtype=int)
         self._parameters = Parameters(plant, self._dynamics.masses_changed)
         self._report = approximations(layout, capabilities)
         self._all = torch.arange(num_envs, device=device)
         self._commands = commands
+        # Cloned, because the targets themselves are overwritten by the first command.
         self._home_targets = wp.from_torch(self.position_targets[0].clone())
         self._contact_forces = wp.to_torch(meter.forces)
         self._wrenches = wp.to_torch(plant.wrenches)
@@ -99,7 +101,9 @@ class NewtonEngine(PartedEngine[State, Parameters]):
             self._plant.meter.clear()
         for _ in range(steps):  # one recording for any number of steps: recording takes long
             self._graphs.run("step", self._take)
+        # Solvers take substeps, and each adds its forces to the sum.
         self._plant.meter.average(steps * self._dynamics.solver_steps)
+        # Recorded apart from the physics step, because it runs once for any number of them.
         self._graphs.run("finish", self._finish)
         self.check()
 
@@ -181,11 +185,14 @@ class NewtonEngine(PartedEngine[State, Parameters]):
 
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
         velocities = self.link_velocities.clone()
+        # Velocities are read before, because Newton keeps those of centres of mass, and must give the origins' as they
+        # were.
         self._parameters.set_centers_of_mass(links, centers, self._rows(env_ids))
         for entity in self.layout.entities:  # a free root's coordinates are of its centre of mass
             if not entity.spec.fixed_base:
                 rows = self._all if env_ids is None else env_ids
                 self.write_root_state(entity.index, None, velocities[rows, entity.root_link], rows)
+        # Poses of links follow from the coordinates and the centres, so that both must be derived again.
         self._state.mark_written(self._rows(env_ids))
 
     def set_drive_gains(

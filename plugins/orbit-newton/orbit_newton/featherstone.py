@@ -158,6 +158,7 @@ class FeatherstoneDynamics(Dynamics):
         self.solver_steps = config.substeps
         self._h = plant.layout.scene.physics_dt / config.substeps
         model = plant.model
+        # Newton's own drives and limits are explicit, which stiff ones do not survive: they are off, and computed here.
         for array in (model.joint_target_ke, model.joint_target_kd, model.joint_limit_ke, model.joint_limit_kd):
             array.zero_()
         self._solver = SolverFeatherstone(model)
@@ -166,6 +167,7 @@ class FeatherstoneDynamics(Dynamics):
         with wp.ScopedDevice(model.device):
             self._joints = joint_table(plant)
             self._surfaces = _surfaces(plant)
+            # Contacts of one body share its mass, so that each must be sized to its part.
             self._contacts_of_body = wp.zeros(model.body_count, dtype=int)
         self._joint_settings = JointSettings()
         self._joint_settings.friction_speed = config.joint_friction_speed
@@ -190,6 +192,7 @@ class FeatherstoneDynamics(Dynamics):
             self._write_joint_forces()
             self._add_contact_forces()
             plant.meter.add()
+            # Without contacts: their forces are among the bodies' already.
             self._solver.step(plant.state, plant.state, plant.control, None, self._h, observables=self._observables)
         if self._wrenches is not None:
             self._wrenches.read(self._observables.body_parent_f)
@@ -231,6 +234,8 @@ class FeatherstoneDynamics(Dynamics):
 
 def damping_ratio(restitution: float) -> float:
     """Damping ratio of a linear spring-damper that pushes only and rebounds so (Schwager and Poeschel, 2007)."""
+    # Short of a right angle, where the tangent is infinite. The closed form gives the rebound of a ratio; what is
+    # needed is its inverse, which has none.
     angles = np.linspace(0.0, 0.995 * math.pi / 2, 1000)
     rebounds = np.exp(-np.tan(angles) * (math.pi - 2 * angles))
     return float(np.interp(-restitution, -rebounds, np.sin(angles)))

@@ -42,6 +42,7 @@ def joint_table(plant: Plant) -> JointTable:
     table.targets = wp.array(built.targets, dtype=int)
     table.zeros = wp.array(built.zeros, dtype=float)
     table.lower, table.upper = wp.array(lower, dtype=float), wp.array(upper, dtype=float)
+    # Finite, as the model's own limits are.
     table.effort_limit = wp.array(np.minimum(parameters.effort_limit, UNLIMITED), dtype=float)
     table.damping = wp.array(parameters.damping, dtype=float)
     table.friction = wp.array(parameters.friction, dtype=float)

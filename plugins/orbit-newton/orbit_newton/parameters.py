@@ -29,6 +29,7 @@ class Parameters:
         self._gravity = wp.to_torch(model.gravity)
         self._friction = wp.to_torch(model.shape_material_mu)[: model.shape_count].view(envs, -1)
         self._link_of_shape = torch.as_tensor(plant.built.link_of_shape, device=self._masses.device)
+        # Masses are set relative to the description, and not to the last setting, so that errors do not add up.
         nominal = (self._masses, self._inverse_masses, self._inertias, self._inverse_inertias)
         self._nominal = tuple(values[0].clone() for values in nominal)
         self._due = False
@@ -44,6 +45,7 @@ class Parameters:
         index = block(rows, links)
         scale = masses / mass
         self._masses[index] = masses
+        # Newton's solvers read inverses that its builder has computed once; nobody else updates them.
         self._inverse_masses[index] = inverse_mass / scale
         self._inertias[index] = inertia * scale[..., None, None]
         self._inverse_inertias[index] = inverse_inertia / scale[..., None, None]
@@ -60,6 +62,7 @@ class Parameters:
 
     def set_drive_gains(self, joints: Tensor, stiffness: Tensor, damping: Tensor, rows: Rows) -> None:
         mimics = [joint.mimic is not None for joint in self._plant.layout.joints]
+        # A joint that mimics another is moved by that one's drive, as in the model's own gains.
         driven = ~torch.tensor(mimics, device=joints.device)[joints]
         self._plant.stiffness[block(rows, joints)] = stiffness * driven
         self._plant.damping[block(rows, joints)] = damping * driven

@@ -46,6 +46,8 @@ class Plant:
         driven = torch.tensor([joint.mimic is None for joint in self.layout.joints], dtype=torch.float32)
         self.stiffness = per_env(parameters.drive_stiffness) * driven.to(device)
         """(N, J) of the drives; a mimic joint has none."""
+        # Gains are tensors of the plant rather than Newton's, because they differ between environments and solvers
+        # scale them.
         self.damping = per_env(parameters.drive_damping) * driven.to(device)
         self.joint_efforts = torch.zeros(self.num_envs, joints, device=device)
         self.applied = torch.zeros(self.num_envs, links, 6, device=device)

@@ -25,6 +25,7 @@ def read_back(built: BuiltModel, num_envs: int, maximal: bool) -> HeldModel:
         masses=first(model.body_mass),
         centers_of_mass=first(model.body_com, 3),
         inertias=None if maximal else first(model.body_inertia, 3, 3),
+        # Back to the contract's positions, from coordinates that count from the middle of the limits.
         lower_limits=first(model.joint_limit_lower)[dofs] + built.zeros,
         upper_limits=first(model.joint_limit_upper)[dofs] + built.zeros,
         armatures=None if maximal else first(model.joint_armature)[dofs],

@@ -70,6 +70,7 @@ class ShapeBuilder:
 
     def _config(self, material: PhysicsMaterial) -> newton.ModelBuilder.ShapeConfig:
         return newton.ModelBuilder.ShapeConfig(
+            # Masses come from the description; a density would add the shape's own.
             density=0.0,
             mu=float(material.dynamic_friction),
             mu_torsional=float(material.torsional_friction),
@@ -80,9 +81,11 @@ class ShapeBuilder:
         )
 
     def _mesh(self, mesh: Mesh) -> newton.Mesh:
+        # Keyed by the mesh, because a scene repeats meshes, and each has an acceleration structure on the device.
         if mesh not in self._meshes:
             vertices, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces)
             if mesh.collision is MeshCollision.CONVEX_HULL:
+                # The description's mesh need not be convex, and Newton takes the mesh of a hull as it is.
                 hull = trimesh.Trimesh(vertices, faces, process=False).convex_hull
                 vertices, faces = np.asarray(hull.vertices, dtype=np.float32), np.asarray(hull.faces)
             self._meshes[mesh] = newton.Mesh(vertices, faces.astype(np.int32).ravel(), compute_inertia=False)

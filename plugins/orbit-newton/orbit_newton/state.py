@@ -49,6 +49,7 @@ class State:
         self._joint_velocities = torch.zeros_like(self._joint_positions)
         self._link_poses = torch.zeros(envs, len(plant.layout.links), 7, device=device)
         self._link_velocities = torch.zeros(envs, len(plant.layout.links), 6, device=device)
+        # All environments count as written at first, so that their poses are derived before the first read.
         self._written = torch.ones(envs, dtype=torch.bool, device=device)
         with wp.ScopedDevice(plant.model.device):
             self._columns = [wp.array(columns, dtype=int) for columns in (built.positions, built.velocities)]
@@ -56,12 +57,16 @@ class State:
             turns = np.zeros(self._q.shape[1], dtype=bool)
             turns[[p for p, joint in zip(built.positions, plant.layout.joints, strict=True) if _turns(joint)]] = True
             self._turning = wp.array(turns, dtype=bool)
+            # Inverse kinematics writes here and not to the coordinates, which still hold the whole turns of the last
+            # step.
             self._derived_q = wp.zeros_like(state.joint_q)
             self._no_rows = wp.zeros((1, 7), dtype=float)
             home = wp.to_torch(plant.model.joint_q).view(envs, -1)[0].clone()
             home[self._position_columns] = plant.position_targets[0] - self._zeros
             self._home_q = wp.clone(wp.from_torch(home))
             joints = plant.model.joint_count // envs
+            # A fixed base is placed by its joint's frame in the world, so that a reset must bring these frames back as
+            # well.
             self._home_frames = wp.clone(plant.model.joint_X_p[:joints])
         self._applied = wp.from_torch(plant.applied, dtype=wp.spatial_vector)
         self._current = False
@@ -124,6 +129,7 @@ class State:
             outputs=[self._articulations],
         )
         state = plant.state
+        # Masked, because in a solver that moves bodies the poses of others hold more than their joint coordinates do.
         newton.eval_fk(plant.model, state.joint_q, state.joint_qd, state, mask=self._articulations)
         self.read()
 

@@ -142,6 +142,7 @@ class XpbdDynamics(Dynamics):
             joint_angular_relaxation=config.joint_angular_relaxation,
             rigid_contact_relaxation=config.contact_relaxation,
             rigid_contact_con_weighting=config.contact_weighting,
+            # Newton's restitution costs a pass over all contacts, so that it is on only where a material rebounds.
             enable_restitution=any(material.restitution for material in plant.built.materials),
         )
         self._drives = _drives(plant)
@@ -196,8 +197,10 @@ class XpbdDynamics(Dynamics):
 
 
 def _scales(plant: Plant, config: XpbdConfig) -> list[float]:
+    # Newton corrects distances and angles with different relaxations.
     relaxations = {JointType.PRISMATIC: config.joint_linear_relaxation}
     return [
+        # A drive is applied once in each sweep, by the relaxation's share: together the sweeps apply it once.
         1.0 / (config.iterations * relaxations.get(joint.type, config.joint_angular_relaxation))
         for joint in plant.layout.joints
     ]
@@ -224,6 +227,7 @@ def _coefficients(plant: Plant) -> Coefficients:
     coefficients = Coefficients()
     for name, attribute in names.items():
         own = getattr(model, attribute)
+        # A kernel points each contact's first shape at its row behind the shapes, which costs Newton's solver nothing.
         longer = wp.zeros(own.shape[0] + room, dtype=own.dtype)
         wp.copy(longer, own, count=own.shape[0])
         setattr(model, attribute, longer)

@@ -325,6 +325,7 @@ class SapienBackend(Backend):
         return SapienRenderer(layout, cameras, config)
 
 
+# Tiers are backends, so that a world of any engine can be drawn by one of them by its name.
 class _Tier(SapienBackend):
     """One tier of the renderer under a separate name, for worlds that any backend simulates."""
 

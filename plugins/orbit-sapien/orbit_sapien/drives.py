@@ -21,11 +21,11 @@ from orbit_core.interfaces import ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.bodies import least_inertias, softest
 from orbit_sapien.model import BuiltWorld
 
+# Damping (N m s/rad or N s/m) of a drive that acts as friction.
 _RIGID = 1e5
-"""Damping (N m s/rad or N s/m) of a drive that stands for friction."""
 _UNLIMITED = 3.4e38
+# Rounding of a difference of two positions, relative to these, or to one where they are less.
 _ROUNDING = 5e-7
-"""Rounding of a difference of two positions, relative to these, or to one where they are less."""
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -64,12 +64,14 @@ class Drives:
         """(N, J, 2) lower and upper positions."""
         self.efforts = torch.zeros(shape)
         """(N, J) of drives and commands in the last step."""
+        # Without the armature, which may differ between environments and is added where it is known.
         self._least = least_inertias(layout) - parameters.armature
         self.joints = [
             [joint for entity in environment.entities for joint in entity.joints] for environment in world.environments
         ]
         self.sent = np.full((3, *shape), np.nan, np.float32)
         """(3, N, J) drive targets, velocity targets and forces that PhysX was last told; NaN for unknown."""
+        # NaN differs from every number, so that the first settling sends everything.
         self._properties = np.full((3, *shape), np.nan)
         self._armature, self._limits = self.armature.copy(), self.limits.copy()
         self._settle()
@@ -115,6 +117,7 @@ class Drives:
         try:
             self._settle()
         except ConfigurationError:
+            # What was refused must leave no trace, as everywhere in the contract.
             self.load_joints(before)
             raise
         self.sent[:, rows] = np.nan
@@ -151,6 +154,7 @@ class Drives:
         stiffness = np.where(stiff, self.springs, self.stiffness)
         limit = np.where(driven, self._limit.numpy(), np.where(rubbing, self.friction, np.inf))
         wanted = np.stack((stiffness, damping, np.minimum(limit, _UNLIMITED)))
+        # SAPIEN takes properties joint by joint, at some microseconds a call: only what differs is sent.
         for row, column in zip(*np.nonzero((wanted != self._properties).any(0)), strict=True):
             self.joints[row][column].set_drive_properties(*map(float, wanted[:, row, column]), "force")
         self._properties = wanted
@@ -161,19 +165,22 @@ class Drives:
             self.joints[row][column].set_limits(self.limits[row, column, None].astype(np.float32))
         self._limits = self.limits.copy()
         self._inertia = torch.from_numpy(self._least + self.armature).float()
+        # (N, J) stiffness of springs that are generalised forces.
         self._pulling = torch.from_numpy(np.where(stiff, 0.0, self.springs)).float()
-        """(N, J) stiffness of springs that are generalised forces."""
+        # (N, J) whether the joint's drive is its spring.
         self._sprung = torch.from_numpy(stiff)
-        """(N, J) whether the joint's drive is its spring."""
         self._driven = torch.from_numpy(driven)
+        # (N, J) damping of joints themselves that shares a drive with an actuator.
         self._drag = torch.from_numpy(np.where(driven, self.passive, 0.0)).float()
-        """(N, J) damping of joints themselves that shares a drive with an actuator."""
         stiffness, gain = torch.from_numpy(self.stiffness).float(), torch.from_numpy(self.damping).float()
         self._gains = stiffness, gain
         sprung = stiffness > 0
         self._effort_as_shift = torch.where(sprung, 1.0 / stiffness.clamp_min(1e-30), 0.0)
         total = torch.from_numpy(damping).float().clamp_min(1e-30)
+        # The drive's damping includes the joint's own, which pulls towards rest: the target is scaled down so that only
+        # the drive's part follows it.
         self._velocity_share = torch.where(self._driven, gain / total, 0.0)
+        # Without stiffness there is no position to shift: the effort becomes a speed that the damping turns into it.
         self._effort_as_speed = torch.where(self._driven & ~sprung, 1.0 / total, 0.0)
         self._direct = (~self._driven).float() * torch.as_tensor(self._leads).float()
         # What the drive's slot has no room for is a generalised force that follows the state, step by step.
@@ -210,12 +217,14 @@ class Drives:
             self.joints[row][column].set_drive_target(float(wanted[0, row, column]))
         for row, column in zip(*(indices.tolist() for indices in np.nonzero(changed[1])), strict=True):
             self.joints[row][column].set_drive_velocity_target(float(wanted[1, row, column]))
+        # Forces that follow the state are sent at each physics step instead.
         if not self.follows_state:
             self._send_forces(wanted[2], changed[2])
         self.sent = wanted.copy()
 
     def forces(self, commands: Tensor, positions: Tensor, velocities: Tensor, dt: float) -> Tensor:
         """(N, J) generalised forces of efforts, and of springs, friction and damping at the present state."""
+        # No more than stops the joint within the step: an explicit force beyond that would turn its motion round.
         friction = torch.minimum(self._rubbing, self._inertia * velocities.abs() / dt)
         pull = self._pulling * (self._rest - positions)
         return commands[2] + pull - friction * velocities.sign() - self._dragging * velocities
@@ -243,6 +252,8 @@ class Drives:
         dt, middle = self._layout.scene.physics_dt, 0.5 * (before.velocities + after.velocities)
         way = after.positions - before.positions
         rounding = _ROUNDING * after.positions.abs().clamp_min(1.0)
+        # The way over the step is a difference of nearly equal numbers; where rounding hides it the mean speed is
+        # better.
         v = torch.where((way - dt * middle).abs() <= rounding, middle, way / dt)
         q = 0.5 * (before.positions + after.positions) + 0.5 / self._small_steps * way
         q = q + dt / 12.0 * (before.velocities - after.velocities)

@@ -71,12 +71,14 @@ class SapienEngine(PartedEngine[State, Parameters]):
 
     def step(self, steps: int) -> None:
         commands = self._drives.commands(*self._commands)
+        # One sum instead of a look at each number; the environments are searched only where it fails.
         if not commands.sum().isfinite():
             self._refuse_commands((~commands.isfinite()).any(0).any(-1).nonzero().flatten().tolist())
         self._drives.send(commands)
         if self._contacts.active:
             self._contacts.clear()
         for step in range(steps):
+            # Efforts are those of the last physics step alone, and need the state from which it began.
             if step == steps - 1:
                 self._state.mark()
             self._step_once(commands)
@@ -172,6 +174,7 @@ class SapienEngine(PartedEngine[State, Parameters]):
         self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None = None
     ) -> RayHits:
         if self._rays is None:
+            # Built at the first ray, since most tasks cast none.
             self._rays = RayWorld(self.layout)
         poses = self.link_poses[self._rows(env_ids)].numpy()
         hits = self._rays.cast(poses, origins.numpy(), directions.numpy(), max_distance, links)
@@ -219,6 +222,7 @@ class SapienEngine(PartedEngine[State, Parameters]):
 
     def load_state(self, state: Snapshot) -> None:
         self._parameters.load(state.parameters)
+        # Before the gains, which settle both and send them to PhysX.
         self._drives.load_joints(state.joints)
         self._drives.load_gains(*state.gains)
         self._system.unpack(state.packed)

@@ -19,8 +19,8 @@ from orbit_sapien.native import native_pose, physx
 
 Z_TO_X = Pose((0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0))
 """PhysX's round shapes lie along x, and its plane looks along x."""
+# Metres by which a cooked hull may differ from the one asked for before it is reported.
 _TOLERATED = 1e-4
-"""Metres by which a cooked hull may differ from the one asked for before it is reported."""
 _UNSCALED = np.ones(3, np.float32)
 
 
@@ -59,6 +59,7 @@ def collision_shape(
         )
         raise AssetError(f"PhysX cannot collide {what} ({error}): repair its mesh or replace it") from error
     made.set_local_pose(native_pose(pose))
+    # PhysX adds the offsets of both shapes, so that each gets half of the pair's distance.
     if shape.contact_distance is not None:
         made.set_contact_offset(min(made.get_contact_offset(), 0.5 * shape.contact_distance))
     return made
@@ -78,6 +79,7 @@ def _hull_approximation(
     vertices: npt.NDArray[np.floating], made: physx.PhysxCollisionShapeConvexMesh, subject: str
 ) -> list[Approximation]:
     """Compare the cooked hull's support with the requested one, over directions spread evenly on the sphere."""
+    # Fibonacci's spiral: equal areas for each direction, without the crowding of a grid at the poles.
     index = np.arange(256) + 0.5
     height, turn = 1 - index / 128, math.pi * (1 + math.sqrt(5)) * index
     width = np.sqrt(1 - height**2)

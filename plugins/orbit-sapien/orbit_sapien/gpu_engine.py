@@ -99,6 +99,7 @@ class SapienGpuEngine(Engine):
         self._world: BuiltWorld = build_world(layout, num_envs, config, self._system)
         # The drives' properties are those of the bodies on the host, which PhysX takes over when it starts.
         self._drives = Drives(layout, self._world, config.position_iterations).to(device)
+        # After everything is built: PhysX takes no new bodies or properties on a GPU from here on.
         self._system.gpu_init()
         self._system.gpu_set_cuda_stream(torch.cuda.current_stream(device).cuda_stream)
         self._buffers = _Buffers.of(self._system)
@@ -117,6 +118,8 @@ class SapienGpuEngine(Engine):
         self._rows = torch.tensor(
             [
                 [
+                    # Immovable bodies have no row on the GPU; row 0 keeps the gather in range, and its result is
+                    # replaced.
                     body.gpu_pose_index if isinstance(body, _MOVING) else 0
                     for entity in environment.entities for body in entity.bodies
                 ]
@@ -152,6 +155,7 @@ class SapienGpuEngine(Engine):
         self._contacts.clear()
         before = self._joint_state
         for step in range(steps):
+            # With a single physics step the state before it was read above already.
             last = step == steps - 1 > 0
             if self._drives.follows_state or last:
                 self._system.gpu_fetch_articulation_qpos()

@@ -44,11 +44,14 @@ def exclusion_groups(entity: EntityLayout, report: list[Approximation] | None) -
     for bit in range(_EXCLUSION_BITS):
         if not open_pairs:
             break
+        # A bit serves all pairs within a clique of links that never meet, so that cliques are grown greedily: 32 bits
+        # are few for a hand with hundreds of excluded pairs.
         clique = list(open_pairs[0])
         clique += [
             name for name in colliding
             if name not in clique and all(frozenset((name, member)) in excluded for member in clique)
         ]  # fmt: skip
+        # Each name was tested against the pair that began the clique and not against those added with it.
         clique = _pruned(clique, excluded)
         for name in clique:
             words[names.index(name)] |= 1 << bit

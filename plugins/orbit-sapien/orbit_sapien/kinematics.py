@@ -52,6 +52,8 @@ class Kinematics:
             rotation[0, child] = _multiply(start, fixed.orientation)
             if joint.type is JointType.REVOLUTE or joint.type is JointType.CONTINUOUS:
                 rotation[1, child] = _multiply(_multiply(start, turned), fixed.orientation)
+            # Along the axis nothing turns; the rest of the offset turns with the cosine, and its perpendicular with the
+            # sine.
             along = axis * (axis @ after)
             matrix = before.rotation_matrix()
             position[0, child] = before.position + matrix @ along
@@ -85,8 +87,10 @@ class Kinematics:
         poses[:, self._roots] = roots
         if not self._levels:
             return poses
+        # A column of zeros for links without a joint of that kind, so that one gather serves all.
         padded = torch.cat((joint_positions, joint_positions.new_zeros(len(roots), 1)), -1)
         angles, shifts = padded[:, self._angle_joint, None], padded[:, self._shift_joint, None]
+        # Of half the angle, which quaternions need; those of the whole follow from these by products.
         half_cosine, half_sine = (0.5 * angles).cos(), (0.5 * angles).sin()
         rotations = half_cosine * self._cosine_part + half_sine * self._sine_part
         constant, with_cosine, with_sine, with_shift = self._offsets
@@ -110,6 +114,8 @@ class Kinematics:
             children = poses[:, self._child_of_joint]
             rates = rotate(children[..., 3:], self._axes.expand(len(poses), -1, -1)) * joint_velocities[..., None]
             points = children[..., :3] + rotate(children[..., 3:], self._anchors.expand(len(poses), -1, -1))
+            # A turn about an axis through a point is a spin and a push at the origin: these add up over the joints
+            # above a link in one product.
             turning = rates * self._revolute
             pushes = rates - turning - torch.linalg.cross(turning, points)
             joint_spins, sums = torch.split(self._ancestors @ torch.cat((turning, pushes), -1), 3, -1)

@@ -69,6 +69,7 @@ class PairRule:
     def given(self, asked: FloatArray) -> FloatArray:
         """The values for PhysX of coefficients (..., groups)."""
         correction = self._larger(asked) - asked @ self._averages.T
+        # PhysX takes no negative coefficients, which the nearest values may be.
         return np.maximum(asked + correction @ self._inverse.T, 0.0)
 
     def patch_radii(self, friction: FloatArray) -> FloatArray:
@@ -77,6 +78,7 @@ class PairRule:
         sliding = self.given(friction) @ self._averages.T
         with np.errstate(divide="ignore", invalid="ignore"):
             wanted = np.where(sliding > 0, wanted / sliding, np.inf)
+        # Infinite until a pair asks for less; a group that meets nothing ends with none at all.
         radii = np.full((len(self.groups), *friction.shape[:-1]), np.inf)
         for end in self._pairs.T:
             np.minimum.at(radii, end, np.moveaxis(wanted, -1, 0))

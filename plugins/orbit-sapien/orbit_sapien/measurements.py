@@ -35,6 +35,7 @@ class ContactMeter:
             bodies = [body for entity in environment.entities for body in entity.bodies]
             self._place.update({body: (row, link) for link, body in enumerate(bodies)})
             self._place.update(dict.fromkeys(environment.terrain, (row, TERRAIN)))
+        # Contacts of one pair of links recur in every step, so that the search through the queries is done once.
         self._asked: dict[tuple[int, int], tuple[tuple[int, float], ...]] = {}
         self._offsets = np.stack([environment.offset for environment in world.environments])
         self._sum = np.zeros((len(world.environments), len(self._queries), 3))
@@ -72,6 +73,7 @@ class ContactMeter:
         self.held_wrenches.fill(0.0)
         if rows:
             forces = np.array(impulses, np.float64) * (np.array(signs) / self._dt)[:, None]
+            # Unbuffered: several points of one contact add to the same query.
             np.add.at(self._sum, (rows, columns), forces)
             if self.held_wrenches.shape[1]:
                 self._add_held(np.array(rows), np.array(columns), forces, np.array(points, np.float64))
@@ -154,6 +156,7 @@ class WrenchMeter:
         articulations = [native.articulation for native in natives if native.articulation is not None]
         if not articulations:
             return np.zeros((len(natives), len(links), 6))
+        # PhysX numbers the links of an articulation in an order of its making.
         order = [body.index for body in natives[0].bodies]
         raw = np.stack([articulation.get_link_incoming_joint_forces() for articulation in articulations])
         turned = np.einsum("lij,nlkj->nlki", self._turns[links], raw[:, order].reshape(len(natives), -1, 2, 3))
@@ -182,6 +185,7 @@ class WrenchMeter:
         pushed = own[:, :3] + (0.0 if spec.gravity_compensation else weight)
         force -= pushed + contacts[:, :3]
         torque -= own[:, 3:] + np.cross(center, pushed) + contacts[:, 3:]
+        # From the environment's origin to the link's, about which the contract has wrenches.
         torque -= np.cross(poses[:, root, :3], force)
         return np.concatenate([np.einsum("nji,nj->ni", matrix, part) for part in (force, torque)], -1)
 

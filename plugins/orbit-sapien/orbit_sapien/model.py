@@ -29,16 +29,15 @@ from orbit_sapien.materials import PairRule
 from orbit_sapien.native import native_pose, physx, sapien
 from orbit_sapien.tendons import add_mimic_tendon, mimic_approximations
 
+# Speed limit of bodies that have none, beyond where a run counts as diverged; PhysX's own are a few metres per second.
 _FAST = 10.0 * MAX_SPEED
-"""Speed limit of bodies that have none, beyond where a run counts as diverged; PhysX's own are a few metres per
-second."""
+# Less than half the distance between environments of one colour, in cells.
 _FREE_CELLS = 2.5
-"""Less than half the distance between environments of one colour, in cells."""
+# Environments on a shared ground stand so many times farther apart.
 _SHARED_SPREAD = 4.0
-"""Environments on a shared ground stand so many times farther apart."""
 _SLIPS = "PhysX's TGS solver slips before the whole normal force is there; temporal_gauss_seidel=False holds"
+# Metres between two shapes at the beginning of a step beyond which PhysX gives their contact no friction.
 _FRICTION_REACH = 0.004
-"""Metres between two shapes at the beginning of a step beyond which PhysX gives their contact no friction."""
 _NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_threshold'"
 
 

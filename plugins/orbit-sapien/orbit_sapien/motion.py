@@ -14,11 +14,11 @@ from torch import Tensor
 
 from orbit_sapien.kinematics import multiply, rotate
 
+# What a difference of two poses is off by, relative to their numbers, or to one where those are less.
 _ROUNDING = 5e-7
-"""What a difference of two poses is off by, relative to their numbers, or to one where those are less."""
+# Change of speed in one step, m/s, above which a body was struck: several times what PhysX's velocities of resting
+# bodies are off by.
 _BLOW = 0.1
-"""Change of speed in one step, m/s, above which a body was struck: several times what PhysX's velocities of resting
-bodies are off by."""
 
 
 def moved_velocities(before: Tensor, after: Tensor, centers: Tensor, dt: float) -> Tensor:

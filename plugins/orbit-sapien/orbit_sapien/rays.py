@@ -21,8 +21,8 @@ from orbit_core.scene import Cylinder, Shape
 from orbit_sapien.geometry import collision_shape
 from orbit_sapien.native import NativePose, native_pose, physx, sapien
 
+# Cosine between a cylinder's axis and a normal below which the normal is the side's; that of an end is 1.
 _SIDEWAYS = 0.5
-"""Cosine between a cylinder's axis and a normal below which the normal is the side's; that of an end is 1."""
 _AWAY = NativePose((0.0, 0.0, -1e5))
 
 

@@ -27,10 +27,10 @@ from orbit_sapien.config import SapienConfig
 from orbit_sapien.native import NativePose, sapien
 from orbit_sapien.renderer_shapes import base_color, marker_shapes, render_shape
 
+# Metres from a light that casts shadows to the middle of its shadows.
 _DISTANCE = 10.0
-"""Metres from a light that casts shadows to the middle of its shadows."""
+# Metres around the middle that shadows reach.
 _REACH = 3.0
-"""Metres around the middle that shadows reach."""
 _GAMMA = 2.2
 
 
@@ -125,8 +125,8 @@ def _root() -> ScratchFolder:
 
 
 _Array = npt.NDArray[Any]
+# Pose of markers while they are not drawn.
 _AWAY = NativePose([0.0, 0.0, -1e4])
-"""Pose of markers while they are not drawn."""
 
 
 class SapienRenderer(HostRenderer):
@@ -151,8 +151,8 @@ class SapienRenderer(HostRenderer):
         self._scene = sapien.Scene([self._system])
         reach = 2.0 * max((camera.far for camera in cameras), default=100.0)
         self._link_of_id: dict[int, int] = {}
+        # Each link's shapes, with their own colours.
         self._painted: list[tuple[int, sapien.render.RenderShape, Color]] = []
-        """Each link's shapes, with their own colours."""
         self._links = self._add_links(reach)
         self._markers = [self._add(marker_shapes(marker), None) for marker in layout.scene.markers]
         self._lights = Lights(self._scene, layout.scene, config)

@@ -28,8 +28,8 @@ from orbit_core.scene import (
 from orbit_sapien.geometry import Z_TO_X
 from orbit_sapien.native import native_pose, sapien
 
+# Cosine up to which neighbouring triangles are shaded as one surface.
 _SMOOTH = math.cos(math.radians(40.0))
-"""Cosine up to which neighbouring triangles are shaded as one surface."""
 Vertices = npt.NDArray[np.floating]
 
 

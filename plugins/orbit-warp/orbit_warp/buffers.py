@@ -15,19 +15,19 @@ import numpy.typing as npt
 from orbit_warp.config import WarpConfig
 
 _LEAST_CONTACTS = 16
+# Contacts of a single free body: one face full of contacts, and two fingers that hold it.
 _CONTACTS_OF_BODY = 12
-"""Contacts of a single free body: one face full of contacts, and two fingers that hold it."""
+# Shapes of a single free body beyond which each has as many contacts, as those of a nut's thread of boxes have.
 _MANY_PARTS, _CONTACTS_OF_PART = 8, 12
-"""Shapes of a single free body beyond which each has as many contacts, as those of a nut's thread of boxes have."""
+# Contacts of a shape of an articulation: few of them touch at a time, but each may be near something.
 _CONTACTS_OF_GEOM = 1
-"""Contacts of a shape of an articulation: few of them touch at a time, but each may be near something."""
+# Shapes of two fingers that touch at a time what they hold: a nut as it is screwed down needed more than one.
 _HOLDING = 4
-"""Shapes of two fingers that touch at a time what they hold: a nut as it is screwed down needed more than one."""
+# Meshes that do not move beyond which they are taken for the triangles of a surface, which lie close together.
 _SURFACE = 64
-"""Meshes that do not move beyond which they are taken for the triangles of a surface, which lie close together."""
+# Contacts in any one environment over what is likely on average: an arm that moves at random against a cabinet, and one
+# that learns to lift and presses on the table, needed more rows than the likely contacts have.
 _CROWDED = 2
-"""Contacts in any one environment over what is likely on average: an arm that moves at random against a cabinet, and
-one that learns to lift and presses on the table, needed more rows than the likely contacts have."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,7 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
     fields = model.geom_type[pairs] == mujoco.mjtGeom.mjGEOM_SDF
     if fields.any():  # each descent of a pair may end in a contact
         likely += model.opt.sdf_initpoints * (_HOLDING + int(fields.all(axis=1).sum()))
+    # What the scene can need at all bounds the estimate, so that a small scene takes little memory.
     nconmax = config.nconmax or max(min(possible, likely), 1)
     condim = int(model.geom_condim[touching].max(initial=1))
     rows = condim if config.cone == "elliptic" else max(2 * (condim - 1), 1)

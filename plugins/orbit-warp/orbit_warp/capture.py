@@ -52,6 +52,7 @@ class _Recording:
         self, graphs: Graphs, operations: Callable[[], None], before: Callable[[], None], after: Callable[[], None]
     ) -> None:
         self._graphs, self._operations, self._before, self._after = graphs, operations, before, after
+        # The first run loads modules and libraries, which a recording must not contain.
         self._warm = self._failed = False
 
     def __call__(self) -> None:

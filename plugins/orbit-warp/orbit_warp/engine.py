@@ -33,8 +33,8 @@ from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import reset_tensors
 from orbit_warpkit.start import start
 
+# Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU.
 _MOST_RECORDED = 16
-"""Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
             self._model = on_device(kinds, config)
             self.buffer_sizes = sizes = buffer_sizes(built.model, self._model, config)
             self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
+            # After the data, whose buffers its kernels fill in the place of MuJoCo-Warp's own.
             FieldContacts.replace(self._model, self._data)
             self._native = Native(built.model, self._model, self._data)
             self._state = State(layout, addresses, self._native, self._graphs)
@@ -81,6 +82,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
         self._all = torch.arange(num_envs, device=device)
         self._commands = (self.position_targets, self.velocity_targets, self.efforts)
         self._warp_commands = tuple(wp.from_torch(command) for command in self._commands)
+        # Cloned, because the first command overwrites the targets.
         self._home_targets = wp.from_torch(self.position_targets[0].clone())
         self._efforts = wp.zeros_like(self._data.actuator_force)
         self._joint_efforts = wp.to_torch(self._efforts)
@@ -99,6 +101,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
     def step(self, steps: int) -> None:
         if not self._graphs.recording:
             self.prepare()
+        # A recording of each number of steps: on a GPU one launch then does all, on a CPU launches cost little.
         if self.device.type != "cpu" and steps <= _MOST_RECORDED:
             self._graphs.run(("step", steps), lambda: self._take(steps))
         else:
@@ -123,6 +126,8 @@ class WarpEngine(PartedEngine[State, Parameters]):
     def _take(self, steps: int) -> None:
         self._begin()
         for _ in range(steps):
+            # The share makes the sum of contact forces a mean without a launch of its own; the repeated recording does
+            # not know the number of steps and divides at the end.
             self._advance(1.0 / steps)
         self._finish()
 
@@ -232,6 +237,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
         """Return indices of environments given by index or by mask; -1 for those outside of the mask."""
         if env_ids is None:
             return self._all
+        # Kernels skip negative indices, so that nobody has to count the mask's rows, which would wait for the device.
         return torch.where(env_ids, self._all, -1) if env_ids.dtype == torch.bool else env_ids
 
     # Measurements ----------------------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ class Faults:
             self._faults = wp.zeros(data.nworld, dtype=int)
             self._summary = wp.zeros(1, dtype=int)
             self._peaks = wp.zeros(2, dtype=int)
+        # Pinned memory, to which the device copies while the host goes on.
         self._seen = wp.zeros(1, dtype=int, device="cpu", pinned=True) if self._on_gpu else self._summary
         self._note = self._seen.numpy()
         self.overflows = 0
@@ -76,6 +77,7 @@ class Faults:
         if not fault:
             return
         self._note[:] = 0
+        # This waits for the device, but only where something went wrong.
         faults = wp.to_torch(self._faults).cpu().numpy()
         if not self.raises_divergence:
             fault, faults = fault & ~DIVERGED_BIT, faults & ~DIVERGED_BIT

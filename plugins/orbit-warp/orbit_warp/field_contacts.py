@@ -21,10 +21,10 @@ from orbit_warp.field_search import Meshes, Polytopes, choose_contacts, search_t
 
 _TABLE = [pair for pair in MJ_COLLISION_TABLE if GeomType.HFIELD in pair]
 _NO_SENSOR = -1
+# Triangles near shapes, for each contact that there is room for: most are near and do not touch.
 _TRIANGLES = 8
-"""Triangles near shapes, for each contact that there is room for: most are near and do not touch."""
+# Threads that search at a time, for each needs 5 KiB of memory, and those of a block, few so that they spread.
 _THREADS, _BLOCK = 32768, 64
-"""Threads that search at a time, for each needs 5 KiB of memory, and those of a block, few so that they spread."""
 
 
 class FieldContacts:

@@ -20,8 +20,8 @@ from mujoco_warp._src.types import OverflowType, vec5
 _SPHERE = wp.constant(int(mjtGeom.mjGEOM_SPHERE))
 _MESH = wp.constant(int(mjtGeom.mjGEOM_MESH))
 _FULL = wp.constant(int(OverflowType.BROADPHASE))
+# Distances (m) that differ by less are the same: rounding on a field of 100 m leaves a few of these.
 _SAME = wp.constant(1e-6)
-"""Distances (m) that differ by less are the same: rounding on a field of 100 m leaves a few of these."""
 
 
 @wp.struct

@@ -21,8 +21,8 @@ _FIELD = wp.constant(int(mjtGeom.mjGEOM_HFIELD))
 _MESH = wp.constant(int(mjtGeom.mjGEOM_MESH))
 _FAR = wp.constant(1e10)
 _MOST_OF_PAIR = wp.constant(4)
+# Metres within which MuJoCo-Warp takes contacts for one.
 _CLOSE = wp.constant(1e-3)
-"""Metres within which MuJoCo-Warp takes contacts for one."""
 
 
 @wp.struct

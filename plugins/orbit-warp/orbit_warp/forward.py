@@ -26,8 +26,8 @@ _BALL = wp.constant(int(mjtJoint.mjJNT_BALL))
 _SLIDE = wp.constant(int(mjtJoint.mjJNT_SLIDE))
 
 
+# Threads of a block: many small blocks, for a launch has few threads and each goes a long way.
 _THREADS = 64
-"""Threads of a block: many small blocks, for a launch has few threads and each goes a long way."""
 
 
 @wp.struct

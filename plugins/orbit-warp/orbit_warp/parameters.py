@@ -61,6 +61,7 @@ class Parameters:
         self._expand_masses()
         bodies = self._bodies[links]
         index = block(rows, bodies)
+        # Relative to the description, and not to the last setting, so that errors of rounding do not add up.
         scale = masses / self._nominal["body_mass"][index]
         self._fields["body_mass"][index] = masses
         self._fields["body_inertia"][index] = self._nominal["body_inertia"][index] * scale[..., None]
@@ -102,6 +103,7 @@ class Parameters:
         index, springs = block(rows, self._velocity_columns[joints]), block(rows, self._joints[joints])
         if stiffness is not None:
             self._field("jnt_stiffness")[springs] = stiffness
+            # A stiffer spring may need more damping than the joint has, by the rule that is applied next.
             damping = self._field("dof_damping")[index] if damping is None else damping
         if damping is not None:
             own = self._field("jnt_stiffness")[springs]

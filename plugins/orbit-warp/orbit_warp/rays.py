@@ -159,9 +159,9 @@ def rays_at_few(
 
 
 _EVERY_GROUP = (-1.0,) * 6
+# Geoms up to which a ray goes through them in one thread; a block of threads shares out more. Terrain with its border
+# is five, for which most threads of a block would wait.
 _FEW = 16
-"""Geoms up to which a ray goes through them in one thread; a block of threads shares out more. Terrain with its
-border is five, for which most threads of a block would wait."""
 
 
 class RayCaster:
@@ -174,8 +174,8 @@ class RayCaster:
         self._link_of_geom = torch.as_tensor(addresses.link_of_geom, device=self._device)
         self._warp_link_of_geom = wp.array(addresses.link_of_geom, dtype=int, device=native.data.qpos.device)
         self._buffers: dict[int, _Buffers] = {}
+        # Geoms that are not of a range of links.
         self._others: dict[tuple[int, int], wp.array] = {}
-        """Geoms that are not of a range of links."""
 
     def cast(self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None) -> RayHits:
         buffers = self._buffers_of(origins, directions, env_ids)

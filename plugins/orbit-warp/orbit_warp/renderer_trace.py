@@ -21,10 +21,10 @@ from orbit_core.interfaces import BACKGROUND
 from orbit_warp.renderer_stage import StageArrays
 
 EVERY_TYPE = tuple(range(GeomType.MESH + 1))
+# Transparent shapes that a pixel shows, one behind the other.
 _LAYERS = 4
-"""Transparent shapes that a pixel shows, one behind the other."""
+# Metres, and share of the distance, that a ray starts above the surface that it leaves.
 _LIFT = wp.constant(1e-4)
-"""Metres, and share of the distance, that a ray starts above the surface that it leaves."""
 _FAR_AWAY = wp.constant(1e6)
 _BACKGROUND = wp.constant(BACKGROUND)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.catalogue import robot
 from orbit_core.interfaces import BuildError, SceneLayout
-from orbit_core.robots import robot
 from orbit_core.scene import Box, ObjectSpec, Scene, Shape, single_link
 from orbit_core.world.checks import check_build
 from orbit_warp import WarpBackend, WarpConfig

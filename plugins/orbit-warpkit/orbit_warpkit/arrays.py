@@ -11,4 +11,5 @@ from torch import Tensor
 
 def array_of(values: Tensor | None, otherwise: wp.array) -> wp.array:
     """Return ``values`` as a kernel takes them; an empty array for None."""
+    # Warp takes tensors without a copy, but kernels index them as if they were contiguous.
     return otherwise if values is None else wp.from_torch(values.contiguous())

@@ -20,8 +20,8 @@ from typing import Any
 import torch
 import warp as wp
 
+# Seconds of compilation before a line is printed for the user.
 _SILENT_FOR = 4.0
-"""Seconds of compilation before the user is told of it."""
 
 
 class Graphs:
@@ -33,6 +33,7 @@ class Graphs:
         self.device = wp.device_from_torch(device)
         self._torch_device = device
         self._capture = capture
+        # Kept by key and not by function: the launches of one key are closures that differ in each call.
         self._recorded: dict[Hashable, wp.Graph] = {}
         self._streams: dict[int, wp.Stream] = {}
         self._own = wp.Stream(self.device) if self.device.is_cuda else None
@@ -66,6 +67,7 @@ class Graphs:
             with wp.ScopedDevice(self.device), _announced(self.device):
                 for key in missing:
                     self._recorded[key] = self._record(launches[key], None)
+        # One thread less than launches: the caller's own takes the first.
         self._threads = self._threads or ThreadPoolExecutor(len(launches) - 1, "orbit-warp")
         first, *others = (self._recorded[key] for key in launches)
         running = [self._threads.submit(wp.capture_launch, other) for other in others]
@@ -143,6 +145,7 @@ class Graphs:
 @contextlib.contextmanager
 def _without_garbage_collection() -> Iterator[None]:
     """Memory that another engine's remains would give back to the device cannot go while a stream is captured."""
+    # Collected now, so that switching it off for the recording leaves little behind.
     gc.collect()
     enabled = gc.isenabled()
     gc.disable()

@@ -14,6 +14,7 @@ import warp as wp
 
 from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED
 
+# Constants of Warp, because kernels cannot read Python's global variables.
 DISTANCE_BOUND = wp.constant(MAX_DISTANCE)
 """Coordinates (m, rad) beyond it have diverged."""
 SPEED_BOUND = wp.constant(MAX_SPEED)

@@ -24,6 +24,7 @@ def load_kernels(what: str, modules: Sequence[ModuleType], device: wp.Device) ->
     block = 1 if device.is_cpu else 256
     new = [module for module in modules if not _is_cached(module, block)]
     for module in modules:
+        # Cached modules load in milliseconds, so that only compilation is worth a line.
         if module not in new:
             wp.load_module(module, device=device, block_dim=block)
             continue
@@ -35,6 +36,7 @@ def load_kernels(what: str, modules: Sequence[ModuleType], device: wp.Device) ->
 
 def _is_cached(module: ModuleType, block: int) -> bool:
     """Return True if Warp's cache holds the current module for blocks of that many threads."""
+    # Warp names the cache's folder by a hash of the module's source and options: a changed kernel counts as new.
     folder = wp.get_module(module.__name__).get_module_identifier(block)
     return Path(wp.config.kernel_cache_dir or "", folder).is_dir()
 

@@ -73,6 +73,7 @@ def _queries(layout: SceneLayout, link_of_shape: npt.NDArray) -> Queries:
             answers[number] = False
             answers[number, [terrain if other == TERRAIN else other for other in query.others]] = True
     queries = Queries()
+    # The terrain's number is negative in layouts; kernels index with it, so that it becomes the last link here.
     queries.link_of_shape = wp.array(np.where(link_of_shape == TERRAIN, terrain, link_of_shape), dtype=int)
     queries.starts = wp.array(np.cumsum([0, *map(len, of_link)]), dtype=int)
     queries.numbers = wp.array([number for numbers in of_link for number in numbers], dtype=int)

@@ -32,8 +32,8 @@ from orbit_core.files import DISK_FULL
 from orbit_core.interfaces import Backend, Capability, Level, StorageError, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.plugin_kit.scratch import OWNER, ScratchFolder
+from orbit_core.rollout.pictures import video_recorder
 from orbit_core.rollout.stepping import roll_out
-from orbit_core.rollout.video import VideoRecorder
 
 RECORDING = "recording.npz"
 TRACES = "traces.json"
@@ -229,7 +229,7 @@ def film(
         expert = ExpertActor(environment, seed)
         environment.reset()
         steps = min(environment.max_episode_steps, round(seconds / environment.step_dt))
-        with VideoRecorder(environment, path, 1, WIDTH, HEIGHT) as recorder:
+        with video_recorder(environment, path, 1, WIDTH, HEIGHT) as recorder:
             roll_out(environment, expert, (recorder,), max_steps=steps)
     finally:
         environment.close()

@@ -11,8 +11,9 @@ from orbit_conformance.courses import Course
 from orbit_conformance.execution import Outcome
 from orbit_conformance.results import RESULT_FILE, Header, Parting, Record, Result, decode, encode, save
 from orbit_conformance.sources import CORE, sources_of
-from orbit_core.files import LOCK, FolderLock, append_line, storage_faults, sweep, written_whole
+from orbit_core.files import append_line, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
+from orbit_data.folder_lock import LOCK, FolderLock
 
 JOURNAL = "journal.jsonl"
 PREVIOUS, DROPPED = "previous.json", "previous.jsonl"

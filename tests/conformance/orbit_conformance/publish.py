@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from orbit_conformance.divergence import Divergence
 from orbit_conformance.episodes import TaskResult
 from orbit_conformance.merge import copy_files, joined
 from orbit_conformance.report.page import write_report
 from orbit_conformance.results import Archive, Record, Result, decode, load, save, save_sparse
 from orbit_conformance.robots.check import RobotResult
 from orbit_conformance.throughput import Benchmark
+from orbit_conformance.verdict import Divergence
 from orbit_core.files import as_path, check_apart, read_bytes, storage_faults, written_whole
 from orbit_core.interfaces import AssetError, ConfigurationError
 

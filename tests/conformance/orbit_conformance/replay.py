@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from orbit_conformance.divergence import Divergence, divergence
 from orbit_conformance.episodes import FirstEpisodes, TaskResult
 from orbit_conformance.recording import RecordedActions, Recording
+from orbit_conformance.verdict import Divergence, divergence
 
 
 @dataclass(frozen=True)

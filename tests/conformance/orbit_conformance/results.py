@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 import msgspec
 
 from orbit_conformance.courses import Course
-from orbit_conformance.divergence import Divergence
 from orbit_conformance.episodes import TaskResult
 from orbit_conformance.hardware import Hardware
 from orbit_conformance.jobs import Job, Kind
@@ -24,12 +23,12 @@ from orbit_conformance.scenario import Metric, Scenario
 from orbit_conformance.settings import Settings
 from orbit_conformance.throughput import Benchmark, Throughput
 from orbit_conformance.transfer import TransferResult, learned
-from orbit_conformance.verdict import Status
+from orbit_conformance.verdict import Divergence, Status
 from orbit_core.files import as_path, read_bytes, written_whole
 from orbit_core.interfaces import AssetError, ConfigurationError, Gap
 from orbit_core.interfaces.matter import NATIVE
-from orbit_core.pretrained import TransferGap, pretrained_policy
 from orbit_data.tensor_file import parse_json
+from orbit_learn.pretrained import TransferGap, pretrained_policy
 
 SCHEMA = 1
 RESULT_FILE, REPORT = "result.json", "report.html"

@@ -102,8 +102,8 @@ class Edge:
         self._friction, self._gravity = friction, gravity
         angles = np.linspace(0.0, 0.5 * math.pi, 2001)
         gains = np.exp(friction * (0.5 * math.pi - angles))
+        # How much more tension the far end of the arc bears than the near one.
         self._gain = float(gains[0])
-        """How much more tension the far end of the arc bears than the near one."""
         pulls = gains * (friction * np.cos(angles) - np.sin(angles))
         self._weight = float(np.trapezoid(pulls, angles)) * gravity * radius
         self._inertia = float(np.trapezoid(gains, angles)) * radius

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import importlib_metadata
 
+from orbit_assets.catalogue import robot_info
 from orbit_assets.sources import installed_version
 from orbit_conformance.jobs import Job, Kind, plan
 from orbit_conformance.settings import Settings
@@ -23,8 +24,7 @@ from orbit_core.backends import renderer as find_renderer
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import Backend
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
-from orbit_core.pretrained import pretrained_policy
-from orbit_core.robots import robot_info
+from orbit_learn.pretrained import pretrained_policy
 
 CORE = "orbit_core"
 # Packages whose code any job may run.

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from orbit_conformance.divergence import Divergence, divergence
 from orbit_conformance.episodes import FirstEpisodes, TaskResult
 from orbit_conformance.recording import Recording
+from orbit_conformance.verdict import Divergence, divergence
 from orbit_core.envs.actors import ExpertActor
 
 

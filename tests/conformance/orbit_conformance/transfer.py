@@ -9,9 +9,9 @@ from typing import Any
 
 from orbit_conformance.episodes import FirstEpisodes, TaskResult
 from orbit_conformance.verdict import Status
-from orbit_core.pretrained import PretrainedPolicy, pretrained_policy
 from orbit_core.rollout.estimates import Estimate
 from orbit_learn.policy import PolicyActor, PolicyDescription, load_policy
+from orbit_learn.pretrained import PretrainedPolicy, pretrained_policy
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from orbit_assets.audit.geometry import FloatArray, Posture
+from orbit_assets.audit.checks import FloatArray, Posture
 from orbit_assets.mjcf.model import compile_file
-from orbit_assets.naming import one_line
 from orbit_assets.options import ReadOptions
+from orbit_assets.source_text import one_line
 from orbit_assets.xacro import read_expanded
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from orbit_assets.audit.geometry import FloatArray, Posture, mass_matrix, posture
+from orbit_assets.audit.checks import FloatArray, Posture, mass_matrix, posture
 from orbit_assets.options import ReadOptions
 from orbit_assets.xacro import read_expanded
 from orbit_core.interfaces.errors import AssetError

@@ -22,7 +22,7 @@ _COLLISIONS = {
     "pieces": MeshCollision.CONVEX_DECOMPOSITION,
     "triangles": MeshCollision.TRIANGLES,
 }
-# Options that apply to a mesh only; each is a field of :class:`orbit_assets.mesh_to_usd.MeshBody`.
+# Options that apply to a mesh only; each is a field of :class:`orbit_assets.usd.writer.MeshBody`.
 _MESH_OPTIONS = ("friction", "restitution", "density", "mass", "collision", "scale", "up")
 
 
@@ -89,7 +89,7 @@ def _read(settings: ConvertSettings) -> Articulation:
 
 
 def _read_mesh(settings: ConvertSettings, given: set[str]) -> Articulation:
-    from orbit_assets.mesh_to_usd import MeshBody, mesh_articulation
+    from orbit_assets.usd.writer import MeshBody, mesh_articulation
 
     values = {name: getattr(settings, name) for name in given}
     if settings.collision is not None:

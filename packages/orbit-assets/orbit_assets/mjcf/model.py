@@ -15,10 +15,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from orbit_assets.naming import naming, one_line
 from orbit_assets.options import ReadOptions, Unsupported
 from orbit_assets.outside import check_picture, resolve_file
-from orbit_assets.source_text import read_xml
+from orbit_assets.source_text import naming, one_line, read_xml
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose

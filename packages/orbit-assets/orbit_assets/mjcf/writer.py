@@ -23,7 +23,7 @@ from orbit_assets.losses import (
     missing_traits,
     raised_inertias,
 )
-from orbit_assets.mjcf.loops import OWN_SITES
+from orbit_assets.mjcf.couplings import OWN_SITES
 from orbit_assets.mjcf.model import vector_of
 from orbit_assets.mjcf.trees import WORLD
 from orbit_assets.urdf.writer import UNLIMITED, numbers, write_mesh
@@ -47,7 +47,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_core.scene.inertias import solid_moments
+from orbit_core.scene.articulation import solid_moments
 
 _OF_JOINTS: JointTraits = (("velocity limits", lambda joint: joint.movable and math.isfinite(joint.velocity_limit)),)
 _OF_LINKS: LinkTraits = (

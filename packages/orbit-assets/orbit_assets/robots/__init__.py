@@ -6,8 +6,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from orbit_assets.catalogue import RobotCatalogue, RobotEntry, composed
 from orbit_assets.sources import installed_version
-from orbit_core.robots import RobotCatalogue, RobotEntry, composed
 
 if TYPE_CHECKING:
     from orbit_core.scene import RobotSpec

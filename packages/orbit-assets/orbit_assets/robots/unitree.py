@@ -14,7 +14,54 @@ from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.scene import Articulation, EndEffector, Frame, ImplicitPd, Link, Mesh, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
 
+# ANYbotics ANYmal B and C, quadrupeds with twelve joints --------------------------------------------------------------
+
 SOURCE = "example-robot-data"
+LICENCE = "BSD-3-Clause"
+
+
+def anymal_b() -> Articulation:
+    """Read the robot, and add the frame ``mount`` on its back."""
+    source = installed_urdf(SOURCE, "robots/anymal_b_simple_description/robots/anymal.urdf", "anymal_b")
+    body = with_armature(merge_fixed_links(source))
+    return add_frames(body, Frame("mount", "base", Pose((0.0, 0.0, 0.15))))
+
+
+ANYMAL_B = RobotPart(
+    name="anymal_b",
+    kind=PartKind.BASE,
+    model=Model("anymal_b", anymal_b, (SOURCE,), LICENCE, parts=(with_armature,)),
+    home={".*_HAA": 0.0, ".F_HFE": 0.4, ".H_HFE": -0.4, ".F_KFE": -0.8, ".H_KFE": 0.8},
+    # Gains of Rudin et al., Learning to Walk in Minutes (2021); effort and velocity limits are the URDF's.
+    drives=(ImplicitPd(joints=(".*_(HAA|HFE|KFE)",), stiffness=80.0, damping=2.0),),
+    mount="mount",
+    feet=("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"),
+    pose=Pose((0.0, 0.0, 0.6)),
+    fixed_base=False,
+)
+
+
+def anymal_c() -> Articulation:
+    """Read the robot, and add the frame ``mount`` on its back; its feet are frames on the shanks."""
+    body = installed_urdf(SOURCE, "robots/anymal_c_simple_description/urdf/anymal.urdf", "anymal_c")
+    return add_frames(merge_fixed_links(body), Frame("mount", "base", Pose((0.0, 0.0, 0.15))))
+
+
+ANYMAL_C = RobotPart(
+    name="anymal_c",
+    kind=PartKind.BASE,
+    model=Model("anymal_c", anymal_c, (SOURCE,), LICENCE),
+    home={".*_HAA": 0.0, ".F_HFE": 0.4, ".H_HFE": -0.4, ".F_KFE": -0.8, ".H_KFE": 0.8},
+    # Gains of Rudin et al., Learning to Walk in Minutes (2021); effort and velocity limits are the URDF's, and there is
+    # no armature, as in the policies that are kept for it.
+    drives=(ImplicitPd(joints=(".*_(HAA|HFE|KFE)",), stiffness=80.0, damping=2.0),),
+    mount="mount",
+    feet=("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"),
+    pose=Pose((0.0, 0.0, 0.6)),  # the feet start slightly above the ground
+    fixed_base=False,
+)
+
+
 QUADRUPED_LICENCE = "MPL-2.0"
 QUADRUPED_HOME = {".*_hip_joint": 0.0, ".*_thigh_joint": 0.8, ".*_calf_joint": -1.5}
 # Twice the gains of legged_gym's A1 (20 and 0.5, Rudin et al. 2021), so that the knees give by some 5 degrees under the
@@ -72,7 +119,6 @@ GO2 = _quadruped("unitree_go2", "go2", 0.338, 0.057)
 """Their ``mount`` is on the back, above the middle of the trunk."""
 
 
-LICENCE = "BSD-3-Clause"
 # Of the left hand. The tips are 0.08 m apart where it is open. Closed on what is 0.04 m wide, the fingers press with
 # 8.5 N each against 17 N of the thumb.
 GRASP = {

@@ -9,15 +9,14 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from orbit_assets.inertia_repair import repaired
+from orbit_assets.compose import sort_links
 from orbit_assets.joint_models import BALL, chain, compound, resolve_chains
-from orbit_assets.naming import names_file
+from orbit_assets.mass_properties import repaired
 from orbit_assets.options import ReadOptions
 from orbit_assets.sdf.sources import SdfFiles, SdfSource, SdfWorld
 from orbit_assets.sdf.structure import MODEL, WORLD, SdfScope, SdfStructure, world_frames
-from orbit_assets.source_text import Findings
+from orbit_assets.source_text import Findings, names_file
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.preparation.validation import sort_links
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, LoopType, Mimic, Pose
 from orbit_core.scene.pose import Vector3
 

@@ -8,12 +8,11 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from orbit_assets.meshes import MeshFiles
-from orbit_assets.naming import naming
 from orbit_assets.options import ReadOptions
 from orbit_assets.outside import resolve_file
 from orbit_assets.sdf.sources import SdfFields, SdfFiles, SdfSource, model_source
-from orbit_assets.source_text import Findings
-from orbit_assets.urdf.shapes import SIZELESS, TEXTURES, facing, is_sizeless, touchable
+from orbit_assets.source_text import Findings, naming
+from orbit_assets.urdf.reader import SIZELESS, TEXTURES, facing, is_sizeless, touchable
 from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, PhysicsMaterial, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
 

@@ -1,7 +1,6 @@
 """Ground that robots walk on: kinds of surfaces, and a grid of them from easy to difficult."""
 
-from orbit_assets.terrain.grid import TerrainForm, TerrainGrid
-from orbit_assets.terrain.kinds import (
+from orbit_assets.terrain.grid import (
     Boxes,
     Flat,
     Gap,
@@ -12,6 +11,8 @@ from orbit_assets.terrain.kinds import (
     Stairs,
     SteppingStones,
     Surface,
+    TerrainForm,
+    TerrainGrid,
     TerrainKind,
     Waves,
 )

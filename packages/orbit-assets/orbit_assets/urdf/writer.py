@@ -41,7 +41,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_core.scene.inertias import solid_moments
+from orbit_core.scene.articulation import solid_moments
 from orbit_core.scene.pose import Vector3
 
 UNLIMITED = 1e30

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orbit_assets.compose import sort_links
 from orbit_assets.mass_properties import MassProperties, combine, mass_properties
 from orbit_assets.placed import PlacedArticulation
 from orbit_assets.usd.contents import MASSLESS, STAGE, Contents, collect, is_frame
@@ -31,7 +32,6 @@ from orbit_assets.usd.stage import (
 )
 from orbit_assets.usd.tree import Edge, Tree, grow, stacked
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.preparation.validation import sort_links
 from orbit_core.scene import Articulation, Frame, Joint, Link, Pose, Shape
 from orbit_core.scene.pose import FloatArray
 

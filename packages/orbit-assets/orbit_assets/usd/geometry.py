@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from orbit_assets.urdf.shapes import is_sizeless
+from orbit_assets.urdf.reader import is_sizeless
 from orbit_assets.usd.contents import STAGE
 from orbit_assets.usd.library import pxr
 from orbit_assets.usd.stage import Reading, Units, applies, array, attribute, axis, label, number

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from orbit_assets.inertia_repair import repaired
+from orbit_assets.mass_properties import repaired
 from orbit_assets.options import ReadOptions
 from orbit_assets.placed import PlacedArticulation, SceneParts, chosen
 from orbit_assets.usd.articulations import WORLD, StageReader

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from orbit_assets.naming import naming, one_line
 from orbit_assets.options import ReadOptions, Unsupported
 from orbit_assets.outside import check_archive, check_file, resolve_file
+from orbit_assets.source_text import naming, one_line
 from orbit_assets.usd.library import pxr
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose

@@ -53,7 +53,7 @@ def main(words: Sequence[str]) -> None:
     """
     from orbit_data.augmentation import augment, cut
     from orbit_data.formats import opened
-    from orbit_data.manifest.compare import check_manifest
+    from orbit_data.manifest.manifest import check_manifest
     from orbit_data.recording import RecordingFile
     from orbit_data.replay import fields_of
 

@@ -109,9 +109,9 @@ def _replayed(settings: PlaySettings, dataset: Dataset, backend: str) -> ReplayR
     try:
         if settings.video is None:
             return replay(environment, dataset, range(count), settings.mode)
-        from orbit_core.rollout.video import VideoRecorder
+        from orbit_core.rollout.pictures import video_recorder
 
-        with VideoRecorder(environment, settings.video) as film:
+        with video_recorder(environment, settings.video) as film:
             return replay(environment, dataset, range(count), settings.mode, film.before_step)
     finally:
         environment.close()

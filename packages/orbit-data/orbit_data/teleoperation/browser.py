@@ -147,8 +147,8 @@ class Browser(Device):
         self._dragging = False
         self._server: Any = None
         self._gizmo: Any = None
+        # Sliders by the names of the driven choice and of the joint.
         self._sliders: dict[str, dict[str, Any]] = {}
-        """Sliders by the names of the driven choice and of the joint."""
         self._folders: dict[str, Any] = {}
         self._shown = -_SHOWN
         self._pad = Pad(self._padded)

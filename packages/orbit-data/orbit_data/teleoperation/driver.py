@@ -11,8 +11,7 @@ from torch import Tensor
 
 from orbit_core.actions import MotionGenerator, driven_joints
 from orbit_core.actions.grippers import gripper_positions
-from orbit_core.actions.ik import displaced, towards_pose
-from orbit_core.actions.workspace import PoseFollower
+from orbit_core.actions.ik import PoseFollower, displaced, towards_pose
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply
 from orbit_core.interfaces import ConfigurationError, Robot, UnknownNameError

@@ -6,10 +6,10 @@ import dataclasses
 import datetime
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -19,8 +19,8 @@ from orbit_core.cli.output import console
 from orbit_core.cli.settings import EnvironmentSettings, check_output, make_folder, parse_words
 from orbit_core.files import check_apart, written_whole
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
-from orbit_core.pretrained import policy_fields, policy_path
 from orbit_learn.cli.trained import training_record
+from orbit_learn.pretrained import policy_fields, policy_path
 
 if TYPE_CHECKING:
     from orbit_data.manifest.manifest import Manifest
@@ -39,6 +39,9 @@ class ExportSettings:
     ('orbit list policies')."""
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
     """Folder for policy.safetensors, policy.onnx and policy.json."""
+    runtime: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """Write instead policy.onnx, runtime.json and orbit_runtime.py into this folder: the policy for NumPy and
+    onnxruntime, without ORBIT."""
     overwrite: bool = False
     """Replace existing files of those names."""
     amend: bool = False
@@ -54,6 +57,8 @@ def main(words: Sequence[str]) -> None:
     policy = load_policy(path)
     if settings.amend:
         return _amend(policy, path)
+    if settings.runtime is not None:
+        return _export_runtime(settings, policy, path)
     described, weights, onnx = (settings.output / f"policy{suffix}" for suffix in (".json", ".safetensors", ".onnx"))
     make_folder(described)
     for target in (described, weights, onnx):
@@ -78,6 +83,28 @@ def main(words: Sequence[str]) -> None:
         policy.export_onnx(graph)
     console().print(f"policy.safetensors, policy.onnx and policy.json are in {settings.output}", soft_wrap=True)
     return None
+
+
+def _export_runtime(settings: ExportSettings, policy: Policy, path: Path) -> None:
+    from orbit_data.manifest.manifest import Manifest, renamed_group
+    from orbit_learn.runtime import NAMES, write_runtime
+
+    folder = settings.runtime
+    assert folder is not None, "the caller has looked"
+    targets = [folder / name for name in NAMES]
+    make_folder(targets[0])
+    for target in targets:
+        check_apart(target, [path] if path.is_file() else [])
+        check_output(target, target.suffix, settings.overwrite)
+    environment = make_environment(_settings_of(policy, path)[0], 1)
+    try:
+        # Of the environment as it is today, which describes all its numbers; the policy's own is compared with it.
+        group = policy.fit(environment)
+        manifest = renamed_group(Manifest.of(environment, policy.description.task, 0), group, policy.description.group)
+        write_runtime(folder, policy, manifest, environment)
+    finally:
+        environment.close()
+    console().print(f"{', '.join(NAMES)} are in {folder}: they need numpy and onnxruntime", soft_wrap=True)
 
 
 def _amend(policy: Policy, path: Path) -> None:
@@ -107,7 +134,7 @@ def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
         The completed manifest if the environment has the same joints, home positions and terms; otherwise the manifest
         as it was, with a warning.
     """
-    from orbit_data.manifest.compare import Kind, differences
+    from orbit_data.manifest.manifest import Kind, differences
 
     group = policy.description.group
     try:
@@ -133,9 +160,27 @@ def _present(policy: Policy, path: Path) -> Manifest:
     Raises:
         OrbitError: the environment cannot be made here.
     """
-    from orbit_data.manifest.compare import renamed_group
-    from orbit_data.manifest.manifest import Manifest
+    from orbit_data.manifest.manifest import Manifest, renamed_group
 
+    made, training = _settings_of(policy, path)
+    learned = policy.description
+    environment = make_environment(made, 1)
+    try:
+        group = policy.fit(environment)
+        manifest = renamed_group(Manifest.of(environment, learned.task, made.seed), group, learned.group)
+    finally:
+        environment.close()
+    # These do not change what numbers mean, so that the training's own values are more true than today's.
+    known = {key: training["settings"][key] for key in ("seed", "num_envs", "device") if training}
+    known |= {"versions": training["versions"]} if training else {}
+    of = f"; {', '.join(known)} and settings are those that its training recorded" if known else ""
+    on = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    later = f"on {on}, of the environment that the policy fitted on that day{of}"
+    return Manifest.decode(dataclasses.replace(manifest, **known, made_later=later).encode(), f"training of {path}")
+
+
+def _settings_of(policy: Policy, path: Path) -> tuple[EnvironmentSettings, Mapping[str, Any]]:
+    """Return settings of the environment that a policy fits today, and its training's record, which may be empty."""
     learned, training = policy.description, training_record(path)
     # A policy of a backend that is not installed gets the manifest of the default one.
     installed = learned.backend in backend_names()
@@ -150,16 +195,4 @@ def _present(policy: Policy, path: Path) -> Manifest:
             "fields": {**trained.get("fields", {}), **policy_fields(path)},
         }
     )
-    environment = make_environment(made, 1)
-    try:
-        group = policy.fit(environment)
-        manifest = renamed_group(Manifest.of(environment, learned.task, made.seed), group, learned.group)
-    finally:
-        environment.close()
-    # These do not change what numbers mean, so that the training's own values are more true than today's.
-    known = {key: training["settings"][key] for key in ("seed", "num_envs", "device") if training}
-    known |= {"versions": training["versions"]} if training else {}
-    of = f"; {', '.join(known)} and settings are those that its training recorded" if known else ""
-    on = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    later = f"on {on}, of the environment that the policy fitted on that day{of}"
-    return Manifest.decode(dataclasses.replace(manifest, **known, made_later=later).encode(), f"training of {path}")
+    return made, training

@@ -1,4 +1,4 @@
-"""Rows of ``orbit list`` for learning libraries."""
+"""Rows of ``orbit list`` for learning libraries and kept policies."""
 
 from __future__ import annotations
 
@@ -10,3 +10,10 @@ def libraries() -> Rows:
     from orbit_learn.learners import library_description, library_names
 
     return [(name, library_description(name)) for name in library_names()]
+
+
+def policies() -> Rows:
+    """Return kept policies with their descriptions."""
+    from orbit_learn.pretrained import pretrained_policies
+
+    return [(policy.name, policy.description) for policy in pretrained_policies().values()]

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from orbit_core.cli.output import console
 from orbit_core.cli.run import show_run
 from orbit_core.cli.settings import parse_settings
-from orbit_core.pretrained import is_kept, policy_fields, policy_path
 from orbit_learn.cli.trained import PlaySettings, Restored, restore, training_record
+from orbit_learn.pretrained import is_kept, policy_fields, policy_path
 
 
 def main(words: Sequence[str]) -> None:

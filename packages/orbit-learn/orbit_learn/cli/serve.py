@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from orbit_core.cli.output import console
 from orbit_core.cli.settings import parse_words
 from orbit_core.interfaces.errors import ConfigurationError
-from orbit_core.pretrained import policy_path
+from orbit_learn.pretrained import policy_path
 
 _LOCAL = ("127.0.0.1", "localhost", "::1")
 

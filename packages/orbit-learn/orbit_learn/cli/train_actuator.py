@@ -43,8 +43,7 @@ class TrainActuatorSettings(ReadSettings):
 
 def main(words: Sequence[str]) -> None:
     """Fit, write the file, and print the network's error."""
-    from orbit_learn.actuators.fitting import FitSettings, fit
-    from orbit_learn.actuators.networks import write_network
+    from orbit_learn.actuators.networks import FitSettings, fit, write_network
     from orbit_learn.actuators.recordings import read_recording
 
     settings = parse_words(TrainActuatorSettings, words, "orbit train-actuator")

@@ -15,8 +15,7 @@ from orbit_core.envs.observation_layout import POLICY
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.episodes import ACTIONS, OBSERVED
 from orbit_data.formats import opened
-from orbit_data.manifest.compare import Kind, differences
-from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.manifest import Kind, Manifest, differences
 from orbit_data.noise import CLEAN
 from orbit_data.reading.budget import TRUSTED
 from orbit_learn.description import Part, group_parts

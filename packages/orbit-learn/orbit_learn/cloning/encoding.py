@@ -16,13 +16,13 @@ from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.manifest.manifest import ActionTermManifest, Manifest, ObservationTermManifest
-from orbit_learn.convolutional import Convolutional, PictureEncoder, convolutional, encoded_pictures
 from orbit_learn.description import Part
+from orbit_learn.networks import Convolutional, PictureEncoder, convolutional, encoded_pictures
 
 FINE = 0.03
 """Metres at which a fine difference saturates: the width of a small object."""
+# Least standard deviation of a feature: one that hardly changes in the data must not become huge outside of it.
 _LEAST_STD = 1e-2
-"""Least standard deviation of a feature: one that hardly changes in the data must not become huge outside of it."""
 _LEAST_LABEL_STD = 1e-3
 _MOST_DEVIATIONS = 10.0
 _LAST_ACTION = "last_action"

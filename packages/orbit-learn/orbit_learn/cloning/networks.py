@@ -22,8 +22,8 @@ from orbit_learn.memory import Memory, MemoryModule
 from orbit_learn.networks import perceptron
 
 _MOST_UNITS, _MOST_CHUNK, _MOST_LAYERS = 8192, 512, 16
+# Of a mixture's components: without it a likelihood grows without bounds on data that repeat.
 _LEAST_DEVIATION = 1e-2
-"""Of a mixture's components: without it a likelihood grows without bounds on data that repeat."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -451,8 +451,8 @@ class DiffusionPlanner(Planner):
         return float(_squared_cosine(torch.tensor(level / self._network.noises)))
 
 
+# Waves that show a level of noise to the network.
 _TIMES = 16
-"""Waves that show a level of noise to the network."""
 
 
 def _squared_cosine(time: Tensor) -> Tensor:

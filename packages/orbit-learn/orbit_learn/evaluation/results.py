@@ -34,6 +34,7 @@ class Plan:
 
     def blocks(self) -> Iterator[BlockKey]:
         """Yield all blocks, those of one environment one after another."""
+        # Engine and variant outermost: an environment is built once for all policies and seeds.
         for backend in self.backends:
             for variant in self.variants:
                 for policy in self.policies:
@@ -119,6 +120,7 @@ def read_results(path: Path | str) -> tuple[Plan, list[Block]]:
     lines = read_bytes(path, _MOST_BYTES).split(b"\n")
     try:
         plan = msgspec.convert(msgspec.json.decode(lines[0])["plan"], Plan)
+        # The last line is empty, or was cut off in the middle of a write; its block is run again.
         blocks = [msgspec.convert(msgspec.json.decode(line)["block"], Block) for line in lines[1:-1] if line]
     except (msgspec.DecodeError, msgspec.ValidationError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{path} holds no results of an evaluation: {error}") from None

@@ -51,6 +51,7 @@ def paired_difference(first: Sequence[Block], second: Sequence[Block]) -> Paired
     one, other = _by_start(first), _by_start(second)
     if one.keys() != other.keys():
         raise ValueError("paired results are of the same starts")
+    # Starts with the same result on both sides say nothing of the difference: the test looks at the others alone.
     only_first = sum(one[start] and not other[start] for start in one)
     only_second = sum(other[start] and not one[start] for start in one)
     rate_first, rate_second = proportion(sum(one.values()), len(one)), proportion(sum(other.values()), len(other))
@@ -73,6 +74,7 @@ def _mid_p(only_first: int, only_second: int) -> float:
     count, fewer = only_first + only_second, min(only_first, only_second)
     if not count:
         return 1.0
+    # Half of the point's own probability, which makes the discrete test neither too strict nor too lax.
     tail = sum(math.comb(count, k) for k in range(fewer)) / 2**count
     return min(1.0, 2.0 * (tail + 0.5 * math.comb(count, fewer) / 2**count))
 
@@ -93,6 +95,7 @@ def variance_shares(blocks: Sequence[Block]) -> Mapping[str, float]:
     ]
     values = np.array([value for _, value in rows])
     total = ((values - values.mean()) ** 2).sum()
+    # All episodes end alike, and shares of nothing are not defined.
     if not total:
         return {}
     shares: dict[str, float] = {}
@@ -102,6 +105,7 @@ def variance_shares(blocks: Sequence[Block]) -> Mapping[str, float]:
             groups.setdefault(levels[place], []).append(value)
         effect = sum(len(group) * (np.mean(group) - values.mean()) ** 2 for group in groups.values())
         shares[name] = float(effect / total)
+    # Rounding may leave a rest below zero.
     shares["together and chance"] = max(0.0, 1.0 - sum(shares.values()))
     return shares
 
@@ -116,10 +120,12 @@ def failure_kinds(blocks: Sequence[Block]) -> dict[str, list[tuple[Block, int]]]
     typical: dict[str, float] = {}
     successes = [(block, i) for block in blocks for i, success in enumerate(block.success) if success]
     if successes:
+        # Medians, because a few successes with unusual rewards must not set the bar.
         for name in successes[0][0].rewards:
             typical[name] = float(np.median([block.rewards[name][i] for block, i in successes]))
     found: dict[str, list[tuple[Block, int]]] = {}
     for block in blocks:
+        # The time limit is not in the results; the longest episode of a block reached it, if any did.
         longest = max(block.steps, default=0)
         for index, success in enumerate(block.success):
             if not success:
@@ -128,6 +134,7 @@ def failure_kinds(blocks: Sequence[Block]) -> dict[str, list[tuple[Block, int]]]
 
 
 def _kind(block: Block, index: int, typical: Mapping[str, float], longest: int) -> str:
+    # First, because an episode without answers says nothing of what the policy would have done.
     if block.failed[index]:
         return "the policy did not answer, or the simulation diverged"
     for name, usual in typical.items():

@@ -128,6 +128,7 @@ class PolicyServer:
             raise ServerFailure(f"{self._address.url} closed the connection: {_first_line(error)}") from None
         if isinstance(message, str):
             # OpenPI sends the traceback of its error as text.
+            # The last line of a traceback names the error.
             last = (message.strip().splitlines() or ["no reason"])[-1]
             raise ServerFailure(f"{self._address.url} reports an error: {last[:200]}")
         try:
@@ -163,9 +164,11 @@ class RemoteActor:
         docstring = inspect.getdoc(type(environment.task)) or type(environment.task).__name__
         self._prompt = docstring.splitlines()[0] if address.prompt is None else address.prompt
         count, size = environment.num_envs, environment.action_size
+        # One connection now, so that a wrong address is an error at once; the others are opened when they are needed.
         self._servers: list[PolicyServer | None] = [PolicyServer(address), *([None] * (count - 1))]
         first = self._servers[0]
         assert first is not None
+        # Only a server of ours gets the additional key, because others may pass unknown keys on to their model.
         self._ours = "orbit" in first.metadata
         self._plans = [np.zeros((0, size), np.float32) for _ in range(count)]
         self.unanswered = [False] * count
@@ -183,9 +186,11 @@ class RemoteActor:
         for i, begins in enumerate(begun):
             if begins:
                 self._plans[i], self.unanswered[i] = self._plans[i][:0], False
+            # Still until the episode ends: a query at each step would wait for the timeout at each step.
             if self.unanswered[i]:
                 continue
             if not len(self._plans[i]):
+                # Copied from the device once for all environments, and only where a plan is used up.
                 seen = self._terms() if seen is None else seen
                 self._plans[i] = self._ask(i, seen, begins)
             if len(self._plans[i]):
@@ -223,6 +228,7 @@ class RemoteActor:
                     f"{self._address.url} answered actions of {plan.shape[1]} components, and the task has "
                     f"{self._environment.action_size}"
                 )
+            # A model may overshoot the range a little, which is no reason to end an episode.
             return plan.astype(np.float32).clip(-1.0, 1.0)
         except ServerFailure as failure:
             if (broken := self._servers[index]) is not None:

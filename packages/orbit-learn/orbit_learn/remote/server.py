@@ -22,8 +22,8 @@ from orbit_learn.remote.wire import MOST_BYTES, decode, encode
 if TYPE_CHECKING:
     from websockets.sync.server import Server, ServerConnection
 
+# A term may be sent under its name, or behind one of these.
 _PREFIXES = ("", "observation/", "policy/")
-"""A term may be sent under its name, or behind one of these."""
 
 
 class PolicyService:

@@ -43,6 +43,7 @@ def decode(data: bytes) -> dict[str, Any]:
 
 def _packed(value: Any) -> Any:
     if isinstance(value, np.ndarray):
+        # The shape is taken from the value, because contiguous copies of scalars have one dimension.
         array = np.ascontiguousarray(value)
         shape = list(value.shape)
         return {b"__ndarray__": True, b"data": array.tobytes(), b"dtype": array.dtype.str, b"shape": shape}
@@ -56,9 +57,11 @@ def _packed(value: Any) -> Any:
 
 
 def _unpacked(value: Any, depth: int) -> Any:
+    # Deep nesting would end in a RecursionError, which is not caught as a fault of the message.
     if depth > _MOST_DEPTH:
         raise ConfigurationError(f"it is nested more than {_MOST_DEPTH} deep")
     if isinstance(value, dict):
+        # Both forms are in use: some clients pack keys as texts.
         if b"__ndarray__" in value or "__ndarray__" in value:
             return _array({_text(key): item for key, item in value.items()})
         if b"__npgeneric__" in value or "__npgeneric__" in value:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from orbit_core.actions.full_ik import FullIk
 from orbit_core.actions.ik import displaced
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply, yaw_angle
@@ -21,6 +20,7 @@ from orbit_core.envs import Environment
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
+from orbit_motion.full_ik import FullIk
 from orbit_motion.planning import BasePathFollower, BasePlanner, BasePlannerConfig
 
 if TYPE_CHECKING:

@@ -24,8 +24,7 @@ from torch.utils._python_dispatch import _disable_current_modes
 from orbit_core.capture.replay import kernels_wanted
 from orbit_core.interfaces.capture import Traceable, changes
 from orbit_core.plugin_kit.scratch import ScratchFolder
-from orbit_motion.fusion.expression import Expression
-from orbit_motion.fusion.operations import Unfusable, expressions
+from orbit_motion.fusion.operations import Expression, Unfusable, expressions
 
 LANES = 8
 """Environments per register of a CPU: eight floats are 256 bits."""

@@ -17,8 +17,7 @@ from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse, quat
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_constants
 from orbit_core.scene import RobotSpec
-from orbit_motion.mpc.model import libraries, reduced_model
-from orbit_motion.mpc.predictive import Array, Limits, Plan, Predictive, PredictiveConfig
+from orbit_motion.mpc.predictive import Array, Limits, Plan, Predictive, PredictiveConfig, libraries, reduced_model
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, PlanningError
+from orbit_motion.compliant import PlacedWorld
 from orbit_motion.obstacles import Obstacles
-from orbit_motion.still import PlacedWorld
 
 _Array = Any
 

@@ -15,9 +15,8 @@ from torch import Tensor
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, PlanningError
-from orbit_motion.clearance import Clearance
-from orbit_motion.obstacles import Obstacles
-from orbit_motion.still import PlacedRobot, PlacedWorld
+from orbit_motion.compliant import PlacedRobot, PlacedWorld
+from orbit_motion.obstacles import Clearance, Obstacles
 
 _Array = npt.NDArray[np.float64]
 

@@ -25,10 +25,10 @@ import warp as wp
 from orbit_matter.bodies import Bodies, turn_by
 from orbit_matter.contact import NEAREST, Felt, surface
 from orbit_matter.kernels import FREE, Links, Particles, target
+from orbit_matter.solids import inside
+from orbit_matter.solids.inside import MIDDLE, NODES, Insides
 from orbit_matter.surfaces import Shapes
 
-NODES = wp.constant(27)
-MIDDLE = wp.constant(13)
 TURNS = wp.constant(4)
 """Iterations of a cell's rotation in a step, from that of the step before."""
 FIRST_TURNS = wp.constant(30)
@@ -88,6 +88,9 @@ class Solids:
     """The same memory, LANES to a row."""
     inverse_at: wp.array2d[int]
     """(B, 2) where each begins."""
+    inside: Insides
+    load: wp.array2d[wp.vec3]
+    """(N, n) newtons of cloth and ropes on nodes, summed over the substeps since the last step."""
 
 
 @wp.struct
@@ -107,9 +110,11 @@ class Solve:
     rz: wp.array2d[float]
     """(N, B) product of each solid's residual and what the preconditioner makes of it."""
     step: wp.array2d[float]
-    """(N, B) along the direction of search: each solid has its own, so that no other's contacts slow it down."""
+    """(N, B) along the direction of search: each group has its own, so that no other's contacts slow it down."""
     turned: wp.array2d[float]
     """(N, B) part of the last direction in the new one."""
+    group: wp.array2d[int]
+    """(N, B) lowest number of the solids that touch each other in this step: they are solved as one."""
     preset: wp.array2d[int]
     """(N, B) 1 where a solid is attached as its scene says, which its second preconditioner is for."""
 
@@ -131,7 +136,14 @@ class Sites:
     owner: wp.array[int]
     contacts: int
     link: wp.array2d[int]
-    """(N, S) link that it presses on or is held by, or NONE; of the last step until it is found again."""
+    """(N, S) link that it presses on or is held by, or NONE; of the last step until it is found again. Solids have the
+    numbers after all links and the terrain."""
+    mate: wp.array2d[int]
+    """(N, S) cell of a solid that it presses on, or NONE."""
+    mate_at: wp.array2d[wp.vec3]
+    """(N, S) local coordinates in that cell."""
+    rest: wp.array[wp.vec3]
+    """(contacts,) m at rest, in the frame of the mesh."""
     normal: wp.array2d[wp.vec3]
     firm: wp.array2d[wp.vec2]
     """N/m along the normal and across it, in this step."""
@@ -146,7 +158,7 @@ class Sites:
     stuck: wp.array2d[int]
     """(N, contacts) link on which a point sticks, from step to step, or NONE."""
     place: wp.array2d[wp.vec3]
-    """Where it sticks, in the frame of that link."""
+    """Where it sticks, in the frame of that link; of a solid, in that of its mesh."""
     blocked: wp.array2d[float]
     """(N, F) part in which the engine holds each free body, between fingers or on a floor."""
     set: wp.array[int]
@@ -217,12 +229,17 @@ def mean_stretch(s: Solids, env: int, b: int, ahead: float) -> wp.mat33:
 
 @wp.func
 def turn_cell(s: Solids, env: int, c: int):
-    s.turn[env, c] = rotation(stretched(s, env, c, 1.0), s.turn[env, c], TURNS)
+    f = stretched(s, env, c, 1.0)
+    s.turn[env, c] = rotation(f, s.turn[env, c], TURNS)
+    if s.inside.meets == 1:
+        inside.prepare_cell(s.inside, env, c, f)
 
 
 @wp.func
 def turn_body(s: Solids, env: int, b: int):
     s.body_turn[env, b] = rotation(mean_stretch(s, env, b, 1.0), s.body_turn[env, b], TURNS)
+    if s.inside.meets == 1:
+        inside.prepare_body(s.inside, env, b)
 
 
 # Forces ------------------------------------------------------------------------------------------------------------
@@ -273,7 +290,7 @@ def own_force(s: Solids, gravity: wp.array[wp.vec3], env: int, i: int, h: float)
     free = s.v[env, i] * h
     if s.fresh[env, s.body[i]] == 0:
         free = s.d[env, i] / 3.0 + (s.v[env, i] * 4.0 - s.before[env, i]) * (2.0 * h / 9.0)
-    return (free - s.d[env, i]) * inertia + gravity[env] * (inertia / (by * by))
+    return (free - s.d[env, i]) * inertia + gravity[env] * (inertia / (by * by)) + s.load[env, i]
 
 
 # Sites -------------------------------------------------------------------------------------------------------------
@@ -285,6 +302,15 @@ def of_nodes(s: Solids, t: Sites, field: wp.array2d[wp.vec3], env: int, k: int) 
     found, c = wp.vec3(), t.cell[k]
     for i in range(NODES):
         found += field[env, s.cells[c, i]] * t.weights[k, i]
+    return found
+
+
+@wp.func
+def relative(s: Solids, t: Sites, field: wp.array2d[wp.vec3], env: int, k: int) -> wp.vec3:
+    """A field of nodes at a site, less that of the solid that it presses on."""
+    found, c = of_nodes(s, t, field, env, k), t.mate[env, k]
+    if c != NONE:
+        found -= inside.blended(s.cells, field, env, c, t.mate_at[env, k])
     return found
 
 
@@ -363,6 +389,42 @@ def blocked(b: Bodies, gravity: wp.vec3, env: int, i: int) -> float:
 
 
 @wp.func
+def mated(s: Solids, t: Sites, env: int, k: int) -> inside.Place:
+    """Return where a point of contact is deepest in another solid, or in one that may touch itself."""
+    own, x = s.cell_body[t.cell[k]], t.x[env, k] + of_nodes(s, t, s.d, env, k)
+    best = inside.Place()
+    best.cell = NONE
+    for b in range(s.owner.shape[0]):
+        if b != own or s.inside.touches[b] == 1:
+            found = inside.found_in(s.inside, env, b, x, 0.0, 1.0)
+            # What is near at rest touches already.
+            near = b == own and wp.length(found.rest - t.rest[k]) < s.inside.reach[b]
+            if found.cell != NONE and not near and (best.cell == NONE or found.depth > best.depth):
+                best = found
+    return best
+
+
+@wp.func
+def at_rest(s: Solids, t: Sites, links: Links, env: int, k: int, x: wp.vec3, link: int) -> wp.vec3:
+    """Return where a point that touches is, in the frame of the link, or of the mesh of the solid, that it touches."""
+    c = t.mate[env, k]
+    if c == NONE:
+        return wp.transform_point(wp.transform_inverse(links.link[env, link]), x)
+    return s.inside.middle[c] + wp.cw_mul(t.mate_at[env, k], s.size[s.cell_body[c]] * 0.5)
+
+
+@wp.func
+def stuck_at(s: Solids, t: Sites, links: Links, moved: wp.array2d[wp.vec3], env: int, k: int, link: int) -> wp.vec3:
+    """Return where the place that a point sticks to is, with what the nodes of a solid moved."""
+    c = t.mate[env, k]
+    if c == NONE:
+        return wp.transform_point(links.link[env, link], t.place[env, k])
+    # By the cell that is touched now, also where the place is a little outside of it.
+    u = wp.cw_div(t.place[env, k] - s.inside.middle[c], s.size[s.cell_body[c]] * 0.5)
+    return inside.blended(s.cells, s.x, env, c, u) + inside.blended(s.cells, moved, env, c, u)
+
+
+@wp.func
 def touch(
     s: Solids, t: Sites, links: Links, shapes: Shapes, felt: Felt, parameters: wp.array3d[float], env: int, k: int
 ) -> bool:
@@ -372,8 +434,17 @@ def touch(
     place is dragged along beyond it. A point that holds does not creep.
     """
     # One surface only: what two fingers hold has its two sides at other points.
-    deepest, shape, n = float(0.0), int(-1), wp.vec3()
-    near, x = int(0), wp.vec3()
+    deepest, shape, n, x = float(0.0), int(-1), wp.vec3(), wp.vec3()
+    t.mate[env, k] = NONE
+    if s.inside.meets == 1:
+        met = mated(s, t, env, k)
+        if met.cell != NONE:
+            deepest = met.depth
+            t.mate[env, k] = met.cell
+            t.mate_at[env, k] = met.local
+            n = met.normal
+            x = t.x[env, k] + of_nodes(s, t, s.d, env, k)
+    near = int(0)
     kind = env % shapes.kind.shape[0]
     while near < NEAREST:
         found = felt.near[env, k, near]
@@ -388,23 +459,32 @@ def touch(
                 deepest = way[3]
                 shape = found
                 n = wp.vec3(way[0], way[1], way[2])
-    if shape < 0:
+                t.mate[env, k] = NONE
+    if deepest <= 0.0:
         t.link[env, k] = NONE
         t.stuck[env, k] = NONE
         return False
-    link = shapes.link[kind, shape]
+    link, pressed_on = int(0), t.mate[env, k]
+    other, friction = s.cell_body[wp.max(pressed_on, 0)], float(0.0)
+    if pressed_on != NONE:
+        link = links.link.shape[1] + other
+        friction = parameters[env, s.owner[other], 3]
+    else:
+        link = shapes.link[kind, shape]
+        friction = felt.friction[env, shape]
     t.last[env, k] = remembered(t, env, k, link)
-    pose = links.link[env, link]
     # Firmness is that of the area that faces the surface: a point at an edge also has the area of its other side.
     facing = wp.quat_rotate_inv(s.turn[env, t.cell[k]], n)
     firm = wp.dot(facing, t.stiffness[k] * facing)
+    if pressed_on != NONE:
+        firm = firm * s.inside.share[s.cell_body[t.cell[k]], other]
     t.whole[env, k] = firm
     if t.stuck[env, k] != link:
         t.stuck[env, k] = link
-        t.place[env, k] = wp.transform_point(wp.transform_inverse(pose), x)
-    slip = x - wp.transform_point(pose, t.place[env, k])
+        t.place[env, k] = at_rest(s, t, links, env, k, x, link)
+    slip = x - stuck_at(s, t, links, s.d, env, k, link)
     slip = slip - n * wp.dot(n, slip)
-    friction = wp.max(parameters[env, t.owner[k], 3], felt.friction[env, shape])
+    friction = wp.max(parameters[env, t.owner[k], 3], friction)
     # What presses now is not known before the solution, where points at an edge may let go; it is as in the last step.
     most, across = friction * wp.max(wp.dot(n, t.last[env, k]), 0.0), float(firm)
     if firm * wp.length(slip) >= most:
@@ -442,23 +522,29 @@ def grip(s: Solids, t: Sites, held: Particles, links: Links, env: int, k: int) -
 @wp.func
 def let_slip(s: Solids, t: Sites, links: Links, solve: Solve, env: int, k: int):
     """Forces of a site at the end of the step, and where a point that slid sticks from now on."""
-    moved = of_nodes(s, t, solve.delta, env, k)
-    force = t.force[env, k] - resist(t, env, k, moved)
+    force = t.force[env, k] - resist(t, env, k, relative(s, t, solve.delta, env, k))
     t.force[env, k] = force
     # Held vertices neither slide nor let go.
     if k >= t.contacts:
         return
     n, firm = t.normal[env, k], wp.max(t.whole[env, k], 1.0e-9)
-    pose = links.link[env, t.link[env, k]]
-    x = t.x[env, k] + of_nodes(s, t, s.d, env, k) + moved
-    stuck = wp.transform_point(pose, t.place[env, k])
-    slip = x - stuck
+    link, c = t.link[env, k], t.mate[env, k]
+    x = t.x[env, k] + of_nodes(s, t, s.d, env, k) + of_nodes(s, t, solve.delta, env, k)
+    slip = x - stuck_at(s, t, links, s.d, env, k, link)
+    if c != NONE:
+        u = wp.cw_div(t.place[env, k] - s.inside.middle[c], s.size[s.cell_body[c]] * 0.5)
+        slip -= inside.blended(s.cells, solve.delta, env, c, u)
     slip = slip - n * wp.dot(n, slip)
     most, length = t.limit[env, k] * wp.max(wp.dot(n, force), 0.0) / firm, wp.length(slip)
-    place = x
+    if c != NONE:
+        # What is beyond the limit drags the place along, in the axes of the cell.
+        if length > most:
+            way = s.inside.inner[env, c] * (slip * (1.0 - most / length))
+            t.place[env, k] = t.place[env, k] + wp.cw_mul(way, s.size[s.cell_body[c]] * 0.5)
+        return
     if length > most:
         slip = slip * (most / length)
-    t.place[env, k] = wp.transform_point(wp.transform_inverse(pose), place - slip)
+    t.place[env, k] = wp.transform_point(wp.transform_inverse(links.link[env, link]), x - slip)
 
 
 @wp.func
@@ -494,12 +580,12 @@ def to_rows(s: Solids, solve: Solve, env: int, i: int):
 
 
 @wp.func
-def from_rows(s: Solids, solve: Solve, env: int, i: int):
-    """Turn what the preconditioner made of it back."""
+def turned_back(s: Solids, solve: Solve, env: int, i: int) -> wp.vec3:
+    """Return the preconditioned residual of a node, in the axes of the world."""
     b = s.body[i]
     first = s.first_row[b] + 3 * (i - s.first_node[b])
     local = wp.vec3(solve.out[env, first], solve.out[env, first + 1], solve.out[env, first + 2])
-    solve.z[env, i] = wp.quat_rotate(s.body_turn[env, b], local)
+    return wp.quat_rotate(s.body_turn[env, b], local)
 
 
 @wp.func
@@ -520,6 +606,24 @@ def conclude_node(s: Solids, solve: Solve, env: int, i: int, h: float):
     s.v[env, i] = (d - before) * rate(s, env, s.body[i], h)
     s.d[env, i] = d
     s.x[env, i] = s.x[env, i] + d
+
+
+@wp.func
+def group_solids(s: Solids, t: Sites, solve: Solve, env: int):
+    """Number the groups of solids that touch each other."""
+    count = s.owner.shape[0]
+    for b in range(count):
+        solve.group[env, b] = b
+    if s.inside.meets == 1:
+        for k in range(t.contacts):
+            c = t.mate[env, k]
+            if c != NONE:
+                one = int(solve.group[env, s.cell_body[t.cell[k]]])
+                other = int(solve.group[env, s.cell_body[c]])
+                if one != other:
+                    for i in range(count):
+                        if solve.group[env, i] == wp.max(one, other):
+                            solve.group[env, i] = wp.min(one, other)
 
 
 @wp.func

@@ -13,8 +13,10 @@ import warp as wp
 from orbit_matter.bodies import Bodies
 from orbit_matter.contact import Felt
 from orbit_matter.kernels import Links, Particles
+from orbit_matter.solids import inside
 from orbit_matter.solids import kernels as k
-from orbit_matter.solids.kernels import MIDDLE, NODES, Sites, Solids, Solve
+from orbit_matter.solids.inside import MIDDLE, NODES
+from orbit_matter.solids.kernels import Sites, Solids, Solve
 from orbit_matter.surfaces import Shapes
 
 
@@ -93,12 +95,25 @@ def bend(s: Solids, solve: Solve, g: Gather, h: float):
     g.pull[env, number] = axes * found * (k.stiffness_of(s, env, b) * k.damped(s, env, b, h))
 
 
+@wp.func
+def push_mate(t: Sites, g: Gather, env: int, site: int, force: wp.vec3):
+    """Add the reaction to a force at a site to what the cell that it presses on does to its nodes."""
+    c = t.mate[env, site]
+    if c != k.NONE:
+        u = t.mate_at[env, site]
+        x, y, z = inside.lines(u[0]), inside.lines(u[1]), inside.lines(u[2])
+        for i in range(NODES):
+            # The only sum whose order is left to the device; on a CPU it is that of the sites.
+            wp.atomic_sub(g.pull, env, c * NODES + i, force * inside.weight(x, y, z, i))
+
+
 @wp.kernel(enable_backward=False)
-def meet(s: Solids, t: Sites, held: Particles, links: Links, shapes: Shapes, felt: Felt):
+def meet(s: Solids, t: Sites, g: Gather, held: Particles, links: Links, shapes: Shapes, felt: Felt):
     """Linearise contacts and attachments."""
     env, site = wp.tid()
     if site < t.contacts:
-        k.touch(s, t, links, shapes, felt, s.parameters, env, site)
+        if k.touch(s, t, links, shapes, felt, s.parameters, env, site):
+            push_mate(t, g, env, site, t.force[env, site])
     else:
         k.grip(s, t, held, links, env, site)
 
@@ -151,14 +166,18 @@ def choose(s: Solids, t: Sites, solve: Solve, held: Particles):
     """Choose the preconditioner of each solid."""
     env, b = wp.tid()
     solve.preset[env, b] = k.is_preset(t, held, s, env, b)
+    if b == 0:
+        k.group_solids(s, t, solve, env)
 
 
 @wp.kernel(enable_backward=False)
-def resist(s: Solids, t: Sites, solve: Solve):
+def resist(s: Solids, t: Sites, solve: Solve, g: Gather):
     """Compute the forces of sites against the direction p."""
     env, site = wp.tid()
     if t.link[env, site] != k.NONE:
-        t.pull[env, site] = k.resist(t, env, site, k.of_nodes(s, t, solve.p, env, site))
+        force = k.resist(t, env, site, k.relative(s, t, solve.p, env, site))
+        t.pull[env, site] = force
+        push_mate(t, g, env, site, force)
 
 
 @wp.func
@@ -191,6 +210,7 @@ def begin(s: Solids, t: Sites, solve: Solve, g: Gather, gravity: wp.array[wp.vec
     env, i = wp.tid()
     solve.r[env, i] = k.own_force(s, gravity, env, i, h) + gathered(g, t, t.force, env, i)
     solve.delta[env, i] = wp.vec3()
+    s.load[env, i] = wp.vec3()
     k.to_rows(s, solve, env, i)
 
 
@@ -223,9 +243,13 @@ def aim(s: Solids, solve: Solve, first: int):
     """Compute the product of residual and direction, and how much of the last direction the new one keeps."""
     env, b = wp.tid()
     rz, old = float(0.0), float(solve.rz[env, b])
+    # Each solid of a group sums up all of it, in the same order.
+    for other in range(s.owner.shape[0]):
+        if solve.group[env, other] == solve.group[env, b]:
+            for i in range(s.first_node[other], s.first_node[other + 1]):
+                rz += wp.dot(solve.r[env, i], k.turned_back(s, solve, env, i))
     for i in range(s.first_node[b], s.first_node[b + 1]):
-        k.from_rows(s, solve, env, i)
-        rz += wp.dot(solve.r[env, i], solve.z[env, i])
+        solve.z[env, i] = k.turned_back(s, solve, env, i)
     solve.rz[env, b] = rz
     solve.turned[env, b] = wp.where(first == 1, 0.0, k.quotient(rz, old))
 
@@ -245,8 +269,10 @@ def measure(s: Solids, solve: Solve):
     """Compute how far to go along the direction."""
     env, b = wp.tid()
     pq = float(0.0)
-    for i in range(s.first_node[b], s.first_node[b + 1]):
-        pq += wp.dot(solve.p[env, i], solve.q[env, i])
+    for other in range(s.owner.shape[0]):
+        if solve.group[env, other] == solve.group[env, b]:
+            for i in range(s.first_node[other], s.first_node[other + 1]):
+                pq += wp.dot(solve.p[env, i], solve.q[env, i])
     solve.step[env, b] = k.quotient(solve.rz[env, b], pq)
 
 

@@ -58,21 +58,5 @@ def light_bodies(layout: SceneLayout) -> tuple[Approximation, ...]:
     return tuple(found)
 
 
-def apart(layout: SceneLayout) -> tuple[Approximation, ...]:
-    """Report deformables that solids of the scene pass through."""
-    names = [f"'{spec.name}'" for spec in layout.scene.deformables]
-    if len(names) < 2:
-        return ()
-    return tuple(
-        Approximation(
-            f"'{spec.name}'",
-            f"contact with {', '.join(name for name in names if name != repr(spec.name))}",
-            "none: they pass through each other",
-            "solids meet links and terrain, and no other deformables",
-        )
-        for spec in _solids(layout)
-    )
-
-
 def _solids(layout: SceneLayout) -> tuple[SoftBody, ...]:
     return tuple(spec for spec in layout.scene.deformables if isinstance(spec, SoftBody))

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.scene import Scene, SoftBody
-from orbit_matter.solids.element import FloatArray
+from orbit_matter.solids.distance import Lattice, is_convex, lattice
+from orbit_matter.solids.element import CENTER, FloatArray
 from orbit_matter.solids.grid import Embedding, IntArray, embed
 from orbit_matter.solids.kernels import LANES
 
@@ -61,6 +62,18 @@ class SolidModel:
     """(blocks of columns, LANES)"""
     inverse_at: IntArray
     """(B, 2) where the preconditioner of the free and of the attached solid begins."""
+    middles: npt.NDArray[np.float32]
+    """(C, 3) m of cells at rest, in the frame of each mesh."""
+    contact_rest: npt.NDArray[np.float32]
+    """(contacts, 3) m of points of contact, in the frame of each mesh."""
+    lattices: tuple[Lattice, ...]
+    """Distances to the surface of each solid; none where matter meets only links."""
+    touches: IntArray
+    """(B,) 1 for solids that may touch themselves."""
+    reach: npt.NDArray[np.float32]
+    """(B,) m at rest, within which points of one are too near to each other to touch."""
+    shares: npt.NDArray[np.float32]
+    """(B, B) part of its firmness with which a point of the first presses on the second."""
     fits: tuple[npt.NDArray[np.float32], ...]
     """(n, V) of each solid: nodes that put vertices where they are written."""
 
@@ -86,6 +99,8 @@ def build(scene: Scene, h: float) -> SolidModel:
         for held in spec.attachments:
             attached[site_starts[len(parts) + number] + np.array(held.particles, np.int64)] = 1
     inverses, places = _preconditioners([spec for _, spec in found], h)
+    concave = [not is_convex(spec) for _, spec in found]
+    meets = bool(found) and (len(scene.deformables) > 1 or any(concave))
     return SolidModel(
         deformables=tuple(n for n, _ in found),
         embeddings=tuple(parts),
@@ -106,6 +121,12 @@ def build(scene: Scene, h: float) -> SolidModel:
         attached=attached,
         inverses=inverses,
         inverse_at=places,
+        middles=_joined([part.nodes[part.cells[:, CENTER]] for part in parts], (3,)),
+        contact_rest=_joined([part.weights_of(part.contacts) @ part.nodes for part in parts], (3,)),
+        lattices=tuple(_lattice(_Key(spec)) for _, spec in found) if meets else (),
+        touches=np.array(concave, np.int32),
+        reach=np.array([part.size.max() for part in parts], np.float32),
+        shares=_shares([spec for _, spec in found], parts),
         fits=tuple(_fit(part).astype(np.float32) for part in parts),
     )
 
@@ -132,6 +153,12 @@ def _embedded(key: _Key) -> Embedding:
     return embed(key.spec)
 
 
+@functools.lru_cache(maxsize=32)
+def _lattice(key: _Key) -> Lattice:
+    """Measure the distances of a solid, once in a process."""
+    return lattice(key.spec, _embedded(key))
+
+
 def _starts(counts: list[int]) -> IntArray:
     return np.cumsum([0, *counts]).astype(np.int32)
 
@@ -149,6 +176,13 @@ def _shifted(parts: list[IntArray], starts: IntArray, shape: tuple[int, ...]) ->
 def _contact_firmness(spec: SoftBody, part: Embedding, h: float) -> FloatArray:
     areas = part.contacts.areas
     return CONTACT_SHARE * spec.mass / (h * h) * areas / np.einsum("pii->", areas)
+
+
+def _shares(specs: list[SoftBody], parts: list[Embedding]) -> npt.NDArray[np.float32]:
+    """Return the part of its firmness with which a point of each solid (B, 1) presses on each other one (1, B)."""
+    # Both have points where they touch, each with a half of what the less firm of them has on a square metre.
+    firm = np.array([s.mass / np.einsum("pii->", p.contacts.areas) for s, p in zip(specs, parts, strict=True)])
+    return (0.5 * np.minimum(1.0, firm[None] / np.maximum(firm[:, None], 1e-300))).astype(np.float32)
 
 
 def _hold(spec: SoftBody, part: Embedding) -> float:

@@ -15,7 +15,7 @@ from torch import Tensor
 from orbit_matter import contact
 from orbit_matter import kernels as particles
 from orbit_matter import rows as particle_rows
-from orbit_matter.solids import kernels, launches, rows
+from orbit_matter.solids import inside, kernels, launches, laying, rows
 from orbit_matter.solids.kernels import LANES
 from orbit_matter.solids.model import SolidModel
 
@@ -73,6 +73,30 @@ class SolidPart:
         columns = np.ascontiguousarray(model.stiffness.transpose(0, 2, 1))
         made.stiffness, made.flat = _shared(columns, kernels.Column)
         made.inverse, made.flat_inverse = _shared(model.inverses, kernels.Lanes)
+        made.load = wp.from_torch(memory["solid_load"], wp.vec3)
+        made.inside = self._make_insides(made)
+        return made
+
+    def _make_insides(self, solids: Any) -> Any:
+        made, model = inside.Insides(), self._model
+        for name in ("x", "d", "cells", "cell_body", "first_cell", "first_node", "size"):
+            setattr(made, name, getattr(solids, name))
+        made.meets = int(bool(model.lattices))
+        made.low, made.high = (wp.zeros((self._n, self._bodies), dtype=wp.vec3) for _ in range(2))
+        made.inner = wp.zeros((self._n, len(model.cells)), dtype=wp.mat33)
+        made.middle = wp.array(model.middles, dtype=wp.vec3)
+        made.touches, made.reach = _ints(model.touches), wp.array(model.reach, dtype=float)
+        made.share = wp.array(model.shares, dtype=float)
+        lattices = model.lattices
+        made.begin, made.spacing = (
+            wp.array(np.array(rows, np.float32).reshape(-1, 3), dtype=wp.vec3)
+            for rows in ([each.low for each in lattices], [each.spacing for each in lattices])
+        )
+        counts = np.array([each.values.shape for each in lattices], np.int32)
+        made.count = wp.array(counts.reshape(-1, 3), dtype=wp.vec3i)
+        made.at = _ints(np.cumsum([0, *(each.values.size for each in lattices)])[:-1])
+        distances = [each.values.ravel() for each in lattices]
+        made.distance = wp.array(np.concatenate([np.zeros(0, np.float32), *distances]), dtype=float)
         return made
 
     def _make_solve(self) -> Any:
@@ -88,7 +112,7 @@ class SolidPart:
         )
         for name in ("rz", "step", "turned"):
             setattr(made, name, wp.zeros((self._n, self._bodies), dtype=float))
-        made.preset = wp.zeros((self._n, self._bodies), dtype=int)
+        made.preset, made.group = (wp.zeros((self._n, self._bodies), dtype=int) for _ in range(2))
         return made
 
     def _make_sites(self, memory: Mapping[str, Tensor]) -> Any:
@@ -107,6 +131,8 @@ class SolidPart:
         made.firm, made.limit = wp.zeros(shape, dtype=wp.vec2), wp.zeros(shape, dtype=float)
         made.stuck, made.place = wp.from_torch(memory["site_stuck"]), wp.from_torch(memory["site_place"], wp.vec3)
         made.count = wp.zeros(self._n, dtype=int)
+        made.mate, made.mate_at = wp.full(shape, -1, dtype=int), wp.zeros(shape, dtype=wp.vec3)
+        made.rest = wp.array(model.contact_rest, dtype=wp.vec3)
         return made
 
     def _make_gather(self) -> Any:
@@ -179,6 +205,10 @@ class SolidPart:
         inputs = [self._sites, self._free, links, self._h**2, int(lasting)]
         wp.launch(launches.push, self._free.link.shape, inputs=inputs)
 
+    def launch_lay(self, others: Any, stiffness: float, h: float, share: float) -> None:
+        """Move particles of other matter out of solids, at the end of a substep that is a ``share`` of a step."""
+        wp.launch(laying.lay, others.x.shape, inputs=[others, self._solids, stiffness, h, share])
+
     def launch_step(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
         """Advance by one step of the solids, a ``share`` of a physics step, against links where it ends."""
         if self.takes_rows:
@@ -200,7 +230,7 @@ class SolidPart:
         wp.launch(launches.turn_bodies, (n, self._bodies), inputs=[s])
         wp.launch(launches.turn, (n, cells), inputs=[s])
         wp.launch(launches.strain, (n, 27 * cells), inputs=[s, g, h])
-        wp.launch(launches.meet, (n, sites), inputs=[s, t, self._held, links, shapes, self._felt])
+        wp.launch(launches.meet, (n, sites), inputs=[s, t, g, self._held, links, shapes, self._felt])
         wp.launch(launches.soften, self._free.link.shape, inputs=[t, self._free, links, h])
         wp.launch(launches.choose, (n, self._bodies), inputs=[s, t, solve, self._held])
         wp.launch(launches.begin, (n, nodes), inputs=[s, t, solve, g, gravity, h])
@@ -209,7 +239,7 @@ class SolidPart:
             wp.launch(launches.aim, (n, self._bodies), inputs=[s, solve, int(iteration == 0)])
             wp.launch(launches.direct, (n, nodes), inputs=[s, solve])
             wp.launch(launches.bend, (n, 27 * cells), inputs=[s, solve, g, h])
-            wp.launch(launches.resist, (n, sites), inputs=[s, t, solve])
+            wp.launch(launches.resist, (n, sites), inputs=[s, t, solve, g])
             wp.launch(launches.apply, (n, nodes), inputs=[s, t, solve, g, h])
             wp.launch(launches.measure, (n, self._bodies), inputs=[s, solve])
             wp.launch(launches.advance, (n, nodes), inputs=[s, solve])

@@ -13,8 +13,10 @@ import warp as wp
 from orbit_matter.bodies import Bodies
 from orbit_matter.contact import Felt
 from orbit_matter.kernels import Links, Particles
+from orbit_matter.solids import inside
 from orbit_matter.solids import kernels as k
-from orbit_matter.solids.kernels import MIDDLE, NODES, Column, Lanes, Sites, Solids, Solve
+from orbit_matter.solids.inside import MIDDLE, NODES
+from orbit_matter.solids.kernels import Column, Lanes, Sites, Solids, Solve
 from orbit_matter.surfaces import Shapes
 
 
@@ -45,6 +47,18 @@ def scatter_site(s: Solids, t: Sites, to: wp.array2d[wp.vec3], env: int, site: i
         to[env, node] = to[env, node] + force * t.weights[site, i]
 
 
+@wp.func
+def scatter_mate(s: Solids, t: Sites, to: wp.array2d[wp.vec3], env: int, site: int, force: wp.vec3):
+    """Add the reaction to a force at a site to the nodes of the solid that it presses on."""
+    c = t.mate[env, site]
+    if c != k.NONE:
+        u = t.mate_at[env, site]
+        x, y, z = inside.lines(u[0]), inside.lines(u[1]), inside.lines(u[2])
+        for i in range(NODES):
+            node = s.cells[c, i]
+            to[env, node] = to[env, node] - force * inside.weight(x, y, z, i)
+
+
 @wp.kernel(enable_backward=False)
 def begin(s: Solids, solve: Solve, gravity: wp.array[wp.vec3], h: float):
     """Update rotations, and compute the residual at the point of linearisation without what sites add."""
@@ -54,6 +68,7 @@ def begin(s: Solids, solve: Solve, gravity: wp.array[wp.vec3], h: float):
     for i in range(s.x.shape[1]):
         solve.r[env, i] = k.own_force(s, gravity, env, i, h)
         solve.delta[env, i] = wp.vec3()
+        s.load[env, i] = wp.vec3()
     for c in range(s.cells.shape[0]):
         k.turn_cell(s, env, c)
         axes, local = wp.quat_to_matrix(s.turn[env, c]), Column()
@@ -92,6 +107,8 @@ def meet(
                 k.soften(t, b, links, env, i, t.active[env, n], firm, h)
     for n in range(count):
         scatter_site(s, t, solve.r, env, t.active[env, n], t.force[env, t.active[env, n]])
+        scatter_mate(s, t, solve.r, env, t.active[env, n], t.force[env, t.active[env, n]])
+    k.group_solids(s, t, solve, env)
     for solid in range(s.owner.shape[0]):
         solve.preset[env, solid] = k.is_preset(t, held, s, env, solid)
 
@@ -111,9 +128,19 @@ def precondition(s: Solids, solve: Solve, env: int, b: int) -> float:
         solve.out_lanes[env, first / k.LANES + block] = found
     rz = float(0.0)
     for i in range(begin, end):
-        k.from_rows(s, solve, env, i)
+        solve.z[env, i] = k.turned_back(s, solve, env, i)
         rz += wp.dot(solve.r[env, i], solve.z[env, i])
     return rz
+
+
+@wp.func
+def in_group(s: Solids, solve: Solve, env: int, b: int) -> float:
+    """Sum of residual times direction over the group of a solid."""
+    found = float(0.0)
+    for other in range(s.owner.shape[0]):
+        if solve.group[env, other] == solve.group[env, b]:
+            found += solve.rz[env, other]
+    return found
 
 
 @wp.func
@@ -131,8 +158,9 @@ def apply(s: Solids, t: Sites, solve: Solve, h: float, env: int):
         scatter(s, solve.q, env, c, axes, pull(s, c, local), k.stiffness_of(s, env, b) * k.damped(s, env, b, h))
     for n in range(t.count[env]):
         site = t.active[env, n]
-        moved = k.of_nodes(s, t, solve.p, env, site)
-        scatter_site(s, t, solve.q, env, site, k.resist(t, env, site, moved))
+        force = k.resist(t, env, site, k.relative(s, t, solve.p, env, site))
+        scatter_site(s, t, solve.q, env, site, force)
+        scatter_mate(s, t, solve.q, env, site, force)
 
 
 @wp.kernel(enable_backward=False)
@@ -147,20 +175,31 @@ def solve_all(s: Solids, t: Sites, solve: Solve, h: float, iterations: int):
     for iteration in range(iterations):
         apply(s, t, solve, h, env)
         for b in range(solids):
-            begin, end, old = s.first_node[b], s.first_node[b + 1], solve.rz[env, b]
+            solve.step[env, b] = 0.0
+        for b in range(solids):
             pq = float(0.0)
-            for i in range(begin, end):
+            for i in range(s.first_node[b], s.first_node[b + 1]):
                 pq += wp.dot(solve.p[env, i], solve.q[env, i])
-            step = k.quotient(old, pq)
-            for i in range(begin, end):
+            group = solve.group[env, b]
+            solve.step[env, group] = solve.step[env, group] + pq
+        for b in range(solids):
+            # The lowest number of a group is its own, and comes first: its sum is read before it is replaced.
+            group = solve.group[env, b]
+            if group == b:
+                solve.step[env, b] = k.quotient(in_group(s, solve, env, b), solve.step[env, b])
+            step = solve.step[env, group]
+            for i in range(s.first_node[b], s.first_node[b + 1]):
                 solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
                 solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
-            # The last direction would not be used.
-            if iteration + 1 < iterations:
-                rz = precondition(s, solve, env, b)
-                turned = k.quotient(rz, old)
-                solve.rz[env, b] = rz
-                for i in range(begin, end):
+        # The last direction would not be used.
+        if iteration + 1 < iterations:
+            for b in range(solids):
+                solve.turned[env, b] = in_group(s, solve, env, b)
+            for b in range(solids):
+                solve.rz[env, b] = precondition(s, solve, env, b)
+            for b in range(solids):
+                turned = k.quotient(in_group(s, solve, env, b), solve.turned[env, b])
+                for i in range(s.first_node[b], s.first_node[b + 1]):
                     solve.p[env, i] = solve.z[env, i] + solve.p[env, i] * turned
 
 

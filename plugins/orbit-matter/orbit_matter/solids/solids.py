@@ -48,6 +48,7 @@ class Solids:
             "solid_v": torch.zeros(nodes, 3, **make),
             "solid_before": torch.zeros(nodes, 3, **make),
             "solid_d": torch.zeros(nodes, 3, **make),
+            "solid_load": torch.zeros(nodes, 3, **make),
             "solid_fresh": torch.ones(len(specs), dtype=torch.int32, device=device),
             "solid_turn": bodies.repeat_interleave(counts.to(device), dim=0),
             "solid_body_turn": bodies,

@@ -27,7 +27,7 @@ from orbit_core import backends
 from orbit_core.envs import ObservationGroup, ObservationTerm, make
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.task import Task
-from orbit_core.mdp.images import camera_color, camera_depth
+from orbit_core.mdp.sensing import camera_color, camera_depth
 from orbit_core.scene import (
     CameraSpec,
     Channel,

@@ -223,7 +223,7 @@ def _summary(result: Result) -> Table:
 
 def _compare(words: Sequence[str]) -> int:
     settings = parse_words(CompareSettings, words, f"{PROGRAM} compare")
-    from orbit_conformance.compare import compare
+    from orbit_conformance.merge import compare
     from orbit_conformance.results import load
 
     comparison = compare(load(settings.before), load(settings.after))

@@ -15,8 +15,7 @@ from torch import Tensor
 
 from orbit_assets.joint_models import BALL, compound
 from orbit_conformance.bodies import WEIGHTLESS, G, ball, cube, fixed, index, scene
-from orbit_conformance.contract.fixtures import MakeEngine, Needs
-from orbit_conformance.contract.truth import assert_near
+from orbit_conformance.contract.fixtures import MakeEngine, Needs, assert_near
 from orbit_core.interfaces import TERRAIN, Capability, Engine
 from orbit_core.scene import (
     Articulation,

@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from orbit_conformance.bodies import WEIGHTLESS, geared, index, pendulum, rotor, scene, slider
-from orbit_conformance.contract.fixtures import MakeEngine, Needs
-from orbit_conformance.contract.truth import assert_near
+from orbit_conformance.contract.fixtures import MakeEngine, Needs, assert_near
 from orbit_core.actuators.stability import ExplicitGains, unstable_drive
 from orbit_core.interfaces import Backend, Capability, DriveIntegration
 from orbit_core.scene import Articulation, IdealPd, ImplicitPd, Joint, JointType, Link, Pose, RobotSpec

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from orbit_conformance.bodies import WEIGHTLESS, cube, index, scene, yaw_quaternion
-from orbit_conformance.contract.fixtures import MakeEngine, Needs
-from orbit_conformance.contract.truth import assert_near
+from orbit_conformance.contract.fixtures import MakeEngine, Needs, assert_near
 from orbit_core.interfaces import BACKGROUND, TERRAIN, Capability
 
 TOLERANCE = {"rtol": 0, "atol": 1e-4}

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from orbit_conformance.bodies import cube, index, pendulum, scene
-from orbit_conformance.contract.fixtures import MakeEngine, Needs
-from orbit_conformance.contract.truth import assert_near
+from orbit_conformance.contract.fixtures import MakeEngine, Needs, assert_near
 from orbit_core.interfaces import Backend, Capability, Engine, SimulationError
 from orbit_core.scene import ImplicitPd, Pose, Scene, SensorSpec
 

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from orbit_conformance.bodies import cube, index, scene
-from orbit_conformance.contract.fixtures import MakeEngine, Needs
-from orbit_conformance.contract.truth import assert_near
+from orbit_conformance.contract.fixtures import MakeEngine, Needs, assert_near
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, Box, Capsule, Cylinder, ObjectSpec, Pose, Shape, Sphere
 from orbit_core.scene.shapes import Geometry

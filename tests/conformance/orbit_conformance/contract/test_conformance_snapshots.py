@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_conformance.bodies import cube, index, pendulum, scene
-from orbit_conformance.contract.fixtures import MakeEngine, Needs
+from orbit_conformance.contract.fixtures import MakeEngine, Needs, assert_near
 from orbit_conformance.contract.test_conformance_reset import (
     COMMANDS,
     STATE,
@@ -18,7 +18,6 @@ from orbit_conformance.contract.test_conformance_reset import (
     drive,
     everything,
 )
-from orbit_conformance.contract.truth import assert_near
 from orbit_core.interfaces import TERRAIN, Backend, Capability, Engine, Level
 from orbit_core.scene import ContactSensorSpec, ForceTorqueSpec
 

@@ -12,8 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from orbit_conformance.bodies import WEIGHTLESS, ball, body, cube, index, pendulum, rotor, scene, tree, yaw_quaternion
-from orbit_conformance.contract.fixtures import MakeEngine
-from orbit_conformance.contract.truth import assert_near
+from orbit_conformance.contract.fixtures import MakeEngine, assert_near
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
 from orbit_core.world.checks import check_build
 

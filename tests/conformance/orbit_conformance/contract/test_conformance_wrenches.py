@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from orbit_conformance.bodies import WEIGHTLESS, G, cube, index, pendulum, rotor, scene, yaw_quaternion
-from orbit_conformance.contract.fixtures import MakeEngine, Needs
-from orbit_conformance.contract.truth import assert_near
+from orbit_conformance.contract.fixtures import MakeEngine, Needs, assert_near
 from orbit_core.interfaces import Capability
 from orbit_core.scene import ForceTorqueSpec, IdealPd, ImplicitPd, Pose
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from orbit_conformance.jobs import Kind
 from orbit_conformance.results import Record, Result
-from orbit_conformance.robots.check import CheckResult, RobotCheck
+from orbit_conformance.robots.check import ROBOT_GAPS, CheckResult, RobotCheck
 from orbit_conformance.robots.checks import CHECKS
-from orbit_conformance.robots.exceptions import ROBOT_GAPS
 from orbit_conformance.verdict import Status
 from orbit_core.interfaces import Gap
 

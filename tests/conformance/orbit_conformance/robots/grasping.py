@@ -10,11 +10,10 @@ import numpy as np
 import torch
 
 from orbit_assets.audit.robots.postures import all_shapes, frame_pose, gripper_posture, gripping
-from orbit_assets.convex import Convex, convex_shape, within
+from orbit_assets.decomposition import Convex, convex_shape, within
 from orbit_assets.objects import cylinder
 from orbit_conformance.bodies import WEIGHTLESS, G, scene
-from orbit_conformance.robots.bench import clamped
-from orbit_conformance.robots.check import Measures, RobotCheck
+from orbit_conformance.robots.check import Measures, RobotCheck, clamped
 from orbit_conformance.scenario import Metric, Trial
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
 from orbit_core.interfaces import World

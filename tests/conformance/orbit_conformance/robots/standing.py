@@ -6,8 +6,7 @@ import torch
 
 from orbit_assets.audit.robots.postures import lowest_point
 from orbit_conformance.bodies import scene
-from orbit_conformance.robots.bench import held_joints
-from orbit_conformance.robots.check import Measures, RobotCheck
+from orbit_conformance.robots.check import Measures, RobotCheck, held_joints
 from orbit_conformance.scenario import Metric, Trial
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import Robot, World

@@ -10,6 +10,7 @@ from orbit_conformance.scenarios import (
     contact_forces,
     drives,
     fits,
+    fluids,
     free_motion,
     friction,
     grasp,
@@ -28,6 +29,7 @@ from orbit_conformance.scenarios import (
     seals,
     sensing,
     solid_contact,
+    solid_pairs,
     solids,
     springs,
     terrain,
@@ -62,5 +64,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *cloths.SCENARIOS,
     *matter_contact.SCENARIOS,
     *solids.SCENARIOS,
+    *fluids.SCENARIOS,
     *solid_contact.SCENARIOS,
+    *solid_pairs.SCENARIOS,
 )

@@ -10,8 +10,7 @@ import numpy as np
 import torch
 
 from orbit_assets.objects import box, capsule, cylinder, mesh_object, sphere
-from orbit_conformance.bodies import WEIGHTLESS, body, scene
-from orbit_conformance.contact import SMOOTH_GROUND, prism, smooth_material
+from orbit_conformance.bodies import SMOOTH_GROUND, WEIGHTLESS, body, prism, scene, smooth_material
 from orbit_conformance.scenario import FIRST_ORDER, SINGLE, Metric, Scenario, Trial
 from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.interfaces import Capability

@@ -8,8 +8,20 @@ from collections.abc import Mapping
 import torch
 
 from orbit_assets.objects import box
-from orbit_conformance.bodies import SMOOTH, WEIGHTLESS, G, fixed, on_slope, scene, slope
-from orbit_conformance.contact import SMOOTH_GROUND, contact_sensor, marble, smooth_material, standing_solids
+from orbit_conformance.bodies import (
+    SMOOTH,
+    SMOOTH_GROUND,
+    WEIGHTLESS,
+    G,
+    contact_sensor,
+    fixed,
+    marble,
+    on_slope,
+    scene,
+    slope,
+    smooth_material,
+    standing_solids,
+)
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Box, ContactSensorSpec, Pose

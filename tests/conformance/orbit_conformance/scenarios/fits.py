@@ -10,10 +10,19 @@ import numpy as np
 import torch
 
 from orbit_assets.objects import box, cylinder
-from orbit_assets.rods import ring_on_handle
+from orbit_assets.pegs import ring_on_handle
 from orbit_assets.threads import Thread, bolt_boxes, nut_boxes
-from orbit_conformance.bodies import SMOOTH, WEIGHTLESS, G, body, fixed, scene
-from orbit_conformance.contact import SMOOTH_GROUND, contact_sensor, smooth_material
+from orbit_conformance.bodies import (
+    SMOOTH,
+    SMOOTH_GROUND,
+    WEIGHTLESS,
+    G,
+    body,
+    contact_sensor,
+    fixed,
+    scene,
+    smooth_material,
+)
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.dynamics.transforms import rotation_angle, yaw_angle
 from orbit_core.interfaces import Capability

@@ -8,8 +8,19 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from orbit_conformance.bodies import SMOOTH, G, on_slope, scene, slope
-from orbit_conformance.contact import SMOOTH_GROUND, marble, positions, smooth_material, standing_solids, velocities
+from orbit_conformance.bodies import (
+    SMOOTH,
+    SMOOTH_GROUND,
+    G,
+    marble,
+    on_slope,
+    positions,
+    scene,
+    slope,
+    smooth_material,
+    standing_solids,
+    velocities,
+)
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability, World
 from orbit_core.scene import PhysicsMaterial, Pose

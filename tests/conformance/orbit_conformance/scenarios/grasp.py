@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_conformance.bodies import G, scene
-from orbit_conformance.contact import SMOOTH_GROUND, block, smooth_material
+from orbit_conformance.bodies import SMOOTH_GROUND, G, block, scene, smooth_material
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability, World
 from orbit_core.scene import (

@@ -9,8 +9,19 @@ import torch
 from torch import Tensor
 
 from orbit_assets.objects import box
-from orbit_conformance.bodies import SMOOTH, WEIGHTLESS, G, on_slope, scene, slope
-from orbit_conformance.contact import RADIUS, SMOOTH_GROUND, block, marble, smooth_material
+from orbit_conformance.bodies import (
+    RADIUS,
+    SMOOTH,
+    SMOOTH_GROUND,
+    WEIGHTLESS,
+    G,
+    block,
+    marble,
+    on_slope,
+    scene,
+    slope,
+    smooth_material,
+)
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import Capability, Object, World

@@ -9,14 +9,20 @@ import torch
 from torch import Tensor
 
 from orbit_assets.objects import box
-from orbit_conformance.bodies import SMOOTH, G, cube, on_slope, pendulum, scene, slope
-from orbit_conformance.contact import (
+from orbit_conformance.bodies import (
     HEIGHT,
+    SMOOTH,
     SMOOTH_GROUND,
+    G,
     block,
     contact_sensor,
+    cube,
     marble,
+    on_slope,
+    pendulum,
     positions,
+    scene,
+    slope,
     smooth_material,
     standing_solids,
     velocities,

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_assets.objects import cylinder
-from orbit_conformance.bodies import SMOOTH, G, body, on_slope, scene, slope
-from orbit_conformance.contact import SMOOTH_GROUND, marble, smooth_material
+from orbit_conformance.bodies import SMOOTH, SMOOTH_GROUND, G, body, marble, on_slope, scene, slope, smooth_material
 from orbit_conformance.scenario import FIRST_ORDER, Metric, Scenario, Trial
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import Capability

@@ -84,8 +84,8 @@ def _load(trial: Trial) -> Mapping[str, float]:
     return {"force": abs(felt / (G * mass) - 1.0), "speed": speed}
 
 
+# Seconds, as in tasks.
 _FINGERS_STEP = 0.0025
-"""Seconds, as in tasks."""
 
 SCENARIOS = (
     Scenario(

@@ -24,9 +24,8 @@ from orbit_assets.terrain import (
     TerrainGrid,
     Waves,
 )
-from orbit_assets.terrain.kinds import Array
-from orbit_conformance.bodies import SMOOTH, G, scene
-from orbit_conformance.contact import marble, positions, smooth_material
+from orbit_assets.terrain.grid import Array
+from orbit_conformance.bodies import SMOOTH, G, marble, positions, scene, smooth_material
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability
 from orbit_core.plugin_kit.meshes import height_field_mesh
@@ -156,7 +155,7 @@ def _scenario(
         group="Terrain",
         question=question,
         truth=truth,
-        source="the functions that make the terrain (orbit_assets.terrain.kinds)",
+        source="the functions that make the terrain (orbit_assets.terrain.grid)",
         run=run,
         needs=needs,
         judges=needs,

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 
 from orbit_assets.objects import cylinder
-from orbit_conformance.bodies import G, fixed, scene
-from orbit_conformance.contact import SMOOTH_GROUND, block, marble, smooth_material
+from orbit_conformance.bodies import SMOOTH_GROUND, G, block, fixed, marble, scene, smooth_material
 from orbit_conformance.reference import trajectory
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_conformance.scenarios.grasp import gripper

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from orbit_assets.audit.geometry import shape_points
-from orbit_assets.convex import Convex, convex_shape
+from orbit_assets.audit.checks import shape_points
+from orbit_assets.decomposition import Convex, convex_shape
 from orbit_core.interfaces.layout import gripper_positions, home_positions
 from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Articulation, EndEffector, Gripper, Link, Pose, RobotSpec

@@ -13,8 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from orbit_assets.audit.checks import Finding, Severity, check_body, check_joints, measure_body, names_in_short
-from orbit_assets.audit.geometry import shape_points
+from orbit_assets.audit.checks import (
+    Finding,
+    Severity,
+    check_body,
+    check_joints,
+    measure_body,
+    names_in_short,
+    shape_points,
+)
 from orbit_assets.audit.robots.postures import (
     FloatArray,
     all_shapes,
@@ -26,17 +33,15 @@ from orbit_assets.audit.robots.postures import (
     lowest_point,
     shapes_in_frame,
 )
-from orbit_assets.convex import Convex, within
-from orbit_assets.self_contacts import touching_links
+from orbit_assets.catalogue import RobotEntry, robot_info
+from orbit_assets.decomposition import Convex, touching_links, within
 from orbit_core.actuators.stability import ExplicitGains, unstable_drive
 from orbit_core.dynamics.kinematics import mimic_matrix
-from orbit_core.dynamics.rigid_body import RigidBodyModel
-from orbit_core.dynamics.workspace import DriveResponse, drive_responses, workspace_mass_matrices
+from orbit_core.dynamics.rigid_body import DriveResponse, RigidBodyModel, drive_responses, workspace_mass_matrices
 from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
 from orbit_core.interfaces.layout import JointParameters, SceneLayout, actuator_of_joint, gripper_positions
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import link_poses, validate_entity
-from orbit_core.robots import RobotEntry, robot_info
 from orbit_core.scene import EndEffector, Gripper, ImplicitPd, Mesh, MeshCollision, Pose, RobotSpec, Scene
 
 # Metres that are allowed between the lowest and the highest foot.

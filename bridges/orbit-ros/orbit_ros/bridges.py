@@ -1,0 +1,173 @@
+"""Bridges by the scheme of their addresses: ``ros1://``, ``ros2://`` and ``unitree://``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl, urlsplit
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_deploy.follower import PathKind
+from orbit_deploy.link import RobotLink, RobotLinkError
+
+if TYPE_CHECKING:
+    from orbit_deploy.computer import RobotComputer
+    from orbit_deploy.description import RobotDescription
+    from orbit_deploy.link import BridgeServer
+    from orbit_ros.node import RosNode
+
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+@dataclass(frozen=True)
+class RosAddress:
+    """Parts of an address ``scheme://host:port/prefix?option=value``."""
+
+    host: str
+    port: int | None
+    path: str
+    """Prefix of topics, or a robot's name; without slashes at its ends."""
+    options: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def prefix(self) -> str:
+        """Prefix of topics."""
+        return f"{self.path}/" if self.path else ""
+
+    @staticmethod
+    def of(address: str, keys: Path | None, options: tuple[str, ...]) -> RosAddress:
+        """Read an address.
+
+        Args:
+            address: to read.
+            keys: folder of keys, which ROS has no use for.
+            options: names that the bridge knows.
+
+        Raises:
+            ConfigurationError: the address is none, an option is unknown, or other machines are reached unasked.
+        """
+        parts = urlsplit(address)
+        try:
+            port = parts.port
+        except ValueError as error:
+            raise ConfigurationError(f"'{address}' is no address: {error}") from None
+        if keys is not None:
+            raise ConfigurationError("ROS and DDS have no keys here: use zmq:// where a robot is reached by keys")
+        found = dict(parse_qsl(parts.query, keep_blank_values=True))
+        if unknown := sorted({*found} - {*options, "trusted"}):
+            known = ", ".join((*options, "trusted"))
+            raise ConfigurationError(f"'{address}' has unknown options {', '.join(unknown)}: known are {known}")
+        host = parts.hostname or "127.0.0.1"
+        if host not in _LOOPBACK and found.get("trusted") != "yes":
+            raise ConfigurationError(
+                f"ROS neither authenticates nor encrypts, and {host} is another machine: on a network of your own, "
+                "add ?trusted=yes to the address"
+            )
+        return RosAddress(host, port, parts.path.strip("/"), found)
+
+
+@dataclass(frozen=True)
+class RosBridge:
+    """Bridge over one version of ROS.
+
+    Args:
+        node: makes a connection of an address.
+    """
+
+    node: Callable[[RosAddress], RosNode]
+
+    def connect(
+        self, address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC
+    ) -> RobotLink:
+        """Connect to a robot of ROS (:meth:`orbit_deploy.link.Bridge.connect`)."""
+        from orbit_ros.hardware import CommandKind, RosHardware, served_description
+        from orbit_ros.hosted import HostedLink
+
+        parts = RosAddress.of(address, keys, ("robot", "command", "topic", "rate"))
+        command = parts.options.get("command", "trajectory")
+        if command not in [*CommandKind]:
+            raise ConfigurationError(f"command '{command}' is none of {', '.join(CommandKind)}")
+        rate = _number(parts, "rate", 100.0)
+        node = self.node(parts)
+        try:
+            if (name := parts.options.get("robot")) is not None:
+                description = _catalogued(name)
+            elif (description := served_description(node, parts.prefix)) is None:
+                raise RobotLinkError(
+                    f"no robot at {address} publishes 'orbit/description': say which robot it is with ?robot=NAME "
+                    "('orbit list robots'), if there is one"
+                )
+            hardware = RosHardware(
+                node, description, CommandKind(command), rate, parts.prefix, parts.options.get("topic", "")
+            )
+        except Exception:
+            node.close()
+            raise
+        return HostedLink(hardware, address, period, path)
+
+    def serve(self, computer: RobotComputer, address: str, keys: Path | None = None) -> BridgeServer:
+        """Serve a robot's computer to ROS (:meth:`orbit_deploy.link.Bridge.serve`)."""
+        from orbit_ros.server import RosServer
+
+        parts = RosAddress.of(address, keys, ())
+        return RosServer(computer, self.node(parts), address, parts.prefix)
+
+
+def _ros1(parts: RosAddress) -> RosNode:
+    from orbit_ros.ros1 import Ros1Node
+
+    return Ros1Node(parts.host, parts.port or 11311)
+
+
+def _ros2(parts: RosAddress) -> RosNode:
+    from orbit_ros.dds import Ros2Node
+
+    return Ros2Node(parts.port or 0, parts.host)
+
+
+class UnitreeBridge:
+    """Bridge over Unitree's low-level messages: ``unitree://host:domain/go2``."""
+
+    def connect(
+        self, address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.DIRECT
+    ) -> RobotLink:
+        """Connect to a Go2 or G1 (:meth:`orbit_deploy.link.Bridge.connect`)."""
+        from orbit_ros.hosted import HostedLink
+        from orbit_ros.unitree.robot import UnitreeHardware
+
+        parts = RosAddress.of(address, keys, ("odometry",))
+        hardware = UnitreeHardware(_ros2(parts), parts.path, odometry=parts.options.get("odometry", "yes") != "no")
+        return HostedLink(hardware, address, period, path)
+
+    def serve(self, computer: RobotComputer, address: str, keys: Path | None = None) -> BridgeServer:
+        """Serve a simulated Go2 or G1 (:meth:`orbit_deploy.link.Bridge.serve`)."""
+        from orbit_ros.unitree.server import UnitreeServer
+
+        parts = RosAddress.of(address, keys, ())
+        return UnitreeServer(computer, _ros2(parts), address)
+
+
+def _number(parts: RosAddress, name: str, default: float) -> float:
+    try:
+        value = float(parts.options.get(name, default))
+    except ValueError:
+        value = float("nan")
+    if not 1.0 <= value <= 1000.0:
+        raise ConfigurationError(f"{name} is a number from 1 to 1000, not '{parts.options[name]}'")
+    return value
+
+
+def _catalogued(name: str) -> RobotDescription:
+    from msgspec import structs
+
+    from orbit_assets.catalogue import robot
+    from orbit_deploy.description import RobotDescription
+
+    spec = robot(name)
+    # A robot that walks or drives needs an estimate of its base, which ROS publishes as odometry.
+    return structs.replace(RobotDescription.of(spec), objects=[] if spec.fixed_base else ["robot"])
+
+
+ROS1, ROS2, UNITREE = RosBridge(_ros1), RosBridge(_ros2), UnitreeBridge()

@@ -1,0 +1,42 @@
+"""Node of ROS, whatever its version: topics to publish to and to hear from."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TypeVar
+
+from cyclonedds.idl import IdlStruct
+
+Message = TypeVar("Message", bound=IdlStruct)
+
+
+class RosNode(ABC):
+    """Connection to ROS. Callbacks are called by threads of the node and return soon."""
+
+    @abstractmethod
+    def advertise(self, topic: str, kind: type[Message], latched: bool = False) -> Callable[[Message], None]:
+        """Return a function that publishes messages.
+
+        Args:
+            topic: name without a leading slash.
+            kind: type of the messages.
+            latched: keep the last message for subscribers that come later.
+        """
+
+    @abstractmethod
+    def subscribe(
+        self, topic: str, kind: type[Message], callback: Callable[[Message, str], None], latched: bool = False
+    ) -> None:
+        """Call a function with each message and the identity of its publisher.
+
+        Args:
+            topic: name without a leading slash.
+            kind: type of the messages.
+            callback: function.
+            latched: also receive the last message that was published before.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave ROS; idempotent."""

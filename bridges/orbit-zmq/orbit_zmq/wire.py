@@ -1,0 +1,127 @@
+"""Messages on the wire: MessagePack of typed structures, read strictly.
+
+A client sends a :class:`Hello` with the version first, and gets an :class:`Offer`, or a :class:`Refusal` that says why.
+"""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import msgspec
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_deploy.description import RobotDescription
+from orbit_deploy.follower import PathKind
+from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
+
+MOST_BYTES = 1 << 20
+"""Longest message that is read."""
+
+
+class Hello(msgspec.Struct, frozen=True, array_like=True, tag="hello"):
+    """First message of a client."""
+
+    version: int
+    client: str
+    """Name of the client, for those who find the robot busy."""
+    period: float
+    """Seconds between commands."""
+    path: PathKind = PathKind.QUINTIC
+    """Way in which its commands become a path."""
+
+
+class Ping(msgspec.Struct, frozen=True, array_like=True, tag="ping"):
+    """Question for the robot's clock; keeps the session too."""
+
+    sent: int
+    """Client's time, ns."""
+
+
+class MoveTo(msgspec.Struct, frozen=True, array_like=True, tag="move"):
+    """Request for a slow motion."""
+
+    positions: list[float]
+
+
+class Order(msgspec.Struct, frozen=True, array_like=True, tag="order"):
+    """Request without numbers."""
+
+    word: str
+    """``clear``, ``stop`` or ``leave``."""
+
+
+class Offer(msgspec.Struct, frozen=True, tag="offer"):
+    """Answer to a hello: the session has begun."""
+
+    description: RobotDescription
+    state: RobotState
+
+
+class Pong(msgspec.Struct, frozen=True, array_like=True, tag="pong"):
+    """Answer to a ping."""
+
+    sent: int
+    clock: int
+    """Robot's time, ns."""
+
+
+class Answer(msgspec.Struct, frozen=True, array_like=True, tag="answer"):
+    """State after a request."""
+
+    state: RobotState
+
+
+class Refusal(msgspec.Struct, frozen=True, array_like=True, tag="refusal"):
+    """A request or a session is refused."""
+
+    code: str
+    """``version``, ``busy``, ``message`` or ``request``."""
+    text: str
+
+
+FromClient = Hello | Ping | JointCommand | MoveTo | Arrangement | Order
+# An offer is a map, for robots of other versions may describe more.
+FromRobot = Pong | RobotState | Fault | Answer | Refusal
+_Message = TypeVar("_Message")
+
+
+class Codec:
+    """Encoder and decoders of one thread."""
+
+    def __init__(self) -> None:
+        self._encoder = msgspec.msgpack.Encoder()
+        self._from_client = msgspec.msgpack.Decoder(FromClient)
+        self._from_robot = msgspec.msgpack.Decoder(FromRobot)
+        self._offer = msgspec.msgpack.Decoder(Offer)
+
+    def encode(self, message: object) -> bytes:
+        """Return the bytes of a message."""
+        return self._encoder.encode(message)
+
+    def from_client(self, data: bytes) -> FromClient:
+        """Read a client's message.
+
+        Raises:
+            ConfigurationError: it is none.
+        """
+        return _read(self._from_client, data)
+
+    def from_robot(self, data: bytes) -> FromRobot | Offer:
+        """Read a robot's message.
+
+        Raises:
+            ConfigurationError: it is none.
+        """
+        # A map begins with another byte than an array.
+        if data[:1] and data[0] & 0xF0 in (0x80, 0xD0) and data[0] not in (0xDC, 0xDD):
+            return _read(self._offer, data)
+        return _read(self._from_robot, data)
+
+
+def _read(decoder: msgspec.msgpack.Decoder[_Message], data: bytes) -> _Message:
+    if len(data) > MOST_BYTES:
+        raise ConfigurationError(f"a message of {len(data):,} bytes is longer than any")
+    try:
+        return decoder.decode(data)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigurationError(f"a message was not understood: {error}") from None

@@ -1,0 +1,302 @@
+"""``orbit deploy``: an expert, a learned policy or a person drives a robot through a bridge."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from tyro.conf import Positional, arg
+
+from orbit_core.cli.making import check_actor, make_actor
+from orbit_core.cli.output import console, new_table, write_json
+from orbit_core.cli.settings import File, KeyValues, Name, check_output, check_positive, parse_words
+from orbit_core.interfaces.errors import ConfigurationError, OrbitError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from orbit_core.envs import Environment, Task
+    from orbit_core.envs.actors import Actor
+    from orbit_deploy.engine import RobotEngine
+    from orbit_deploy.link import RobotLink
+
+TELEOP = "teleop"
+# Share of the time with limits in the way that is reported
+_HELD_BACK = 0.05
+_NO_DEVICE = "keyboard"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeploySettings:
+    """Run a task's expert, a learned policy or a person on a robot, which may be a simulated one ('orbit robot')."""
+
+    agent: Annotated[Positional[str], arg(metavar="{POLICY,expert,teleop}")]
+    """Who acts: a kept policy ('orbit list policies'), a policy's file or folder, the task's expert, or a person."""
+    bridge: Annotated[str, arg(metavar="ADDRESS")] = "zmq://127.0.0.1:5555"
+    """Address of the robot's computer."""
+    task: Name = None
+    """Task that gives observations and actions; the policy's own if left out."""
+    robot: Name = None
+    """Robot of the catalogue in the place of the task's own."""
+    action: Name = None
+    """Action space in the place of the task's own."""
+    set: KeyValues = ()
+    """A field of the task, such as tolerance=0.03."""
+    path: Literal["quintic", "drive", "direct"] = "quintic"
+    """Way in which commands become motion: through them by quintic polynomials, as the task's drives would move the
+    joints, or to the drives as they come, where the robot permits it."""
+    keys: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """Folder of keys; needed beyond this machine ('orbit robot --make-keys')."""
+    episodes: int = 1
+    """Episodes to run; the robot goes home slowly between them."""
+    seed: int = 0
+    """Seed of goals and, on a simulated robot, of starts."""
+    countdown: float = 3.0
+    """Seconds before the robot moves."""
+    dead_man: bool = False
+    """Let the robot move only while the space bar is held; not with the keyboard as the device."""
+    device: Annotated[str, arg(metavar="{keyboard,gamepad,spacemouse,leader}")] = _NO_DEVICE
+    """Device of a person who acts."""
+    allow_differences: bool = False
+    """Run although gains or limits of the robot are not the task's."""
+    table: bool = True
+    """Show commanded and measured joints while the robot moves, where the output is a terminal."""
+    json: File = None
+    """Write results and latencies here."""
+    overwrite: bool = False
+    """Replace a file of that name if it is there already."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Run on the robot; it rests at the end, at Ctrl-C, at a fault, and when the link is lost."""
+    settings = parse_words(DeploySettings, words, "orbit deploy")
+    check_positive("episodes", settings.episodes)
+    check_output(settings.json, ".json", settings.overwrite)
+    if not 0.0 <= settings.countdown < math.inf:
+        raise ConfigurationError(f"countdown must be zero or more seconds, not {settings.countdown}")
+    if settings.agent != TELEOP:
+        check_actor(settings.agent)
+    elif settings.dead_man and settings.device == "keyboard":
+        raise ConfigurationError("the keyboard is the device: a dead-man key needs another --device")
+    deploy(settings)
+
+
+def deploy(settings: DeploySettings) -> dict[str, Any]:
+    """Run on the robot and return results and latencies as plain data.
+
+    Raises:
+        OrbitError: the robot is not there, is another one, or has stopped; the message names the cause.
+    """
+    import torch
+
+    from orbit_core.envs.making import make
+    from orbit_deploy.engine import robot_world
+    from orbit_deploy.follower import PathKind
+    from orbit_deploy.link import connect
+
+    torch.set_num_threads(1)
+    out = console()
+    task = _task(settings)
+    period = task.physics_dt * task.decimation
+    link = connect(settings.bridge, period, settings.keys, PathKind(settings.path))
+    try:
+        described = link.description
+        kind = f"simulated by {described.simulated}" if described.simulated else "real"
+        out.print(
+            f"{described.model} at {settings.bridge} ({kind}), {len(described.joints)} joints, loop {described.rate:g} "
+            f"Hz, commands {1.0 / period:g} Hz; clocks agree within {1e6 * link.offset.error:.0f} us",
+            soft_wrap=True,
+        )
+        # Before the environment is made, whose first reset runs these events.
+        if not described.arranges:
+            _leave_placing_to_people(task, out.print)
+        # Joints, their order and units are compared when the world is made, the policy's manifest by its actor.
+        environment = make(task, 1, world=robot_world(link, period), seed=settings.seed)
+        try:
+            _check_differences(environment, settings)
+            with _Pilot(settings, environment) as pilot:
+                results = _run(settings, environment, pilot)
+        finally:
+            _rest(link)
+    finally:
+        link.close()
+    write_json(settings.json, results)
+    _report(results)
+    return results
+
+
+def _task(settings: DeploySettings) -> Task:
+    """Return the configured task, the policy's own where none is named."""
+    from orbit_core.configuration import assignments
+    from orbit_core.envs.actors import ACTORS
+    from orbit_core.envs.configuration import configure
+    from orbit_core.envs.registry import task_entry
+    from orbit_learn.pretrained import policy_fields, policy_path
+
+    name, fields = settings.task, {}
+    if settings.agent not in (TELEOP, *ACTORS) and "://" not in settings.agent:
+        from orbit_learn.policy import load_policy
+
+        learned = load_policy(policy_path(settings.agent)).description
+        name = name or learned.task
+        fields = {"robot": learned.robot, "action": learned.action, **policy_fields(settings.agent)}
+    if name is None:
+        raise ConfigurationError("name a task: orbit deploy expert --task Lift")
+    entry = task_entry(name)
+    fields |= {key: value for key, value in (("robot", settings.robot), ("action", settings.action)) if value}
+    return configure(entry.task_type(), {**fields, **assignments(settings.set, f"task {entry.name}")})
+
+
+def _leave_placing_to_people(task: Task, tell: Callable[[str], object]) -> None:
+    """Switch off the events that write states, which a real robot's world refuses."""
+    from orbit_core.envs.terms import EventTerm, terms_of
+
+    names = list(terms_of(task.events, EventTerm))
+    for name in names:
+        setattr(task.events, name, None)
+    if names:
+        tell(f"a real robot: {', '.join(names)} are switched off, place things by hand")
+
+
+def _check_differences(environment: Environment, settings: DeploySettings) -> None:
+    engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
+    if engine.differences and not settings.allow_differences:
+        raise ConfigurationError(
+            f"the robot differs from the task's: {'; '.join(engine.differences)}; --allow-differences runs all the same"
+        )
+    for line in engine.differences:
+        console().print(f"warning: {line}", soft_wrap=True)
+
+
+class _Pilot:
+    """Actor on the robot, with what a person holds in their hands, released at the end."""
+
+    def __init__(self, settings: DeploySettings, environment: Environment) -> None:
+        from orbit_deploy.dead_man import DeadManKey
+
+        self._device = self._key = None
+        if settings.agent == TELEOP:
+            from orbit_data.teleoperation.device import Speeds
+            from orbit_data.teleoperation.devices import check_device, open_device
+            from orbit_data.teleoperation.driver import Driver
+
+            check_device(settings.device)
+            driver = Driver(environment)
+            self._device = open_device(settings.device, Speeds(), driver, 0)
+            self._actor: Actor = _Person(environment, driver, self._device.read)
+        else:
+            self._actor = make_actor(settings.agent, environment, settings.seed)
+        if settings.dead_man:
+            self._key = DeadManKey()
+
+    def __enter__(self) -> _Pilot:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for each in (self._device, self._key):
+            if each is not None:
+                each.close()
+
+    def act(self) -> Tensor:
+        """Return the next action (1, A).
+
+        Raises:
+            ReleasedError: the dead-man key was released.
+        """
+        if self._key is not None:
+            self._key.check()
+        return self._actor.act()
+
+    def wait(self) -> None:
+        """Wait until the dead-man key is held."""
+        if self._key is not None:
+            console().print("hold the space bar")
+            self._key.wait()
+
+
+class _Person:
+    """Actor of a person with a device."""
+
+    def __init__(self, environment: Environment, driver: Any, read: Callable[[], Any]) -> None:
+        self._environment, self._driver, self._read = environment, driver, read
+
+    def act(self) -> Tensor:
+        if int(self._environment.state.episode_step[0]) == 0:
+            self._driver.restart()
+        return self._driver.act(self._read())
+
+
+def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> dict[str, Any]:
+    from orbit_core.rollout.stepping import EpisodeCounter, roll_out
+    from orbit_deploy.display import JointTable
+    from orbit_deploy.realtime import prioritize
+
+    engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
+    counter = EpisodeCounter(settings.episodes, 1, environment.device)
+    _count_down(settings.countdown)
+    pilot.wait()
+    # Threads of libraries exist by now and keep their priority: only the loop of commands gets a higher one.
+    prioritize()
+    environment.reset(settings.seed)
+    with JointTable(engine.link, settings.table) as table:
+        engine.on_step = table.show
+        roll_out(environment, pilot, (counter,), lambda: counter.complete)
+    episodes, link, state = counter.episodes(), engine.link, engine.link.state()
+    return {
+        "task": type(environment.task).__name__,
+        "agent": settings.agent,
+        "bridge": settings.bridge,
+        "model": link.description.model,
+        "episodes": len(episodes.env_ids),
+        "success_rate": episodes.success_rate.value,
+        "metrics": {name: values.mean().item() for name, values in episodes.metrics.items()},
+        "steps": engine.times.steps,
+        "overruns": engine.times.overruns,
+        "round_trip_ms": [1e3 * value for value in link.round_trips.percentiles()],
+        "state_age_ms": [1e3 * value for value in link.ages.percentiles()],
+        "clock_error_us": 1e6 * link.offset.error,
+        "clamped": state.clamped,
+        "held_back": state.limited / (link.description.rate * max(engine.times.steps * environment.step_dt, 1e-9)),
+        "late": state.late,
+        "stops": state.stops,
+    }
+
+
+def _count_down(seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0.0:
+        console().print(f"the robot moves in {math.ceil(left)} s (Ctrl-C ends)")
+        time.sleep(min(left, 1.0))
+
+
+def _rest(link: RobotLink) -> None:
+    """Bring the robot to rest; it does so by itself where the link is lost."""
+    try:
+        link.stop()
+        link.finish_motion(2.0)
+    except OrbitError:
+        return
+
+
+def _report(results: dict[str, Any]) -> None:
+    table = new_table("", "value", title=f"{results['task']} on {results['model']} at {results['bridge']}")
+    table.add_row("episodes", str(results["episodes"]))
+    table.add_row("success rate", f"{100.0 * results['success_rate']:.1f} %")
+    for name, value in results["metrics"].items():
+        table.add_row(name, f"{value:.4g}")
+    for name, what in (("round_trip_ms", "round trip of a command"), ("state_age_ms", "age of a state")):
+        table.add_row(what, "/".join(f"{value:.2f}" for value in results[name]) + " ms (p50/p99/p99.9)")
+    table.add_row("steps", f"{results['steps']}, {results['overruns']} of them late")
+    table.add_row("commands", f"{results['clamped']} clamped, {results['late']} late, {results['stops']} stops")
+    console().print(table)
+    if results["held_back"] > _HELD_BACK:
+        share = f"{100.0 * results['held_back']:.0f} %"
+        console().print(
+            f"warning: for {share} of the time the robot's limits held the joints back from what was commanded: a "
+            "policy that was trained without them may fail",
+            soft_wrap=True,
+        )

@@ -1,0 +1,70 @@
+"""Dead-man key: the robot moves only while a person holds the space bar of this terminal."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import time
+
+from orbit_core.interfaces import ConfigurationError, OrbitError
+
+# Seconds that the key counts as held after its last character; a terminal repeats after half a second at first
+_HELD = 0.7
+
+
+class ReleasedError(OrbitError):
+    """A dead-man key that was released while the robot moved."""
+
+
+class DeadManKey:
+    """Space bar of a terminal.
+
+    Args:
+        descriptor: file descriptor of the terminal; standard input if None.
+
+    Raises:
+        ConfigurationError: the file is no terminal.
+    """
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        self._file = sys.stdin.fileno() if descriptor is None else descriptor
+        if not os.isatty(self._file):
+            raise ConfigurationError("a dead-man key is read from a terminal, and standard input is none")
+        import termios
+        import tty
+
+        self._restore = termios.tcsetattr, (self._file, termios.TCSADRAIN, termios.tcgetattr(self._file))
+        tty.setcbreak(self._file)  # characters without waiting for a line; Ctrl-C still interrupts
+        # Released until the first press.
+        self._pressed = -_HELD
+
+    @property
+    def held(self) -> bool:
+        """True while the key is held."""
+        while select.select([self._file], [], [], 0.0)[0]:
+            typed = os.read(self._file, 1024)
+            if not typed:
+                break
+            if b" " in typed:
+                self._pressed = time.monotonic()
+        return time.monotonic() - self._pressed < _HELD
+
+    def check(self) -> None:
+        """Raise if the key is not held.
+
+        Raises:
+            ReleasedError: it is not.
+        """
+        if not self.held:
+            raise ReleasedError("the dead-man key was released: the robot stops; hold it and start again")
+
+    def wait(self) -> None:
+        """Wait until the key is held."""
+        while not self.held:
+            time.sleep(0.02)
+
+    def close(self) -> None:
+        """Give the terminal back as it was."""
+        function, arguments = self._restore
+        function(*arguments)

@@ -1,0 +1,1 @@
+"""Liquids as weakly compressible particles."""

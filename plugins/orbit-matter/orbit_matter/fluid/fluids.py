@@ -1,0 +1,169 @@
+"""The liquids of all environments: their particles, their state as tensors, and how it is read and written."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, ConfigurationError
+from orbit_core.plugin_kit.rows import take_rows, write_rows
+from orbit_core.scene import Fluid, Scene
+
+SMOOTHING = 1.3
+"""Spacings of the smoothing length: 74 particles are within the kernel."""
+SKIN = 0.4
+"""Spacings by which neighbours are searched further than the kernel reaches."""
+NEIGHBOURS = 160
+"""Most that one particle has."""
+ROUGHNESS = 0.004
+"""Artificial viscosity, as a part of ``length * sound``: enough against noise between particles."""
+SMOOTHNESS = 0.03
+"""Diffusion of densities, as a part of ``length * sound``; the usual value."""
+MESS = 0.065
+RENEWED = 0.2
+"""Seconds in which densities follow where particles are."""
+NOWHERE = 1e9
+"""Metres; where particles are taken to have been that were not searched yet."""
+WALLS = 6
+"""That act on a particle at a time: in a narrow vessel all of its sides do."""
+MACH = 6.0
+"""Speed of sound over the speed of free fall through the liquid's height: densities differ by 0.8 % at rest."""
+LEAST_HEIGHT = 0.1
+"""Metres of fall that the speed of sound is made for at least: what is poured falls further than what stands."""
+COURANT = 1.0
+"""Spacings that sound goes in a substep."""
+DIFFUSIVE = 0.12
+"""``nu h / length^2`` at most, above which viscosity overshoots."""
+
+
+@dataclass(frozen=True, eq=False)
+class FluidModel:
+    """P particles of all liquids of a scene, one liquid after another; the same in every environment."""
+
+    deformables: tuple[int, ...]
+    """Index in the scene of each liquid."""
+    slices: tuple[slice, ...]
+    """Columns of each."""
+    rest: npt.NDArray[np.float32]
+    """(P, 3) m in the environment's frame."""
+    owners: npt.NDArray[np.int32]
+    """(P,) index in the scene."""
+    densities: npt.NDArray[np.float32]
+    """(P,) kg/m^3"""
+    viscosities: npt.NDArray[np.float32]
+    """(P,) Pa s"""
+    spacing: float
+    sound: float
+    """m/s"""
+
+    @property
+    def length(self) -> float:
+        """Smoothing length in metres."""
+        return SMOOTHING * self.spacing
+
+    @property
+    def longest_substep(self) -> float:
+        """Seconds."""
+        thickest = float((self.viscosities / self.densities).max(initial=1e-9))
+        return min(COURANT * self.spacing / self.sound, DIFFUSIVE * self.length**2 / thickest)
+
+
+def build(scene: Scene) -> FluidModel | None:
+    """Return what the liquids of a scene are made of; None where it has none.
+
+    Raises:
+        ConfigurationError: liquids of different spacings, or one with attachments.
+    """
+    chosen = [(n, spec) for n, spec in enumerate(scene.deformables) if isinstance(spec, Fluid)]
+    if not chosen:
+        return None
+    spacings = {spec.spacing for _, spec in chosen}
+    if len(spacings) > 1:
+        names = ", ".join(f"'{spec.name}' {spec.spacing:g} m" for _, spec in chosen)
+        raise ConfigurationError(f"the liquids of a scene have one spacing of particles, and these differ: {names}")
+    for _, spec in chosen:
+        if spec.attachments:
+            raise ConfigurationError(f"'{spec.name}' is a liquid, which nothing holds: leave out its attachments")
+    rest = [spec.pose.transform(spec.rest_positions) for _, spec in chosen]
+    counts = [len(points) for points in rest]
+    ends = np.cumsum([0, *counts])
+    pull = np.asarray(scene.gravity)
+    gravity = max(float(np.linalg.norm(pull)), 1.0)
+    height = max(float(np.ptp(np.concatenate(rest) @ pull)) / gravity, LEAST_HEIGHT)
+    return FluidModel(
+        tuple(n for n, _ in chosen),
+        tuple(slice(int(a), int(b)) for a, b in pairwise(ends)),
+        np.concatenate(rest).astype(np.float32),
+        np.repeat([n for n, _ in chosen], counts).astype(np.int32),
+        np.repeat([spec.density for _, spec in chosen], counts).astype(np.float32),
+        np.repeat([spec.viscosity for _, spec in chosen], counts).astype(np.float32),
+        spacings.pop(),
+        MACH * math.sqrt(2.0 * gravity * height),
+    )
+
+
+class Fluids:
+    """State of the liquids of N environments."""
+
+    def __init__(self, scene: Scene, num_envs: int, device: torch.device) -> None:
+        self.model = build(scene)
+        self.tensors: dict[str, Tensor] = {}
+        """State; snapshots hold it, and kernels its memory."""
+        self._index: dict[int, slice] = {}
+        if self.model is None:
+            return
+        model = self.model
+        self._index = dict(zip(model.deformables, model.slices, strict=True))
+        make = {"dtype": torch.float32, "device": device}
+        count = len(model.rest)
+        self._rest = torch.as_tensor(model.rest, **make)
+        self.tensors = {
+            "fluid_x": self._rest.repeat(num_envs, 1, 1),
+            "fluid_v": torch.zeros(num_envs, count, 3, **make),
+            "fluid_s": torch.ones(num_envs, count, **make),
+            "fluid_packed": torch.zeros(num_envs, count, **make),
+            "fluid_searched": torch.full((num_envs, count, 3), NOWHERE, **make),
+            "fluid_shielded": torch.zeros(num_envs, count, WALLS, 4, **make),
+        }
+
+    def has(self, deformable: int) -> bool:
+        """Return True if a deformable of the scene is a liquid."""
+        return deformable in self._index
+
+    def positions(self, deformable: int) -> Tensor:
+        """Return (N, P, 3) m."""
+        return self.tensors["fluid_x"][:, self._index[deformable]]
+
+    def velocities(self, deformable: int) -> Tensor:
+        """Return (N, P, 3) m/s."""
+        return self.tensors["fluid_v"][:, self._index[deformable]]
+
+    def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None) -> None:
+        """Set (n, P, 3) positions and velocities; densities are those at rest from now on."""
+        columns = self._index[deformable]
+        write_rows(self.tensors["fluid_x"][:, columns], positions, env_ids)
+        write_rows(self.tensors["fluid_v"][:, columns], velocities, env_ids)
+        write_rows(self.tensors["fluid_s"][:, columns], 1.0, env_ids)
+        write_rows(self.tensors["fluid_searched"], NOWHERE, env_ids)
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Put liquids where the scene has them, at rest."""
+        if self.model is None:
+            return
+        rest = self._rest.expand(len(self.tensors["fluid_x"]), -1, -1)
+        write_rows(self.tensors["fluid_x"], take_rows(rest, env_ids), env_ids)
+        write_rows(self.tensors["fluid_v"], 0.0, env_ids)
+        write_rows(self.tensors["fluid_s"], 1.0, env_ids)
+        write_rows(self.tensors["fluid_searched"], NOWHERE, env_ids)
+
+    def diverged(self, deformable: int) -> Tensor:
+        """Return (N,) bool: where a liquid is beyond the bounds of matter."""
+        near = (self.positions(deformable).abs() <= MAX_DISTANCE).all(-1)
+        slow = (self.velocities(deformable).abs() <= MAX_SPEED).all(-1)
+        return ~(near & slow).all(1)

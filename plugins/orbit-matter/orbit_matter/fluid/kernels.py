@@ -1,0 +1,348 @@
+"""Liquids by weakly compressible smoothed particle hydrodynamics, as launches over environments and particles.
+
+Densities follow the flow's divergence and are smoothed against noise (Antuono, Colagrossi, Marrone, "Numerical
+diffusive terms in weakly-compressible SPH schemes", 2012; without the hydrostatic part, Fourtakas et al., "Local
+uniform stencil boundary conditions for arbitrary shaped boundaries", 2019), pressures follow the densities. Walls are
+half-spaces of the liquid whose integrals over the kernel are polynomials: neither particles nor meshes stand for them,
+and a wall may be as thin as it likes.
+"""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportInvalidTypeForm=false
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+from orbit_matter.contact import NEAREST, Felt, Normals, carried, feel, normal_of, surface
+from orbit_matter.kernels import Links
+from orbit_matter.self_contact import bucket_of, cell_of
+from orbit_matter.surfaces import Shapes
+
+SHADE = wp.constant(0.05)
+"""Spacings by which the nearest point of a surface must stand out of another wall to be a wall of its own: of two boxes
+that make one floor, or that overlap, one hides the other."""
+PROBE = wp.constant(0.1)
+"""Spacings below a surface where its depth tells edges from faces; walls of a fifth of a spacing have faces still."""
+SHARP = wp.constant(2.05)
+"""What an edge takes of a wall's weight: 0.6 where its faces are square to each other."""
+CLOSEST = wp.constant(0.25)
+"""Spacings that a particle is kept from a wall, should the wall be faster than pressure."""
+ESCAPE = wp.constant(0.5)
+"""m/s at most with which a particle that is nearer comes out."""
+
+Distances = wp.types.vector(length=6, dtype=float)
+
+
+@wp.struct
+class Fluid:
+    """State of (N, P) particles of liquid, and what does not differ between environments."""
+
+    x: wp.array2d[wp.vec3]
+    v: wp.array2d[wp.vec3]
+    s: wp.array2d[float]
+    """Density over density at rest."""
+    pushed: wp.array2d[wp.vec3]
+    """Velocities at the end of the substep."""
+    pressed: wp.array2d[wp.vec2]
+    """(N, P) pressure in Pa, and volume in m^3."""
+    packed: wp.array2d[float]
+    """Density over density at rest by where particles are, too small at the surface."""
+    rate: wp.array2d[float]
+    """1/s, of ``s``."""
+    rest_density: wp.array[float]
+    """(P,) kg/m^3"""
+    viscosity: wp.array[float]
+    """(P,) Pa s"""
+    owner: wp.array[int]
+    """(P,) index of the deformable."""
+    parameters: wp.array3d[float]
+    """(N, D, 4) whose first is the scale of mass."""
+    plane: wp.array3d[wp.vec4]
+    """(N, P, W) normal and distance of each wall."""
+    shape: wp.array3d[int]
+    """(N, P, W) that each wall is of; -1 behind the last."""
+    shielded: wp.array3d[wp.vec4]
+    """(N, P, W) planes at the last search, with a distance of 1e6 for none."""
+    weight: wp.array3d[wp.vec2]
+    """(N, P, W) integrals of the kernel's gradient over a wall, of 1 (in 1/m) and of the distance (without unit)."""
+    neighbours: wp.array3d[int]
+    """(N, P, K)"""
+    count: wp.array2d[int]
+    """(N, P) how many of them there are."""
+    searched: wp.array2d[wp.vec3]
+    """(N, P) where particles were at the last search."""
+    stale: wp.array[int]
+    """(N,) 1 where a search is due."""
+    guarded: wp.array2d[int]
+    """(N, P) 1 for particles with a wall at the last search."""
+    head: wp.array2d[int]
+    following: wp.array2d[int]
+    spacing: float
+    volume: float
+    """m^3 of a particle at rest."""
+    length: float
+    """Smoothing length in metres; the kernel ends at twice of it."""
+    slope: float
+    """Of the kernel: its gradient is ``-slope t^3 x`` with ``t = 1 - r / (2 length)`` (Wendland's C2)."""
+    sound: float
+    """m/s"""
+    rough: float
+    """m^2/s of artificial viscosity, between particles only."""
+    smooth: float
+    """m^2/s of the diffusion of densities."""
+    peak: float
+    """Of the kernel, times a particle's volume: it is ``peak t^4 (5 - 4 t)``."""
+    mess: float
+    """Excess of ``packed`` of particles in disorder: each counts itself."""
+    renewal: float
+    """1/s with which densities follow ``packed`` where it is larger."""
+    cell: float
+    """Metres within which neighbours are searched."""
+
+
+@wp.kernel(enable_backward=False)
+def doubt(f: Fluid, most: float):
+    """Search again where a particle is further than ``most`` from where it was."""
+    env, i = wp.tid()
+    # Not a number is never less, so that what has diverged is searched for as well.
+    if not wp.length_sq(f.x[env, i] - f.searched[env, i]) < most * most:
+        f.stale[env] = 1
+
+
+@wp.kernel(enable_backward=False)
+def clear(f: Fluid):
+    """Empty the cells."""
+    env, b = wp.tid()
+    if f.stale[env] == 1:
+        f.head[env, b] = -1
+
+
+@wp.kernel(enable_backward=False)
+def insert(f: Fluid, renewed: int):
+    """Put each particle into its cell, and note its walls where they are ``renewed``."""
+    env, i = wp.tid()
+    if f.stale[env] == 0:
+        return
+    if renewed == 1:
+        f.searched[env, i] = f.x[env, i]
+        for k in range(f.shape.shape[2]):
+            f.shielded[env, i, k] = f.plane[env, i, k]
+            if f.shape[env, i, k] < 0:
+                f.shielded[env, i, k] = wp.vec4(0.0, 0.0, 0.0, 1.0e6)
+    f.guarded[env, i] = 0
+    if f.shielded[env, i, 0][3] < 1.0e6:  # walls come first
+        f.guarded[env, i] = 1
+    c = cell_of(f.searched[env, i], f.cell)
+    b = bucket_of(c[0], c[1], c[2], f.head.shape[1])
+    f.following[env, i] = wp.atomic_exch(f.head, env, b, i)
+
+
+@wp.func
+def is_behind(f: Fluid, env: int, i: int, way: wp.vec3) -> bool:
+    """Return True if a point that far from a particle is on the other side of one of its walls."""
+    found = bool(False)
+    for k in range(f.shape.shape[2]):
+        plane = f.shielded[env, i, k]
+        if plane[0] * way[0] + plane[1] * way[1] + plane[2] * way[2] + plane[3] < 0.0:
+            found = True
+    return found
+
+
+@wp.kernel(enable_backward=False)
+def find(f: Fluid):
+    """Find the neighbours of each particle that no wall parts from it."""
+    env, i = wp.tid()
+    if f.stale[env] == 0:
+        return
+    x, count, most, guarded = f.searched[env, i], int(0), f.neighbours.shape[2], f.guarded[env, i]
+    c = cell_of(x, f.cell)
+    # Cells that share a bucket would give a particle twice; each cell therefore takes those of its own only.
+    for a in range(-1, 2):
+        for b in range(-1, 2):
+            for d in range(-1, 2):
+                j = f.head[env, bucket_of(c[0] + a, c[1] + b, c[2] + d, f.head.shape[1])]
+                while j >= 0:
+                    way = f.searched[env, j] - x
+                    if wp.length_sq(way) < f.cell * f.cell and j != i and count < most:
+                        own = cell_of(f.searched[env, j], f.cell)
+                        if own[0] == c[0] + a and own[1] == c[1] + b and own[2] == c[2] + d:
+                            parted = bool(False)
+                            if guarded + f.guarded[env, j] > 0:
+                                # Both are asked, so that forces stay in pairs.
+                                parted = is_behind(f, env, i, way) or is_behind(f, env, j, -way)
+                            if not parted:
+                                f.neighbours[env, i, count] = j
+                                count += 1
+                    j = f.following[env, j]
+    f.count[env, i] = count
+
+
+@wp.kernel(enable_backward=False)
+def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt):
+    """Find the pressure and the walls of each particle."""
+    env, i = wp.tid()
+    kind, x, s = env % shapes.kind.shape[0], f.x[env, i], f.s[env, i]
+    stiff = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
+    pressed = (s - 1.0) * stiff
+    if pressed < 0.0:
+        # A liquid pulls where it is whole, and not at its surface, where it would curl up.
+        pressed *= wp.clamp((f.packed[env, i] - f.mess - 0.8) * 10.0, 0.0, 1.0)
+    f.pressed[env, i] = wp.vec2(pressed, f.volume / s)
+    reach = 2.0 * f.length
+    normals, distances, looked = Normals(), Distances(), int(0)
+    while looked < NEAREST and felt.near[env, i, wp.min(looked, NEAREST - 1)] >= 0:
+        found = surface(links, shapes, env, kind, felt.near[env, i, looked], x, 0.0)
+        distances[looked] = -found[3]
+        for axis in range(3):
+            normals[looked, axis] = found[axis]
+        looked += 1
+    count = int(0)
+    for k in range(looked):
+        near = distances[k] < reach
+        for other in range(looked):
+            first = distances[other] < distances[k] or (distances[other] == distances[k] and other < k)
+            if first and near:
+                out = distances[other] - distances[k] * wp.dot(normal_of(normals, k), normal_of(normals, other))
+                if out <= SHADE * f.spacing:
+                    near = False
+        if near and count < f.shape.shape[2]:
+            n = normal_of(normals, k)
+            f.plane[env, i, count] = wp.vec4(n[0], n[1], n[2], distances[k])
+            f.shape[env, i, count] = felt.near[env, i, k]
+            count += 1
+    for k in range(count):
+        # In a corner walls share what is behind both of them.
+        left = float(1.0)
+        for other in range(count):
+            if other != k:
+                left *= 1.0 - share_of(f, f.plane[env, i, other][3])
+        # Just below the nearest point of an edge the surface is nearer than below that of a face.
+        n = wp.vec3(f.plane[env, i, k][0], f.plane[env, i, k][1], f.plane[env, i, k][2])
+        below = x - n * (f.plane[env, i, k][3] + PROBE * f.spacing)
+        depth = surface(links, shapes, env, kind, f.shape[env, i, k], below, 0.0)[3]
+        left *= wp.clamp(1.0 - SHARP * (1.0 - depth / (PROBE * f.spacing)), 0.1, 1.0)
+        d = wp.clamp(f.plane[env, i, k][3], 0.0, reach)
+        edge = edge_of(f, d) * left
+        f.weight[env, i, k] = wp.vec2(edge, edge * d + share_of(f, d) * left)
+    for k in range(count, f.shape.shape[2]):
+        f.shape[env, i, k] = -1
+
+
+@wp.func
+def edge_of(f: Fluid, d: float) -> float:
+    """Integrate the kernel over a plane at a distance, in 1/m."""
+    t = wp.max(1.0 - 0.5 * d / f.length, 0.0)
+    t5 = t * t * t * t * t
+    return 10.5 / f.length * t5 * (1.0 - 1.5 * t + 4.0 / 7.0 * t * t)
+
+
+@wp.func
+def share_of(f: Fluid, d: float) -> float:
+    """Integrate the kernel over the half-space behind a plane at a distance."""
+    t = wp.clamp(1.0 - 0.5 * d / f.length, 0.0, 1.0)
+    t6 = t * t * t * t * t * t
+    return t6 * (3.5 - 4.5 * t + 1.5 * t * t)
+
+
+@wp.kernel(enable_backward=False)
+def push(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, share: float):
+    """Accelerate particles by pressure, viscosity and gravity, and press on links."""
+    env, i = wp.tid()
+    x, v, s, g = f.x[env, i], f.v[env, i], f.s[env, i], gravity[env]
+    own, owner, half = f.pressed[env, i][0], f.owner[i], 0.5 / f.length
+    scale = f.parameters[env, owner, 0]
+    density, viscosity = f.rest_density[i] * scale * s, f.viscosity[i]
+    pressing, rubbing, packed = wp.vec3(), wp.vec3(), float(1.0)
+    for k in range(f.count[env, i]):
+        j = f.neighbours[env, i, k]
+        way, other = x - f.x[env, j], f.pressed[env, j]
+        t = 1.0 - wp.length(way) * half
+        if t > 0.0:
+            cube = t * t * t
+            packed += cube * t * (5.0 - 4.0 * t)
+            part = cube * other[1]
+            pressing += way * (part * (own + other[0]))
+            rubbing += (f.v[env, j] - v) * part
+    # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)
+    a = pressing * (f.slope / density) + rubbing * (2.0 * f.slope * (f.rough + viscosity / density))
+    packed *= f.peak
+    mass = f.rest_density[i] * scale * f.volume
+    for k in range(f.shape.shape[2]):
+        wall = f.shape[env, i, k]
+        if wall >= 0:
+            plane = f.plane[env, i, k]
+            weight = f.weight[env, i, k]
+            packed += weight[1] - weight[0] * plane[3]
+            n = wp.vec3(plane[0], plane[1], plane[2])
+            pressed = 2.0 * own * weight[0] / density - wp.dot(g, n) * weight[1]
+            passed = v - carried(links, env, wall, x) / h
+            slid = passed - n * wp.dot(n, passed)
+            near = wp.max(plane[3], 0.5 * f.spacing)
+            # No more than what stops it within the substep.
+            rubbed = wp.min(2.0 * viscosity / density * weight[0] / near, 1.0 / h)
+            given = n * pressed - slid * rubbed
+            a += given
+            kind = env % shapes.kind.shape[0]
+            feel(felt, links, env, owner, shapes.link[kind, wall], given * (-mass * share), x - n * plane[3])
+    f.packed[env, i] = packed
+    f.pushed[env, i] = v + (a + g) * h
+
+
+@wp.kernel(enable_backward=False)
+def flow(f: Fluid, links: Links, gravity: wp.array[wp.vec3], h: float):
+    """Compute the rates of densities."""
+    env, i = wp.tid()
+    x, v, s = f.x[env, i], f.pushed[env, i], f.s[env, i]
+    half, lean = 0.5 / f.length, gravity[env] / (f.sound * f.sound)
+    rate = float(0.0)
+    for k in range(f.count[env, i]):
+        j = f.neighbours[env, i, k]
+        way = x - f.x[env, j]
+        t = 1.0 - wp.length(way) * half
+        if t > 0.0:
+            excess = f.s[env, j] - s + wp.dot(lean, way)
+            part = wp.dot(f.pushed[env, j] - v, way) * s + 2.0 * f.smooth * excess
+            rate += t * t * t * f.pressed[env, j][1] * part
+    rate *= f.slope
+    for k in range(f.shape.shape[2]):
+        wall = f.shape[env, i, k]
+        if wall >= 0:
+            plane = f.plane[env, i, k]
+            weight = f.weight[env, i, k]
+            n = wp.vec3(plane[0], plane[1], plane[2])
+            toward = wp.dot(carried(links, env, wall, x) / h - v, n)
+            # Behind the wall the flow is mirrored, as pressure is, so that what one takes from the motion the other
+            # gives back.
+            rate += 2.0 * s * toward * weight[0]
+    # Errors of the divergence add up; where particles stand tells the density, but for those at the surface.
+    # Where a gap has opened nothing presses, though the divergence may say so.
+    bare = wp.clamp((0.9 - f.packed[env, i]) * 10.0, 0.0, 1.0)
+    f.rate[env, i] = rate + (wp.max(f.packed[env, i] - f.mess - s, 0.0) + bare * (1.0 - s)) * f.renewal
+
+
+@wp.kernel(enable_backward=False)
+def move(f: Fluid, links: Links, shapes: Shapes, felt: Felt, h: float, share: float):
+    """Take particles to the end of the substep, past no wall."""
+    env, i = wp.tid()
+    x, v, owner = f.x[env, i], wp.vec3(f.pushed[env, i]), f.owner[i]
+    mass = f.rest_density[i] * f.parameters[env, owner, 0] * f.volume
+    for k in range(f.shape.shape[2]):
+        wall = f.shape[env, i, k]
+        if wall >= 0:
+            plane = f.plane[env, i, k]
+            n = wp.vec3(plane[0], plane[1], plane[2])
+            toward = wp.dot(v - carried(links, env, wall, x) / h, n)
+            least = wp.min((CLOSEST * f.spacing - plane[3]) / h, ESCAPE)
+            if toward < least:
+                given = n * (least - toward)
+                v += given
+                kind = env % shapes.kind.shape[0]
+                force = given * (-mass * share / h)
+                feel(felt, links, env, owner, shapes.link[kind, wall], force, x - n * plane[3])
+    f.x[env, i] = x + v * h
+    f.v[env, i] = v
+    f.s[env, i] = wp.clamp(f.s[env, i] + f.rate[env, i] * h, 0.5, 2.0)

@@ -1,0 +1,107 @@
+"""The liquids of some environments of a world: their memory as kernels take it, and the launches of one substep."""
+
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# Warp's arrays and structs carry their types at run time.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import warp as wp
+from torch import Tensor
+
+from orbit_matter import contact
+from orbit_matter import kernels as particles
+from orbit_matter.fluid import fluids, kernels
+from orbit_matter.fluid.fluids import FluidModel
+
+
+class FluidPart:
+    """Liquids of environments in a row.
+
+    Args:
+        memory: state of these environments by name, of liquids and of all matter.
+        model: of every environment.
+        felt: what links of these environments feel from all matter.
+    """
+
+    def __init__(self, memory: Mapping[str, Tensor], model: FluidModel, felt: Any) -> None:
+        self._model = model
+        self._n, self._p = memory["fluid_s"].shape
+        self._fluid = self._make_fluid(memory)
+        self._particles = self._make_particles()
+        self._felt = self._make_felt(felt)
+
+    def _make_fluid(self, memory: Mapping[str, Tensor]) -> Any:
+        made, model, shape = kernels.Fluid(), self._model, (self._n, self._p)
+        made.x, made.v = wp.from_torch(memory["fluid_x"], wp.vec3), wp.from_torch(memory["fluid_v"], wp.vec3)
+        made.s, made.parameters = wp.from_torch(memory["fluid_s"]), wp.from_torch(memory["parameters"])
+        made.packed = wp.from_torch(memory["fluid_packed"])
+        made.pushed, made.rate = wp.zeros(shape, dtype=wp.vec3), wp.zeros(shape, dtype=float)
+        made.pressed = wp.zeros(shape, dtype=wp.vec2)
+        made.rest_density, made.viscosity = wp.array(model.densities), wp.array(model.viscosities)
+        made.owner = wp.array(model.owners, dtype=int)
+        walls = (*shape, fluids.WALLS)
+        made.plane, made.weight = wp.zeros(walls, dtype=wp.vec4), wp.zeros(walls, dtype=wp.vec2)
+        made.shape = wp.full(walls, -1, dtype=int)
+        made.searched = wp.from_torch(memory["fluid_searched"], wp.vec3)
+        made.shielded = wp.from_torch(memory["fluid_shielded"], wp.vec4)
+        made.stale, made.guarded = wp.zeros(self._n, dtype=int), wp.zeros(shape, dtype=int)
+        made.neighbours = wp.zeros((*shape, fluids.NEIGHBOURS), dtype=int)
+        made.count, made.following = wp.zeros(shape, dtype=int), wp.zeros(shape, dtype=int)
+        made.head = wp.zeros((self._n, 1 << (2 * self._p - 1).bit_length()), dtype=int)
+        made.spacing, made.length, made.sound = model.spacing, model.length, model.sound
+        made.volume = model.spacing**3
+        made.slope = 105.0 / (16.0 * math.pi * model.length**5)
+        made.peak = 21.0 / (16.0 * math.pi * model.length**3) * made.volume
+        made.mess = fluids.MESS
+        made.renewal = 1.0 / fluids.RENEWED
+        made.rough = fluids.ROUGHNESS * model.length * model.sound
+        made.smooth = fluids.SMOOTHNESS * model.length * model.sound
+        made.cell = 2.0 * model.length + fluids.SKIN * model.spacing
+        return made
+
+    def _make_particles(self) -> Any:
+        """Return the particles as the kernels that find shapes near them take them."""
+        made = particles.Particles()
+        made.x, made.v = self._fluid.x, self._fluid.v
+        made.exempt = wp.full((self._n, self._p), int(particles.FREE), dtype=int)
+        made.radius = wp.full(self._p, 2.0 * self._model.length, dtype=float)
+        made.owner, made.parameters = self._fluid.owner, self._fluid.parameters
+        return made
+
+    def _make_felt(self, felt: Any) -> Any:
+        made = contact.Felt()
+        made.forces, made.torques, made.friction, made.holds = felt.forces, felt.torques, felt.friction, felt.holds
+        made.near = wp.full((self._n, self._p, int(contact.NEAREST)), -1, dtype=int)
+        return made
+
+    def launch_near(self, links: Any, shapes: Any, physics_dt: float) -> None:
+        """Find the shapes that particles may meet in a physics step."""
+        inputs = [self._particles, links, shapes, self._felt, physics_dt]
+        wp.launch(contact.find_near, (self._n, self._p), inputs=inputs)
+
+    def launch_substep(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
+        """Advance by one substep, a ``share`` of a physics step, against links at its end."""
+        f, shape = self._fluid, (self._n, self._p)
+        wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt])
+        f.stale.zero_()
+        # Two that come from half of the skin each are just within the kernel's reach.
+        wp.launch(kernels.doubt, shape, inputs=[f, 0.5 * fluids.SKIN * self._model.spacing])
+        self._launch_search(renewed=1)
+        wp.launch(kernels.push, shape, inputs=[f, links, shapes, self._felt, gravity, h, share])
+        wp.launch(kernels.flow, shape, inputs=[f, links, gravity, h])
+        wp.launch(kernels.move, shape, inputs=[f, links, shapes, self._felt, h, share])
+
+    def search_again(self) -> None:
+        """Find the neighbours that the last search found, from where particles then were."""
+        self._fluid.stale.fill_(1)
+        self._launch_search(renewed=0)
+
+    def _launch_search(self, renewed: int) -> None:
+        f, shape = self._fluid, (self._n, self._p)
+        wp.launch(kernels.clear, f.head.shape, inputs=[f])
+        wp.launch(kernels.insert, shape, inputs=[f, renewed])
+        wp.launch(kernels.find, shape, inputs=[f])

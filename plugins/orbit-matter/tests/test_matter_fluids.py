@@ -1,0 +1,127 @@
+"""Liquids: their walls, their neighbours, and how worlds hold them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from orbit_assets.objects import box
+from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.scene import Attachment, Fluid, Plane, Pose, Scene, Shape
+from orbit_core.world import simulate
+from orbit_matter.fluid.fluids import build
+
+WATER = Fluid("water", (0.02, 0.02, 0.02), pose=Pose((0.0, 0.0, 0.02)), spacing=0.01)
+GROUND = (Shape(Plane()),)
+
+
+def _around(height: float = 0.08, wall: float = 0.01) -> tuple:
+    """Return four walls around the water, on the ground."""
+    half, away = 0.5 * height, 0.02 + 0.5 * wall
+    long, fixed = 0.04 + 2.0 * wall, {"mass": 1.0, "fixed_base": True}
+    return (
+        box("right", size=(wall, long, height), pose=Pose((away, 0.0, half)), **fixed),
+        box("left", size=(wall, long, height), pose=Pose((-away, 0.0, half)), **fixed),
+        box("front", size=(0.04, wall, height), pose=Pose((0.0, away, half)), **fixed),
+        box("back", size=(0.04, wall, height), pose=Pose((0.0, -away, half)), **fixed),
+    )
+
+
+def _world(num_envs: int = 1, **changes: object) -> World:
+    scene = Scene(objects=_around(), deformables=(WATER,), terrain=GROUND)
+    return simulate(replace(scene, **changes), backend="mujoco", num_envs=num_envs)
+
+
+@pytest.fixture(scope="module")
+def settled() -> World:
+    world = _world(num_envs=2)
+    for _ in range(100):
+        world.step()
+    return world
+
+
+def test_water_stays_within_its_walls_and_keeps_its_height(settled: World) -> None:
+    x = settled.deformables["water"].positions
+    assert (x[..., :2].abs() < 0.02).all()
+    assert (x[..., 2] > 0.0).all()
+    assert x[..., 2].mean().item() == pytest.approx(0.02, rel=0.04)
+
+
+def test_equal_environments_stay_equal_to_the_last_bit(settled: World) -> None:
+    x = settled.deformables["water"].positions
+    assert torch.equal(x[0], x[1])
+
+
+def test_a_snapshot_continues_as_the_run_did(settled: World) -> None:
+    state = settled.save_state()
+    for _ in range(5):
+        settled.step()
+    first = settled.deformables["water"].positions.clone()
+    settled.load_state(state)
+    for _ in range(5):
+        settled.step()
+    assert torch.equal(settled.deformables["water"].positions, first)
+
+
+def test_a_reset_of_one_environment_leaves_the_others(settled: World) -> None:
+    before = settled.deformables["water"].positions.clone()
+    settled.reset(torch.tensor([1]))
+    after = settled.deformables["water"].positions
+    assert torch.equal(after[0], before[0])
+    rest = torch.as_tensor(WATER.pose.transform(WATER.rest_positions), dtype=torch.float32)
+    assert torch.allclose(after[1], rest, atol=1e-6)
+
+
+def test_sides_that_are_thinner_than_a_particle_hold_water_that_is_thrown_at_them() -> None:
+    world = _world(objects=_around(wall=0.002))
+    water = world.deformables["water"]
+    velocities = torch.zeros_like(water.positions)
+    velocities[..., 0] = 2.0
+    water.set_state(water.positions.clone(), velocities)
+    for _ in range(12):
+        world.step()
+    x = water.positions[0]
+    assert not ((x[:, 0] > 0.022) & (x[:, 2] < 0.08)).any()
+
+
+def test_two_boxes_that_make_one_floor_press_as_one() -> None:
+    fixed = {"mass": 1.0, "fixed_base": True}
+    one = (box("floor", size=(0.2, 0.2, 0.02), pose=Pose((0.0, 0.0, -0.01)), **fixed),)
+    two = tuple(
+        box(name, size=(0.1, 0.2, 0.02), pose=Pose((x, 0.0, -0.01)), **fixed)
+        for name, x in (("west", -0.05), ("east", 0.05))
+    )
+    heights = []
+    for floor in (one, two):
+        world = _world(objects=(*floor, *_around()), terrain=())
+        for _ in range(60):
+            world.step()
+        heights.append(float(world.deformables["water"].positions[0, :, 2].mean()))
+    assert heights[0] == pytest.approx(heights[1], rel=0.01)
+
+
+def test_a_denser_liquid_weighs_more(settled: World) -> None:
+    del settled
+    scene = Scene(objects=_around(), deformables=(replace(WATER, density=2000.0),), terrain=())
+    floor = box("floor", size=(0.2, 0.2, 0.02), pose=Pose((0.0, 0.0, -0.01)), mass=1.0, fixed_base=True)
+    world = simulate(replace(scene, objects=(*scene.objects, floor)), backend="mujoco", num_envs=1)
+    force = 0.0
+    for step in range(160):
+        world.step()
+        force += float(world.deformables["water"].contact_force("floor", "floor")[0, 2]) if step >= 80 else 0.0
+    assert -force / 80.0 == pytest.approx(2000.0 * 9.81 * 0.04**3, rel=0.03)
+
+
+def test_liquids_of_two_spacings_are_refused() -> None:
+    other = replace(WATER, name="oil", spacing=0.005, pose=Pose((0.2, 0.0, 0.02)))
+    with pytest.raises(ConfigurationError, match=r"one spacing.*'water' 0.01 m, 'oil' 0.005 m"):
+        build(Scene(deformables=(WATER, other)))
+
+
+def test_nothing_holds_a_liquid(settled: World) -> None:
+    with pytest.raises(ConfigurationError, match="'water' is a liquid, which nothing holds"):
+        build(Scene(deformables=(replace(WATER, attachments=(Attachment((0,)),)),)))
+    with pytest.raises(ConfigurationError, match="'water' is a liquid, which nothing holds"):
+        settled.deformables["water"].anchor([0])
