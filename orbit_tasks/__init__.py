@@ -192,6 +192,12 @@ def register(registry: TaskRegistry) -> None:
     registry.add(
         "Soft-Lifting", "Lift a soft block from the table to a sampled position", "orbit_tasks.soft_lifting:SoftLifting"
     )
+    registry.add(
+        "Fluid-Transport",
+        "Carry a full cup to a sampled position without spilling",
+        "orbit_tasks.fluid_transport:FluidTransport",
+    )
+    registry.add("Fluid-Pouring", "Pour liquid from a cup into a container", "orbit_tasks.fluid_pouring:FluidPouring")
     registry.add("Soft-Stacking", "Put one soft block on another", "orbit_tasks.soft_stacking:SoftStacking")
     registry.add(
         "Soft-Placing", "Put a soft block on a pad, turned as the pad is", "orbit_tasks.soft_placing:SoftPlacing"

@@ -165,7 +165,7 @@ class TowerOfHanoi(soft.SoftTask):
             TaskException(TaskCheck.START_AREA, "each ring starts in a cell of 4 x 4 cm, clear of the hand at another"),
         ),
     )
-    episode_length: float = 24.0
+    episode_length: float = 16.0
     grip_force: float = 3.0
     """Newtons at most that the gripper closes with: more closes the rings' holes."""
     observations: HanoiObservations = field(default_factory=HanoiObservations)

@@ -45,6 +45,40 @@ def test_a_hand_lifts_a_soft_block_by_friction_and_hardly_squeezes_it() -> None:
     environment.close()
 
 
+@pytest.mark.parametrize(
+    ("name", "metric", "steps"),
+    [
+        ("Soft-Stacking", "stack_distance_m", 240),
+        ("Soft-Placing", "place_distance_m", 220),
+        ("Soft-Dropping", "container_distance_m", 260),
+    ],
+)
+def test_a_hand_puts_a_soft_block_where_it_belongs_and_lets_go(name: str, metric: str, steps: int) -> None:
+    environment = make(name, 1, "mujoco", seed=0)
+    task = environment.task
+    expert = task.expert(environment)
+    environment.reset(seed=0)
+    assert not task.success(environment).any()
+    assert task.metrics(environment)[metric].min() > 0.05
+    for _ in range(steps):
+        environment.step(expert.compute({})["action"])
+    assert task.success(environment).all()
+    assert task.metrics(environment)["squeeze"].abs().max() < 0.01, "it has its shape again"
+    environment.close()
+
+
+def test_a_hand_threads_a_soft_ring_onto_a_rod() -> None:
+    environment = make("Tower-Of-Hanoi", 1, "mujoco", seed=0)
+    task = environment.task
+    expert = task.expert(environment)
+    environment.reset(seed=0)
+    assert task.metrics(environment)["in_order"].max() == 0.0
+    for _ in range(350):
+        environment.step(expert.compute({})["action"])
+    assert task.metrics(environment)["in_order"].min() == 1.0
+    environment.close()
+
+
 def test_a_flat_cloth_is_not_folded() -> None:
     environment = make("Cloth-Folding", 2, "mujoco", seed=0)
     task = environment.task

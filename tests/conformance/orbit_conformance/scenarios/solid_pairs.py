@@ -201,7 +201,8 @@ SCENARIOS = (
         source="matter does not pass through itself",
         needs=(Capability.SOFT_BODIES,),
         judges=(Capability.SOFT_BODIES,),
-        time_steps=TIME_STEPS,
+        time_step=0.005,
+        time_steps=(0.005,),
         run=_closed,
         metrics=(
             Metric(
