@@ -10,7 +10,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm
 from orbit_core.envs.task import TaskMetadata
-from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.envs.terms import Meaning, measured_in, once_per_state
 from orbit_core.mdp import common
 from orbit_core.scene import Scene, look_at
 from orbit_core.scene.pose import Vector3
@@ -68,7 +68,9 @@ class FluidPouringState(fluid.CupState):
     """The arm's joints and hand, cup and container, how much is in each, and the last action."""
 
     target: ObservationTerm | None = ObservationTerm(target)
-    poured: ObservationTerm | None = ObservationTerm(poured)
+    poured: ObservationTerm | None = ObservationTerm(
+        poured, unit="1", meaning=Meaning("part of the liquid that is in the container, from 0 to 1")
+    )
 
 
 @dataclass

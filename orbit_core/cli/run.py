@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
@@ -136,7 +137,8 @@ def _plain(settings: RunSettings) -> dict[str, Any]:
     values = {field.name: getattr(settings, field.name) for field in fields(settings)}
     kept = {name: value for name, value in values.items() if name not in _OUTPUTS}
     # What a TOML file gave is in the fields already.
-    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in kept.items()}
+    plain = {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()}
+    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in plain.items()}
 
 
 class _ProgressReporter(StepObserver):

@@ -16,7 +16,7 @@ from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
-from orbit_core.envs.terms import EventFunction, TermFunction, measured_in, once_per_state
+from orbit_core.envs.terms import EventFunction, Meaning, TermFunction, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import (
@@ -225,7 +225,9 @@ class CupState(ObservationGroup):
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     cup_pose: ObservationTerm | None = ObservationTerm(cup_pose)
-    in_cup: ObservationTerm | None = ObservationTerm(in_cup)
+    in_cup: ObservationTerm | None = ObservationTerm(
+        in_cup, unit="1", meaning=Meaning("part of the liquid that is in the cup, from 0 to 1")
+    )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

@@ -289,6 +289,10 @@ _SOLIDS = tuple(
         ("solid_slope", ("creep", "acceleration")),
         ("solid_grasp", ("force", "slip")),
         ("solid_load", ("force", "speed")),
+        ("solid_stack", ("force", "speed")),
+        ("solid_soft_slope", ("creep", "acceleration")),
+        ("solid_draped", ("force", "speed")),
+        ("solid_ring", ("overlap", "open")),
     )
     for metric in metrics
 )

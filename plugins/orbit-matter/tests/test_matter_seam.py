@@ -232,7 +232,7 @@ def test_what_the_solver_cannot_do_is_refused_with_the_reason() -> None:
     with pytest.raises(UnsupportedCapabilityError, match="soft bodies"):
         simulate(Scene(deformables=(soft,)), 1, "mujoco", matter="native")
     with pytest.raises(UnsupportedCapabilityError, match="fluids"):
-        simulate(Scene(deformables=(Fluid("water", (0.1, 0.1, 0.1)),)), 1, "mujoco")
+        simulate(Scene(deformables=(Fluid("water", (0.1, 0.1, 0.1)),)), 1, "mujoco", matter="native")
     with pytest.raises(UnsupportedCapabilityError, match="cloth"):
         simulate(Scene(deformables=(CLOTH,)), 1, "sapien", matter="native")
     with pytest.raises(UnknownNameError, match="orbit-matter"):

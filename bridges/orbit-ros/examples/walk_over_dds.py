@@ -3,7 +3,7 @@
 Start a simulated one first, or name the interface of a real one::
 
     orbit robot --task Velocity-Flat --set robot=unitree_go2 --bridge unitree --port 1 --direct --realtime
-    python examples/walk_over_dds.py unitree://127.0.0.1:1/go2 10
+    python bridges/orbit-ros/examples/walk_over_dds.py unitree://127.0.0.1:1/go2 10
 """
 
 from __future__ import annotations
