@@ -41,7 +41,7 @@ def leans(env: Environment[Any, Any]) -> torch.Tensor:
 class Walk(VelocityFlat):
     """Task of the policy, with what a robot measures and without rewards, which are for learning."""
 
-    state_type: ClassVar[type[VelocityMemory]] = WalkState
+    state_type: ClassVar[type[VelocityMemory]] = WalkState  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __post_init__(self) -> None:
         for term in fields(self.rewards):
@@ -76,7 +76,7 @@ def main(address: str, seconds: float) -> None:
     way = float(np.linalg.norm(np.array(state.objects[0][:2]) - started))
     engine = environment.world.engine
     print(f"walked {way:.2f} m in {steps * period:g} s, trunk {min(heights):.3f} m above the floor at the lowest")
-    print(f"{engine.times.overruns} of {steps} steps late, {state.stops} stops, {state.clamped} commands clamped")
+    print(f"{engine.times.overruns} of {steps} steps late, {state.stops} stops, {state.clamped} commands clamped")  # pyright: ignore[reportAttributeAccessIssue]
     print(f"from command to motor message: {link.round_trips} (p50/p99/p99.9)")
     link.stop()
     environment.close()
