@@ -10,7 +10,7 @@ from torch.linalg import vector_norm
 
 from orbit_assets.deformables import cuboid
 from orbit_assets.objects import BENCH_HEIGHT, work_bench
-from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
@@ -185,14 +185,6 @@ class SoftState(ObservationGroup):
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     key_points: ObservationTerm | None = ObservationTerm(matter.key_points(BLOCK))
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
-
-
-@dataclass
-class Smoothness:
-    """Rewards, negative ones, of what is fast or abrupt."""
-
-    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
-    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
 
 @dataclass

@@ -16,6 +16,7 @@ from orbit_core.mdp import common
 from orbit_core.scene import Pose, Region, Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks import soft
+from orbit_tasks.cloth import Smoothness
 from orbit_tasks.mdp import matter, picking
 from orbit_tasks.soft import BLOCK, lifted, middle, reaching, squeeze
 
@@ -89,7 +90,7 @@ class SoftDroppingObservations:
 
 
 @dataclass
-class SoftDroppingRewards(soft.Smoothness):
+class SoftDroppingRewards(Smoothness):
     """Rewards of the hand at the block, the block over the container and in it, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)

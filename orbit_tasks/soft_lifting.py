@@ -14,6 +14,7 @@ from orbit_core.mdp.commands import UniformPositionCommand, generated_command
 from orbit_core.scene import Scene
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks import soft
+from orbit_tasks.cloth import Smoothness
 from orbit_tasks.lift import GOAL
 from orbit_tasks.mdp import matter
 from orbit_tasks.soft import BLOCK, lifted, middle, reaching, squeeze
@@ -70,7 +71,7 @@ class SoftLiftingObservations:
 
 
 @dataclass
-class SoftLiftingRewards(soft.Smoothness):
+class SoftLiftingRewards(Smoothness):
     """Rewards of the hand at the block, the block off the table and at its goal, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)

@@ -17,6 +17,7 @@ from orbit_core.mdp import common
 from orbit_core.scene import Pose, Scene, look_at
 from orbit_motion.experts import Expert
 from orbit_tasks import soft
+from orbit_tasks.cloth import Smoothness
 from orbit_tasks.mdp import matter, picking
 from orbit_tasks.soft import BLOCK, lifted, middle, reaching, squeeze
 
@@ -87,7 +88,7 @@ class SoftPlacingObservations:
 
 
 @dataclass
-class SoftPlacingRewards(soft.Smoothness):
+class SoftPlacingRewards(Smoothness):
     """Rewards of the hand at the block, the block off the table, at its place and let go, less what is abrupt."""
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)

@@ -21,6 +21,7 @@ from orbit_core.mdp import common
 from orbit_core.scene import Color, KeyPoint, PhysicsMaterial, Pose, Scene, SoftBody, look_at
 from orbit_motion.experts import Expert, Phase, Retry
 from orbit_tasks import soft
+from orbit_tasks.cloth import Smoothness
 from orbit_tasks.mdp import matter, picking
 
 ROD = "rod"
@@ -124,7 +125,7 @@ class HanoiObservations:
 
 
 @dataclass
-class HanoiRewards(soft.Smoothness):
+class HanoiRewards(Smoothness):
     """Rewards of the hand at the next ring, the ring over the rod and round it, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)

@@ -31,7 +31,7 @@ RENEWED = 0.2
 NOWHERE = 1e9
 """Metres; where particles are taken to have been that were not searched yet."""
 WALLS = 6
-"""That act on a particle at a time: in a narrow vessel all of its sides do."""
+"""Most walls that act on a particle at a time: in a narrow vessel all of its sides do."""
 MACH = 6.0
 """Speed of sound over the speed of free fall through the liquid's height: densities differ by 0.8 % at rest."""
 LEAST_HEIGHT = 0.1

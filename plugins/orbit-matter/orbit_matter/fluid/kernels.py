@@ -28,7 +28,7 @@ that make one floor, or that overlap, one hides the other."""
 PROBE = wp.constant(0.1)
 """Spacings below a surface where its depth tells edges from faces; walls of a fifth of a spacing have faces still."""
 SHARP = wp.constant(2.05)
-"""What an edge takes of a wall's weight: 0.6 where its faces are square to each other."""
+"""Factor of the loss of a wall's weight at an edge: 0.6 of it where the faces are square to each other."""
 CLOSEST = wp.constant(0.25)
 """Spacings that a particle is kept from a wall, should the wall be faster than pressure."""
 ESCAPE = wp.constant(0.5)
@@ -87,7 +87,7 @@ class Fluid:
     length: float
     """Smoothing length in metres; the kernel ends at twice of it."""
     slope: float
-    """Of the kernel: its gradient is ``-slope t^3 x`` with ``t = 1 - r / (2 length)`` (Wendland's C2)."""
+    """Slope of the kernel: its gradient is ``-slope t^3 x`` with ``t = 1 - r / (2 length)`` (Wendland's C2)."""
     sound: float
     """m/s"""
     rough: float
@@ -95,7 +95,7 @@ class Fluid:
     smooth: float
     """m^2/s of the diffusion of densities."""
     peak: float
-    """Of the kernel, times a particle's volume: it is ``peak t^4 (5 - 4 t)``."""
+    """Height of the kernel times a particle's volume: it is ``peak t^4 (5 - 4 t)``."""
     mess: float
     """Excess of ``packed`` of particles in disorder: each counts itself."""
     renewal: float
