@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from orbit_core.cli import main
 from orbit_core.envs import task_entries
 from orbit_core.interfaces import Capability, UnknownNameError
 
+ROOT = Path(__file__).parents[2]
 BACKEND = default_backend()
 PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())"]
 Printed = Callable[..., str]
@@ -266,6 +268,14 @@ def test_debugging_shows_where_a_mistake_was_found(words: list[str], variable: s
     monkeypatch.setenv("ORBIT_DEBUG", variable)
     with pytest.raises(UnknownNameError):
         main(["run", "Lft", *words])
+
+
+def test_help_describes_every_command_of_the_distributions(printed: Printed):
+    described = {line.split()[0]: line for line in printed("--help").splitlines() if line.startswith("  ")}
+    for file in [*ROOT.glob("pyproject.toml"), *ROOT.glob("packages/*/pyproject.toml"), *ROOT.glob("tests/*/*.toml")]:
+        points = tomllib.loads(file.read_text(encoding="utf-8")).get("project", {}).get("entry-points", {})
+        for name in points.get("orbit.commands", {}):
+            assert "entry point" not in described[name], name
 
 
 def test_help_names_every_command_and_option(printed: Printed):
