@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,7 +22,6 @@ from orbit_core.cli import main
 from orbit_core.envs import task_entries
 from orbit_core.interfaces import Capability, UnknownNameError
 
-ROOT = Path(__file__).parents[2]
 BACKEND = default_backend()
 PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())"]
 Printed = Callable[..., str]
@@ -270,16 +268,10 @@ def test_debugging_shows_where_a_mistake_was_found(words: list[str], variable: s
         main(["run", "Lft", *words])
 
 
-def test_help_describes_every_command_of_the_distributions(printed: Printed):
-    described = {line.split()[0]: line for line in printed("--help").splitlines() if line.startswith("  ")}
-    for file in [*ROOT.glob("pyproject.toml"), *ROOT.glob("packages/*/pyproject.toml"), *ROOT.glob("tests/*/*.toml")]:
-        points = tomllib.loads(file.read_text(encoding="utf-8")).get("project", {}).get("entry-points", {})
-        for name in points.get("orbit.commands", {}):
-            assert "entry point" not in described[name], name
-
-
-def test_help_names_every_command_and_option(printed: Printed):
-    assert "view" in printed("--help")
+def test_help_says_what_every_command_and_option_does(printed: Printed):
+    shown = printed("--help")
+    assert "view" in shown
+    assert "entry point" not in shown  # stands for a command that nobody has described
     text = orbit("run", "--help").stdout
     for option in ("--num-envs", "--episodes", "--config", "--setting"):
         assert option in text
