@@ -1,8 +1,9 @@
 """Measure the prose of docstrings, comments and pages: `python tools/prose.py [--list] [PATH...]`.
 
 Prints for each path the share of docstrings that open with a question word or a fragment, dialect words in a thousand,
-and the share of lines that are comments. Of pages in Markdown it counts dialect words outside of code. `--list` names each docstring to rewrite. `--most-openings`, `--most-words`
-and `--least-comments` turn a figure beyond them into a failure.
+and the share of lines that are comments. Of pages in Markdown it counts dialect words outside of code. `--list` names
+each docstring to rewrite. `--most-openings`, `--most-words` and `--least-comments` turn a figure beyond them into a
+failure.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ OPENINGS = re.compile(
     r"Has|Had|Such|It|Its|They|Them)\b"
 )
 DIALECT = re.compile(
-    r"\b(anew|besides?|tells?|told|reckon\w*|mend(?:s|ed|ing)?|lies|stands? for|comes? to(?! rest)|came to(?! rest)|of its own|to be had|"
-    r"at the most|hence|whoever|whatever|wherever|nothing else|spelt|makes? of|go about|what it came)\b",
+    r"\b(anew|besides?|tells?|told|reckon\w*|mend(?:s|ed|ing)?|lies|stands? for|comes? to(?! rest)|came to(?! rest)|"
+    r"of its own|to be had|at the most|hence|whoever|whatever|wherever|nothing else|spelt|makes? of|go about|what it came)"
+    r"\b",
     re.IGNORECASE,
 )
 # Code of a page: fenced blocks, and names between backticks.
