@@ -24,8 +24,8 @@ OPENINGS = re.compile(
 )
 DIALECT = re.compile(
     r"\b(anew|besides?|tells?|told|reckon\w*|mend(?:s|ed|ing)?|lies|stands? for|comes? to(?! rest)|came to(?! rest)|"
-    r"of its own|to be had|at the most|hence|whoever|whatever|wherever|nothing else|spelt|makes? of|go about|what it came)"
-    r"\b",
+    r"of its own|to be had|at the most|hence|whoever|whatever|wherever|nothing else|spelt|makes? of|go about|"
+    r"what it came)\b",
     re.IGNORECASE,
 )
 # Code of a page: fenced blocks, and names between backticks.
