@@ -38,7 +38,7 @@ OTHERS = {
     "augment": ("orbit-data", "Make many demonstrations of a few, moved to where things are in new episodes"),
     "data": ("orbit-data", "Describe, convert, merge, filter, split and replay datasets of demonstrations"),
     "grasp": ("orbit-motion", "Choose, accept and move grasps of an arm in the browser, and take the arm"),
-    "train": ("orbit-learn", "Learn a task with a reinforcement learning library"),
+    "train": ("orbit-learn", "Learn a task: by reinforcement, from a teacher or from demonstrations"),
     "sweep": ("orbit-learn", "Train with varied settings on the machines of a Ray cluster, and compare"),
     "plot": ("orbit-learn", "Draw learning curves of trainings against each other"),
     "train-actuator": ("orbit-learn", "Fit a network to logged data of an actuator's joints"),
