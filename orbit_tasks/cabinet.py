@@ -101,6 +101,7 @@ class CabinetGoal(UniformScalarCommand):
     """Metres that the drawer is to be open; a marker shows where its handle is then."""
 
     value: Bounds = (0.15, 0.3)
+    """Least and most opening, m."""
 
     def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:
         handle = handle_pose(env)[env_ids]
@@ -179,7 +180,7 @@ class CabinetState(ObservationGroup):
 
 @dataclass
 class CabinetObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: CabinetState = field(default_factory=CabinetState)
     critic: ObservationGroup | None = None
@@ -214,8 +215,11 @@ class CabinetEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cabinet: EventTerm | None = EventTerm(place_cabinet)
     masses: EventTerm | None = None
+    """Masses of the cabinet's parts, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of fingers and cabinet; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)

@@ -131,7 +131,7 @@ class CartpoleState(ObservationGroup):
 
 @dataclass
 class CartpoleObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: CartpoleState = field(default_factory=CartpoleState)
     critic: ObservationGroup | None = None
@@ -167,6 +167,7 @@ class CartpoleEvents:
 
     place: EventTerm | None = EventTerm(place)
     masses: EventTerm | None = None
+    """Masses of cart and pole, drawn for each environment; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)
@@ -248,11 +249,13 @@ class SwingUpController(Node):
 
     def __init__(self, env: Environment[Cartpole]) -> None:
         self.name = "policy"
+        """Name of the node in the agent's graph, where it takes the policy's place."""
         generator = env.actions.generators[0]
         if not isinstance(generator, JointEffort) or generator.command_size != 1:
             raise ConfigurationError(f"the expert gives the cart's effort: action '{env.task.action}' does not take it")
         self._generator, self._env = generator, env
         self.outputs = (Port("action", (1,)),)
+        """Port of the action, (1,): the cart's effort, scaled as the action space takes it."""
         links = {link.name: link for link in common.robot_of(env.world).spec.articulation.links}
         pole, self._gravity = links["pole"], -env.world.scene.gravity[2]
         arm = pole.center_of_mass[2]

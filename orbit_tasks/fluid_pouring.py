@@ -75,7 +75,7 @@ class FluidPouringState(fluid.CupState):
 
 @dataclass
 class FluidPouringObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: FluidPouringState = field(default_factory=FluidPouringState)
     critic: ObservationGroup | None = None
@@ -86,6 +86,7 @@ class FluidPouringRewards(fluid.CupRewards):
     """Rewards of the hand at the handle, the cup over the container and what is in it, less what is spilt or abrupt."""
 
     bring: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.2), 4.0)
+    """Nearness of the cup's middle to the place from which it pours, within some 0.2 m."""
     pour: RewardTerm | None = RewardTerm(poured, 16.0)
     spill: RewardTerm | None = RewardTerm(spilt, -8.0)
 

@@ -81,7 +81,7 @@ class FluidTransportState(fluid.CupState):
 
 @dataclass
 class FluidTransportObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: FluidTransportState = field(default_factory=FluidTransportState)
     critic: ObservationGroup | None = None
@@ -93,7 +93,9 @@ class FluidTransportRewards(fluid.CupRewards):
 
     lift: RewardTerm | None = RewardTerm(lifted, 4.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    """Nearness of the lifted cup to the goal within some 0.3 m, times the share of liquid in it."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+    """The same within 0.05 m, which decides the last centimetres."""
     spill: RewardTerm | None = RewardTerm(fluid.spilt((in_cup,)), -8.0)
 
 

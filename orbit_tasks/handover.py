@@ -214,7 +214,9 @@ class HandoverRewards:
     receiver_joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4, agent=RECEIVER)
     lift: RewardTerm | None = RewardTerm(lifted, 4.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    """Nearness of the lifted rod to the goal, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+    """The same within 0.05 m, which decides the last centimetres."""
 
 
 @dataclass
@@ -234,9 +236,13 @@ class HandoverEvents:
         common.place_object("rod", x=(0.37, 0.47), y=(-0.2, 0.2), z=0.5 * WIDTH, yaw=(-0.5, 0.5))
     )  # on a patch that only the giver reaches
     rod_mass: EventTerm | None = None
+    """Mass of the rod, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of both hands, rod and table; set by domain randomisation."""
     giver_gains: EventTerm | None = None
+    """Scales of the giver's stiffness and damping; set by domain randomisation."""
     receiver_gains: EventTerm | None = None
+    """Scales of the receiver's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)

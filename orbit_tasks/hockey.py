@@ -195,7 +195,9 @@ class HockeyRewards:
     strike: RewardTerm | None = RewardTerm(striking, 1.0)
     slide: RewardTerm | None = RewardTerm(sliding, 4.0)
     near: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.3), 8.0)
+    """Nearness of the puck to the inside of the net, within some 0.3 m."""
     score: RewardTerm | None = RewardTerm(lambda env: inside(env).float(), 16.0)
+    """1 in each step in which the puck is in the net."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 

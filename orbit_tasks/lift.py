@@ -191,7 +191,7 @@ class LiftState(ObservationGroup):
 
 @dataclass
 class LiftObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: LiftState = field(default_factory=LiftState)
     critic: ObservationGroup | None = None
@@ -199,7 +199,7 @@ class LiftObservations:
 
 @dataclass
 class LiftPixelObservations:
-    """The policy sees pictures, critic and teacher the state."""
+    """Pictures for ``policy``; the state for ``critic`` and ``teacher``."""
 
     policy: ArmPixels = field(default_factory=ArmPixels)
     critic: ObservationGroup | None = field(default_factory=LiftState)
@@ -213,7 +213,9 @@ class LiftRewards:
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 15.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    """Nearness of the lifted cube to the goal, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+    """The same within 0.05 m, which decides the last centimetres."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -239,8 +241,11 @@ class LiftEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cube: EventTerm | None = EventTerm(place_cube)
     cube_mass: EventTerm | None = None
+    """Mass of the cube, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of fingers, cube and table; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)

@@ -65,7 +65,7 @@ class MobileCabinetState(CabinetState):
 
 @dataclass
 class MobileCabinetObservations(CabinetObservations):
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: CabinetState = field(default_factory=MobileCabinetState)
 

@@ -81,7 +81,7 @@ class MobileReachState(ReachState):
 
 @dataclass
 class MobileReachObservations(ReachObservations):
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: ReachState = field(default_factory=MobileReachState)
 

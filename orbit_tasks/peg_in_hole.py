@@ -203,10 +203,13 @@ class PegRewards:
 
     reach: RewardTerm | None = RewardTerm(reaching, 0.3)
     lift: RewardTerm | None = RewardTerm(lambda env: lifted(env).mean(1), 0.4)
+    """Share of the blocks that are off the table or in their holes."""
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.2), 0.6)
+    """Nearness of lifted blocks to their places, turned as they must be, within some 0.2 m."""
     align: RewardTerm | None = RewardTerm(aligned, 0.6)
     depth: RewardTerm | None = RewardTerm(depth, 2.0)
     insert: RewardTerm | None = RewardTerm(lambda env: inserted(env).mean(1), 6.0)
+    """Share of the blocks that are in their holes."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 

@@ -74,7 +74,7 @@ class ReachState(ObservationGroup):
 
 @dataclass
 class ReachObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: ReachState = field(default_factory=ReachState)
     critic: ObservationGroup | None = None
@@ -82,7 +82,7 @@ class ReachObservations:
 
 @dataclass
 class ReachPixelObservations:
-    """The policy sees pictures, critic and teacher the state."""
+    """Pictures for ``policy``; the state for ``critic`` and ``teacher``."""
 
     policy: ArmPixels = field(default_factory=ArmPixels)
     critic: ObservationGroup | None = field(default_factory=ReachState)
@@ -118,7 +118,9 @@ class ReachEvents:
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.2))
     masses: EventTerm | None = None
+    """Masses of the arm's links, drawn for each environment; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)

@@ -157,7 +157,7 @@ class RoomState(ObservationGroup):
 
 @dataclass
 class RoomObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RoomState = field(default_factory=RoomState)
     critic: ObservationGroup | None = None

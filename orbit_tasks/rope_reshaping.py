@@ -156,7 +156,7 @@ class RopeReshapingState(ObservationGroup):
 
 @dataclass
 class RopeReshapingObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RopeReshapingState = field(default_factory=RopeReshapingState)
     critic: ObservationGroup | None = None
@@ -168,7 +168,9 @@ class RopeReshapingRewards:
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     shape: RewardTerm | None = RewardTerm(lambda env: shaping(env, 0.1), 10.0)
+    """Nearness of the rope's points to their places, within some 0.1 m."""
     shape_finely: RewardTerm | None = RewardTerm(lambda env: shaping(env, 0.02), 5.0)
+    """The same within 0.02 m, which decides the last centimetres."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -222,6 +224,7 @@ class RopeReshaping(Task):
     radius: float = 0.008
     """Metres."""
     particles: int = 41
+    """Particles along the rope."""
     grip_force: float = 10.0
     """Newtons at most that the gripper closes with."""
     tolerance: float = 0.03

@@ -123,7 +123,7 @@ class RunningState(ObservationGroup):
 
 @dataclass
 class RunningObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RunningState = field(default_factory=RunningState)
     critic: ObservationGroup | None = None
@@ -154,7 +154,9 @@ class RunningEvents:
 
     place_robot: EventTerm | None = EventTerm(place_robot)
     masses: EventTerm | None = None
+    """Masses of all links, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of robot and ground; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)

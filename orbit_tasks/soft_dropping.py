@@ -83,7 +83,7 @@ class SoftDroppingState(soft.SoftState):
 
 @dataclass
 class SoftDroppingObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: SoftDroppingState = field(default_factory=SoftDroppingState)
     critic: ObservationGroup | None = None

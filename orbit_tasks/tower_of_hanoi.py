@@ -118,7 +118,7 @@ class HanoiState(ObservationGroup):
 
 @dataclass
 class HanoiObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: HanoiState = field(default_factory=HanoiState)
     critic: ObservationGroup | None = None
@@ -130,7 +130,9 @@ class HanoiRewards(Smoothness):
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.1), 4.0)
+    """Nearness of the next, lifted ring to the rod, within some 0.1 m."""
     thread: RewardTerm | None = RewardTerm(lambda env: in_order(env).float().mean(1), 16.0)
+    """Share of the rings that are round the rod in their order."""
 
 
 @dataclass

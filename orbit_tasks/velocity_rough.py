@@ -94,7 +94,7 @@ class RoughState(VelocityState):
 
 @dataclass
 class RoughObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RoughState = field(default_factory=RoughState)
     critic: ObservationGroup | None = None
@@ -134,6 +134,7 @@ class RoughCurriculum:
     """Robots that leave their cell go a level up."""
 
     level: CurriculumTerm | None = CurriculumTerm(BY_DISTANCE)
+    """Change of the terrain's level after each episode, by the distance walked."""
 
 
 @dataclass(kw_only=True)

@@ -1,9 +1,10 @@
 """Count documented fields: `python tools/field_docs.py [--list] [PATH...]`.
 
 A field is a public annotated or assigned name in the body of a public class (dataclass fields, enum members, class
-attributes), or a public attribute that `__init__` sets. It is documented by a string below it, or by a line of the
-`Attributes:` or `Args:` section of its class, of `__init__` or of a base class, as the API reference shows them. Files
-are parsed, not imported.
+attributes), or a public attribute that `__init__` sets. It is documented by a string below it, by a line of the
+`Attributes:` or `Args:` section of its class or of `__init__`, or by name, as ``name``, in the text of its class. A
+field that overrides one of a base class has the doc of that one. A term of a task (`RewardTerm(reaching, 1.0)`) is
+documented by the function or class that it is made of, or by its `Meaning`. Files are parsed, not imported.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import docs_api
 
 SECTION = re.compile(r"^(?:Attributes|Args):\n((?:(?: +.*)?\n)*)", re.MULTILINE)
 ENTRY = re.compile(r"(?:[\w*]+, )*[\w*]+(?= *(?:\([^)]*\))?:)")
+MENTION = re.compile(r"``(\w+)``")
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class Class:
 
     name: str
     """Full name."""
+    module: str
+    """Full name of its module."""
     path: Path
     bases: tuple[str, ...]
     """Names of the base classes, without their modules."""
@@ -49,11 +53,23 @@ class Class:
     def documented(self) -> frozenset[str]:
         """Names that a string or a section of a docstring describes."""
         texts = [ast.get_docstring(node) or "" for node in (self.node, *_inits(self.node))]
-        sections = {name for text in texts for name in section_names(text)}
+        sections = {name for text in texts for name in section_names(text)} | set(MENTION.findall(texts[0]))
         properties = {
             node.name for node in self.node.body if isinstance(node, ast.FunctionDef) and ast.get_docstring(node)
         }
-        return frozenset({name for _, name, _, described in _assigned(self.node) if described} | sections | properties)
+        strings = {name for _, name, _, described in _assigned(self.node) if described}
+        return frozenset(strings | sections | properties | set(self._terms))
+
+    @property
+    def _terms(self) -> Iterator[str]:
+        """Names of terms whose functions describe them."""
+        for node in self.node.body:
+            match node:
+                case ast.AnnAssign(target=ast.Name(id=name), annotation=annotation, value=ast.expr() as value):
+                    if docs_api.term_docstring(ast.unparse(annotation), ast.unparse(value), self.module):
+                        yield name
+                case _:
+                    pass
 
     @cached_property
     def _members(self) -> frozenset[str]:
@@ -122,7 +138,8 @@ def classes() -> dict[str, Class]:
         tree = ast.parse(module.path.read_text(encoding="utf-8"))
         for prefix, node in _classes(tree, module.name):
             bases = tuple(_base(base) for base in node.bases)
-            found[f"{prefix}.{node.name}"] = Class(f"{prefix}.{node.name}", module.path, bases, node)
+            name = f"{prefix}.{node.name}"
+            found[name] = Class(name, module.name, module.path, bases, node)
     return found
 
 

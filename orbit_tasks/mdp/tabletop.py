@@ -105,7 +105,7 @@ class GraspState(ArmState):
 
 @dataclass
 class StateObservations:
-    """Policy and critic see the state, unless the policy sees less."""
+    """State for ``policy`` and ``critic``, or for ``critic`` and ``teacher`` where the policy sees less."""
 
     policy: ObservationGroup
     critic: ObservationGroup | None = None
@@ -139,7 +139,9 @@ class ArmEvents:
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     friction: EventTerm | None = None
+    """Friction of the pieces; set by domain randomisation (:meth:`TabletopTask.vary`)."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)
