@@ -139,6 +139,7 @@ def pulled(env: Environment[Cabinet]) -> Tensor:
 def _moved_in(handle: Tensor, position: Tensor, distance: Tensor) -> Tensor:
     """(n, 7) oriented like the handle, at ``position`` (n, 3) moved into the cabinet by ``distance`` (n,)."""
     along = torch.zeros_like(position)
+    # The handle's z points into the cabinet.
     along[:, 2] = distance
     return torch.cat((position + quat_rotate(handle[:, 3:], along), handle[:, 3:]), dim=1)
 
@@ -254,6 +255,7 @@ class Cabinet(Task):
     def scene_with(self, robot: RobotSpec, plinth: float) -> Scene:
         """The cabinet before a robot, on a plinth of that height in metres."""
         away = distance_to_cabinet(robot)
+        # The plinth raises the cabinet; fixed, as it would tip when the drawer is pulled.
         options = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((away, 0.0, 0.5 * plinth)))
         return Scene(
             robots=(robot,),

@@ -34,6 +34,7 @@ def lifted(env: Environment[ClothLifting]) -> Tensor:
 
 def tracking(env: Environment[ClothLifting], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the lifted middle is to the goal."""
+    # Counts once it is lifted: cloth that is pushed along the tray comes nearer as well.
     return lifted(env) * common.nearness(goal_distance(env), scale)
 
 

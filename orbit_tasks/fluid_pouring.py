@@ -128,6 +128,7 @@ class FluidPouring(fluid.CupTask):
 
     def expert(self, env: Environment) -> Expert:
         def tilted(tilt: float) -> Phase:
+            # Loose and short: a cup that pours need not be still before it is tilted further.
             pose = fluid.carrying(pouring_place, tilt)
             return Phase(
                 pose, gripper_open=False, position_tolerance=0.03, rotation_tolerance=0.1, dwell=0.4, timeout=1.0
@@ -140,6 +141,7 @@ class FluidPouring(fluid.CupTask):
                 Phase(lifted, gripper_open=False, position_tolerance=0.03, timeout=1.5),
                 Phase(fluid.carrying(pouring_place), gripper_open=False, position_tolerance=0.02, timeout=3.5),
                 *(tilted(tilt) for tilt in TILTS),
+                # The last tilt once more, until the episode ends, for what still drips.
                 Phase(fluid.carrying(pouring_place, TILTS[-1]), gripper_open=False),
             ),
         )

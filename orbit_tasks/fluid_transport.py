@@ -36,6 +36,7 @@ def lifted(env: Environment[FluidTransport]) -> Tensor:
 
 def tracking(env: Environment[FluidTransport], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted cup is to the goal, times the part of the liquid that is in it."""
+    # Counts once it is lifted: tipping the cup towards the goal would pay as well.
     return lifted(env) * in_cup(env) * common.nearness(goal_distance(env), scale)
 
 
@@ -140,6 +141,7 @@ class FluidTransport(fluid.CupTask):
             env,
             (
                 *fluid.taking(env.world),
+                # Straight up first: led aslant, the cup would scrape along its stand.
                 Phase(raised, gripper_open=False, position_tolerance=0.02, timeout=1.5),
                 Phase(at_goal, gripper_open=False),
             ),

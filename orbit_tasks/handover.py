@@ -132,6 +132,7 @@ def offering(env: Environment[Handover], agent: str) -> Tensor:
 
 def tracking(env: Environment[Handover], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the lifted rod is to the goal."""
+    # Counts once it is lifted: a rod that is pushed across the table comes nearer as well.
     return lifted(env) * common.nearness(goal_distance(env), scale)
 
 

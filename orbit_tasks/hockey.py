@@ -55,6 +55,7 @@ class HockeyMemory(tabletop.TabletopMemory):
 def net_at(env: Environment[Hockey, HockeyMemory], seconds: Tensor | float) -> tuple[Tensor, Tensor]:
     """(N,) metres and (N,) m/s: place and velocity of the net, so many seconds from now."""
     amplitude, rate = (0.08 if env.task.moving_goal else 0.0), 0.5 * math.pi
+    # By the episode's own steps, so that a snapshot or a reset moves the net with them.
     time = env.state.episode_step * env.step_dt + seconds
     angle = env.state.net_phase + rate * time
     return env.state.net_middle + amplitude * angle.sin(), amplitude * rate * angle.cos()

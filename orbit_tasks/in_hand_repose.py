@@ -150,6 +150,7 @@ class HandGoal(UniformOrientationCommand):
 
     def follow(self, env: Environment[Any, HandMemory], command: Tensor) -> bool:
         held, markers = env.world.objects[OBJECT].root_pose, env.world.markers
+        # Axes on the object and on the goal next to it let a viewer compare both.
         markers["object_axes"].set_pose(held)
         markers["goal"].set_pose(torch.cat((env.state.beside.expand(len(held), 3), command), dim=1))
         return False

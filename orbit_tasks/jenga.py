@@ -49,10 +49,12 @@ class JengaMemory(tabletop.TabletopMemory):
         super().start(env)
         layers = env.task.layers
         self.heights = torch.zeros(env.num_envs, len(env.task.others), device=env.device)
+        # Layers alternate in direction, and the arm pulls along its own; foot and top stay as they are.
         pointing = [layer for layer in range(3, layers - 2) if (layers - layer) % 2 == 0]
         self.cells = torch.tensor([3 * layer + slot for layer in pointing for slot in range(3)], device=env.device)
 
     def update(self, env: Environment[Jenga]) -> None:
+        # Followed while it is in the tower, whose blocks shift a little under the hand.
         inside = out(env) < env.task.protrusion + 0.002
         self.rest.copy_(torch.where(inside[:, None], given_pose(env), self.rest))
 
@@ -114,6 +116,7 @@ def out(env: Environment[Jenga, JengaMemory]) -> Tensor:
 
 def tracking(env: Environment[Jenga], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the block is to its place, once it is out of the tower."""
+    # Once it is nearly out: before, going up would tear the tower down.
     return (out(env) > 0.9 * SIZE[0]) * common.nearness(distance(env), scale)
 
 

@@ -104,6 +104,7 @@ def lifted(env: Environment[Lift, LiftMemory]) -> Tensor:
 
 def tracking(env: Environment[Lift], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted cube is to the goal."""
+    # Counts once it is lifted: a cube that is pushed along the table comes nearer as well.
     return lifted(env) * common.nearness(goal_distance(env), scale)
 
 
@@ -129,6 +130,7 @@ def place_cube(env: Environment[Lift, LiftMemory], env_ids: Tensor) -> None:
     """Place the cube on a patch of the table in the hand's workspace, 20 x 50 cm for a Panda, turned by any angle."""
     height, (low, high), spread = env.state.rest_height, patch(env.world), env.task.start_spread
     (left, right), (near, far) = (narrowed(bounds, spread) for bounds in zip(low, high, strict=True))
+    # Starts and turns narrow together, so that a spread of 0 is one start.
     turn = math.pi * spread
     place = env.world.random.uniform((4,), (left, near, height, -turn), (right, far, height, turn), env_ids)
     pose = common.standing(place)
@@ -316,6 +318,7 @@ class Lift(Task):
         return {"goal_distance_m": goal_distance(env)}
 
     def expert(self, env: Environment) -> Expert:
+        # At least 0.4 s: the fingers must be still on the cube before it is lifted.
         closing = max(0.4, common.closing_time(env.world))
         return Expert(
             env,

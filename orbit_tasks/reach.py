@@ -93,6 +93,8 @@ class ReachPixelObservations:
 class ReachRewards:
     """Rewards of the hand's position and rotation at the goal, less what is fast or abrupt."""
 
+    # None = RewardTerm(position_error, -2.0) | A cost in metres leads from anywhere, nearness decides the last
+    # decimetre.
     position: RewardTerm | None = RewardTerm(position_error, -2.0)
     position_finely: RewardTerm | None = RewardTerm(near, 1.0)
     rotation: RewardTerm | None = RewardTerm(rotation_error, -0.5)

@@ -87,6 +87,7 @@ class BendCommand(CommandTerm):
         return {"angle": self.angle, "side": (0.0, 1.0)}
 
     def command(self, env: Environment, drawn: Tensor, env_ids: Tensor) -> Tensor:
+        # A second number draws the side: one range through zero would include ropes that need no bend.
         return drawn[:, :1] * torch.where(drawn[:, 1:] < 0.5, -1.0, 1.0)
 
     def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:

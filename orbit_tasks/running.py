@@ -75,6 +75,7 @@ def speed(env: Environment[Running]) -> Tensor:
 
 def alive(env: Environment[Running]) -> Tensor:
     """(N,) ones."""
+    # A wage for every step, so that running on pays more than falling early.
     return torch.ones_like(speed(env))
 
 
@@ -85,6 +86,7 @@ def facing_ahead(env: Environment[Running]) -> Tensor:
 
 def standing_up(env: Environment[Running]) -> Tensor:
     """(N,) in [-1, 1]: 1 where the trunk stands upright."""
+    # Gravity in the trunk's axes points down along its z where it stands.
     return -projected_gravity(env)[:, 2]
 
 
@@ -104,6 +106,7 @@ def place_robot(env: Environment[Running], env_ids: Tensor) -> None:
     body = common.robot_of(env.world)
     pose = torch.tensor((*body.spec.pose.position, *body.spec.pose.orientation), device=env.device)
     body.set_root_pose(pose.expand(len(env_ids), 7), env_ids)
+    # After the root: joints are drawn around home in a robot that stands.
     common.randomize_robot_start(0.1)(env, env_ids)
 
 

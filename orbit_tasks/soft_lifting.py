@@ -31,6 +31,7 @@ def goal_distance(env: Environment[SoftLifting]) -> Tensor:
 
 def tracking(env: Environment[SoftLifting], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted block is to the goal."""
+    # Counts once it is lifted: a block that is pushed along the table comes nearer as well.
     return lifted(env) * common.nearness(goal_distance(env), scale)
 
 

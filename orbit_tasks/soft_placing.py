@@ -61,6 +61,7 @@ def placed(env: Environment[SoftPlacing]) -> Tensor:
 
 def tracking(env: Environment[SoftPlacing], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted block is to its place."""
+    # Counts once it is lifted: a block that is pushed against the pad is near its place as well.
     return lifted(env) * common.nearness(distance(env), scale)
 
 
@@ -133,6 +134,7 @@ class SoftPlacing(soft.SoftTask):
 
     def scene(self) -> Scene:
         where = Pose((0.48, 0.12, 0.5 * EXTENT[2]))
+        # Fixed, or a block that is put down aslant would push the pad away.
         options = SolidOptions(mass=1.0, fixed_base=True, pose=where, color=(0.35, 0.5, 0.7, 1.0))
         return self.on_bench((self.block((0.48, -0.12, 0.5 * self.size)),), box(PAD, EXTENT, **options))
 

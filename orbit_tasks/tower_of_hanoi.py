@@ -34,7 +34,7 @@ COLORS: dict[str, Color] = {
 SECTION = 0.01
 # Metres: the rod's radius and height.
 ROD_SIZE = (0.004, 0.075)
-# Places of rings, in metres; each starts within SPREAD of its own.
+# Places of rings, in metres; each starts within SPREAD of its place.
 PLACES = {"large": (0.42, -0.2), "middle": (0.56, -0.14), "small": (0.42, -0.06)}
 SPREAD = 0.02
 # Metres above its ring's middle at which a hand takes it: fingertips reach below their frame.

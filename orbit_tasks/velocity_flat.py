@@ -77,6 +77,7 @@ def yaw_error(env: Environment[VelocityFlat]) -> Tensor:
 
 def linear_tracking(env: Environment[VelocityFlat]) -> Tensor:
     """(N,) in (0, 1]."""
+    # Half a metre a second off leaves 37 % of the reward.
     return torch.exp(-linear_error(env).square() / 0.25)
 
 
