@@ -4,7 +4,8 @@ A field is a public annotated or assigned name in the body of a public class (da
 attributes), or a public attribute that `__init__` sets. It is documented by a string below it, by a line of the
 `Attributes:` or `Args:` section of its class or of `__init__`, or by name, as ``name``, in the text of its class. A
 field that overrides one of a base class has the doc of that one. A term of a task (`RewardTerm(reaching, 1.0)`) is
-documented by the function or class that it is made of, or by its `Meaning`. Files are parsed, not imported.
+documented by the function or class that it is made of, or by its `Meaning`. Members of messages that others define
+(`FOREIGN`) do not count: ROS and Unitree document them. Files are parsed, not imported.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ import docs_api
 
 SECTION = re.compile(r"^(?:Attributes|Args):\n((?:(?: +.*)?\n)*)", re.MULTILINE)
 ENTRY = re.compile(r"(?:[\w*]+, )*[\w*]+(?= *(?:\([^)]*\))?:)")
+FOREIGN = "IdlStruct"
+"""Base class of messages in the layout of an interface of others."""
 MENTION = re.compile(r"``(\w+)``")
 
 
@@ -96,8 +99,11 @@ def _assigned(node: ast.ClassDef) -> Iterator[tuple[ast.AST, str, int, bool]]:
     for owner in (node, *_inits(node)):
         for body in _blocks(owner):
             for statement, following in zip(body, [*body[1:], None], strict=True):
-                described = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
-                described = described and isinstance(following.value.value, str)
+                match following:
+                    case ast.Expr(value=ast.Constant(value=str())):
+                        described = True
+                    case _:
+                        described = False
                 for name in _targets(statement, of_self=owner is not node):
                     yield owner, name, statement.lineno, described
 
@@ -186,7 +192,9 @@ def measure(path: Path, known: dict[str, Class]) -> FieldDocs:
     for one in known.values():
         if not one.path.is_relative_to(path) or any(part.startswith("_") for part in one.name.split(".")):
             continue
-        described = _inherited(one, by_name)
+        bases, described = _inherited(one, by_name)
+        if FOREIGN in bases:
+            continue
         docs.fields += len(one.fields)
         docs.lacking += [
             f"{one.path.relative_to(docs_api.ROOT)}:{line}: {one.name}.{name}"
@@ -196,14 +204,16 @@ def measure(path: Path, known: dict[str, Class]) -> FieldDocs:
     return docs
 
 
-def _inherited(one: Class, by_name: dict[str, list[Class]], seen: frozenset[str] = frozenset()) -> frozenset[str]:
-    """Return the names that a class or one of its bases documents."""
-    described = set(one.documented)
+def _inherited(one: Class, by_name: dict[str, list[Class]]) -> tuple[set[str], set[str]]:
+    """Return the names of a class's bases, and the names of fields that the class or a base documents."""
+    bases, described = set[str](), set(one.documented)
     for base in one.bases:
-        if base not in seen:
-            for other in by_name.get(base, []):
-                described |= _inherited(other, by_name, seen | {base})
-    return frozenset(described)
+        bases.add(base)
+        for other in by_name.get(base, []):
+            if other is not one:
+                found = _inherited(other, by_name)
+                bases, described = bases | found[0], described | found[1]
+    return bases, described
 
 
 def main() -> int:
