@@ -4,8 +4,9 @@ A field is a public annotated or assigned name in the body of a public class (da
 attributes), or a public attribute that `__init__` sets. It is documented by a string below it, by a line of the
 `Attributes:` or `Args:` section of its class or of `__init__`, or by name, as ``name``, in the text of its class. A
 field that overrides one of a base class has the doc of that one. A term of a task (`RewardTerm(reaching, 1.0)`) is
-documented by the function or class that it is made of, or by its `Meaning`. Members of messages that others define
-(`FOREIGN`) do not count: ROS and Unitree document them. Files are parsed, not imported.
+documented by the function or class that it is made of, or by its `Meaning`; a member of an enum whose value is a phrase
+by that. Members of messages that others define (`FOREIGN`) do not count: ROS and Unitree document them. Files are
+parsed, not imported.
 """
 
 from __future__ import annotations
@@ -61,13 +62,17 @@ class Class:
             node.name for node in self.node.body if isinstance(node, ast.FunctionDef) and ast.get_docstring(node)
         }
         strings = {name for _, name, _, described in _assigned(self.node) if described}
-        return frozenset(strings | sections | properties | set(self._terms))
+        return frozenset(strings | sections | properties | set(self._described_by_value))
 
     @property
-    def _terms(self) -> Iterator[str]:
-        """Names of terms whose functions describe them."""
+    def _described_by_value(self) -> Iterator[str]:
+        """Names of terms, of members of enums whose value is a phrase, and of further names of methods."""
         for node in self.node.body:
             match node:
+                case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=str(text))) if " " in text:
+                    yield name
+                case ast.Assign(targets=targets, value=ast.Name(id=alias)) if alias in self._members:
+                    yield from (target.id for target in targets if isinstance(target, ast.Name))
                 case ast.AnnAssign(target=ast.Name(id=name), annotation=annotation, value=ast.expr() as value):
                     if docs_api.term_docstring(ast.unparse(annotation), ast.unparse(value), self.module):
                         yield name

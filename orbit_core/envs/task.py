@@ -85,6 +85,7 @@ class TaskException:
     """
 
     check: TaskCheck
+    """Check that the task does not meet."""
     reason: str
     """A sentence for the table of checked tasks."""
 

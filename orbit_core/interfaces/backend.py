@@ -38,6 +38,7 @@ class Backend(ABC):
     """A physics engine, a renderer, or both. Importing and making one must not import the engine itself."""
 
     name: ClassVar[str]
+    """Name in commands, settings and entry points."""
     contract: ClassVar[tuple[int, int]]
     """Version of the contract (:data:`~orbit_core.interfaces.CONTRACT`) that the plugin was written for, as numbers of
     its own: ``contract = (1, 0)``. Checked when the plugin is loaded."""

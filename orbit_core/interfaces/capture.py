@@ -65,8 +65,11 @@ class EngineCall:
     """One call, as a watcher is told of it."""
 
     owner: Traceable
+    """Engine or renderer that was called."""
     name: str
+    """Name of the method."""
     kind: Call
+    """Declaration of the method: a change or a measurement."""
     function: Callable[..., Any]
     """Bound to its owner, and watched no more."""
     arguments: Mapping[str, Any]

@@ -94,8 +94,11 @@ class UniformPositionCommand(CommandTerm):
 
     live: ClassVar[frozenset[str]] = frozenset({"x", "y", "z"})
     x: Bounds | None = None
+    """Least and most, m."""
     y: Bounds | None = None
+    """Least and most, m."""
     z: Bounds | None = None
+    """Least and most, m."""
     marker: str | None = None
     """Name of the marker that shows it; None: nothing does."""
     robot: str = ROBOT
@@ -162,6 +165,7 @@ class UniformScalarCommand(CommandTerm):
 
     live: ClassVar[frozenset[str]] = frozenset({"value"})
     value: Bounds
+    """Least and most, in the unit of the command."""
 
     def ranges(self, env: Environment) -> dict[str, Bounds]:
         return {"value": self.value}

@@ -42,9 +42,11 @@ class Mount:
             UnknownNameError: the scene has no such entity, or the entity no such link or frame.
         """
         self.entity = find_entity(layout, entity, sensor)
+        """Entity that carries the sensor."""
         found = _find_frame(self.entity, frame, sensor)
         offset = found.pose if pose is None else found.pose @ pose
         self.link = self.entity.links.start + self.entity.spec.articulation.link_names.index(found.link)
+        """Index of the link in (N, L, ...) tensors."""
         self._engine = engine
         # Sensors at the link's own frame, the common case, skip one product per read.
         self._offset = None if offset == Pose() else pose_tensor(offset, engine.device)

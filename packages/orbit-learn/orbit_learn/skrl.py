@@ -60,6 +60,7 @@ class GroupModel(Model):
         Model.__init__(self, **spaces)
         self._space = group_space(layout)
         self.features = None
+        """Encoders of a dictionary of terms; None for a concatenated group."""
         if not layout.concatenated:
             self.features = PictureFeatures(convolutional(group_parts(layout), hidden))
         self.layers = perceptron(layout.size if self.features is None else self.features.size, hidden, outputs)
