@@ -66,7 +66,7 @@ class RigidBodyModel:
         ancestry = link_ancestry(articulation)
         children = [0] * base + child_links(articulation)
         moves = np.concatenate((np.ones((len(ancestry), base), dtype=bool), joint_ancestry(articulation)), axis=1)
-        # Actuator groups may override a joint's armature, hence the argument.
+        # An argument, because actuator groups may override a joint's armature.
         own = [joint.armature for joint in joints] if armature is None else list(armature)
         self._children = torch.tensor(children, dtype=torch.int64, device=self.device)
         self._moves = self._tensor(moves[:, base:])

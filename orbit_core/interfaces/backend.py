@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 # Version of the contract between the core and plugins -----------------------------------------------------------------
-# A plugin states the version that it was written for, as numbers of its own: ``contract = (1, 0)``. The core checks it
+# A plugin states the version that it was written for, as plain numbers: ``contract = (1, 0)``. The core checks it
 # when the plugin is loaded, before any engine is built.
 
 CONTRACT = (1, 0)

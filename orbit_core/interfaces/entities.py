@@ -174,7 +174,7 @@ class Object(ABC):
         Raises:
             UnsupportedCapabilityError: as all parameters do where there are none to set.
         """
-        # Recorded and real worlds have no masses to change, hence an error in place of an abstract method.
+        # An error and no abstract method, as recorded and real worlds have no masses to change.
         raise self._unsupported("nominal masses")
 
     @cached_property

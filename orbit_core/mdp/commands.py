@@ -78,7 +78,7 @@ class HeadingVelocityCommand(CommandTerm):
         return torch.cat((drawn[:, :2], rate[:, None], drawn[:, 2:]), dim=1)
 
     def follow(self, env: Environment, command: Tensor) -> bool:
-        # The heading is the fourth component, so that it needs no memory of its own; policies see the first three.
+        # The heading is the fourth component, so that it needs no further memory; policies see the first three.
         command[:, 2] = self._yaw_rate(command[:, 3], common.robot_of(env.world).root_pose)
         return True
 

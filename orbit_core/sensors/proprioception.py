@@ -88,7 +88,7 @@ def pose_tensor(pose: Pose, device: torch.device) -> Tensor:
 
 def _find_frame(entity: EntityLayout, name: str, sensor: str) -> Frame:
     articulation = entity.spec.articulation
-    # A scene may be built before its robot is known, hence the placeholder.
+    # The placeholder is for scenes that are built before their robot is known.
     if name == END_EFFECTOR and isinstance(entity.spec, RobotSpec) and entity.spec.end_effectors:
         name = entity.spec.end_effector.frame
     try:

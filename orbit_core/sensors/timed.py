@@ -139,7 +139,7 @@ class TimedSensor(Sensor):
         self._delay = _delay_in_periods(spec)
         self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
         # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt
-        # Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt.
+        # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt.
         self._fleeting = self._lazy and not self._noisy and not self.costly
         # True while the value of a fleeting sensor is that of the present state.
         self._measured = False
