@@ -67,8 +67,14 @@ def module_at(path: Path) -> str:
     return next((module.name for module in modules().values() if module.path == path), "")
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Return the syntax tree of a source file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def _read(name: str, path: Path) -> Module:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     own: set[str] = set()
     imported: dict[str, str] = {}
     exported: tuple[str, ...] = ()
@@ -128,7 +134,7 @@ def docstring_of(name: str) -> str:
 
 @cache
 def _docstrings(module: str) -> dict[str, str]:
-    tree = ast.parse(modules()[module].path.read_text(encoding="utf-8"))
+    tree = tree_of(modules()[module].path)
     found: dict[str, str] = {}
     for node, following in zip(tree.body, [*tree.body[1:], ast.Pass()], strict=True):
         match node, following:

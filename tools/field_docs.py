@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -146,11 +147,22 @@ def classes() -> dict[str, Class]:
     """Return the classes of all public modules by full name, private ones included for what they pass on."""
     found: dict[str, Class] = {}
     for module in docs_api.modules().values():
-        tree = ast.parse(module.path.read_text(encoding="utf-8"))
-        for prefix, node in _classes(tree, module.name):
-            bases = tuple(_base(base) for base in node.bases)
-            name = f"{prefix}.{node.name}"
-            found[name] = Class(name, module.name, module.path, bases, node)
+        found |= classes_in(docs_api.tree_of(module.path), module.name, module.path)
+    return found
+
+
+def classes_in(tree: ast.Module, module: str, path: Path) -> dict[str, Class]:
+    """Return the classes of one module by full name.
+
+    Args:
+        tree: syntax tree of the module.
+        module: full name of the module.
+        path: file of the module.
+    """
+    found: dict[str, Class] = {}
+    for prefix, node in _classes(tree, module):
+        name = f"{prefix}.{node.name}"
+        found[name] = Class(name, module, path, tuple(map(_base, node.bases)), node)
     return found
 
 
@@ -169,9 +181,8 @@ def _base(node: ast.expr) -> str:
 
 @dataclass
 class FieldDocs:
-    """Count of the public fields below one path."""
+    """Count of the public fields of some classes."""
 
-    path: Path
     fields: int = 0
     lacking: list[str] = field(default_factory=list)
     """Undocumented fields, as ``path:line: full name``."""
@@ -190,23 +201,26 @@ def measure(path: Path, known: dict[str, Class]) -> FieldDocs:
         known: all classes, from `classes`.
     """
     path = path.resolve()
-    docs = FieldDocs(path)
+    docs = FieldDocs()
     by_name: dict[str, list[Class]] = {}
     for one in known.values():
         by_name.setdefault(one.name.rpartition(".")[2], []).append(one)
     for one in known.values():
-        if not one.path.is_relative_to(path) or any(part.startswith("_") for part in one.name.split(".")):
+        if not one.fields or not one.path.is_relative_to(path) or any(map(_is_private, one.name.split("."))):
             continue
         bases, described = _inherited(one, by_name)
         if FOREIGN in bases:
             continue
         docs.fields += len(one.fields)
+        place = os.path.relpath(one.path, docs_api.ROOT)
         docs.lacking += [
-            f"{one.path.relative_to(docs_api.ROOT)}:{line}: {one.name}.{name}"
-            for name, line in one.fields.items()
-            if name not in described
+            f"{place}:{line}: {one.name}.{name}" for name, line in one.fields.items() if name not in described
         ]
     return docs
+
+
+def _is_private(name: str) -> bool:
+    return name.startswith("_")
 
 
 def _inherited(one: Class, by_name: dict[str, list[Class]]) -> tuple[set[str], set[str]]:
@@ -232,7 +246,7 @@ def main() -> int:
     for path in options.paths:
         docs = measure(path, known)
         total, documented = total + docs.fields, documented + docs.documented
-        print(f"{docs.path.relative_to(docs_api.ROOT)}: {docs.documented} of {docs.fields} fields documented")
+        print(f"{os.path.relpath(path)}: {docs.documented} of {docs.fields} fields documented")
         if options.list:
             print("\n".join(docs.lacking))
     print(f"{documented} of {total} fields documented")
