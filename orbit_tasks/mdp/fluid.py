@@ -97,6 +97,7 @@ def amount_in(name: str, inner: Vector3) -> TermFunction:
 
     @once_per_state
     def observe(env: Environment) -> Tensor:
+        """Return (N,) in [0, 1], the part of the liquid that is inside."""
         return env.world.deformables[LIQUID].share_inside(region)
 
     return observe
@@ -125,6 +126,7 @@ def at(point: Vector3) -> TermFunction:
     @measured_in("m")
     @once_per_state
     def observe(env: Environment) -> Tensor:
+        """Return (N, 3) m, the point in the environment's frame."""
         pose = cup_pose(env)
         place = torch.tensor(point, device=env.device).expand(len(pose), 3)
         return pose[:, :3] + quat_rotate(pose[:, 3:], place)

@@ -72,6 +72,8 @@ class Perceptron:
     """Activation between layers: elu, relu or tanh."""
     observation_limit: float | None = None
     """Limit of the observation in standard deviations from the mean; unlimited if None."""
+    squashed: bool = False
+    """Whether the hyperbolic tangent bounds the action, as off-policy algorithms learn it; else it is clipped."""
 
     def __post_init__(self) -> None:
         activation_type(self.activation)
@@ -83,16 +85,17 @@ class Perceptron:
     def build(self, observation_size: int, action_size: int) -> nn.Module:
         """Return the actor; the observation's mean and deviation are zero and one until they are loaded."""
         layers = perceptron(observation_size, self.hidden_sizes, action_size, activation_type(self.activation))
-        return NormalizedActor(layers, observation_size, self.observation_limit)
+        return NormalizedActor(layers, observation_size, self.observation_limit, self.squashed)
 
 
 class NormalizedActor(nn.Module):
-    """Actor of :class:`Perceptron`, from an observation (N, O) to an action (N, A), clipped to [-1, 1].
+    """Actor of :class:`Perceptron`, from an observation (N, O) to an action (N, A) in [-1, 1].
 
     Args:
         layers: layers from a normalised observation (N, O) to an action (N, A).
         observation_size: number O of the observation's components.
         limit: limit of the normalised observation's components; unlimited if None.
+        squashed: whether tanh bounds the action; else it is clipped.
     """
 
     mean: Tensor
@@ -100,22 +103,25 @@ class NormalizedActor(nn.Module):
     std: Tensor
     """Standard deviations (O,) of the same."""
 
-    def __init__(self, layers: nn.Sequential, observation_size: int, limit: float | None) -> None:
+    def __init__(
+        self, layers: nn.Sequential, observation_size: int, limit: float | None, squashed: bool = False
+    ) -> None:
         super().__init__()
         self.register_buffer("mean", torch.zeros(observation_size))
         self.register_buffer("std", torch.ones(observation_size))
-        self.limit = limit
+        self.limit, self.squashed = limit, squashed
         self.layers = layers
 
     def forward(self, observation: Tensor) -> Tensor:
-        return self.unclipped(observation).clamp(-1.0, 1.0)
+        unbounded = self.unclipped(observation)
+        return torch.tanh(unbounded) if self.squashed else unbounded.clamp(-1.0, 1.0)
 
     def vectors(self, observation: Tensor) -> Tensor:
         """Return the observation (N, O), of which ``mean`` and ``std`` are."""
         return observation
 
     def unclipped(self, observation: Tensor) -> Tensor:
-        """Compute the action (N, A) before clipping, for learning."""
+        """Compute the action (N, A) before it is bounded, for learning."""
         return self.layers(self.encode(observation))
 
     def encode(self, observation: Tensor) -> Tensor:

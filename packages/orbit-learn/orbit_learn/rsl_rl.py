@@ -158,6 +158,10 @@ def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
     description, layout, module = policy.description, environment.observation[POLICY], policy.module
     if not isinstance(policy.network, Perceptron) or not isinstance(module, NormalizedActor) or not layout.concatenated:
         raise ConfigurationError("a training begins with a policy whose network is a perceptron that sees one tensor")
+    if policy.network.squashed:
+        raise ConfigurationError(
+            "a training by PPO clips its actions, and begins with no policy of SAC or TD3, whose actions tanh bounds"
+        )
     description.check_action(environment)
     columns = columns_seen(policy, layout)
     shown = one_tensor(environment.observe(), POLICY)
