@@ -109,6 +109,7 @@ class BuzzMemory(TaskState):
 
     def update(self, env: Environment[BeatTheBuzz]) -> None:
         now = touching(env)
+        # Beginnings are counted: one long touch is one.
         self.touches += (now & ~self.touched).float()
         self.touched.copy_(now)
         ring = pose_multiply(pose_inverse(env.world.objects[ROD].root_pose), common.hand_pose(env))
@@ -116,6 +117,7 @@ class BuzzMemory(TaskState):
         # Only near the present place: elsewhere the rod may be as near to the ring, which is not around it there.
         far = (places - self.covered[:, None]).abs() > 0.05
         nearest = vector_norm(ring[:, None, :3] - self.rings[:, :3], dim=2).masked_fill(far, torch.inf).argmin(1)
+        # Never less, so that going back and forth earns nothing twice.
         covered = torch.maximum(self.covered, places[nearest])
         self.gained.copy_((covered - self.covered) / env.step_dt)
         self.covered.copy_(covered)

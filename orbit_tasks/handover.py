@@ -57,6 +57,7 @@ class HandoverMemory(tabletop.TabletopMemory):
     def start(self, env: Environment[Handover]) -> None:
         super().start(env)
         self.along = torch.tensor([1.0, 0.0, 0.0], device=env.device)
+        # Half-way between the arms, which both reach.
         middle = torch.tensor([0.5 * env.task.spacing, 0.0, HEIGHT], device=env.device)
         self.place = middle.repeat(env.num_envs, 1)
 

@@ -163,6 +163,7 @@ def off_table(env: Environment[Lift, LiftMemory]) -> Tensor:
 
 def goal_frame(env: Environment[Lift]) -> Tensor:
     """(N, 7) at the goal, pointing down."""
+    # A subtask's frame needs an orientation, which a goal without one gets here.
     return common.pointing_down(env.commands["goal"])
 
 

@@ -74,6 +74,7 @@ def raised(env: Environment[Recover]) -> Tensor:
 
 def at_home(env: Environment[Recover]) -> Tensor:
     """(N,) 0 to 1: how near the joints are to home, where the trunk is upright."""
+    # Squared here too: on its back a robot needs its joints to roll over, not to bring them home.
     return upright(env).square() * torch.exp(-stance(env).square() / 0.25)
 
 

@@ -165,6 +165,7 @@ def place_in_corners(env: Environment[StackPyramid], env_ids: Tensor) -> None:
     low, high = common.workspace(env.world)
     near, far, width = low[0], high[0] - 0.05, 0.5 * (high[1] - low[1])
     middle, height = 0.5 * (low[1] + high[1]), 0.5 * SIZE
+    # One pyramid has the whole width, two have a side each.
     bands = ((-0.11, 0.11),) if env.task.pyramids == 1 else ((-0.11, -0.07), (0.07, 0.11))
     for name, (right, left) in zip(env.task.first, bands, strict=True):
         bounds = (near + 0.03, middle + right, height, -0.3), (near + 0.07, middle + left, height, 0.3)

@@ -38,6 +38,7 @@ class TabletopMemory(TaskState):
 
     def start(self, env: Environment) -> None:
         robot = env.world.robots[env.task.agents[0]]
+        # Indices and not names, which a captured step could not look up.
         self.arm_joints = torch.tensor(robot.find_joints(*robot.spec.end_effector.arm_joints), device=env.device)
 
 

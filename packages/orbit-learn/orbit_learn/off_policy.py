@@ -148,7 +148,7 @@ class TransitionBuffer:
         self._ended, self._terminated = torch.zeros((2, self._length, num_envs), dtype=torch.bool, device=device)
         self._ahead = torch.arange(horizon, device=device)
         self._next, self.steps = 0, 0
-        """Steps of each environment so far."""
+        """Steps of each environment that are kept, at most the ring's length."""
 
     @property
     def ready(self) -> bool:
