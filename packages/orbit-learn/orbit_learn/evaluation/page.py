@@ -52,6 +52,7 @@ def _different_starts(blocks: Sequence[Block]) -> Iterable[str]:
     for seed in sorted({block.key.seed for block in blocks}):
         found: dict[str, str] = {}
         for block in (each for each in blocks if each.key.seed == seed):
+            # By the digest of the first observations: engines that start alike are in one group.
             found.setdefault(block.fingerprint, f"{block.key.policy} on {block.key.backend}, {block.key.variant}")
         if len(found) > 1:
             told = escape("; ".join(found.values()))
@@ -70,6 +71,7 @@ def _difference_rows(plan: Plan, blocks: Sequence[Block]) -> Iterable[Sequence[s
     base = [block for block in blocks if block.key.variant == BASE]
     for name in plan.backends:
         for one, other in combinations(plan.policies, 2):
+            # Only the base variant: pairs of all variants would fill pages.
             sets = [[b for b in base if b.key.policy == policy and b.key.backend == name] for policy in (one, other)]
             yield _difference(f"{one} on {name}", f"{other} on {name}", *sets)
     for policy in plan.policies:
@@ -82,6 +84,7 @@ def _difference(first: str, second: str, one: Sequence[Block], other: Sequence[B
     found = paired_difference(one, other)
     low, high = 100.0 * found.low, 100.0 * found.high
     told = f'{100.0 * found.difference:+.1f} <span class="interval">[{low:+.1f}, {high:+.1f}]</span>'
+    # Marked if it is unlikely to be chance, as most pairs differ a little.
     if found.p_value < _SURE:
         told = f'<span class="sure">{told}</span>'
     discordant = str(found.only_first), str(found.only_second)
