@@ -57,7 +57,9 @@ class Part:
     trial: int
     """Number of the combination."""
     settings: TrainSettings
+    """Settings, but for folder and number of iterations."""
     folder: Path
+    """Folder of the training; one that holds a checkpoint goes on."""
     until: int
     """Number of iterations that the training has in the end."""
 

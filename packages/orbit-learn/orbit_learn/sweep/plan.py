@@ -28,7 +28,9 @@ class Range:
     """Interval of numbers to draw from."""
 
     low: float
+    """Smallest number."""
     high: float
+    """Largest number."""
     log: bool = False
     """Whether logarithms are drawn uniformly, for settings whose order of magnitude matters."""
     whole: bool = False
@@ -91,6 +93,7 @@ class SweepPlan:
     """Sweep that has been read and checked."""
 
     options: SweepOptions
+    """Keys of the file outside of its tables."""
     train: TrainSettings
     """Settings of every training."""
     vary: Mapping[str, Choices] = field(default_factory=dict)

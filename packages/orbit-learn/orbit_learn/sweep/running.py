@@ -28,6 +28,7 @@ class Trial:
     """Combination of settings, and what came of its trainings."""
 
     number: int
+    """Place in the order of the search, from 0."""
     values: dict[str, Any]
     """Values of the varied settings; a population's are those of its last interval."""
     scores: dict[str, float] = field(default_factory=dict)
