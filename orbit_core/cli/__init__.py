@@ -39,6 +39,8 @@ OTHERS = {
     "data": ("orbit-data", "Describe, convert, merge, filter, split and replay datasets of demonstrations"),
     "grasp": ("orbit-motion", "Choose, accept and move grasps of an arm in the browser, and take the arm"),
     "train": ("orbit-learn", "Learn a task: by reinforcement, from a teacher or from demonstrations"),
+    "sweep": ("orbit-learn", "Train with varied settings on the machines of a Ray cluster, and compare"),
+    "plot": ("orbit-learn", "Draw learning curves of trainings against each other"),
     "train-actuator": ("orbit-learn", "Fit a network to logged data of an actuator's joints"),
     "play": ("orbit-learn", "Run a learned policy on any backend, and report how it went"),
     "export": ("orbit-learn", "Write a learned policy as safetensors and ONNX, with its description"),

@@ -71,6 +71,7 @@ def from_ros1(message: Any) -> Any:
         kind = Time if isinstance(message, genpy.Time) else Duration
         return kind(message.secs, message.nsecs)
     kind = BY_NAME[message._type]
+    # Members that ROS 1 has beyond ROS 2's, such as 'seq', are dropped.
     names = {each.name for each in dataclasses.fields(kind)}  # pyright: ignore[reportArgumentType]
     values = {name: getattr(message, name) for name in message.__slots__ if name in names}
     own = (genpy.Message, genpy.TVal)
@@ -117,6 +118,7 @@ class Ros1Node(RosNode):
                 root = logging.getLogger()
                 level, handlers = root.level, root.handlers[:]
                 try:
+                    # Signals and time stay the process's own: rospy would take Ctrl-C, and wait for a simulated clock.
                     ros.init_node("orbit", anonymous=True, disable_signals=True, disable_rostime=True)
                 finally:
                     root.setLevel(level)

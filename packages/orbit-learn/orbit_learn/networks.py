@@ -55,7 +55,9 @@ class ActorNetwork(NamedTuple):
     """Network with the module that it built."""
 
     network: Network
+    """Settings that built the module."""
     module: nn.Module
+    """Module from an observation to an action."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ class Perceptron:
     """Network of linear layers that see the observation in standard deviations from its mean."""
 
     name: ClassVar[str] = "perceptron"
+    """Word for this kind in policy files."""
     hidden_sizes: tuple[int, ...]
     """Units of the hidden layers."""
     activation: str = "elu"
@@ -183,6 +186,7 @@ class PictureFeatures(nn.Module):
         self.network = network
         self.normalize = nn.Identity() if normalize is None else normalize
         self.encoders = network.build_encoders()
+        """Convolutions of each set of pictures."""
 
     @property
     def size(self) -> int:
@@ -220,6 +224,7 @@ class Picture:
     """Term that is a picture (N, H, W, C)."""
 
     term: str
+    """Name of the observation term."""
     channels: int
     """Number C of channels."""
     far: float | None = None
@@ -241,7 +246,9 @@ class PictureEncoder:
     pictures: tuple[Picture, ...]
     """Pictures of equal height and width, which become the channels of one picture."""
     height: int
+    """Rows of the pictures."""
     width: int
+    """Columns of the pictures."""
     filters: tuple[int, ...] = (32, 64, 64)
     """Channels of each convolution: the first is 5 x 5 pixels wide, the others are 3 x 3."""
     features: int = 128
@@ -272,7 +279,9 @@ class Convolutional:
     """Network of a dictionary of terms: pictures pass encoders, vectors are normalised by mean and deviation."""
 
     name: ClassVar[str] = "convolutional"
+    """Word for this kind in policy files."""
     encoders: tuple[PictureEncoder, ...]
+    """One encoder for each size of pictures."""
     vectors: tuple[Part, ...]
     """Terms that are not pictures, flattened and concatenated."""
     hidden_sizes: tuple[int, ...]
@@ -319,10 +328,13 @@ class PictureActor(nn.Module):
         activation = activation_type(network.activation)
         size = network.vector_size
         self.network = network
+        """Settings that built the module."""
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("std", torch.ones(size))
         self.encoders = network.build_encoders()
+        """Convolutions of each set of pictures."""
         self.layers = perceptron(size + network.features, network.hidden_sizes, action_size, activation)
+        """Linear layers from features and vectors to the action."""
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
         return self.unclipped(observation).clamp(-1.0, 1.0)  # the range of every action

@@ -148,6 +148,7 @@ class TransitionBuffer:
         self._ended, self._terminated = torch.zeros((2, self._length, num_envs), dtype=torch.bool, device=device)
         self._ahead = torch.arange(horizon, device=device)
         self._next, self.steps = 0, 0
+        """Steps of each environment that are kept, at most the ring's length."""
 
     @property
     def ready(self) -> bool:
@@ -210,6 +211,7 @@ class TwinCritic(nn.Module):
     def __init__(self, inputs: int, sizes: tuple[int, ...]) -> None:
         super().__init__()
         self.critics = nn.ModuleList(_critic(inputs, sizes) for _ in range(2))
+        """Both perceptrons, from state and action to the return."""
 
     def forward(self, state: Tensor, action: Tensor) -> Tensor:
         """Return the estimates (2, B)."""

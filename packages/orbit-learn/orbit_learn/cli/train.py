@@ -135,6 +135,7 @@ def for_training(settings: TrainSettings) -> TrainSettings:
     """Add the fields that the task sets in training; the user's own take precedence."""
     if settings.task is None:
         return settings
+    # In this order, so that the user's words win.
     fields = {**task_entry(settings.task).task_type().metadata.training, **settings.fields}
     return dataclasses.replace(settings, fields=fields)
 
@@ -165,6 +166,7 @@ def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], ppo: PpoSet
     for option in ("ppo", "distillation", "teacher", "imitation", "off_policy", "algorithm", "dataset"):
         if getattr(settings, option) and option not in trainer.options:
             raise ConfigurationError(f"library '{settings.library}' takes no --{option}")
+    # The first option takes KEY=VALUE words, the others are fields by themselves.
     words, *single = trainer.options
     defaults = ppo if isinstance(ppo, kind) else kind()
     values: dict[str, Any] = dict(assignments(getattr(settings, words), words, "algorithm setting"))
