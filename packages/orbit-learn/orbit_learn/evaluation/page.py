@@ -10,7 +10,7 @@ from orbit_core.rollout.estimates import Estimate
 from orbit_learn.evaluation.results import BASE, Block, Plan
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
 
-_STYLE = """
+STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse;margin:1rem 0;display:block;overflow-x:auto}
 th,td{padding:.3rem .8rem;border-bottom:1px solid #ddd;text-align:left;white-space:nowrap}
@@ -29,21 +29,21 @@ def page(plan: Plan, blocks: Sequence[Block]) -> str:
         f"same starts for all. Engines: {escape(', '.join(engines))}. Intervals are of 95 % (Wilson).</p>",
         *_different_starts(blocks),
         "<h2>Success</h2>",
-        _table(("policy", "variant", *plan.backends), _success_rows(plan, blocks)),
+        table(("policy", "variant", *plan.backends), _success_rows(plan, blocks)),
         "<h2>Differences on the same starts</h2>",
         "<p>Second minus first, in percentage points; p by McNemar's test with mid-p. Many comparisons stand side by "
         "side: one in twenty is below 0.05 by chance.</p>",
-        _table(("first", "second", "difference", "only first", "only second", "p"), _difference_rows(plan, blocks)),
+        table(("first", "second", "difference", "only first", "only second", "p"), _difference_rows(plan, blocks)),
         "<h2>Where success varies</h2>",
-        _table(("source", "share of the variance"), _variance_rows(blocks)),
+        table(("source", "share of the variance"), _variance_rows(blocks)),
         "<h2>How episodes fail</h2>",
         "<p>Named by the first reward term that brought less than a tenth of what it brings in a success.</p>",
-        _table(("kind", "episodes", "where (policy, engine, variant, seed: starts)"), _failure_rows(blocks)),
+        table(("kind", "episodes", "where (policy, engine, variant, seed: starts)"), _failure_rows(blocks)),
     ]
     title = f"Evaluation of {escape(plan.task)}"
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{title}</title><style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
+        f"<title>{title}</title><style>{STYLE}</style><body>{''.join(parts)}</body></html>\n"
     )
 
 
@@ -123,7 +123,8 @@ def _rate(estimate: Estimate) -> str:
     )
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of HTML; cells are HTML already."""
     head = "".join(f"<th>{escape(each)}</th>" for each in heads)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
