@@ -12,7 +12,7 @@ import numpy as np
 from orbit_assets.compose import sort_links
 from orbit_assets.mass_properties import MassProperties, combine, mass_properties
 from orbit_assets.placed import PlacedArticulation
-from orbit_assets.usd.contents import MASSLESS, STAGE, Contents, collect, is_frame
+from orbit_assets.usd.contents import ARTICULATION, MASSLESS, STAGE, Contents, collect, is_frame
 from orbit_assets.usd.geometry import Placement, Placements, Shapes
 from orbit_assets.usd.joints import Actuators, Joints
 from orbit_assets.usd.library import pxr, unique_names
@@ -238,6 +238,9 @@ class StageReader:
         common = pxr().Sdf.Path(first)
         for path in bodies:
             common = common.GetCommonPrefix(pxr().Sdf.Path(path))
+        for above in common.GetPrefixes():
+            if attribute(self.reading.stage.GetPrimAtPath(above), ARTICULATION, False):
+                return str(above)
         top = self.reading.stage.GetDefaultPrim()
         alone = str(common) != STAGE and not (top and common == top.GetPath())
         return str(common) if alone else first
