@@ -19,7 +19,7 @@ from orbit_core.scene.pose import FloatArray
 _TOUCH = 0.001
 # Metres and radians by which a thing may move while it settles, and joint positions in rad or m.
 _MOVED, _TURNED, _OPENED = 0.02, 0.2, 0.03
-# Seconds after which a scene that settles is looked at, and m/s below which a thing is still; rad/s are five times that.
+# Seconds between looks at a scene that settles, and m/s below which a thing is still; rad/s are five times that.
 _CHUNK, _STILL = 0.5, 0.005
 # Metres of fall from which a thing counts as fallen.
 _FELL = 0.25

@@ -45,11 +45,31 @@ class Form:
 
 @dataclass(frozen=True)
 class Cavity:
-    """An upright round space: its floor's height and its radius there, and the height of its rim, m."""
+    """An upright round space that is open at the top."""
 
-    floor: float
-    radius: float
-    rim: float
+    axis: tuple[float, float]
+    """Its x and y, m."""
+    profile: tuple[tuple[float, float], ...]
+    """Rows of [height, radius] of its wall, from its floor to its rim, m."""
+
+    @property
+    def floor(self) -> float:
+        """Height of its floor, m."""
+        return self.profile[0][0]
+
+    @property
+    def rim(self) -> float:
+        """Height of its rim, m."""
+        return self.profile[-1][0]
+
+    def lift(self, radius: float) -> float | None:
+        """Return the height above its floor from which a disc of that radius on its axis fits; None where none does."""
+        for (z0, r0), (z1, r1) in pairwise(self.profile):
+            if radius <= r0:
+                return z0 - self.floor
+            if radius <= r1:
+                return z0 + (radius - r0) / (r1 - r0) * (z1 - z0) - self.floor
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +150,6 @@ def turned(profile: Sequence[Sequence[float]]) -> Form:
 def vessel(spec: Vessel) -> Form:
     """Build a vessel of wedges around a floor, with its handles."""
     rows = [(float(r), float(z)) for r, z in spec.profile]
-    bottom, top = rows[0], rows[-1]
     pieces = [Piece(_floor(rows, spec.floor))]
     for (r0, z0), (r1, z1) in pairwise(rows):
         # The lowest wedges stand on the vessel's own underside, so that only they and the floor touch the table.
@@ -140,7 +159,10 @@ def vessel(spec: Vessel) -> Form:
     handles = [*(piece for loop in spec.loops for piece in _loop(rows, loop)), *_stick(rows, spec.stick)]
     stem = turned(spec.stem) if spec.stem else Form((), ())
     hollow = Piece(_hollow(rows, spec.wall, spec.floor))
-    cavity = Cavity(bottom[1] + spec.floor, max(bottom[0] - spec.wall, 0.0), top[1])
+    ground = rows[0][1] + spec.floor
+    radius = float(np.interp(ground, [z for _, z in rows], [r for r, _ in rows]))
+    inside = [(z, r - spec.wall) for r, z in rows if z > ground + 1e-6]
+    cavity = Cavity((0.0, 0.0), ((ground, radius - spec.wall), *inside))
     return Form((*pieces, *handles, *stem.collisions), (hollow, *handles, *stem.visuals), cavity)
 
 

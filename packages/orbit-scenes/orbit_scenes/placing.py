@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from orbit_core.interfaces.errors import PremiseError
 from orbit_core.scene import ObjectSpec, Pose
+from orbit_scenes.forms import Cavity
 from orbit_scenes.furnish import Piece
 from orbit_scenes.furniture import Support
 from orbit_scenes.things import Thing, thing
@@ -84,8 +85,8 @@ class _Place:
     support: Support
     pose: Pose
     placed: list[PlacedThing] = field(default_factory=list)
-    round: bool = False
-    """Whether only the disc within the rectangle may be used."""
+    cavity: Cavity | None = None
+    """The space of a vessel, whose walls may slant."""
 
     @property
     def name(self) -> str:
@@ -152,19 +153,30 @@ class Placer:
         if made.size[2] > place.support.clearance:
             return None
         for _ in range(_TRIES):
-            drawn = self._draw(made, place, rule)
+            drawn = self._draw_in(made, place.cavity) if place.cavity else self._draw(made, place, rule)
             if drawn is None:
                 continue
-            x, y, yaw = drawn
-            local = Pose.from_euler(0.0, 0.0, yaw, (x, y, made.rest_height + _ABOVE))
+            x, y, yaw, lift = drawn
+            local = Pose.from_euler(0.0, 0.0, yaw, (x, y, made.rest_height + _ABOVE + lift))
             pose = place.pose @ local
             if not self._reached(pose, rule) or self._overlaps(made, place, x, y, yaw, pose):
                 continue
             return self._put(made, place, pose, yaw)
         return None
 
-    def _draw(self, made: Thing, place: _Place, rule: Rule) -> tuple[float, float, float] | None:
-        """Draw a place (x, y, yaw) in the support's frame; None where the thing would hang over its edge."""
+    def _draw_in(self, made: Thing, cavity: Cavity) -> tuple[float, float, float, float] | None:
+        """Draw a place (x, y, yaw, height above the floor) in a vessel; None where its walls leave no room."""
+        angle, yaw = self._random.uniform(0.0, math.tau, 2)
+        x, y, _ = made.size
+        # What is as wide as deep is taken for round.
+        radius = x / 2 if math.isclose(x, y, rel_tol=0.02) else math.hypot(x, y) / 2
+        # Off the middle only where the floor is level: a slanted wall would slide it back.
+        away = float(self._random.uniform(0.0, max(cavity.profile[0][1] - radius - 0.002, 0.0)))
+        lift = cavity.lift(away + radius + 0.002)
+        return None if lift is None else (away * math.cos(angle), away * math.sin(angle), float(yaw), lift)
+
+    def _draw(self, made: Thing, place: _Place, rule: Rule) -> tuple[float, float, float, float] | None:
+        """Draw a place (x, y, yaw, 0) in the support's frame; None where the thing would hang over its edge."""
         # Along the furniture's own axes, give or take: people put things down so.
         quarter = int(self._random.integers(4)) * math.pi / 2
         yaw = quarter + float(self._random.normal(0.0, 0.15))
@@ -184,9 +196,7 @@ class Placer:
                 return None
         else:
             spot = self._random.uniform(-room, room)
-        if place.round and float(np.linalg.norm(spot)) + float(np.linalg.norm(half)) * 0.7 > place.support.size[0] / 2:
-            return None
-        return float(spot[0]), float(spot[1]), yaw
+        return float(spot[0]), float(spot[1]), yaw, 0.0
 
     def _reached(self, pose: Pose, rule: Rule) -> bool:
         reach = getattr(rule, "reach", None)
@@ -219,8 +229,8 @@ class Placer:
         place.placed.append(found)
         self.placed.append(found)
         if made.cavity is not None:
-            radius = made.cavity.radius
-            floor = Pose((0.0, 0.0, made.cavity.floor - made.rest_height))
+            radius = made.cavity.profile[-1][1]
+            floor = Pose((*made.cavity.axis, made.cavity.floor - made.rest_height))
             inside = Support(
                 name="inside",
                 link=made.name,
@@ -229,7 +239,7 @@ class Placer:
                 clearance=2.0 * made.cavity.rim,
                 walled=True,
             )
-            self._places.append(_Place(name, made.name, inside, pose @ floor, round=True))
+            self._places.append(_Place(name, made.name, inside, pose @ floor, cavity=made.cavity))
         return found
 
 

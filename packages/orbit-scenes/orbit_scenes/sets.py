@@ -18,8 +18,11 @@ import numpy as np
 
 from orbit_assets.files import load_articulation
 from orbit_assets.options import ReadOptions, Repair, Unsupported
+from orbit_assets.urdf import read_urdf
 from orbit_assets.usd.writer import MeshBody, mesh_articulation
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.preparation.validation import link_poses, validate
 from orbit_core.scene import Articulation, Frame, Link, MeshCollision, ObjectSpec, Pose
 from orbit_scenes.things import thing_table
 
@@ -160,19 +163,16 @@ def _annotation(file: Path) -> str:
 
 def _partnet(file: Path, options: ImportOptions) -> _Read:
     folder = file.parent
-    read = ReadOptions(unsupported=Unsupported.DROP, repair=Repair.BALANCE)
-    articulation = load_articulation(file, options=read)
+    # Read without a check first: the files give no masses.
+    read = read_urdf(file, options=ReadOptions(unsupported=Unsupported.DROP))
     label = str(_json(folder / "meta.json").get("model_cat", "object")).lower()
     kinds = _semantics(folder / "semantics.txt")
-    links = tuple(_weighed(link, options.density) for link in articulation.links)
-    links = tuple(replace(link, semantic_label=kinds.get(link.name, label)) for link in links)
-    articulation = replace(articulation, links=links)
-    lowest = _lowest(articulation)
-    # Models are centred: their origin is lifted so that the frame is on the floor.
-    moved = replace(
-        articulation, frames=(*articulation.frames, Frame("floor", links[0].name, Pose((0.0, 0.0, lowest))))
-    )
-    return f"partnet_{folder.name}", label, moved, True
+    weighed = (_weighed(link, options.density) for link in read.links)
+    links = tuple(replace(link, semantic_label=kinds.get(link.name, label)) for link in weighed)
+    articulation = merge_fixed_links(validate(replace(read, links=links)))
+    # Models are centred about their origin: the frame says where their underside is.
+    floor = Frame("floor", articulation.root.name, Pose((0.0, 0.0, _lowest(articulation))))
+    return f"partnet_{folder.name}", label, replace(articulation, frames=(*articulation.frames, floor)), True
 
 
 def _semantics(path: Path) -> dict[str, str]:
@@ -238,7 +238,6 @@ def _with_mass(link: Link, mass: float) -> Link:
 def _lowest(articulation: Articulation) -> float:
     """Return the height of the lowest point of the collision shapes in the root's frame, joints at zero."""
     from orbit_core.plugin_kit.meshes import triangles
-    from orbit_core.preparation.validation import link_poses
 
     poses = link_poses(articulation, {})
     heights = [

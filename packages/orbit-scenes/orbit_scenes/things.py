@@ -89,7 +89,7 @@ class Thing:
     """Full size of its bounding box, m."""
     source: str
     cavity: Cavity | None = None
-    """Space inside of it, heights from its underside, m."""
+    """Space inside of it; its axis is in the thing's frame, and heights are from the thing's underside."""
 
     @property
     def rest_height(self) -> float:
@@ -173,7 +173,7 @@ def make_thing(name: str, data: ThingData) -> Thing:
     solid = shapes_mass_properties(collisions, data.mass / solid.mass)
     link = Link(name, solid.mass, solid.center_of_mass, solid.inertia, collisions, visuals, data.label or name)
     x, y, z = (float(value) for value in high - low)
-    cavity = form.cavity and replace(form.cavity, floor=form.cavity.floor - low[2], rim=form.cavity.rim - low[2])
+    cavity = form.cavity and replace(form.cavity, axis=(middle.position[0], middle.position[1]))
     return Thing(name, Articulation(name, (link,)), (x, y, z), data.source, cavity)
 
 

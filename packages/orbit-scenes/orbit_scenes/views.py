@@ -10,7 +10,7 @@ from orbit_core.plugin_kit.meshes import triangles
 from orbit_core.scene import Plane, Pose, Scene, look_at
 
 # Part of the picture's height that the scene fills, and the camera's angle above the horizon: over walls, into rooms.
-_FILL, _ABOVE = 0.9, 1.05
+_FILL, _ABOVE = 0.8, 1.05
 
 
 def overview(scene: Scene, fov: float = 0.8) -> Pose:

@@ -223,7 +223,7 @@ class StageReader:
     def _names(self, trees: list[Tree]) -> list[tuple[str, str]]:
         """Return path and name of each articulation: the default prim's name for the only one."""
         paths = [self._around(tree) for tree in trees]
-        if len(trees) == 1:
+        if len(trees) == 1 and not attribute(self.reading.stage.GetPrimAtPath(paths[0]), ARTICULATION, False):
             return [(paths[0], self._only_name())]
         names = unique_names({path: label(self.reading.stage.GetPrimAtPath(path)) for path in paths})
         return [(path, names[path]) for path in paths]
