@@ -223,7 +223,7 @@ def _ellipsoid(size: Sequence[float], corners: int) -> Geometry:
 def _turned(profile: Sequence[Sequence[float]], corners: int) -> Mesh:
     """Return the closed surface of a profile of [radius, height], from the bottom up, turned about z."""
     rows = [(float(r), float(z)) for r, z in profile]
-    # Both ends are closed by a point on the axis.
+    # Rows on the axis would be rings of no size; both ends are closed by a point there.
     rings = [row for row in rows if row[0] > 1e-6]
     angles = np.arange(corners) * (2.0 * math.pi / corners)
     around = np.stack((np.cos(angles), np.sin(angles)), 1)
@@ -255,6 +255,7 @@ def _hollow(rows: list[tuple[float, float]], wall: float, floor: float) -> Mesh:
 def _floor(rows: list[tuple[float, float]], thickness: float) -> Mesh:
     """Return the convex plate at the bottom of a vessel, as wide as its outside there."""
     (r0, z0), (r1, z1) = rows[0], rows[1]
+    # The floor widens with the wall as far as it is thick.
     share = min(thickness / (z1 - z0), 1.0)
     return _turned([(r0, z0), (r0 + share * (r1 - r0), z0 + thickness)], _SECTORS)
 
@@ -271,6 +272,7 @@ def _wedge(low: tuple[float, float], high: tuple[float, float], wall: float) -> 
         for radius, height in rings
     ]
     # Corners 0 to 3 at one side: inner low, outer low, inner high, outer high; 4 to 7 at the other.
+    # All six sides are plane: inner and outer ones are trapezia between two chords.
     quads = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3))
     faces = [triangle for a, b, c, d in quads for triangle in ((a, c, b), (a, d, c))]
     return _outward(np.array(corners), np.array(faces))
@@ -287,6 +289,7 @@ def _loop(rows: list[tuple[float, float]], loop: Sequence[float]) -> Iterator[Pi
     """Yield the three bars of a handle: out of the wall, down, and back."""
     angle, reach, low, high = loop
     turn = Pose.from_euler(0.0, 0.0, angle)
+    # A finger fits through, and three bars never meet.
     thick = min(0.010, (high - low) / 3.0)
     radii = [float(np.interp(height, [z for _, z in rows], [r for r, _ in rows])) for height in (low, high)]
     out = max(radii) + reach

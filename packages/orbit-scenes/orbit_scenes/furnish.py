@@ -114,6 +114,7 @@ class RoomLayout:
         made = furniture(kind, color=color)
         sides = self.random.permutation((1.0, -1.0))
         aside = (other.furniture.size[1] + made.size[1]) / 2 + gap
+        # Backs in line, for both stand against one wall.
         back = (other.furniture.size[0] - made.size[0]) / 2
         return self._first(self._relative(kind, made, other, back, side * aside, 0.0) for side in sides)
 
@@ -134,6 +135,7 @@ class RoomLayout:
         """Stand a piece free in the room, as near to its middle as it fits; return it, or None."""
         made, inside = furniture(kind, color=color), self.room.inside
         cx, cy = inside.middle
+        # Along the longer side of the room, the other way only where that does not fit.
         turn = 0.0 if inside.depth >= inside.width else math.pi / 2
         xs, ys = np.arange(inside.x0, inside.x1, 0.15), np.arange(inside.y0, inside.y1, 0.15)
         spots = sorted(((x, y) for x in xs for y in ys), key=lambda spot: math.hypot(spot[0] - cx, spot[1] - cy))
@@ -148,6 +150,7 @@ class RoomLayout:
         """Stand up to ``count`` pieces around a table, their fronts to it."""
         made = furniture(kind)
         depth, width, _ = table.furniture.size
+        # Pushed in by 12 cm, as chairs stand that nobody sits on.
         beyond = made.size[0] / 2 - 0.12
         spots = [
             (side * (depth / 2 + beyond), place * width / 4, 0.0 if side > 0 else math.pi)
@@ -169,6 +172,7 @@ class RoomLayout:
         back = (below.furniture.size[0] - made.size[0]) / 2
         piece = self._relative(kind, made, below, back, 0.0, 0.0)
         taken = any(piece.rectangle.grown(-0.005).meets(other.rectangle) for other in self.hung)
+        # A fridge is as high as the cabinet hangs: the two would meet.
         tall = [other for other in self.pieces if other.furniture.size[2] > made.bottom]
         high = any(piece.rectangle.grown(-0.005).meets(other.rectangle) for other in tall)
         inside = self.room.inside.grown(1e-6).holds(piece.rectangle)
@@ -214,10 +218,12 @@ class RoomLayout:
             body.meets(other.with_front) or piece.with_front.grown(-0.002).meets(other.rectangle) for other in others
         ):
             return False
+        # A front may reach to the opposite wall, but not beyond it.
         if not self.room.inside.holds(piece.with_front.grown(-0.05)):
             return False
         if piece.furniture.size[2] > 1.0 and any(body.meets(window) for window in self.windows):
             return False
+        # The costly test comes last.
         rectangles = [other.rectangle for other in (*self.pieces, piece)]
         return _joined(self.room.inside, rectangles, self.doors)
 
@@ -267,6 +273,7 @@ def _regions(
         dx = np.maximum(np.maximum(each.x0 - x, x - each.x1), 0.0)
         dy = np.maximum(np.maximum(each.y0 - y, y - each.y1), 0.0)
         free &= np.hypot(dx, dy) >= WALKER
+    # Four neighbours: a walker does not squeeze through corners.
     labels, _ = ndimage.label(free)  # pyright: ignore[reportGeneralTypeIssues]
     starts = []
     for door in doors:
@@ -274,7 +281,7 @@ def _regions(
         nearest = np.where(free & (np.hypot(x - cx, y - cy) < 0.6), np.hypot(x - cx, y - cy), np.inf)
         at = np.unravel_index(int(nearest.argmin()), free.shape)
         starts.append(int(labels[at]) if np.isfinite(nearest[at]) else 0)
-    return labels, np.stack((x.ravel(), y.ravel()), 1), starts
+    return np.asarray(labels, dtype=np.int32), np.stack((x.ravel(), y.ravel()), 1), starts
 
 
 # Programmes of rooms --------------------------------------------------------------------------------------------------
@@ -295,6 +302,7 @@ def _kitchen(layout: RoomLayout) -> None:
         placed = next((piece for last in reversed(row) if (piece := layout.next_to(kind, last, own))), None)
         placed = placed or layout.against_wall(kind, own, prefer=_corner(layout.room.inside))
         row += [placed] if placed else []
+    # Not over the fridge, which is too high, nor over the stove, which needs the air.
     for below in row:
         if below.furniture.kind in ("base_drawers", "base_doors", "sink"):
             layout.hang("wall_cabinet", below, color)

@@ -176,8 +176,10 @@ class _Body:
     def drawer(self, name: str, low: Vector3, high: Vector3) -> None:
         """Add a drawer whose front fills a rectangle of the front plane; ``low`` and ``high`` bound its box."""
         (x0, y0, z0), (x1, y1, z1) = low, high
+        # Free at the back, so that the shut drawer does not press on the carcass.
         depth = x1 - x0 - 0.03
         side, floor, wall = 0.012, z0 + 0.02, z0 + 0.7 * (z1 - z0)
+        # Room for runners on both sides.
         inner0, inner1 = y0 + 0.02, y1 - 0.02
         back = x0 + depth
         parts = [
@@ -197,6 +199,7 @@ class _Body:
             name,
             axis=(-1.0, 0.0, 0.0),
             lower_limit=0.0,
+            # Runners hold the last part of a drawer; friction keeps it where it is left.
             upper_limit=round(0.85 * depth, 3),
             damping=4.0,
             friction=1.0,
@@ -249,6 +252,7 @@ class _Body:
         return joint.name
 
     def _front(self, name: str, x: float, low: tuple[float, float], high: tuple[float, float]) -> Shape:
+        # Fronts next to each other keep a gap, so that they pass when they open.
         gap = _GAP / 2
         corner0, corner1 = (x - _PANEL, low[0] + gap, low[1] + gap), (x, high[0] - gap, high[1] - gap)
         return box_between(f"{name}_front", corner0, corner1, self.color, _SURFACE)
@@ -310,6 +314,7 @@ def _base(kind: str, size: Vector3, color: Color | None, worktop: bool = True) -
     depth, width, height = size
     body = _Body(kind, size, color or FRONTS[0])
     x0, x1, half = -depth / 2 + _PANEL, depth / 2, width / 2
+    # Toes fit under the front: the plinth stands back.
     plinth, under = 0.1, height - (_TOP if worktop else 0.0)
     body.box("plinth", (x0 + 0.05, -half, 0.0), (x1, half, plinth), DARK)
     _carcass(body, (x0, -half, plinth), (x1, half, under), WHITE, top=not worktop)
@@ -318,6 +323,7 @@ def _base(kind: str, size: Vector3, color: Color | None, worktop: bool = True) -
 
 def _worktop(body: _Body, color: Color = STONE) -> None:
     depth, width, height = body.size
+    # The top overhangs the fronts by a centimetre; cabinets side by side share one level.
     low, high = (-depth / 2 - 0.01, -width / 2, height - _TOP), (depth / 2, width / 2, height)
     body.box("worktop", low, high, color)
     body.support("top", (low[0] + 0.03, low[1]), (high[0] - 0.02, high[1]), height, clearance=0.5)
@@ -380,6 +386,7 @@ def _basin(body: _Body, low: tuple[float, float], high: tuple[float, float], hei
 
 def _stove(kind: str, size: Vector3, color: Color | None) -> Furniture:
     body, low, high = _base(kind, size, color)
+    # The door of an oven is dark in kitchens of all colours.
     body.color = DARK
     depth, width, height = size
     body.box("hob", (-depth / 2 - 0.01, -width / 2, height - _TOP), (depth / 2, width / 2, height), DARK)
@@ -411,6 +418,7 @@ def _fridge(kind: str, size: Vector3, color: Color | None) -> Furniture:
     body.box("foot", (low[0] + 0.05, low[1], 0.0), (high[0], high[1], low[2]), DARK)
     split = low[2] + 0.36 * (height - low[2])
     floors = [low[2] + _PANEL, split, split + 0.28, split + 0.55, split + 0.82]
+    # A shelf right under the ceiling would hold nothing.
     floors = [each for each in floors if each < height - 0.2]
     _carcass(body, low, high, CERAMIC, shelves=tuple(floors[1:]))
     lower = body.door("freezer_door", low[0], (low[1], low[2]), (high[1], split), "left")
@@ -489,6 +497,7 @@ def _sofa(kind: str, size: Vector3, color: Color | None) -> Furniture:
     seat = furniture_table()[kind].height or 0.42
     body = _Body(kind, size, color or FABRICS[0])
     x, y, arm, back = depth / 2, width / 2, 0.16, 0.22
+    # Arms and back a little darker than the cushions, so that pictures show edges.
     shade: Color = (*(0.85 * part for part in body.color[:3]), 1.0)  # pyright: ignore[reportAssignmentType]
     body.box("base", (-x + 0.03, -y + 0.02, 0.08), (x, y - 0.02, seat - 0.15), shade, _CLOTH)
     middle = x - back
@@ -510,6 +519,7 @@ def _tv_stand(kind: str, size: Vector3, color: Color | None) -> Furniture:
     low, high = (-depth / 2 + _PANEL, -width / 2, 0.08), (depth / 2, width / 2, height)
     body.box("plinth", (low[0] + 0.04, low[1] + 0.04, 0.0), (high[0], high[1] - 0.04, low[2]), DARK)
     _carcass(body, low, high, body.color)
+    # Three drawers side by side, as wide as each other.
     third = width / 3
     for index, name in enumerate(("left_drawer", "middle_drawer", "right_drawer")):
         y1 = high[1] - index * third
@@ -531,6 +541,7 @@ def _bookshelf(kind: str, size: Vector3, color: Color | None) -> Furniture:
     depth, width, height = size
     body = _Body(kind, size, color or OAK)
     low, high = (-depth / 2, -width / 2, 0.0), (depth / 2, width / 2, height)
+    # Shelves for folders: 0.32 m of free height and more.
     count = max(2, round(height / 0.36))
     floors = [_PANEL + index * (height - _PANEL) / count for index in range(count)]
     _carcass(body, low, high, body.color, shelves=tuple(floors[1:]))
@@ -582,6 +593,7 @@ def _wardrobe(kind: str, size: Vector3, color: Color | None) -> Furniture:
     body = _Body(kind, size, color or WHITE)
     low, high = (-depth / 2 + _PANEL, -width / 2, 0.0), (depth / 2, width / 2, height)
     _carcass(body, low, high, body.color, shelves=(0.45, height - 0.35))
+    # A rail for hangers, between shelf and top.
     rail = Cylinder(0.014, width / 2 - _PANEL)
     place = Pose((0.0, 0.0, height - 0.45)) @ Pose.from_euler(math.pi / 2, 0.0, 0.0)
     body.shapes.append(Shape(rail, place, _SURFACE, STEEL, "rail"))
@@ -642,6 +654,7 @@ def _door(kind: str, size: Vector3, color: Color | None) -> Furniture:
     body = _Body(kind, size, color or (0.84, 0.82, 0.78, 1.0))
     jamb = 0.04
     half = width / 2
+    # Jambs on both sides of the wall, wider than it is thick.
     for name, y0, y1 in (("jamb_left", half, half + jamb), ("jamb_right", -half - jamb, -half)):
         body.box(name, (-0.06, y0, 0.0), (0.06, y1, height + jamb), WHITE)
     body.box("jamb_top", (-0.06, -half, height), (0.06, half, height + jamb), WHITE)

@@ -60,6 +60,7 @@ def grasps(thing: Thing | Link, jaw: Jaw = Jaw()) -> tuple[Grasp, ...]:
         thing: of the library, or a link with convex collision shapes.
         jaw: the gripper; what is wider than its opening has none.
     """
+    # A link of a file or of a set serves as well, as long as its shapes are convex.
     link = thing.link if isinstance(thing, Thing) else thing
     solids = [(shape, convex_shape(shape, Pose())) for shape in link.collisions]
     pieces = [(shape, convex) for shape, convex in solids if convex is not None]
@@ -149,6 +150,7 @@ def _facing(spot: FloatArray, approach: FloatArray, across: FloatArray) -> Pose:
 def _fits(pose: Pose, width: float, pieces: list[Convex], jaw: Jaw) -> bool:
     """Return True if two open pads on either side, and the palm behind them, enter no piece."""
     x, y, z = (length / 2 for length in jaw.pad)
+    # The tips reach 8 mm beyond the line between the contacts.
     tip = 0.008
     palm = Box((x, jaw.opening / 2 + 2.0 * y, 0.01))
     solids = [(palm, (0.0, 0.0, tip - 2.0 * z - 0.01))]

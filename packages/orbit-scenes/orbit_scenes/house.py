@@ -162,8 +162,9 @@ def building(plan: Plan) -> ObjectSpec:
     walls = plan.shapes()
     floors = tuple(
         Shape(
-            Box((room.floor.width / 2, room.floor.depth / 2, 0.0005)),
-            Pose((*room.floor.middle, 0.0005)),
+            # Drawn 3 mm thick: less is lost in the ground from afar, where renderers resolve depth coarsely.
+            Box((room.floor.width / 2, room.floor.depth / 2, 0.0015)),
+            Pose((*room.floor.middle, 0.0015)),
             color=FLOORS[room.kind],
             name=f"floor_{room.name}",
         )
@@ -191,6 +192,7 @@ def make_house(
     """
     if things is not None and things < 0:
         raise ConfigurationError(f"{things} things: give a number of zero or more")
+    # One stream for all choices, in a fixed order: a seed makes one house.
     random = np.random.default_rng(seed)
     plan = make_plan(rooms, random)
     layouts = [furnished(plan, index, random) for index in range(len(rooms))]
@@ -215,6 +217,7 @@ def _fill(
     ]
     found: list[PlacedThing] = []
     left_out: list[str] = []
+    # Each room numbers its own things; in the scene names are unique.
     names: dict[str, int] = {}
     # Four rounds of the whole list are more than any room has space for.
     for turn in range(4 * max(len(each) for each in USUAL.values())):
@@ -226,6 +229,7 @@ def _fill(
             try:
                 placed = placer.place(wanted.thing, wanted.rule)
             except PremiseError as error:
+                # Once only: later rounds ask for the same again.
                 if turn < len(usual):
                     left_out.append(f"{layout.room.name}: {error}")
                 continue
@@ -258,9 +262,9 @@ def cluttered_table(seed: int = 0, things: int = 12) -> Scene:
 
 
 def heaped_bin(seed: int = 0, things: int = 12) -> Scene:
-    """Make a bin on a table with things above it, in layers, ready to fall into it.
+    """Make a bin on a table with things above it, in layers, from which they fall into it.
 
-    :func:`orbit_scenes.certify.settled` lets them fall and returns the scene as it comes to rest.
+    :func:`orbit_scenes.certify.settled` lets them fall and returns the scene at rest.
 
     Args:
         seed: of all random choices.
@@ -274,7 +278,7 @@ def heaped_bin(seed: int = 0, things: int = 12) -> Scene:
     bin_ = Piece("bin", furniture("bin"), 0.65, 0.0, 0.0, 0, height)
     small = [name for name in CLUTTER if max(thing(name).size) < 0.21]
     objects = [table.build(), bin_.build()]
-    # Cells of half the bin's floor: each thing falls into one, whatever way it is turned.
+    # Four cells over the bin's floor: a thing falls into its own, however it is turned.
     cells = [(-0.065, -0.10), (0.065, 0.09), (-0.065, 0.09), (0.065, -0.10)]
     level = height + 0.13
     for index in range(things):

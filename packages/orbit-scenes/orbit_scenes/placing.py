@@ -1,4 +1,4 @@
-"""Things placed by rules on, in and beside what is there, without overlap and within reach of the floor."""
+"""Things placed by rules on, in and next to what is there, without overlap and within reach of the floor."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TRIES = 60
 
 @dataclass(frozen=True, kw_only=True)
 class On:
-    """On top of furniture of a kind, open to all sides: a worktop, a table, an open shelf."""
+    """Rule: on top of furniture of a kind, open to all sides: a worktop, a table, an open shelf."""
 
     furniture: str = ".*"
     """Regular expression over kinds (full match)."""
@@ -38,7 +38,7 @@ class On:
 
 @dataclass(frozen=True, kw_only=True)
 class In:
-    """Inside of furniture: behind a door, in a drawer, in a bin, or in a vessel that is placed already."""
+    """Rule: inside of furniture: behind a door, in a drawer, in a bin, or in a vessel that is placed already."""
 
     furniture: str = ".*"
     """Regular expression over kinds of furniture, or names of vessels of the library (full match)."""
@@ -48,7 +48,7 @@ class In:
 
 @dataclass(frozen=True, kw_only=True)
 class Beside:
-    """On the same support as another thing, next to it."""
+    """Rule: on the same support as another thing, next to it."""
 
     thing: str
     """Regular expression over names of things of the library (full match)."""
@@ -128,6 +128,7 @@ class Placer:
         candidates = list(self._candidates(rule))
         if not candidates:
             raise PremiseError(f"'{name}' is to be placed {told(rule)}, and nothing in the scene meets that")
+        # In random order: the first support of a kind would otherwise get everything.
         for index in self._random.permutation(len(candidates)):
             if (found := self._try(made, candidates[index], rule)) is not None:
                 return found
@@ -159,6 +160,7 @@ class Placer:
             x, y, yaw, lift = drawn
             local = Pose.from_euler(0.0, 0.0, yaw, (x, y, made.rest_height + _ABOVE + lift))
             pose = place.pose @ local
+            # The cheap test comes first; most draws fail by reach or by overlap.
             if not self._reached(pose, rule) or self._overlaps(made, place, x, y, yaw, pose):
                 continue
             return self._put(made, place, pose, yaw)
@@ -231,6 +233,7 @@ class Placer:
         if made.cavity is not None:
             radius = made.cavity.profile[-1][1]
             floor = Pose((*made.cavity.axis, made.cavity.floor - made.rest_height))
+            # A vessel that stands is a place for other things from then on.
             inside = Support(
                 name="inside",
                 link=made.name,
@@ -264,6 +267,7 @@ def _size_told(made: Thing) -> str:
 
 def _extent(made: Thing, yaw: float) -> _Array:
     """Return the extent (2,) along the axes of a thing that is turned by ``yaw``."""
+    # The box around a turned rectangle: projections of both of its sides.
     c, s = abs(math.cos(yaw)), abs(math.sin(yaw))
     x, y, _ = made.size
     return np.array((c * x + s * y, s * x + c * y))

@@ -186,6 +186,7 @@ def make_plan(kinds: Sequence[RoomKind], random: np.random.Generator) -> Plan:
     """
     if not 1 <= len(kinds) <= 12:
         raise ConfigurationError(f"a house of {len(kinds)} rooms: give 1 to 12")
+    # As large as its rooms need together, and a little longer than wide.
     area = sum(_AREA[kind] for kind in kinds)
     width = math.sqrt(area * float(random.uniform(1.0, 1.35)))
     outer = Rectangle(-width / 2, -area / width / 2, width / 2, area / width / 2)
@@ -221,6 +222,7 @@ def _split(outer: Rectangle, areas: list[float], random: np.random.Generator) ->
 def _walls(cells: list[Rectangle], outer: Rectangle) -> list[Wall]:
     """Return the walls between neighbours, and the outer ones, one for each room's side."""
     found: list[Wall] = []
+    # Cuts are computed once and shared, so that sides of neighbours agree to rounding.
     near = 1e-6
     for i, a in enumerate(cells):
         for j, b in enumerate(cells):
@@ -248,6 +250,7 @@ def _with_openings(walls: list[Wall], rooms: int, random: np.random.Generator) -
     joinable = [wall for wall in walls if len(wall.rooms) == 2 and wall.end - wall.start >= wide]
     chosen: set[int] = set()
     group = list(range(rooms))
+    # Kruskal's algorithm in random order: a wall joins two groups of rooms that no door has joined yet.
     for index in random.permutation(len(joinable)):
         a, b = (group[room] for room in joinable[index].rooms)
         if a != b or random.random() < _MORE_DOORS:

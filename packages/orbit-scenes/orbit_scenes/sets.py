@@ -1,7 +1,7 @@
 """Readers of object sets that users have on disk: YCB, Google Scanned Objects, Objaverse, PartNet-Mobility, RoboCasa.
 
-Nothing is downloaded. :func:`set_layout` tells a set by the files of a folder; :func:`load_set_object` reads the object
-of a folder or file into an :class:`~orbit_core.scene.ObjectSpec`, with its semantic label.
+Nothing is downloaded. :func:`set_layout` finds the set by the files of a folder; :func:`load_set_object` reads the
+object of a folder or file into an :class:`~orbit_core.scene.ObjectSpec`, with its semantic label.
 """
 
 from __future__ import annotations
@@ -70,6 +70,7 @@ def set_layout(path: str | Path) -> tuple[SetLayout, Path]:
     path = Path(path)
     if not path.exists():
         raise AssetError(f"'{path}' does not exist: give the folder or file of an object of a set")
+    # A file means its folder, but for Objaverse, which keeps many models in one.
     if path.is_file():
         if path.suffix.lower() == ".glb":
             return SetLayout.OBJAVERSE, path
@@ -107,6 +108,7 @@ def load_set_object(
     """
     layout, file = set_layout(path)
     own, label, articulation, fixed = _READERS[layout](file, options)
+    # Labels of links, where a set has them, are finer than that of the whole.
     labelled = tuple(replace(link, semantic_label=link.semantic_label or label) for link in articulation.links)
     return ObjectSpec(
         name=name or own,
@@ -126,6 +128,7 @@ def _ycb(file: Path, options: ImportOptions) -> _Read:
     if not number[:3].isdigit() or not name:
         raise AssetError(f"'{folder}' is no object of YCB: its folder is named as 003_cracker_box is")
     entry = thing_table().get(name)
+    # The paper weighed its objects: their masses are in the table of things.
     mass = options.mass if options.mass is not None else (entry.mass if entry and entry.source == "ycb" else None)
     return folder.name, name, _mesh(file, replace(options, mass=mass), "z"), False
 
@@ -212,7 +215,7 @@ def _mesh(file: Path, options: ImportOptions, up: str) -> Articulation:
         collision=options.collision,
         up="y" if up == "y" else "z",
     )
-    # Textures of a set are beside its meshes or in a folder next to theirs.
+    # Textures of a set are next to its meshes, or in a folder next to theirs.
     read = ReadOptions(allow_outside=(file.parent.parent,))
     made = mesh_articulation(file, body, options=read)
     if options.height is None:

@@ -98,7 +98,7 @@ class Thing:
 
     @property
     def link(self) -> Link:
-        """Its only link."""
+        """The only link."""
         return self.articulation.root
 
     def build(self, name: str, pose: Pose | None = None) -> ObjectSpec:
@@ -148,6 +148,7 @@ def make_thing(name: str, data: ThingData) -> Thing:
         ConfigurationError: its numbers describe no solid.
     """
     form = data.form()
+    # What is drawn is round where collision pieces have corners: its size is the true one.
     low, high = _bounds(form.visuals)
     middle = Pose(tuple((low + high) / 2.0)).inverse()
     material = PhysicsMaterial(data.friction, data.friction)
@@ -169,10 +170,12 @@ def make_thing(name: str, data: ThingData) -> Thing:
     # Solids of one piece are drawn as they collide: the same shape is then held once.
     same = form.visuals == form.collisions
     visuals = collisions if same else shapes(form.visuals, "visual")
+    # Mass is proportional to density: one computation at density 1 gives the density of the right mass.
     solid = shapes_mass_properties(collisions, 1.0)
     solid = shapes_mass_properties(collisions, data.mass / solid.mass)
     link = Link(name, solid.mass, solid.center_of_mass, solid.inertia, collisions, visuals, data.label or name)
     x, y, z = (float(value) for value in high - low)
+    # Heights stay those above the underside, which do not depend on where the frame is.
     cavity = form.cavity and replace(form.cavity, axis=(middle.position[0], middle.position[1]))
     return Thing(name, Articulation(name, (link,)), (x, y, z), data.source, cavity)
 

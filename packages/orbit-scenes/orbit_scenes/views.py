@@ -29,6 +29,7 @@ def overview(scene: Scene, fov: float = 0.8) -> Pose:
     corners = np.concatenate(points) if points else np.array(((-1.0, -1.0, 0.0), (1.0, 1.0, 1.0)))
     low, high = corners.min(0), corners.max(0)
     middle = (low + high) / 2
+    # The picture is wider than high, and a house seen obliquely is foreshortened along y.
     across = max(high[0] - low[0], 1.2 * (high[1] - low[1]))
     away = across / 2 / math.tan(fov / 2) / _FILL
     x, y, z = (float(value) for value in middle)

@@ -89,6 +89,7 @@ def _make(words: Sequence[str]) -> None:
     from orbit_scenes.certify import certify, settled
     from orbit_scenes.house import make_scene
 
+    # Reading the modules above is no part of making a scene.
     start = time.perf_counter()
     scene = make_scene(settings.kind, settings.seed, settings.rooms, settings.things)
     made = time.perf_counter() - start
