@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -187,7 +188,7 @@ def decimated(scan: Scan, triangles: int) -> Scan:
     if len(scan.faces) <= triangles:
         return scan
     try:
-        import fast_simplification
+        fast_simplification = importlib.import_module("fast_simplification")
     except ImportError:
         raise ConfigurationError(
             f"decimating a scan needs the package fast-simplification: {install_extra('scan')}"
@@ -211,7 +212,8 @@ def cut_out(scan: Scan, pose: Pose, half_extents: tuple[float, float, float]) ->
     inverse, half = pose.inverse(), np.asarray(Box(half_extents).half_extents)
     within = (np.abs(inverse.transform(scan.vertices)) <= half).all(1)
     middles = (np.abs(inverse.transform(scan.corners.mean(1))) <= half).all(1)
-    return _compact(scan, scan.faces[~(within[scan.faces].any(1) | middles)])
+    reached = np.asarray(within)[scan.faces].any(1) | middles
+    return _compact(scan, scan.faces[~reached])
 
 
 def _compact(scan: Scan, faces: npt.NDArray[np.integer]) -> Scan:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -73,8 +75,8 @@ def floor_map(
         ArgumentError: a length is not above zero.
         AssetError: no floor is free.
     """
-    from scipy import ndimage
-
+    # Its stubs know neither what comes back without an output array nor that masks are arrays.
+    ndimage: Any = importlib.import_module("scipy.ndimage")
     for name, value in (("radius", radius), ("height", height), ("resolution", resolution)):
         if not 0.0 < value < np.inf:
             raise ArgumentError(f"{name} of a floor map is {value}: give metres above zero")
@@ -91,8 +93,8 @@ def floor_map(
     shown = ndimage.binary_closing(np.pad(floor | taken, 2), iterations=1)[2:-2, 2:-2] | floor | taken
     hole = ndimage.binary_fill_holes(shown) & ~shown
     ground_cells = (shown & ~taken) | (hole if fill_holes else False)
-    away = ndimage.distance_transform_edt(np.pad(ground_cells, 1), sampling=resolution)[1:-1, 1:-1]  # pyright: ignore[reportOptionalSubscript, reportIndexIssue, reportCallIssue, reportArgumentType]
-    free = np.asarray(away) > radius
+    away = ndimage.distance_transform_edt(np.pad(ground_cells, 1), sampling=resolution)[1:-1, 1:-1]
+    free: Cells = np.asarray(away) > radius
     if not free.any():
         raise AssetError(
             f"no floor of the scan is free for a robot of {radius} m radius: it shows "
