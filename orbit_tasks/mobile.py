@@ -149,6 +149,7 @@ class Mobile:
     """
 
     robot: str = "base_omni_franka_panda"
+    """Name of a robot in the catalogue whose base drives or walks."""
     gait: str = "velocity_flat"
     """Kept policy, or path of one, that walks a robot on legs (:class:`~orbit_tasks.locomotion.LocomotionConfig`)."""
     walking_speed: float = 0.5
@@ -178,8 +179,11 @@ class Walking(Protocol):
     """Protocol of the task that :class:`Mobile` extends."""
 
     action: str
+    """Name of the action space of the arm."""
     gait: str
+    """Kept policy that walks a robot on legs."""
     walking_speed: float
+    """m/s forward at which a robot on legs is led."""
 
 
 def sag_rate(world: World) -> float:

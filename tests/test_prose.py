@@ -37,7 +37,7 @@ LIMITS = {
     "orbit_tasks": Limits(comments=2.4),
     "orbit_conformance": Limits(comments=2.8),
     "orbit_bullet": Limits(comments=2.9),
-    "orbit_matter": Limits(openings=13.0, words=2.1, comments=1.4),
+    "orbit_matter": Limits(comments=2.8),
     "orbit_mujoco": Limits(comments=2.9),
     "orbit_ros": Limits(comments=2.1),
     "orbit_newton": Limits(comments=2.9),

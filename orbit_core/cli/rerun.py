@@ -41,7 +41,9 @@ class ResultDifference:
     name: str
     """Path in the result."""
     recorded: Any
+    """Value in the result's file."""
     repeated: Any
+    """Value of the new run."""
 
 
 def main(words: Sequence[str]) -> int:

@@ -100,8 +100,11 @@ class Links:
     """Reader of the links of one stage."""
 
     reading: Reading
+    """File, units and options."""
     contents: Contents
+    """Prims of the stage."""
     placements: Placements
+    """Poses of prims in the world."""
 
     def __post_init__(self) -> None:
         self.shapes = Shapes(self.reading, self.placements, self.contents.geometry)
@@ -187,10 +190,15 @@ class StageReader:
 
     def __init__(self, reading: Reading) -> None:
         self.reading = reading
+        """File, units and options."""
         self.contents = collect(reading)
+        """Prims of the stage."""
         self.placements = Placements(reading.units)
+        """Poses of prims in the world."""
         self.links = Links(reading, self.contents, self.placements)
+        """Reader of bodies."""
         self.actuators = Actuators(self.contents.actuators, self.contents.joints, reading)
+        """Actuators of MuJoCo's schema."""
 
     def articulations(self) -> list[PlacedArticulation]:
         """Return all articulations of the stage in its order; of a stage without bodies, one static link.

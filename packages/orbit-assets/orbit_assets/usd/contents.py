@@ -54,9 +54,11 @@ class Contents:
     parts: dict[str, list[Any]] = field(default_factory=dict)
     """Geometry and frames by the path of the body that carries them; :data:`STAGE` for static ones."""
     joints: list[Any] = field(default_factory=list)
+    """Prims of joints."""
     actuators: list[Any] = field(default_factory=list)
     """Actuators of MuJoCo's schema."""
     lights: list[Any] = field(default_factory=list)
+    """Prims of lights."""
     scene: Any = None
     """The first physics scene, or ``None``."""
     owners: dict[str, str] = field(default_factory=dict)

@@ -65,11 +65,13 @@ class MeshBody:
     friction: float = 1.0
     """Static and dynamic."""
     restitution: float = 0.0
+    """Speed after an impact by speed before it, 0 to 1."""
     density: float | None = None
     """kg/m^3; 500, that of soft wood, where neither it nor the mass is given."""
     mass: float | None = None
     """kg; overrides the density."""
     collision: MeshCollision = MeshCollision.CONVEX_HULL
+    """Geometry for contacts."""
     scale: float = 1.0
     """Metres of one unit of the file, on top of a unit that the file itself names."""
     up: Literal["y", "z"] | None = None
@@ -146,10 +148,13 @@ class JointWriter:
     """Writer of the joints of one articulation, whose links have prims already."""
 
     articulation: Articulation
+    """Joints that are written."""
     stage: Any
+    """``Usd.Stage`` that they are written to."""
     links: Mapping[str, Any]
     """Prims of links by name."""
     joints: dict[str, Any] = field(default_factory=dict)
+    """Prims of joints by name."""
 
     def write(self, top: Any) -> None:
         """Write all joints below a scope ``joints`` of the prim ``top``."""
