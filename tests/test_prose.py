@@ -31,15 +31,14 @@ class Limits:
 LIMITS = {
     "orbit_core": Limits(comments=2.9),
     "orbit_assets": Limits(comments=2.9),
-    "orbit_learn": Limits(comments=2.8),
+    "orbit_learn": Limits(comments=2.9),
     "orbit_data": Limits(comments=2.9),
     "orbit_policies": Limits(comments=0.0),
-    "orbit_tasks": Limits(comments=2.4),
+    "orbit_tasks": Limits(comments=2.8),
     "orbit_conformance": Limits(comments=2.8),
     "orbit_bullet": Limits(comments=2.9),
     "orbit_matter": Limits(comments=2.8),
     "orbit_mujoco": Limits(comments=2.9),
-    "orbit_ros": Limits(comments=2.1),
     "orbit_newton": Limits(comments=2.9),
     "orbit_sapien": Limits(comments=2.9),
     "orbit_warp": Limits(comments=2.8),
@@ -50,7 +49,6 @@ REACHED = (
     "scene", "interfaces", "dynamics", "sensors", "actuators", "active", "preparation", "plugin_kit", "cli", "rollout",
 )  # fmt: skip
 LIMITS |= {f"orbit_core/{name}": Limits(comments=2.7) for name in REACHED}
-LIMITS["orbit_core/interfaces"] = Limits(openings=2.2, comments=2.7)  # its captured steps are being rewritten
 # Guides of the documentation; records of measurements and pages made from declarations are not measured.
 GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "from").glob("*.md"))]
 FOLDERS = {

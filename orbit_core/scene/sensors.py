@@ -70,6 +70,45 @@ class ContactSensorSpec(SensorSpec):
 
 
 @dataclass(frozen=True, kw_only=True)
+class TactileSpec(ContactSensorSpec):
+    """A rectangular pad of taxels on a link, as soft as a gel.
+
+    It feels the contact force on the link that carries ``frame``, or the part of it that the entities in ``filters``
+    exert. The pad is flat, its middle at ``pose`` in the frame, z outwards. Columns of taxels run along x, rows along
+    y.
+
+    Raises:
+        ValueError: a size, a number of taxels or a constant is out of its range.
+    """
+
+    frame: str
+    pose: Pose = field(default_factory=Pose)
+    """Pose of the pad's middle in the frame."""
+    size: tuple[float, float] = (0.02, 0.02)
+    """Full extent along x and y, m."""
+    taxels: tuple[int, int] = (16, 16)
+    """Columns along x and rows along y."""
+    young: float = 2.0e5
+    """Modulus of elasticity of the gel, Pa; the default is a soft silicone's."""
+    poisson: float = 0.48
+    """Poisson's ratio of the gel."""
+    friction: float = 0.8
+    """Coefficient of friction by which shear is shared between taxels that stick and those that slip."""
+    reach: float = 0.004
+    """Metres in front of the pad and behind it within which a surface counts as touching."""
+
+    def __post_init__(self) -> None:
+        lengths = (*self.size, self.young, self.friction, self.reach)
+        # A ratio of 0.5 is a gel that keeps its volume; negative ones are no gel.
+        if min(lengths) <= 0.0 or not 0.0 <= self.poisson <= 0.5 or min(self.taxels) < 2 or max(self.taxels) > 64:
+            raise ValueError(
+                f"tactile sensor '{self.name}' has size {self.size} m, taxels {self.taxels}, young {self.young} Pa, "
+                f"poisson {self.poisson}, friction {self.friction} and reach {self.reach} m: give numbers above zero, "
+                "2 to 64 taxels a side, and poisson from 0 to 0.5"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class ImuSpec(SensorSpec):
     """Angular velocity and proper acceleration of a frame, in its own axes."""
 

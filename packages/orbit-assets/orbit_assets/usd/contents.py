@@ -12,6 +12,8 @@ from orbit_core.interfaces.errors import AssetError
 
 FRAME = "orbit:frame"
 """Attribute that marks a named frame."""
+ARTICULATION = "orbit:articulation"
+"""Attribute that marks a prim whose name is that of the one articulation below it."""
 MASSLESS = "orbit:massless"
 """Attribute that marks a body without mass, where UsdPhysics would compute one from its colliders."""
 STAGE = "/"

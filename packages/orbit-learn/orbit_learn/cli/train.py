@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from orbit_core.envs.ppo import PpoSettings
     from orbit_learn.trainer import Progress, Trainer
     from orbit_learn.training import Training
+    from orbit_learn.wandb_log import WandbLog
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +56,8 @@ class TrainSettings(EnvironmentSettings):
     """A setting of library imitation, such as chunk=16."""
     off_policy: KeyValues = ()
     """A setting of sac and td3, such as updates_per_step=4."""
+    wandb: Annotated[str | None, arg(metavar="PROJECT")] = None
+    """Project of Weights & Biases that takes the curve too; WANDB_MODE=offline keeps it on this machine."""
     diverged: Literal["reset", "stop"] = "reset"
     """Reaction to environments whose simulation diverges: they begin new episodes and are counted, unless one in a
     hundred does in an iteration; or the training ends."""
@@ -104,7 +107,16 @@ def train(settings: TrainSettings) -> Path:
         record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
         trainer = make_trainer(environment, chosen, folder, settings.seed)
         training = Training(trainer, settings.task or "", record, leader)
-        last = _run(training, chosen.iterations, settings)
+        log = None
+        if settings.wandb is not None and leader:
+            from orbit_learn.wandb_log import WandbLog
+
+            log = WandbLog(settings.wandb, folder, record)
+        try:
+            last = _run(training, chosen.iterations, settings, log)
+        finally:
+            if log is not None:
+                log.close()
     finally:
         environment.close()
     if last is not None:
@@ -112,7 +124,7 @@ def train(settings: TrainSettings) -> Path:
     return folder
 
 
-def _run(training: Training, iterations: int, settings: TrainSettings) -> Progress | None:
+def _run(training: Training, iterations: int, settings: TrainSettings, log: WandbLog | None) -> Progress | None:
     """Train under a progress bar, and return the last progress; None in processes that do not lead."""
     last: list[Progress] = []  # a list, because the inner function assigns to it
     with progress_bar() as bar:
@@ -120,6 +132,8 @@ def _run(training: Training, iterations: int, settings: TrainSettings) -> Progre
 
         def show(progress: Progress) -> None:
             last[:] = [progress]
+            if log is not None:
+                log.add(progress)
             bar.update(line, completed=progress.iteration + 1, description=_words(settings, progress))
 
         try:
