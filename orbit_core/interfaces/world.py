@@ -16,7 +16,7 @@ from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import Approximation, SceneLayout
 from orbit_core.interfaces.renderer import Renderer
-from orbit_core.scene import CameraSpec, Scene, SensorSpec
+from orbit_core.scene import CameraSpec, Scene, SensorSpec, Studio
 
 
 class Sensor(ABC):
@@ -231,10 +231,15 @@ class World(ABC):
         """Draws the scene's cameras."""
         raise self._unsupported("renderer")
 
-    def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
+    def create_renderer(
+        self, cameras: tuple[CameraSpec, ...], frames: bool = False, studio: Studio | None = None
+    ) -> Renderer:
         """Return another renderer of this scene, for cameras that are no sensors. The caller closes it.
 
-        ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels.
+        Args:
+            cameras: all that it will be used with.
+            frames: draw axes at the robots' bases, end effectors, finger tips, feet and wheels.
+            studio: look of the pictures; None draws them as the scene's own cameras see it.
         """
         raise self._unsupported("renderer")
 

@@ -73,6 +73,7 @@ from orbit_core.scene.shapes import (
     Color,
     Compliance,
     Cylinder,
+    Finish,
     Geometry,
     HeightField,
     Mesh,
@@ -83,15 +84,16 @@ from orbit_core.scene.shapes import (
     Sphere,
     Texture,
 )
+from orbit_core.scene.studio import Studio
 
 __all__ = [
     "END_EFFECTOR", "ActiveModel", "ActuatorConfig", "ActuatorNetwork", "AmbientLight", "Articulation",
     "Attachment", "Box", "CameraSpec", "Capsule", "Channel", "Cloth", "Color", "Compliance", "ContactSensorSpec",
     "Cylinder", "DcMotor", "DeformableSpec", "DifferentialBase", "DirectionalLight", "DriveGains", "EndEffector",
-    "Entity", "Fluid", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
+    "Entity", "Finish", "Fluid", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
     "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "KeyPoint",
     "Light", "Link", "LoopJoint", "LoopType", "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision",
     "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region",
-    "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere",
+    "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "Studio",
     "Texture", "Transmission", "Windings", "Workspace", "four_bar", "linear_drive", "look_at", "single_link",
 ]  # fmt: skip

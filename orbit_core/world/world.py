@@ -55,6 +55,7 @@ from orbit_core.world.entities import SimulatedMarker, SimulatedObject, Simulate
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
 from orbit_core.world.matter import SimulatedDeformable, coupled, rigid_part
 from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
+from orbit_core.world.studio import StudioRenderer, dressed
 
 
 class SimulatedWorld(World):
@@ -195,10 +196,16 @@ class SimulatedWorld(World):
             self._renderer = self.create_renderer(cameras)
         return self._renderer
 
-    def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
-        layout = rigid_part(with_frames(self.layout) if frames else self.layout, self._solver)
-        renderer = self._renderer_plugin.create_renderer(layout, cameras, self._renderer_config)
-        return self.painting.add(with_matter(renderer, self._solver, self._engine, self.layout))
+    def create_renderer(
+        self, cameras: tuple[CameraSpec, ...], frames: bool = False, studio: Studio | None = None
+    ) -> Renderer:
+        layout = self.layout if studio is None else dressed(self.layout, studio)
+        drawn = rigid_part(with_frames(layout) if frames else layout, self._solver)
+        renderer = self._renderer_plugin.create_renderer(drawn, cameras, self._renderer_config)
+        renderer = with_matter(renderer, self._solver, self._engine, layout)
+        if studio is None:
+            return self.painting.add(renderer)
+        return self.painting.add(renderer, lambda inner: StudioRenderer(inner, layout.scene, studio))
 
     @property
     def python_laws(self) -> Mapping[str, object]:
