@@ -54,7 +54,7 @@ def framed(world: World, view: Pose, aspect: float, follow: str = "", env: int =
     points = _points(world, follow, env)
     if not len(points):
         return view
-    position, orientation = _tensors(view)
+    _, orientation = _tensors(view)
     low, high = points.amin(0), points.amax(0)
     middle = 0.5 * (low + high)
     half = (0.5 * (high - low)).clamp_min(0.5 * _LEAST)
@@ -122,7 +122,9 @@ def _points(world: World, follow: str, env: int) -> Tensor:
             points += [_hand(entity, entity.spec, effector.frame, poses) for effector in entity.spec.end_effectors]
     if not follow:
         marks = world.marker_poses[env, :, :3].cpu()
-        points.append(marks[marks.norm(dim=-1) < _AWAY])
+        distance = marks.norm(dim=-1)
+        # A marker at the very origin was never placed.
+        points.append(marks[(distance > 0.0) & (distance < _AWAY)])
         points += [deformable.positions[env].cpu() for deformable in world.deformables.values()]
     return torch.cat(points) if points else torch.zeros(0, 3)
 
@@ -130,7 +132,8 @@ def _points(world: World, follow: str, env: int) -> Tensor:
 def _moving_links(layout: SceneLayout, entity: EntityLayout) -> range:
     """Return links that are framed: of what moves, but of an arm on a fixed base only its hand, which comes apart."""
     spec = entity.spec
-    if spec.fixed_base and (isinstance(spec, RobotSpec) and spec.end_effectors or not spec.articulation.movable_joints):
+    arm = isinstance(spec, RobotSpec) and bool(spec.end_effectors)
+    if spec.fixed_base and (arm or not spec.articulation.movable_joints):
         return range(0)
     return range(entity.links.start, entity.links.stop)
 

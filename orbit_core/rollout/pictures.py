@@ -15,7 +15,7 @@ from orbit_core.interfaces import World
 from orbit_core.registry import Registry
 from orbit_core.rollout.framing import FIELD_OF_VIEW, FollowingCamera, framed
 from orbit_core.rollout.stepping import StepObserver
-from orbit_core.scene import CameraSpec, Channel, Pose, Studio
+from orbit_core.scene import STUDIO, CameraSpec, Channel, Pose, Studio
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -91,7 +91,7 @@ class Spectator:
     """
 
     def __init__(
-        self, environment: Environment, width: int, height: int, frames: bool = False, studio: Studio = Studio()
+        self, environment: Environment, width: int, height: int, frames: bool = False, studio: Studio = STUDIO
     ) -> None:
         self._environment = environment
         world, metadata = environment.world, environment.task.metadata

@@ -54,7 +54,17 @@ from orbit_core.scene.entities import (
     Workspace,
 )
 from orbit_core.scene.pose import Pose, look_at
-from orbit_core.scene.scene import AmbientLight, DirectionalLight, Light, MarkerShape, MarkerSpec, Rgb, Scene, Sky
+from orbit_core.scene.scene import (
+    AmbientLight,
+    DirectionalLight,
+    Light,
+    MarkerShape,
+    MarkerSpec,
+    Rgb,
+    Scene,
+    Sky,
+    ghost,
+)
 from orbit_core.scene.sensors import (
     CameraSpec,
     Channel,
@@ -84,10 +94,10 @@ from orbit_core.scene.shapes import (
     Sphere,
     Texture,
 )
-from orbit_core.scene.studio import Studio
+from orbit_core.scene.studio import STUDIO, Studio
 
 __all__ = [
-    "END_EFFECTOR", "ActiveModel", "ActuatorConfig", "ActuatorNetwork", "AmbientLight", "Articulation",
+    "END_EFFECTOR", "STUDIO", "ActiveModel", "ActuatorConfig", "ActuatorNetwork", "AmbientLight", "Articulation",
     "Attachment", "Box", "CameraSpec", "Capsule", "Channel", "Cloth", "Color", "Compliance", "ContactSensorSpec",
     "Cylinder", "DcMotor", "DeformableSpec", "DifferentialBase", "DirectionalLight", "DriveGains", "EndEffector",
     "Entity", "Finish", "Fluid", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
@@ -95,5 +105,5 @@ __all__ = [
     "Light", "Link", "LoopJoint", "LoopType", "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision",
     "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region",
     "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "Studio",
-    "Texture", "Transmission", "Windings", "Workspace", "four_bar", "linear_drive", "look_at", "single_link",
+    "Texture", "Transmission", "Windings", "Workspace", "four_bar", "ghost", "linear_drive", "look_at", "single_link",
 ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from orbit_core.scene.scene import AmbientLight, DirectionalLight, Light, Sky
 
@@ -20,4 +20,8 @@ class Studio:
         DirectionalLight((-0.55, 0.45, -1.0), (1.0, 0.97, 0.93), 0.56),
         DirectionalLight((0.7, -0.3, -0.6), (0.85, 0.92, 1.0), 0.12, shadows=False),
     )
-    sky: Sky = Sky(above=(0.70, 0.80, 0.92), below=(0.97, 0.97, 0.97))
+    sky: Sky = field(default_factory=lambda: Sky(above=(0.70, 0.80, 0.92), below=(0.97, 0.97, 0.97)))
+
+
+STUDIO = Studio()
+"""Look of videos and of pictures for people."""

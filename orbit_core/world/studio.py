@@ -24,6 +24,7 @@ from orbit_core.scene import (
     Entity,
     Finish,
     HeightField,
+    Mesh,
     Plane,
     RobotSpec,
     Scene,
@@ -38,6 +39,7 @@ from orbit_core.world.drawing import OuterRenderer
 _PLASTIC = (0.7548776662466927, 0.5698402909980532)
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _FLOOR: Color = (0.80, 0.81, 0.83, 1.0)
+_EARTH: Color = (0.74, 0.71, 0.66, 1.0)
 
 
 def dressed(layout: SceneLayout, studio: Studio) -> SceneLayout:
@@ -63,8 +65,9 @@ def _ground(shape: Shape) -> Shape:
         return shape
     if isinstance(shape.geometry, Plane):
         return replace(shape, color=_FLOOR, finish=Finish(texture=grid()))
-    if isinstance(shape.geometry, HeightField):
-        return replace(shape, color=_lighter(shape.color), finish=Finish(texture=grid()))
+    # Slabs around a terrain continue it.
+    if isinstance(shape.geometry, HeightField | Mesh) or shape.name.startswith("border"):
+        return replace(shape, color=_EARTH, finish=Finish(texture=grid()))
     return replace(shape, color=_lighter(shape.color), finish=Finish(texture=concrete()))
 
 

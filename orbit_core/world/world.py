@@ -46,7 +46,7 @@ from orbit_core.interfaces.capabilities import IMAGES
 from orbit_core.interfaces.capture import Schedule, is_tracing
 from orbit_core.preparation.scene_data import check_attachments, check_data
 from orbit_core.preparation.scenes import prepared
-from orbit_core.scene import CameraSpec, Scene
+from orbit_core.scene import CameraSpec, Scene, Studio
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
 from orbit_core.world.checks import check_build, check_capacity

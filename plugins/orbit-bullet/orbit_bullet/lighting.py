@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.scene import CameraSpec, Rgb, Sky
+from orbit_core.scene import CameraSpec, Sky
 
 _Array = npt.NDArray[Any]
 
@@ -30,7 +30,7 @@ def sky_colors(sky: Sky, rays: _Array, rotation: _Array) -> _Array:
     return 255.0 * (below + 0.5 * (1.0 + height[:, None]) * (above - below))
 
 
-def add_light(colors: _Array, facing: npt.NDArray[np.uint8], radiance: Rgb, reached: _Array | None) -> None:
+def add_light(colors: _Array, facing: npt.NDArray[np.uint8], radiance: npt.ArrayLike, reached: _Array | None) -> None:
     """Add to colours (H, W, 3) of 255 what a light gives surfaces.
 
     Args:

@@ -184,7 +184,8 @@ class _Looks:
                 names[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
                 material.textures = names
                 material.texuniform = flat
-                material.texrepeat = (1.0 / texture.width, 1.0 / texture.height) if flat else (1.0, 1.0)
+                # MuJoCo lays a plane's texture over two metres where texrepeat is one.
+                material.texrepeat = (2.0 / texture.width, 2.0 / texture.height) if flat else (1.0, 1.0)
         return self._finishes[key]
 
     def _add_texture(self, name: str, texture: Texture) -> None:

@@ -76,8 +76,8 @@ class MujocoRenderer(HostRenderer):
         self._shown = np.zeros((len(shown), self._model.ngeom), dtype=bool)
         self._shown[:, : shown.shape[1]] = shown
         self._is_marker = np.arange(self._model.ngeom) >= shown.shape[1]
-        # A plane shadows nothing that is drawn; its own shadow map would speckle it, for MuJoCo looks a map up one texel
-        # off at its rim, where a slope of a plane is deepest.
+        # A plane shadows nothing that is drawn. In the map its own shadow would speckle it, for MuJoCo looks the map
+        # up one texel off at its rim.
         self._casts_nothing = self._is_marker | (self._model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
         # The reach of a height field is that of the whole terrain.
         fields = self._model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD
