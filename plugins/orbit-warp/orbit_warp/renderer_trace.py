@@ -81,7 +81,8 @@ def texture_color(stage: StageArrays, env: int, hit: Hit, point: wp.vec3, width:
     if texture < 0:
         return wp.vec3(1.0)
     size, repeat = stage.texture_size[texture], stage.texture_repeat[hit.geom]
-    place, share = hit.place, 1.0
+    place = wp.vec2(hit.place[0], hit.place[1])
+    share = wp.float32(1.0)
     if repeat[0] > 0.0:
         local = wp.transpose(stage.xmat[env, hit.geom]) @ (point - stage.xpos[env, hit.geom])
         place = wp.vec2(local[0] * repeat[0] + 0.5, 0.5 - local[1] * repeat[1])
