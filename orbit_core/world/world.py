@@ -18,7 +18,9 @@ from orbit_core.backends import renderer as find_renderer
 from orbit_core.configuration import settings_table
 from orbit_core.dynamics.arguments import (
     ACCELERATIONS,
+    COSINES,
     FRICTIONS,
+    RADIANCES,
     MOST_ENVIRONMENTS,
     MOST_STEPS,
     seed_number,
@@ -35,6 +37,7 @@ from orbit_core.interfaces import (
     Backend,
     Capability,
     ConfigurationError,
+    LightTable,
     Engine,
     NamedThings,
     OrbitError,
@@ -55,7 +58,7 @@ from orbit_core.world.entities import SimulatedMarker, SimulatedObject, Simulate
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
 from orbit_core.world.matter import SimulatedDeformable, coupled, rigid_part
 from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
-from orbit_core.world.studio import StudioRenderer, dressed
+from orbit_core.world.studio import StudioRenderer, dressed, scene_lights
 
 
 class SimulatedWorld(World):
@@ -295,6 +298,27 @@ class SimulatedWorld(World):
         chosen = self.selector.select(env_ids)
         coefficients = chosen.values(coefficients, (), "friction of the terrain", FRICTIONS)
         self._engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
+
+    def set_lights(self, lights: LightTable, env_ids: Tensor | None = None) -> None:
+        """Light some environments otherwise.
+
+        Raises:
+            UnsupportedCapabilityError: the renderer cannot; names those that can.
+            ShapeError, NonFiniteError, ArgumentError: the lights are no lights of so many environments.
+        """
+        self._require(Capability.LIGHTS_PER_ENVIRONMENT, "lights of environments")
+        chosen, count = self.selector.select(env_ids), len(self.scene.directional_lights)
+        given = LightTable(
+            chosen.values(lights.ambient, (3,), "ambient light", RADIANCES),
+            chosen.values(lights.directions, (count, 3), "directions of lights", COSINES),
+            chosen.values(lights.radiance, (count, 3), "radiance of lights", RADIANCES),
+        )
+        self.painting.light(self.nominal_lights, given, chosen.rows)
+
+    @property
+    def nominal_lights(self) -> LightTable:
+        own = scene_lights(self.scene, self.num_envs, self.device)
+        return LightTable(own.ambient.clone(), own.directions.clone(), own.radiance.clone())
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Return some environments to their start, by index or by mask (N,) bool.

@@ -106,6 +106,13 @@ CAPABILITIES = Capabilities(
             "as the scene says with the software renderer, renderer='tiny'; OpenGL, which 'auto' takes for colour "
             "images above 128x128 where it loads, has a light of its own, along the first light's direction"
         ),
+        Capability.LIGHTS_PER_ENVIRONMENT: approximate(
+            "directions, colours and number with the software renderer, renderer='tiny'; OpenGL turns its one light "
+            "along the first of them"
+        ),
+        Capability.TEXTURES: approximate(
+            "metals are drawn as paint, and highlights only by OpenGL, which adds one of its own on level ground"
+        ),
         Capability.SHADOWS: approximate(
             "from a map of twice the picture's width, over what casts them in it, up to 3 m around the middle of what "
             "moves; single pixels beside edges differ"

@@ -189,7 +189,7 @@ class _Looks:
         return self._finishes[key]
 
     def _add_texture(self, name: str, texture: Texture) -> None:
-        pixels = texture.pixels[::-1]  # MuJoCo's rows count from below
+        pixels = texture.pixels
         made = self._spec.add_texture(
             name=name,
             type=mujoco.mjtTexture.mjTEXTURE_2D,
