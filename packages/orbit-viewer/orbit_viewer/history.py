@@ -22,7 +22,10 @@ class History:
         # A choice of other environments, or a reset, begins another history.
         if self._frames and (seconds < self._frames[-1][0] or not _alike(frame, self._frames[-1][1])):
             self._frames.clear()
-        self._frames.append((seconds, frame))
+        # Copied: engines write poses in place.
+        particles = tuple(positions.copy() for positions in frame.particles)
+        kept = Frame(frame.link_poses.copy(), frame.marker_poses.copy(), particles, frame.first)
+        self._frames.append((seconds, kept))
         while seconds - self._frames[0][0] > SECONDS:
             self._frames.popleft()
 

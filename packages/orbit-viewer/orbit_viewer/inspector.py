@@ -201,8 +201,7 @@ class Inspector:
             )
             # Let go of, the grip is where the thing is; while it is held, it stays with the pointer.
             self._held = False
-            self._grip.on_drag_start(lambda _: self._hold(True))
-            self._grip.on_drag_end(lambda _: self._hold(False))
+            self._grip.on_update(lambda event: self._hold(event.phase != "end"))
         elif not self._held:
             self._grip.position = place
 
