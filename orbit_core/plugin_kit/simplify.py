@@ -80,12 +80,21 @@ def simplified_mesh(mesh: Mesh, cells: int) -> Mesh:
     # Triangles that fall on one another count once.
     ordered = np.sort(merged[whole], axis=1)
     _, first = np.unique(ordered, axis=0, return_index=True)
-    kept = merged[whole][np.sort(first)]
+    rows = np.flatnonzero(whole)[np.sort(first)]
+    kept = merged[rows]
     if len(kept) > 0.7 * len(faces) or len(kept) < 4:
         return mesh
     points = _representatives(vertices, faces, cluster, size)
+    # A triangle that merging has turned over would be culled, and leave a hole.
+    over = (_areas(points[kept]) * _areas(vertices[faces[rows]])).sum(-1) < 0.0
+    kept[over] = kept[over][:, ::-1]
     used, renumbered = np.unique(kept, return_inverse=True)
     return replace(mesh, vertices=points[used], faces=renumbered.reshape(-1, 3).astype(np.int32))
+
+
+def _areas(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return normals (F, 3) of triangles (F, 3, 3), as long as twice their area."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def _representatives(
@@ -96,7 +105,7 @@ def _representatives(
     total = np.bincount(cluster, minlength=count)[:, None]
     mean = np.stack([np.bincount(cluster, vertices[:, axis], count) for axis in range(3)], axis=-1) / total
     corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = _areas(corners)
     # Each triangle counts with its area, at each of its corners, relative to that corner's cluster.
     owner = cluster[faces].ravel()
     planes = np.repeat(normals, 3, axis=0)

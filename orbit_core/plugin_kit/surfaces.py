@@ -71,20 +71,33 @@ def shaded(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     """Return vertices (V, 3) with normals (V, 3), and faces (F, 3) of indices, of triangles with corners (F, 3, 3).
 
-    Faces that bend little share a vertex and its normal; where they bend more, each has a vertex with its own normal.
+    At a vertex, faces that bend little against one another share a normal, the mean of theirs by area; where they bend
+    more, each side has a vertex with its own.
     """
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = np.repeat(_normalized(areas), 3, axis=0)
+    flat, area = np.repeat(_normalized(areas), 3, axis=0), np.repeat(areas, 3, axis=0)
     points = corners.reshape(-1, 3)
-    _, first, group = np.unique(np.round(points * 1e6).astype(np.int64), axis=0, return_index=True, return_inverse=True)
-    group = group.ravel()
-    sums = np.zeros((len(first), 3))
-    np.add.at(sums, group, np.repeat(areas, 3, axis=0))
-    smooth = _normalized(sums)
-    bends = (smooth[group] * flat).sum(-1) < _SMOOTH
-    own = len(first) + np.cumsum(bends) - 1
-    indices = np.where(bends, own, group).reshape(-1, 3)
-    return np.concatenate((points[first], points[bends])), np.concatenate((smooth, flat[bends])), indices
+    group = np.unique(np.round(points * 1e6).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    one, other = _pairs(group)
+    near = (flat[one] * flat[other]).sum(-1) > _SMOOTH
+    sums = np.stack([np.bincount(one[near], area[other[near], axis], len(points)) for axis in range(3)], axis=-1)
+    # A triangle without area has no side: it keeps what it has, which is nothing.
+    normals = _normalized(sums)
+    keys = np.column_stack((group, np.round(normals * 1e5).astype(np.int64)))
+    _, first, indices = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return points[first], normals[first], indices.reshape(-1, 3)
+
+
+def _pairs(group: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return all pairs of indices, in both orders and each with itself, that are of one group."""
+    order = np.argsort(group, kind="stable")
+    counts = np.bincount(group)
+    starts = np.cumsum(counts) - counts
+    size = counts[group[order]]
+    one = np.repeat(order, size)
+    # Within a group, 0, 1, 2 ... for each of its members.
+    step = np.arange(len(one)) - np.repeat(np.cumsum(size) - size, size)
+    return one, order[np.repeat(starts[group[order]], size) + step]
 
 
 def _normalized(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -102,7 +102,8 @@ class FollowingCamera:
         return torch.cat((self._place + self._offset, self._orientation.expand(len(roots), 4)), dim=-1)
 
     def _roots(self) -> Tensor:
-        return self._world.link_poses[:, self._link, :3]
+        # A copy: engines write poses in place.
+        return self._world.link_poses[:, self._link, :3].clone()
 
 
 def _points(world: World, follow: str, env: int) -> Tensor:

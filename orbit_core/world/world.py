@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 import torch
@@ -20,9 +21,9 @@ from orbit_core.dynamics.arguments import (
     ACCELERATIONS,
     COSINES,
     FRICTIONS,
-    RADIANCES,
     MOST_ENVIRONMENTS,
     MOST_STEPS,
+    RADIANCES,
     seed_number,
     usable_device,
     whole_number,
@@ -37,8 +38,9 @@ from orbit_core.interfaces import (
     Backend,
     Capability,
     ConfigurationError,
-    LightTable,
     Engine,
+    Level,
+    LightTable,
     NamedThings,
     OrbitError,
     Renderer,
@@ -202,6 +204,10 @@ class SimulatedWorld(World):
     def create_renderer(
         self, cameras: tuple[CameraSpec, ...], frames: bool = False, studio: Studio | None = None
     ) -> Renderer:
+        traced = self._renderer_plugin.capabilities()[Capability.RAY_TRACED_RGB].level is Level.EXACT
+        if studio is not None and traced:
+            # A path tracer averages over pixels by itself, and each of its pictures takes seconds.
+            studio = replace(studio, samples=1)
         layout = self.layout if studio is None else dressed(self.layout, studio)
         drawn = rigid_part(with_frames(layout) if frames else layout, self._solver)
         renderer = self._renderer_plugin.create_renderer(drawn, cameras, self._renderer_config)
