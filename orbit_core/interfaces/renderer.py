@@ -70,6 +70,8 @@ class Renderer(Traceable, ABC):
         """Take :attr:`link_colors` from now on."""
         self.link_colors = colors
 
+    most_samples: int | None = None
+    """Pictures that a studio averages at most, where one takes long; None: as many as it asks for."""
     lights: LightTable | None = None
     """Lights of each environment; None: all have the scene's. Its owner writes in place."""
 

@@ -47,7 +47,10 @@ class OverviewCamera:
         vertical_fov: float = 0.8,
     ) -> None:
         self._world = world
-        self._spec = CameraSpec(name="overview", width=width, height=height, vertical_fov=vertical_fov, pose=view)
+        # Nothing is within a hand's breadth of a spectator, and depth buffers of 16 bits are as fine as this is far.
+        self._spec = CameraSpec(
+            name="overview", width=width, height=height, vertical_fov=vertical_fov, pose=view, near=0.1
+        )
         self._renderer = world.create_renderer((self._spec,), frames, studio)
         self._follower = FollowingCamera(world, follow, view) if follow else None
         pose = torch.tensor((*view.position, *view.orientation), device=world.device)

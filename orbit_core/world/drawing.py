@@ -28,6 +28,7 @@ class OuterRenderer(Renderer):
     def __init__(self, inner: Renderer) -> None:
         self._inner = inner
         self.capture = inner.capture
+        self.most_samples = inner.most_samples
 
     def set_link_colors(self, colors: Tensor | None) -> None:
         super().set_link_colors(colors)

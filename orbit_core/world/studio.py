@@ -109,6 +109,8 @@ class StudioRenderer(OuterRenderer):
     def __init__(self, inner: Renderer, scene: Scene, studio: Studio) -> None:
         super().__init__(inner)
         self._studio, self._scene = studio, scene
+        most = inner.most_samples
+        self._samples = studio.samples if most is None else min(studio.samples, most)
         self._own: LightTable | None = None
 
     def set_lights(self, lights: LightTable | None) -> None:
@@ -124,7 +126,7 @@ class StudioRenderer(OuterRenderer):
         marker_poses: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> Image:
-        samples = self._studio.samples
+        samples = self._samples
         first = self._sample(0, camera, camera_poses, link_poses, channels, marker_poses, env_ids)
         if first.rgb is None or samples == 1:
             return first
@@ -155,7 +157,7 @@ class StudioRenderer(OuterRenderer):
             own = scene_lights(self._scene, self._rows(count, env_ids), device)
         else:
             own = _of_length(self._own, lamps)
-        samples = self._studio.samples
+        samples = self._samples
         radius = self._studio.softness * math.sqrt((number + 0.5) / samples) if samples > 1 else 0.0
         angle = _GOLDEN_ANGLE * number
         return LightTable(own.ambient, _turned(own.directions, radius, angle), own.radiance)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import replace
 from typing import Any, Protocol
 
 import torch
@@ -39,7 +38,6 @@ from orbit_core.interfaces import (
     Capability,
     ConfigurationError,
     Engine,
-    Level,
     LightTable,
     NamedThings,
     OrbitError,
@@ -204,10 +202,6 @@ class SimulatedWorld(World):
     def create_renderer(
         self, cameras: tuple[CameraSpec, ...], frames: bool = False, studio: Studio | None = None
     ) -> Renderer:
-        traced = self._renderer_plugin.capabilities()[Capability.RAY_TRACED_RGB].level is Level.EXACT
-        if studio is not None and traced:
-            # A path tracer averages over pixels by itself, and each of its pictures takes seconds.
-            studio = replace(studio, samples=1)
         layout = self.layout if studio is None else dressed(self.layout, studio)
         drawn = rigid_part(with_frames(layout) if frames else layout, self._solver)
         renderer = self._renderer_plugin.create_renderer(drawn, cameras, self._renderer_config)

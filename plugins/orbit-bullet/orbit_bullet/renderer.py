@@ -13,7 +13,7 @@ import numpy.typing as npt
 from orbit_bullet import opengl
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import Client, refusals, silence
-from orbit_bullet.lighting import add_light, pixel_rays, sky_colors
+from orbit_bullet.lighting import add_light, facing_once, facing_pair, pixel_rays, sky_colors, textured_albedo
 from orbit_bullet.normals import normals_of
 from orbit_bullet.shadows import MapCamera, ball_radius, map_camera
 from orbit_bullet.visuals import VisualShapes
@@ -46,6 +46,9 @@ class BulletRenderer(HostRenderer):
 
     Normals are those of the depth image. Markers are seen in colour alone.
     """
+
+    # Each is made of one or two pictures for a light, and one from its side.
+    most_samples = 2
 
     def __init__(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: BulletConfig) -> None:
         """Build the shapes.
@@ -149,36 +152,59 @@ class BulletRenderer(HostRenderer):
         if marks is not None:
             self._place_markers(marks)
         layers = [self._draw(camera, pose, way) for way in directions[: len(lamps)]] or [self._draw(camera, pose)]
-        # Without textures a body's own colour is known, which saves a picture.
-        unlit = self._draw(camera, pose, ambient=True)[0] if self._textured and self._opengl is None else None
+        _, depth, bodies = layers[0]
+        albedo = self._albedo_of_body[bodies].astype(np.float32)
+        facing = [layer[0] for layer in layers]
+        if self._opengl is not None:
+            opposite = self._draw(camera, pose, tuple(-part for part in directions[0]))[0] if lamps else facing[0]
+            if self._textured:
+                albedo = np.minimum(textured_albedo(facing[0], opposite), albedo)
+            # The picture from behind has no highlight; further lamps do with one picture each.
+            facing = [facing_pair(facing[0], opposite, albedo), *(facing_once(each, albedo) for each in facing[1:])]
+        elif self._textured:
+            # Without textures a body's own colour is known, which saves a picture.
+            albedo = self._draw(camera, pose, ambient=True)[0].astype(np.float32)
         if marks is not None:
             self._place_markers(None)
-        colors, depth, bodies = layers[0]
         rays, rotation = pixel_rays(camera), _rotation(pose)
-        if self._opengl is None:  # OpenGL's colours are lit already, in its own way
-            albedo = self._albedo_of_body[bodies] if unlit is None else unlit
-            colors = albedo * lights.ambient[row].astype(np.float32)
-            points = pose[:3] + (np.where(np.isfinite(depth), depth, 0.0) * rays) @ rotation.T
-            for lamp, way, radiance, layer in zip(lamps, directions, lights.radiance[row], layers, strict=False):
-                casts = lamp.shadows and self._config.shadows
-                eye = map_camera(way, points[bodies > 0], self._casters, middle, camera)
-                reached = self._reached(eye, way, layer[0], albedo, points, bodies) if casts else None
-                add_light(colors, layer[0], radiance, reached)
+        colors = albedo * lights.ambient[row].astype(np.float32)
+        points = pose[:3] + (np.where(np.isfinite(depth), depth, 0.0) * rays) @ rotation.T
+        for lamp, way, radiance, seen in zip(lamps, directions, lights.radiance[row], facing, strict=False):
+            casts = lamp.shadows and self._config.shadows
+            eye = map_camera(way, points[bodies > 0], self._casters, middle, camera)
+            reached = (
+                self._reached(eye, way, seen, albedo, points, bodies, self._coarse(camera, depth)) if casts else None
+            )
+            add_light(colors, seen, radiance, reached)
         nothing = bodies == 0
         colors = colors.astype(np.float32)
         colors[nothing] = sky_colors(self._scene.sky, rays[nothing], rotation)
         return np.minimum(colors + 0.5, 255.0).astype(np.uint8), depth, bodies
 
     def _reached(
-        self, eye: MapCamera, direction: Vector3, facing: _Array, albedo: _Array, points: _Array, bodies: _Array
+        self,
+        eye: MapCamera,
+        direction: Vector3,
+        facing: _Array,
+        albedo: _Array,
+        points: _Array,
+        bodies: _Array,
+        coarse: _Array,
     ) -> _Array:
         """(H, W) whether a light reaches the points (H, W, 3) that are seen, of which ``facing`` is lit by it alone."""
         _, buffer, codes = self._take(eye.size, eye.size, eye.view, eye.vertical_fov, eye.near, eye.far, direction)
         depths = np.where(codes < 0, np.inf, _metres(buffer, eye.near, eye.far))
         reached, seen = np.ones(bodies.shape, dtype=bool), bodies > 0
         cosines = (facing[seen].max(-1) + 0.5) / np.maximum(albedo[seen].max(-1), 1.0)
-        reached[seen] = eye.reached(points[seen], cosines, depths)
+        reached[seen] = eye.reached(points[seen], cosines, depths, coarse[seen])
         return reached
+
+    def _coarse(self, camera: CameraSpec, depth: _Array) -> _Array:
+        """(H, W) metres between neighbouring values of the depth buffer, of which OpenGL's has 16 bits."""
+        if self._opengl is None:
+            return np.zeros(depth.shape[:-1])
+        seen = np.where(np.isfinite(depth[..., 0]), depth[..., 0], 0.0)
+        return seen**2 / (camera.near * 2.0**16)
 
     def _draw(
         self, camera: CameraSpec, pose: _Array, direction: Vector3 = (0.0, 0.0, -1.0), ambient: bool = False
@@ -220,7 +246,8 @@ class BulletRenderer(HostRenderer):
             lightAmbientCoeff=float(ambient),
             lightDiffuseCoeff=float(not ambient),
             lightSpecularCoeff=0.0,
-            shadow=int(self._opengl is not None and self._config.shadows),
+            # OpenGL's own shadows fall beside what casts them; both renderers have the map's.
+            shadow=0,
             renderer=client.ER_TINY_RENDERER if self._opengl is None else client.ER_BULLET_HARDWARE_OPENGL,
         )
         rgb = np.asarray(picture[2], dtype=np.uint8).reshape(height, width, 4)[..., :3]

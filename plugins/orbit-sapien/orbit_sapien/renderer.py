@@ -157,6 +157,9 @@ class SapienRenderer(HostRenderer):
             ConfigurationError: no Vulkan driver fits, which says what to install; a denoiser has no NVIDIA GPU.
         """
         self._layout, self._config = layout, config
+        if config.tier == "rt":
+            # It averages over pixels by itself, and a picture takes seconds.
+            self.most_samples = 1
         self._system = _render_system()
         if config.tier == "rt" and config.denoiser != "none" and not self._system.device.is_cuda():
             raise ConfigurationError(  # SAPIEN says so in its log alone, and leaves the picture as it is
