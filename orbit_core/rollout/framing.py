@@ -34,7 +34,7 @@ _LEAST = 0.22
 # Metres from the scene's middle beyond which a marker counts as put away.
 _AWAY = 20.0
 # Metres around an end effector that belong to it.
-_HAND = 0.06
+_HAND = 0.14
 # Seconds of lag of a following camera, sideways and up: steps of a gait stay in the picture, and do not shake it.
 _LAG = (0.2, 0.2, 0.4)
 # Metres from one picture to the next beyond which the camera jumps: the episode began again.
