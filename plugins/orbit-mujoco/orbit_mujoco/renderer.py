@@ -36,6 +36,11 @@ _ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, m
 # Metres from a light to the middle of its shadows, which reach half as far around it, and at least so far.
 _LIGHT_DISTANCE = 40.0
 _LEAST_SHADOWS = 0.5
+# Width of the map over the reach of what casts shadows: it is looked up one texel off at its rim, which would speckle
+# surfaces there; half as far out the error is too small to.
+_RIM = 2.0
+# Pixels of the shadow map's sides, of small pictures and of those that are higher than so many pixels.
+_PLAIN_SHADOWS, _FINE_SHADOWS, _LARGE = 1024, 2048, 256
 # Times the farthest camera's range is drawn: the cube of the sky then hides nothing in range.
 _SKY = 2.0
 # Metres that are drawn at least: a light's view of the scene ends where the camera's does, and beyond is no shadow.
@@ -69,8 +74,11 @@ class MujocoRenderer(HostRenderer):
         self._size = (max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1))
         self._far = max((camera.far for camera in cameras), default=1.0)
         self._reach = max(_SKY * self._far, _LIGHT_REACH)
-        self._shadows = config.shadow_size > 0
-        self._model = build_model(layout, self._size, self._reach, max(config.shadow_size, 1), config.antialiasing)
+        shadow_size = config.shadow_size
+        if shadow_size is None:
+            shadow_size = _FINE_SHADOWS if self._size[1] > _LARGE else _PLAIN_SHADOWS
+        self._shadows = shadow_size > 0
+        self._model = build_model(layout, self._size, self._reach, max(shadow_size, 1), config.antialiasing)
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
         self._shown = np.zeros((len(shown), self._model.ngeom), dtype=bool)
@@ -215,7 +223,7 @@ class MujocoRenderer(HostRenderer):
         away = np.linalg.norm(self._data.geom_xpos[self._casters] - middle, axis=-1)
         shown = self._model.geom_group[self._casters] != HIDDEN_GROUP
         reach = float((away + self._model.geom_rbound[self._casters])[shown].max(initial=_LEAST_SHADOWS))
-        return min(reach, self._lights_away / 2.0)
+        return min(_RIM * reach, self._lights_away / 2.0)
 
     def _set_lights(self, lights: HostLights, row: int) -> None:
         number = 0
