@@ -72,7 +72,7 @@ def shaded(
     """Return vertices (V, 3) with normals (V, 3), and faces (F, 3) of indices, of triangles with corners (F, 3, 3).
 
     At a vertex, faces that bend little against one another share a normal, the mean of theirs by area; where they bend
-    more, each side has a vertex with its own.
+    more, each side has a vertex and a normal.
     """
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat, area = np.repeat(_normalized(areas), 3, axis=0), np.repeat(areas, 3, axis=0)

@@ -63,6 +63,7 @@ class Film:
                 self._finish()
             return
         self._since += seconds
+        # Made in the simulation's thread: an OpenGL context belongs to the thread that made it.
         if self._file is None:
             period = max(seconds, 1.0 / _FRAMES_PER_SECOND)
             self._path = Path(tempfile.mkdtemp(prefix="orbit-viewer-")) / "video.mp4"

@@ -92,6 +92,7 @@ class Inspector:
         thing = self._thing(entity.name)
         place, speed = thing.root_pose[index, :3].cpu(), thing.root_velocity[index, :3].cpu()
         target = torch.tensor(np.asarray(self._grip.position) - self._scene.offset, dtype=torch.float32)
+        # Scaled by mass, so that light and heavy things follow alike.
         mass, rate = float(thing.nominal_masses[index].sum()), 2.0 * math.pi * _PULL
         force = mass * (rate * rate * (target - place) - 2.0 * rate * speed)
         self._pulled = entity.name
@@ -120,7 +121,9 @@ class Inspector:
             switches.get("forces", old.forces),
             switches.get("pull", old.pull),
         )
+        # Another thing is followed from where it is, without a jump of the camera.
         self._followed = None
+        # The person is in another thread, and the scene belongs to the simulation's.
         self._controls.refresh()
 
     def _add_branch(self, entity: EntityLayout) -> None:

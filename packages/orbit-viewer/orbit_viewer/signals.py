@@ -44,6 +44,7 @@ def world_signals(world: Any) -> dict[str, Signal]:
     for name, sensor in world.sensors.items():
         if isinstance(sensor, ContactSensor):
             signals[f"{name}: contact forces, N"] = Signal(sensor.link_names, partial(_contacts, sensor))
+    # A plot without lines is an error in the browser.
     return {name: signal for name, signal in signals.items() if signal.components}
 
 
@@ -73,6 +74,7 @@ class TaskSignals:
             start = 0
             for name, term in group.terms.items():
                 size = int(np.prod(term.shape))
+                # Pictures are among the cameras' views.
                 if term.camera is None:
                     part = slice(start, start + size) if group.concatenated else name
                     names = tuple(map(str, range(size)))

@@ -220,7 +220,7 @@ class Viewer:
             self._server, self.controls, env.num_envs, list(self._views), title, bool(extra), plotted,
             keys=tool is None, recordable=record is not None,
         )  # fmt: skip
-        # A tool has a scene to itself, with clicks and keys of its own.
+        # A tool takes clicks and keys for itself.
         self._inspector = (
             Inspector(self._server, env.world, self._scene, self.controls, follow) if tool is None else None
         )
