@@ -76,6 +76,7 @@ from orbit_core.scene.sensors import (
     Noise,
     RayCasterSpec,
     SensorSpec,
+    TactileSpec,
 )
 from orbit_core.scene.shapes import (
     Box,
@@ -105,5 +106,6 @@ __all__ = [
     "Light", "Link", "LoopJoint", "LoopType", "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision",
     "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region",
     "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "Studio",
-    "Texture", "Transmission", "Windings", "Workspace", "four_bar", "ghost", "linear_drive", "look_at", "single_link",
+    "TactileSpec", "Texture", "Transmission", "Windings", "Workspace", "four_bar", "ghost", "linear_drive", "look_at",
+    "single_link",
 ]  # fmt: skip

@@ -328,8 +328,9 @@ class MeshPart:
     """Part of a mesh file that has one colour or texture; the colour is None where the file gives none."""
 
     mesh: Mesh
+    """Triangles of that colour."""
     color: Color | None
-    """Colour; of a surface with a picture, the median of what it shows."""
+    """RGBA in [0, 1]; of a surface with a picture, the median of what it shows."""
     textured: bool = False
     """True if the colour is computed from a picture."""
     texture: Texture | None = None

@@ -23,9 +23,13 @@ class StageArrays:
     """Inputs of a ray cast. Colours have a row for each kind; environment i uses row i modulo their number."""
 
     geom_type: wp.array[int]
+    """(geoms,) kind of geom."""
     geom_dataid: wp.array2d[int]
+    """(1, geoms) number of the mesh or height field."""
     geom_size: wp.array2d[wp.vec3]
+    """(1, geoms) m."""
     geom_matid: wp.array2d[int]
+    """(1, geoms) material; -1 for none."""
     colors: wp.array2d[wp.vec4]
     """All that is seen; where markers are not drawn, as the next."""
     solid_colors: wp.array2d[wp.vec4]
@@ -33,44 +37,77 @@ class StageArrays:
     shadow_colors: wp.array2d[wp.vec4]
     """The same, with all that casts no shadow invisible."""
     link_of_geom: wp.array[int]
+    """(geoms,) number of the link, or TERRAIN."""
     xpos: wp.array2d[wp.vec3]
+    """(N, geoms) m in the world."""
     xmat: wp.array2d[wp.mat33]
+    """(N, geoms) rotation in the world."""
     bvh: wp.uint64
+    """Warp's number of the bounding volumes."""
     roots: wp.array[int]
+    """(N,) root of each environment's volumes."""
     geoms: int
+    """Geoms in the volumes."""
     every_geom: wp.array[int]
+    """(geoms,) numbers of those geoms."""
     mesh_ids: wp.array[wp.uint64]
+    """Warp's number of each mesh."""
     hfield_ids: wp.array[wp.uint64]
+    """Warp's number of each height field's mesh."""
     mesh_faceadr: wp.array[int]
+    """First face of each mesh."""
     mesh_normaladr: wp.array[int]
+    """First normal of each mesh."""
     mesh_facenormal: wp.array[wp.vec3i]
+    """Normals of each face's corners."""
     mesh_normal: wp.array[wp.vec3]
+    """Unit normals, in the mesh's frame."""
     # Lights have a row for each environment, or one for all.
     ambient: wp.array[wp.vec3]
+    """(rows,) RGB of the ambient light."""
     sky_above: wp.vec3
+    """Linear RGB straight above."""
     sky_below: wp.vec3
+    """RGB straight below."""
     light_dir: wp.array2d[wp.vec3]
+    """(rows, lights) unit vectors that light travels along."""
     light_color: wp.array2d[wp.vec3]
+    """(rows, lights) RGB, times the intensity."""
     light_casts: wp.array[bool]
+    """(lights,) True for lights with shadows."""
     texture_of_geom: wp.array[int]
-    """Index of the geom's texture; -1 for none."""
+    """(geoms,) index of the geom's texture; -1 for none."""
     texture_repeat: wp.array[wp.vec2]
-    """Pictures in a metre on geoms that lay their texture by metres; zero on those with coordinates."""
+    """(geoms,) pictures in a metre on geoms that lay their texture by metres; zero on those with coordinates."""
     texture_address: wp.array[int]
+    """(textures,) first number of each in the texels, counted in bytes."""
     texture_size: wp.array[wp.vec2i]
+    """(textures,) width and height in pixels."""
     texture_mean: wp.array[wp.vec3]
+    """(textures,) RGB from far away."""
     texels: wp.array2d[wp.uint8]
+    """(pixels, 3) RGB of all textures, the uppermost row of each first."""
     mesh_texcoordadr: wp.array[int]
+    """(meshes,) first coordinate of each mesh; -1 without any."""
     mesh_texcoord: wp.array[wp.vec2]
+    """Coordinates in pictures, from the upper left corner."""
     mesh_facetexcoord: wp.array[wp.vec3i]
+    """Coordinates of each face's corners."""
     # MuJoCo-Warp's ray casts also take what is soft, of which there is none.
     no_ints: wp.array[int]
+    """Empty."""
     no_floats: wp.array[float]
+    """Empty."""
     no_ids: wp.array[wp.uint64]
+    """Empty."""
     no_edges: wp.array[wp.vec2i]
+    """Empty."""
     no_colors: wp.array[wp.vec4]
+    """Empty."""
     no_points: wp.array2d[wp.vec3]
+    """Empty."""
     no_table: wp.array2d[int]
+    """Empty."""
 
 
 @wp.func
@@ -110,6 +147,7 @@ class Stage:
     def __init__(self, model: PictureModel) -> None:
         mjm = model.model
         self.device = wp.get_device()
+        """Warp's device."""
         # It makes the trees of the meshes' triangles; the scene's own waits for the first poses, to be a good one.
         self._meshes = mjw.create_render_context(mjm, nworld=1, cam_active=[], use_textures=False)
         self._links, self._geoms = model.links, mjm.ngeom
@@ -124,6 +162,7 @@ class Stage:
         self._capacity = 0
         self._bvh: wp.Bvh | None = None
         self.arrays = self._constant_arrays(model)
+        """Inputs of the ray cast on that device."""
         links = np.where(model.is_marker, -1, model.link_of_geom)
         self._link_of_geom = torch.as_tensor(links, dtype=torch.int64, device=wp.device_to_torch(self.device))
         self._colors = self._kinds_of_colors(model)

@@ -47,6 +47,7 @@ def write_runtime(folder: Path, policy: Policy, manifest: Manifest, environment:
     with written_whole(onnx) as graph, written_whole(numbers) as text, written_whole(code) as source:
         policy.export_onnx(graph)
         text.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        # The code travels with the file, so that a robot needs NumPy and onnxruntime only.
         shutil.copyfile(Path(__file__).with_name(NAMES[2]), source)
 
 
