@@ -43,7 +43,8 @@ def textured_surface(shape: Shape, texture: Texture) -> TexturedSurface:
     geometry = shape.geometry
     if isinstance(geometry, Mesh) and geometry.coordinates is not None:
         faces = np.asarray(geometry.faces)
-        return _with_normals(np.asarray(geometry.vertices, np.float64)[faces], geometry.coordinates[faces.ravel()])
+        coordinates = np.asarray(geometry.coordinates, np.float64)[faces.ravel()]
+        return _with_normals(np.asarray(geometry.vertices, np.float64)[faces], coordinates)
     mesh = triangles(geometry)
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
     facing = np.repeat(np.abs(mesh.face_normals).argmax(-1), 3)
@@ -82,7 +83,7 @@ def shaded(
     near = (flat[one] * flat[other]).sum(-1) > _SMOOTH
     sums = np.stack([np.bincount(one[near], area[other[near], axis], len(points)) for axis in range(3)], axis=-1)
     # A triangle without area has no side: it keeps what it has, which is nothing.
-    normals = _normalized(sums)
+    normals = _normalized(sums.astype(np.float64))
     keys = np.column_stack((group, np.round(normals * 1e5).astype(np.int64)))
     _, first, indices = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return points[first], normals[first], indices.reshape(-1, 3)

@@ -20,7 +20,9 @@ class Studio:
         DirectionalLight((-0.55, 0.45, -1.0), (1.0, 0.97, 0.93), 0.56),
         DirectionalLight((0.7, -0.3, -0.6), (0.85, 0.92, 1.0), 0.12, shadows=False),
     )
+    """Lights of scenes that have the default ones."""
     sky: Sky = field(default_factory=lambda: Sky(above=(0.70, 0.80, 0.92), below=(0.97, 0.97, 0.97)))
+    """Sky of scenes that have the default one."""
 
 
 STUDIO = Studio()

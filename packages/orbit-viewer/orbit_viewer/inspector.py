@@ -11,6 +11,7 @@ import numpy.typing as npt
 import torch
 
 from orbit_core.interfaces import EntityLayout, OrbitError, SceneLayout
+from orbit_core.scene import ContactSensorSpec
 from orbit_core.sensors import ContactSensor
 
 if TYPE_CHECKING:
@@ -172,8 +173,9 @@ class Inspector:
 
     def _show_forces(self, frame: Frame) -> None:
         sensors = [sensor for sensor in self._world.sensors.values() if isinstance(sensor, ContactSensor)]
-        arrows: list[npt.NDArray[np.float64]] = []
+        arrows: list[npt.NDArray[np.floating]] = []
         for sensor in sensors if self.choices.forces else ():
+            assert isinstance(sensor.spec, ContactSensorSpec)
             entity = self._layout.entity(sensor.spec.entity)
             names = entity.spec.articulation.link_names
             for name, force in zip(sensor.link_names, sensor.forces[frame.first].tolist(), strict=True):
@@ -200,7 +202,7 @@ class Inspector:
         place = frame.link_poses[0, entity.root_link, :3] + self._scene.offset
         if self._grip is None:
             self._grip = self._server.scene.add_transform_controls(
-                "/grip", scale=0.25, disable_rotations=True, depth_test=False, position=tuple(map(float, place))
+                "/grip", scale=0.25, disable_rotations=True, depth_test=False, position=place
             )
             # Let go of, the grip is where the thing is; while it is held, it stays with the pointer.
             self._held = False

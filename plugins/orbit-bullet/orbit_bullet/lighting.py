@@ -40,7 +40,7 @@ def textured_albedo(one: _Array, other: _Array) -> npt.NDArray[np.float32]:
     bright, dark = np.maximum(one, other).astype(np.float32), np.minimum(one, other).astype(np.float32)
     # The cosine cancels out.
     ratio = _FRONT[1] / _BACK[1]
-    return (bright + ratio * dark) / (_FRONT[0] + ratio * _BACK[0])
+    return ((bright + ratio * dark) / (_FRONT[0] + ratio * _BACK[0])).astype(np.float32)
 
 
 def facing_pair(lit: _Array, opposite: _Array, albedo: _Array) -> npt.NDArray[np.float32]:
