@@ -114,11 +114,13 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
         # Before the environment is made, whose first reset runs these events.
         if not described.arranges:
             _leave_placing_to_people(task, out.print)
+        _leave_out_learning(task)
         # Joints, their order and units are compared when the world is made, the policy's manifest by its actor.
-        environment = make(task, 1, world=robot_world(link, period), seed=settings.seed)
+        environment = make(task, 1, world=robot_world(link, period, contacts=True), seed=settings.seed)
         try:
             _check_differences(environment, settings)
             with _Pilot(settings, environment) as pilot:
+                _rehearse(environment, pilot, settings.agent)
                 results = _run(settings, environment, pilot)
         finally:
             _rest(link)
@@ -160,6 +162,47 @@ def _leave_placing_to_people(task: Task, tell: Callable[[str], object]) -> None:
         setattr(task.events, name, None)
     if names:
         tell(f"a real robot: {', '.join(names)} are switched off, place things by hand")
+
+
+def _leave_out_learning(task: Task) -> None:
+    """Switch off rewards and curriculum, which may read what a robot does not measure."""
+    from orbit_core.envs.terms import CurriculumTerm, RewardTerm, terms_of
+
+    for collection, kind in ((task.rewards, RewardTerm), (task.curriculum, CurriculumTerm)):
+        for name in terms_of(collection, kind):
+            setattr(collection, name, None)
+
+
+def _rehearse(environment: Environment, pilot: _Pilot, agent: str) -> None:
+    """Run one step without the robot if the task has contact sensors, to see that the agent does without them.
+
+    Raises:
+        ConfigurationError: it reads contact forces.
+    """
+    import torch
+
+    from orbit_core.scene import ContactSensorSpec
+
+    sensors = [spec.name for spec in environment.world.scene.sensors if isinstance(spec, ContactSensorSpec)]
+    if not sensors or agent == TELEOP:
+        return
+    engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAttributeAccessIssue]
+    engine.rehearsing = True
+    try:
+        # The sensors hold zeros until the first step.
+        environment.step(torch.zeros(1, environment.action_size))
+        action = pilot.rehearse()
+    finally:
+        engine.rehearsing = False
+    if not bool(action.isfinite().all()):
+        raise ConfigurationError(
+            f"{agent} reads contact forces ({', '.join(sensors)}), which the robot's computer does not measure: use a "
+            "policy whose observations have none"
+        )
+    console().print(
+        f"contact forces ({', '.join(sensors)}) are not measured: terminations and metrics that read them never trigger",
+        soft_wrap=True,
+    )
 
 
 def _check_differences(environment: Environment, settings: DeploySettings) -> None:
@@ -209,6 +252,10 @@ class _Pilot:
         """
         if self._key is not None:
             self._key.check()
+        return self._actor.act()
+
+    def rehearse(self) -> Tensor:
+        """Return the next action (1, A) without asking for the dead-man key."""
         return self._actor.act()
 
     def wait(self) -> None:
