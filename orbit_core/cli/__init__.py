@@ -44,6 +44,7 @@ OTHERS = {
     "export": ("orbit-learn", "Write a learned policy as safetensors and ONNX, with its description"),
     "deploy": ("orbit-deploy", "Run an expert, a learned policy or a person on a robot, through a bridge"),
     "robot": ("orbit-deploy", "Serve a simulated robot as a robot's computer does, in real time"),
+    "identify": ("orbit-deploy", "Fit a robot's friction, damping, armature, delay and payload to a log of its motion"),
     "check-asset": ("orbit-assets", "Check an asset file: masses, inertias, limits, shapes, and what was changed"),
     "check-robot": (
         "orbit-assets",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -25,7 +24,7 @@ SETTINGS = DeploySettings(
 
 
 @pytest.fixture
-def links(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[LocalLink]]:
+def links(monkeypatch: pytest.MonkeyPatch) -> list[LocalLink]:
     """Every address leads to a Go2 in this process, whose task has a contact sensor."""
     made: list[LocalLink] = []
 
@@ -36,7 +35,7 @@ def links(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[LocalLink]]:
         return made[-1]
 
     monkeypatch.setattr("orbit_deploy.link.connect", connect)
-    yield made
+    return made
 
 
 def test_a_task_whose_rewards_and_terminations_read_contacts_runs_on_a_robot_without_them(

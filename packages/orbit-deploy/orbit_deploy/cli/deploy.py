@@ -186,7 +186,7 @@ def _rehearse(environment: Environment, pilot: _Pilot, agent: str) -> None:
     sensors = [spec.name for spec in environment.world.scene.sensors if isinstance(spec, ContactSensorSpec)]
     if not sensors or agent == TELEOP:
         return
-    engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAttributeAccessIssue]
+    engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
     engine.rehearsing = True
     try:
         # The sensors hold zeros until the first step.
@@ -200,7 +200,7 @@ def _rehearse(environment: Environment, pilot: _Pilot, agent: str) -> None:
             "policy whose observations have none"
         )
     console().print(
-        f"contact forces ({', '.join(sensors)}) are not measured: terminations and metrics that read them never trigger",
+        f"contact forces ({', '.join(sensors)}) are not measured: terminations and metrics never see a touch",
         soft_wrap=True,
     )
 
