@@ -40,7 +40,7 @@ DISTRIBUTIONS = (
         "orbit_deploy",
         "packages/orbit-deploy/orbit_deploy",
         _CORE | {"orbit_assets", "orbit_data"},
-        frozenset({"orbit_learn"}),
+        frozenset({"orbit_learn", "orbit_viewer"}),
     ),
     Distribution("orbit_zmq", "bridges/orbit-zmq/orbit_zmq", _CORE | {"orbit_deploy"}),
     Distribution("orbit_ros", "bridges/orbit-ros/orbit_ros", _CORE | {"orbit_assets", "orbit_deploy"}),

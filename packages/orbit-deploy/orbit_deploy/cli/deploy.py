@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
     from orbit_deploy.engine import RobotEngine
     from orbit_deploy.link import RobotLink
+    from orbit_deploy.messages import RobotState
 
 TELEOP = "teleop"
 # Share of the time with limits in the way that is reported
@@ -65,6 +66,13 @@ class DeploySettings:
     """Run although gains or limits of the robot are not the task's."""
     table: bool = True
     """Show commanded and measured joints while the robot moves, where the output is a terminal."""
+    view: bool = False
+    """Show the robot and live plots of commanded and measured joints in the browser."""
+    port: int = 8080
+    """Port of the page; if taken, the next free one."""
+    twin: Annotated[str | None, arg(metavar="BACKEND")] = None
+    """Simulate the robot with the same targets on this backend: as a ghost and in the plots of --view, and with its
+    difference from the robot in the results. For robots with a fixed base."""
     json: File = None
     """Write results and latencies here."""
     overwrite: bool = False
@@ -289,8 +297,8 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
     # Threads of libraries exist by now and keep their priority: only the loop of commands gets a higher one.
     prioritize()
     environment.reset(settings.seed)
-    with JointTable(engine.link, settings.table) as table:
-        engine.on_step = table.show
+    with JointTable(engine.link, settings.table) as table, _Watch(settings, environment) as watch:
+        engine.on_step = lambda state: (table.show(state), watch.show(state))
         roll_out(environment, pilot, (counter,), lambda: counter.complete)
     episodes, link, state = counter.episodes(), engine.link, engine.link.state()
     return {
@@ -310,7 +318,56 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
         "held_back": state.limited / (link.description.rate * max(engine.times.steps * environment.step_dt, 1e-9)),
         "late": state.late,
         "stops": state.stops,
+        **watch.results(),
     }
+
+
+class _Watch:
+    """Live page and twin of the robot, each if it is wanted."""
+
+    def __init__(self, settings: DeploySettings, environment: Environment) -> None:
+        engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAttributeAccessIssue]
+        (spec,) = environment.world.scene.robots
+        self._page = self._twin = None
+        self._begin, self._squares, self._states = engine.link.now(), 0.0, 0
+        self._link = engine.link
+        if settings.twin is not None:
+            from orbit_deploy.twin import LiveTwin
+
+            self._twin = LiveTwin(spec, settings.twin)
+        if settings.view:
+            from orbit_viewer.robot_page import RobotPage
+
+            series = ("commanded", "measured", *(() if self._twin is None else (f"simulated by {settings.twin}",)))
+            self._page = RobotPage(spec, series, port=settings.port)
+            console().print(f"live plots at {self._page.url}", soft_wrap=True)
+
+    def __enter__(self) -> _Watch:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for each in (self._page, self._twin):
+            if each is not None:
+                each.close()
+
+    def show(self, state: RobotState) -> None:
+        """Take the state of a step."""
+        import numpy as np
+
+        lines, ghost, text = [state.targets, state.positions], None, f"{state.mode}, {self._link.round_trips}"
+        if self._twin is not None:
+            away = self._twin.follow(state)
+            self._squares += float(np.mean(away**2))
+            self._states += 1
+            ghost = self._twin.positions
+            lines.append(ghost.tolist())
+            text += f", twin {np.abs(away).max():.3g} rad or m away"
+        if self._page is not None:
+            self._page.show(self._link.now() - self._begin, np.array(state.positions), np.array(lines), ghost, text)
+
+    def results(self) -> dict[str, float]:
+        """Return the difference between twin and robot, rad or m (rms)."""
+        return {} if not self._states else {"twin_rms": math.sqrt(self._squares / self._states)}
 
 
 def _count_down(seconds: float) -> None:
@@ -337,6 +394,8 @@ def _report(results: dict[str, Any]) -> None:
         table.add_row(name, f"{value:.4g}")
     for name, what in (("round_trip_ms", "round trip of a command"), ("state_age_ms", "age of a state")):
         table.add_row(what, "/".join(f"{value:.2f}" for value in results[name]) + " ms (p50/p99/p99.9)")
+    if "twin_rms" in results:
+        table.add_row("twin minus robot", f"{results['twin_rms']:.3g} rad or m (rms)")
     table.add_row("steps", f"{results['steps']}, {results['overruns']} of them late")
     table.add_row("commands", f"{results['clamped']} clamped, {results['late']} late, {results['stops']} stops")
     console().print(table)
