@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-rosbags = pytest.importorskip("rosbags", reason="the extra orbit-ros[rosbag] is not installed")
-
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
-
 from orbit_core.interfaces import ConfigurationError
 from orbit_ros.recordings import read_recording
 
+pytest.importorskip("rosbags", reason="the extra orbit-ros[rosbag] is not installed")
 NAMES = ["elbow", "wrist"]
 
 
 def written(path: Path, ros1: bool = False, states: bool = True, numbers: bool = False) -> Path:
     """Recording of half a second: states at 100 Hz, with joints in turned order, and commands at 50 Hz."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    types = store.types
+    types: dict[str, Any] = dict(store.types)
     time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
     duration, point = types["builtin_interfaces/msg/Duration"], types["trajectory_msgs/msg/JointTrajectoryPoint"]
     encode = store.serialize_ros1 if ros1 else store.serialize_cdr
     sequence = {"seq": 0} if ros1 else {}
 
-    def stamped(seconds: float) -> object:
+    def stamped(seconds: float) -> Any:
         return header(**sequence, stamp=time(int(seconds), round(1e9 * (seconds % 1.0))), frame_id="")
 
     writer = Writer1(path) if ros1 else Writer2(path, version=9)

@@ -1,4 +1,4 @@
-"""Digital twins: simulated robots that follow what a robot is commanded, live or from a log, and how far they are off."""
+"""Digital twins: simulated robots that follow a robot's commands, live or from a log, and how far they are off."""
 
 from __future__ import annotations
 

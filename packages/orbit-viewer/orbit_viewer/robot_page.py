@@ -10,14 +10,16 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import SceneLayout
 from orbit_core.scene import RobotSpec, Scene
-from orbit_viewer.scene_view import FloatArray, Frame, Ghost, SceneView
+from orbit_viewer.scene_view import Frame, Ghost, SceneView
 from orbit_viewer.viewer import FRAME_PERIOD, PANEL_PERIOD, start_server
 
+FloatArray = npt.NDArray[np.float64]
 _COLORS = ("#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5")
 
 

@@ -298,7 +298,12 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
     prioritize()
     environment.reset(settings.seed)
     with JointTable(engine.link, settings.table) as table, _Watch(settings, environment) as watch:
-        engine.on_step = lambda state: (table.show(state), watch.show(state))
+
+        def show(state: RobotState) -> None:
+            table.show(state)
+            watch.show(state)
+
+        engine.on_step = show
         roll_out(environment, pilot, (counter,), lambda: counter.complete)
     episodes, link, state = counter.episodes(), engine.link, engine.link.state()
     return {
@@ -326,7 +331,7 @@ class _Watch:
     """Live page and twin of the robot, each if it is wanted."""
 
     def __init__(self, settings: DeploySettings, environment: Environment) -> None:
-        engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAttributeAccessIssue]
+        engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
         (spec,) = environment.world.scene.robots
         self._page = self._twin = None
         self._begin, self._squares, self._states = engine.link.now(), 0.0, 0

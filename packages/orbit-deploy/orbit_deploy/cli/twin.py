@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from orbit_core.cli.output import console, new_table, write_json
-from orbit_core.cli.settings import File, Name, check_output, check_positive, parse_words
+from orbit_core.cli.settings import File, Name, check_output, parse_words
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ def main(words: Sequence[str]) -> None:
     settings = parse_words(TwinSettings, words, "orbit twin")
     check_output(settings.json, ".json", settings.overwrite)
     check_output(settings.csv, ".csv", settings.overwrite)
-    check_positive("speed", settings.speed)
+    if not 0.0 < settings.speed < 1e3:
+        raise ConfigurationError(f"speed must be above 0 and below 1000, not {settings.speed}")
     if settings.robot is None:
         raise ConfigurationError("name the robot: orbit twin robot.mcap --robot franka_panda")
     run(settings)
