@@ -46,6 +46,7 @@ OTHERS = {
     "robot": ("orbit-deploy", "Serve a simulated robot as a robot's computer does, in real time"),
     "identify": ("orbit-deploy", "Fit a robot's friction, damping, armature, delay and payload to a log of its motion"),
     "twin": ("orbit-deploy", "Replay a robot's log in simulation, and show where robot and simulations differ"),
+    "bisect": ("orbit-deploy", "Find which difference between two simulations makes a policy fail"),
     "check-asset": ("orbit-assets", "Check an asset file: masses, inertias, limits, shapes, and what was changed"),
     "check-robot": (
         "orbit-assets",

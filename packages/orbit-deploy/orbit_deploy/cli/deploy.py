@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from tyro.conf import Positional, arg
 
@@ -108,7 +108,7 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
 
     torch.set_num_threads(1)
     out = console()
-    task = _task(settings)
+    task = configured_task(settings)
     period = task.physics_dt * task.decimation
     link = connect(settings.bridge, period, settings.keys, PathKind(settings.path))
     try:
@@ -139,7 +139,36 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
     return results
 
 
-def _task(settings: DeploySettings) -> Task:
+class TaskWords(Protocol):
+    """Settings that name an agent and its task."""
+
+    @property
+    def agent(self) -> str:
+        """Name or path of the agent."""
+        ...
+
+    @property
+    def task(self) -> str | None:
+        """Task, or None for the policy's own."""
+        ...
+
+    @property
+    def robot(self) -> str | None:
+        """Robot in the place of the task's own."""
+        ...
+
+    @property
+    def action(self) -> str | None:
+        """Action space in the place of the task's own."""
+        ...
+
+    @property
+    def set(self) -> tuple[str, ...]:
+        """Fields of the task as ``name=value``."""
+        ...
+
+
+def configured_task(settings: TaskWords) -> Task:
     """Return the configured task, the policy's own where none is named."""
     from orbit_core.configuration import assignments
     from orbit_core.envs.actors import ACTORS
