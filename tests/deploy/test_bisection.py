@@ -9,8 +9,17 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_deploy.bisection import KINDS, Bisector, DelayedActor, Difference, changed_scene, delay_steps
+from orbit_deploy.bisection import (
+    KINDS,
+    Bisector,
+    DelayedActor,
+    Difference,
+    changed_scene,
+    changed_world,
+    delay_steps,
+)
 from tests.deploy.rig import scene
 
 MANY = tuple(Difference.parse(f"{kind}=0.5") for kind in KINDS if kind != "backend")
@@ -100,3 +109,14 @@ def test_a_delayed_actor_acts_late_and_holds_the_first_action_of_each_episode() 
         seen.append(actor.act()[:, 0].tolist())
     assert [one for one, _ in seen] == [0, 0, 0, 1, 2, 3, 4, 5]
     assert [other for _, other in seen] == [0, 0, 0, 1, 2, 5, 5, 5]
+
+
+def test_a_world_with_differences_is_made_on_the_backend_that_one_of_them_names() -> None:
+    differences = [Difference.parse(f"backend={default_backend()}"), Difference.parse("robot_mass=2")]
+    worlds = [changed_world(each, default_backend())(scene(), 2, torch.device("cpu"), 0) for each in (differences, [])]
+    masses = [world.robots["arm"].nominal_masses for world in worlds]
+    assert torch.allclose(masses[0], 2.0 * masses[1])
+    for world in worlds:
+        world.close()
+    with pytest.raises(UnknownNameError, match="unknown backend 'none'"):
+        changed_world([Difference.parse("backend=none")], None)(scene(), 1, torch.device("cpu"), 0)

@@ -15,10 +15,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from orbit_core.envs import Environment, Task
+from orbit_core.backends import default_backend
+from orbit_core.envs import Environment
 from orbit_core.envs.actors import Actor
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, World
 from orbit_core.scene import ActuatorConfig, Articulation, Joint, Link, RobotSpec, Scene, Shape
+from orbit_core.world import WorldFactory, simulate
 
 KINDS = {
     "contact_friction": "factor of the friction of all shapes",
@@ -165,20 +167,19 @@ class Bisector:
         return self._tried[differences]
 
 
-def changed_task(task: Task, differences: Sequence[Difference]) -> Task:
-    """Return a task whose scene has been changed; the task that was given is used for it.
+def changed_world(differences: Sequence[Difference], backend: str | None) -> WorldFactory:
+    """Return the factory of a world with differences, for ``orbit_core.envs.make(..., world=...)``.
 
     Args:
-        task: configured task.
-        differences: of kinds that concern the scene; others are left out.
+        differences: of any kind; a delay concerns the actor (:class:`DelayedActor`).
+        backend: where none of the differences names one; the default one if None.
     """
-    given = task.scene
+    name = next((each.backend for each in differences if each.kind == "backend"), backend) or default_backend()
 
-    def scene() -> Scene:
-        return changed_scene(given(), differences)
+    def factory(scene: Scene, num_envs: int, device: torch.device, seed: int) -> World:
+        return simulate(changed_scene(scene, differences), num_envs, name, device=device, seed=seed)
 
-    task.scene = scene  # pyright: ignore[reportAttributeAccessIssue]
-    return task
+    return factory
 
 
 def changed_scene(scene: Scene, differences: Sequence[Difference]) -> Scene:

@@ -13,7 +13,7 @@ from orbit_core.cli.making import check_actor, make_actor
 from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.cli.settings import File, KeyValues, Name, check_output, check_positive, parse_words
 from orbit_core.interfaces.errors import ConfigurationError
-from orbit_deploy.bisection import KINDS, Bisection, Bisector, DelayedActor, Difference, changed_task, delay_steps
+from orbit_deploy.bisection import KINDS, Bisection, Bisector, DelayedActor, Difference, changed_world, delay_steps
 from orbit_deploy.cli.deploy import configured_task
 
 
@@ -95,9 +95,8 @@ def _success(settings: BisectSettings, differences: tuple[Difference, ...]) -> f
     from orbit_core.envs.making import make
     from orbit_core.rollout.stepping import EpisodeCounter, roll_out
 
-    task = changed_task(configured_task(settings), differences)
-    backend = next((each.backend for each in differences if each.kind == "backend"), settings.backend)
-    environment = make(task, settings.num_envs, backend, seed=settings.seed)
+    world = changed_world(differences, settings.backend)
+    environment = make(configured_task(settings), settings.num_envs, world=world, seed=settings.seed)
     try:
         with warnings.catch_warnings():
             # That gains and masses are not those of the training is the point.
