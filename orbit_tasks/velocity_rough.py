@@ -75,6 +75,7 @@ def flight(env: Environment[VelocityRough, RoughMemory]) -> Tensor:
     """
     timer = contacts_of(env.world).timer()
     landed = timer.touched_down(env.step_dt)[:, env.state.foot_links]
+    # Less the threshold, so that short, hasty steps cost and long ones pay.
     longer = (timer.last_air_time[:, env.state.foot_links] - _LEAST_FLIGHT) * landed
     return longer.sum(1) * (env.commands["velocity"][:, :2].norm(dim=1) > 0.1)
 
@@ -94,7 +95,7 @@ class RoughState(VelocityState):
 
 @dataclass
 class RoughObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RoughState = field(default_factory=RoughState)
     critic: ObservationGroup | None = None
@@ -134,6 +135,7 @@ class RoughCurriculum:
     """Robots that leave their cell go a level up."""
 
     level: CurriculumTerm | None = CurriculumTerm(BY_DISTANCE)
+    """Change of the terrain's level after each episode, by the distance walked."""
 
 
 @dataclass(kw_only=True)
@@ -183,6 +185,7 @@ class VelocityRough(VelocityFlat, OnTerrain):
 
     def scene(self) -> Scene:
         scene = replace(super().scene(), terrain=self.terrain.shapes())
+        # The trunk's name is known from the robot only, so that the term is made with the scene.
         if self.scan and self.observations.policy.height_scan is None:
             trunk = scene.robots[0].articulation.root.name
             seen = replace(height_scan(scanner(common.ROBOT, trunk)), noise_std=0.02 * self.domain_randomization)

@@ -43,8 +43,10 @@ GROUPS = (
         "Mobile-Reach", "Mobile-Cabinet", "Mobile-Lift", "Room-Reorganization",
     )),
     ("Locomotion", "legs.md", ("Velocity-Flat", "Velocity-Rough", "Recover")),
-    ("Cloth and rope", "matter.md", (
+    ("Cloth, rope, solids and liquids", "matter.md", (
         "Cloth-Lifting", "Cloth-Dropping", "Cloth-Spreading", "Cloth-Folding", "Flag-Hoisting", "Rope-Reshaping",
+        "Soft-Lifting", "Soft-Stacking", "Soft-Placing", "Soft-Dropping", "Tower-Of-Hanoi", "Fluid-Transport",
+        "Fluid-Pouring",
     )),
     ("Classic control", "classic-control.md", ("Cartpole-Balance", "Cartpole-Swing-Up", "Ant", "Humanoid")),
 )  # fmt: skip
@@ -58,9 +60,9 @@ Specified as data in a scene ([Sensors](sensors.md)); every engine serves the sa
 | `CameraSpec` | colour, depth, positions, normals, albedo, instances, labels; point clouds, boxes |
 | `RayCasterSpec` | distances, points, normals and links along rays: lidar, height scans |
 | `ContactSensorSpec` | contact forces per link and pair, time in contact |
-| `ImuSpec` | orientation, angular velocity, acceleration |
+| `ImuSpec` | angular velocity, proper acceleration |
 | `ForceTorqueSpec` | the wrench that a link receives from its parent |
-| `FrameSensorSpec`, `JointSensorSpec` | poses and velocities of frames; positions, velocities and efforts of joints |
+| `FrameSensorSpec`, `JointSensorSpec` | poses and velocities of frames; positions and velocities of joints |
 
 ![Channels of a camera in two environments of Lift](images/warp_cameras.png)
 

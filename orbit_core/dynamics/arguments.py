@@ -33,6 +33,7 @@ class Bounds:
     least: float
     most: float
     unit: str = ""
+    """Unit for the message."""
 
     @staticmethod
     def either_way(most: float, unit: str = "") -> Bounds:

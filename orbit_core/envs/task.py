@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # Name of the robot that acts, where a task has one.
 ROBOT = "robot"
 
-# Name of the action space of a task that has action terms of its own.
+# Name of the action space of a task that brings its own action terms.
 COMPOSED = "composed"
 
 # Methods that tasks had, and what takes their place.
@@ -85,6 +85,7 @@ class TaskException:
     """
 
     check: TaskCheck
+    """Check that the task does not meet."""
     reason: str
     """A sentence for the table of checked tasks."""
 

@@ -11,8 +11,11 @@ class Level(Enum):
     """Levels of support for a capability."""
 
     EXACT = "exact"
+    """As the contract defines it, to the accuracy of the engine's arithmetic."""
     APPROXIMATE = "approximate"
+    """Present, and different from the contract by what the reason says."""
     UNSUPPORTED = "unsupported"
+    """Absent: a scene that needs it is refused."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,9 @@ class Support:
     """A level and, for anything but exact, the reason."""
 
     level: Level
+    """Degree of support."""
     reason: str = ""
+    """Difference or cause, for the report; empty for exact support."""
 
     def __post_init__(self) -> None:
         # Reports and refusals show the reason; without it a user could not choose another engine.
@@ -66,6 +71,7 @@ class Capability(Enum):
     TORSIONAL_FRICTION = "torsional friction"
     ROLLING_FRICTION = "rolling friction"
     RESTITUTION = "restitution"
+    """Bounce by the coefficient of the pair."""
     COMPLIANT_CONTACT = "contact stiffness and damping"
     CONVEX_MESHES = "convex mesh collision"
     TRIANGLE_MESHES = "static triangle mesh collision"
@@ -99,9 +105,12 @@ class Capability(Enum):
     RAY_TRACED_RGB = "ray-traced colour images"
     GPU = "simulation on a GPU"
     CLOTH = "cloth"
+    """Thin elastic sheets, :class:`orbit_core.scene.Cloth`."""
     ROPES = "ropes"
+    """Thin elastic rods, :class:`orbit_core.scene.Rope`."""
     SOFT_BODIES = "soft bodies"
     FLUIDS = "fluids"
+    """Liquids, :class:`orbit_core.scene.Fluid`."""
 
     @property
     def key(self) -> str:
@@ -133,6 +142,7 @@ class Capabilities:
     """Declared capabilities of a backend. Everything else is unsupported."""
 
     declared: Mapping[Capability, Support]
+    """Support by capability; what is missing is unsupported."""
 
     def __getitem__(self, capability: Capability) -> Support:
         # Undeclared means unsupported, so that a new capability never becomes a false promise of an old plugin.
@@ -152,7 +162,9 @@ class Gap:
     """
 
     scenario: str
+    """Name of the scenario, or of a check of robots."""
     metric: str
+    """Name of the metric in it."""
     limit: float
     """The largest error that the backend admits to, in the metric's unit: what was measured, with a margin.
 

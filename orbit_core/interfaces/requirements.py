@@ -31,6 +31,7 @@ from orbit_core.scene import (
     SensorSpec,
     Shape,
     SoftBody,
+    TactileSpec,
 )
 
 _CHANNEL_NEEDS = {
@@ -172,6 +173,9 @@ def _sensor_needs(sensor: SensorSpec, looped: AbstractSet[str]) -> Iterator[tupl
         case CameraSpec(channels=channels):
             for channel in channels:
                 yield _CHANNEL_NEEDS[channel], culprit
+        case TactileSpec():
+            yield Capability.CONTACT_FORCES, culprit
+            yield Capability.RAY_CASTS, culprit
         case ContactSensorSpec():
             yield Capability.CONTACT_FORCES, culprit
         case ForceTorqueSpec():

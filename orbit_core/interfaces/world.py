@@ -23,6 +23,7 @@ class Sensor(ABC):
     """One sensor of all environments. A subclass adds typed properties for its values."""
 
     spec: SensorSpec
+    """Description in the scene."""
 
     def begin_step(self) -> None:
         """Start a control step: averages over it begin here."""
@@ -134,16 +135,27 @@ class World(ABC):
     matter: str = ""
     """Name of the matter solver that simulates deformables; empty where the engine does, or there are none."""
     num_envs: int
+    """Number N of environments."""
     device: torch.device
+    """Device of all tensors."""
     physics_dt: float
+    """Seconds of a physics step."""
     robots: Mapping[str, Robot]
+    """Robots by name."""
     objects: Mapping[str, Object]
+    """Objects by name."""
     deformables: Mapping[str, Deformable]
+    """Cloth, ropes, soft bodies and liquids by name."""
     sensors: Mapping[str, Sensor]
+    """Sensors by name."""
     markers: Mapping[str, Marker]
+    """Markers by name."""
     clock: WorldClock
+    """Counter of steps and changes."""
     random: WorldRandom
+    """Random streams, one per environment."""
     selector: WorldSelector
+    """Mask of environments that calls are for."""
 
     # Time
 

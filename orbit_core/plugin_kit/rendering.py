@@ -96,6 +96,7 @@ class Wanted:
     """Fields of an image that serve the channels of a call."""
 
     channels: frozenset[Channel]
+    """Channels of the camera that are requested."""
 
     def __contains__(self, kind: Kind) -> bool:
         # Instance and semantic images are made of the same field.
@@ -112,14 +113,17 @@ class Request:
     """The arguments of :meth:`Renderer.render`."""
 
     camera: CameraSpec
+    """Camera that is rendered."""
     camera_poses: Tensor
     """(n, 7)"""
     link_poses: Tensor
     """(n, L, 7)"""
     wanted: Wanted
+    """Fields of the image that it needs."""
     marker_poses: Tensor | None
     """(n, M, 7)"""
     env_ids: Tensor | None
+    """(n,) environment of each row; None: all, in order."""
 
 
 class KitRenderer(Renderer):
@@ -161,11 +165,13 @@ class HostRequest:
     """A request with its poses in double precision on the host."""
 
     camera: CameraSpec
+    """Camera that is rendered."""
     cameras: npt.NDArray[np.float64]
     """(n, 7)"""
     links: npt.NDArray[np.float64]
     """(n, L, 7)"""
     wanted: Wanted
+    """Fields of the image that it needs."""
     markers: npt.NDArray[np.float64] | None
     """(n, M, 7)"""
     environments: npt.NDArray[np.int64]
@@ -186,10 +192,15 @@ class Pictures:
     """Fields of an :class:`Image` on the host; fields that are not wanted may be set too."""
 
     rgb: npt.NDArray[np.uint8] | None = None
+    """(n, H, W, 3), lit."""
     depth: npt.NDArray[np.float32] | None = None
+    """Metres along the optical axis; infinite beyond everything."""
     normals: npt.NDArray[np.floating] | None = None
+    """Unit normals in world axes; zero beyond everything."""
     links: npt.NDArray[np.int32] | None = None
+    """Link index, TERRAIN or BACKGROUND."""
     albedo: npt.NDArray[np.uint8] | None = None
+    """(n, H, W, 3) colours of the shapes, unlit."""
 
 
 class HostRenderer(KitRenderer):

@@ -72,6 +72,7 @@ class Recorder(StepObserver):
         if kind is None:
             self.close()
         else:
+            # A film that an error cut short would pass for the whole.
             self.discard()
 
 

@@ -66,6 +66,7 @@ from orbit_core.scene.sensors import (
     Noise,
     RayCasterSpec,
     SensorSpec,
+    TactileSpec,
 )
 from orbit_core.scene.shapes import (
     Box,
@@ -93,5 +94,6 @@ __all__ = [
     "Light", "Link", "LoopJoint", "LoopType", "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision",
     "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region",
     "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere",
-    "Texture", "Transmission", "Windings", "Workspace", "four_bar", "linear_drive", "look_at", "single_link",
+    "TactileSpec", "Texture", "Transmission", "Windings", "Workspace", "four_bar", "linear_drive", "look_at",
+    "single_link",
 ]  # fmt: skip

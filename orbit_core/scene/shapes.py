@@ -23,7 +23,9 @@ class Compliance:
     """A contact that gives way: a spring (N/m) and damper (N s/m) along the contact normal."""
 
     stiffness: float
+    """N/m."""
     damping: float
+    """N s/m."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +38,18 @@ class PhysicsMaterial:
     """
 
     static_friction: float = 1.0
+    """Tangential force by normal force up to which surfaces stick."""
     dynamic_friction: float = 1.0
+    """Tangential force by normal force while they slide."""
     torsional_friction: float = 0.005
+    """Torque about the normal by normal force, m."""
     rolling_friction: float = 0.0001
+    """Torque against rolling by normal force, m."""
     restitution: float = 0.0
+    """Speed after an impact by speed before it, 0 to 1."""
     # None is as stiff as the engine allows, which differs between engines.
     compliance: Compliance | None = None
+    """Spring and damper along the normal; None is as stiff as the engine allows."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,7 @@ class Box:
     """A box, centred."""
 
     half_extents: Vector3
+    """m, half of the edges."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,7 @@ class Sphere:
     """A ball, centred."""
 
     radius: float
+    """m."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +73,7 @@ class Capsule:
     """A capsule along z, centred; ``half_length`` leaves out the round caps."""
 
     radius: float
+    """m."""
     half_length: float
 
 
@@ -71,7 +82,9 @@ class Cylinder:
     """A cylinder along z, centred."""
 
     radius: float
+    """m."""
     half_length: float
+    """m."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +96,7 @@ class MeshCollision(Enum):
     """Collision geometry that is made of a mesh; a visual mesh ignores it."""
 
     CONVEX_HULL = "convex_hull"
+    """The smallest convex solid around the mesh; fast on every engine."""
     CONVEX_DECOMPOSITION = "convex_decomposition"
     """Several convex pieces, into which the world splits it before an engine sees it."""
     SIGNED_DISTANCE = "signed_distance"
@@ -96,8 +110,11 @@ class Mesh:
     """A triangle mesh: vertices (V, 3) in metres, faces (F, 3) of indices, counter-clockwise seen from outside."""
 
     vertices: npt.NDArray[np.floating]
+    """(V, 3) m."""
     faces: npt.NDArray[np.integer]
+    """(F, 3) indices of vertices."""
     collision: MeshCollision = MeshCollision.CONVEX_HULL
+    """Geometry for contacts; visual meshes ignore it."""
 
     def __eq__(self, other: object) -> bool:
         return (
@@ -121,6 +138,7 @@ class HeightField:
     """
 
     heights: npt.NDArray[np.floating]
+    """(rows, columns) m."""
     size: tuple[float, float]
 
 
@@ -138,10 +156,13 @@ class Shape:
     """
 
     geometry: Geometry
+    """Form and extents."""
     pose: Pose = field(default_factory=Pose)
+    """Pose in the link's frame; of terrain, in the environment's."""
     material: PhysicsMaterial = field(default_factory=PhysicsMaterial)
     color: Color = (0.7, 0.7, 0.7, 1.0)
     name: str = ""
+    """Name for messages and lookups; may be empty."""
     contact_distance: float | None = None
 
     def __post_init__(self) -> None:

@@ -117,12 +117,14 @@ class SimulatedWorld(World):
             engine.close()
             raise
         self.painting = Painting(num_envs, len(self.layout.links), self.device)
+        """Colours of links and the renderers that draw them."""
         self.selector = RowSelector(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which environments a call is for."""
         self.random = RandomStreams(num_envs, seed, self.device, self.selector)  # pyright: ignore[reportIncompatibleVariableOverride]
         # Streams begin their first episode before sensors draw their biases.
         self.random.reset()
         self.actuators = Actuators(self._engine, self.layout, self.random, any(each.active for each in scene.objects))
+        """Actuators of all joints."""
         self.clock = Clock()  # pyright: ignore[reportIncompatibleVariableOverride]
         self._renderer: Renderer | None = None
         self._names: list[NamedThings] = []

@@ -46,11 +46,14 @@ class RobotEntry:
     """
 
     name: str
+    """Name for :func:`robot` and ``orbit list robots``."""
     description: str
+    """One line for lists."""
     build: Callable[[], RobotSpec] | str = ""
     source: str = ""
     """The package that the model comes from."""
     licence: str = ""
+    """Licence of the model, as its source states it."""
     part: str = ""
     """``"module:NAME"`` of a :class:`Part`; empty where this is no part."""
 

@@ -331,7 +331,9 @@ class MeshPart:
     """
 
     mesh: Mesh
+    """Triangles of that colour."""
     color: Color | None
+    """RGBA in [0, 1]."""
     textured: bool = False
 
 

@@ -71,10 +71,13 @@ class RobotComputer:
     ) -> None:
         self.hardware, self.settings = hardware, settings or ComputerSettings()
         self.description = hardware.description
+        """Robot that the loop drives."""
         self.description.check()
         self.clock, self._log = clock or RobotClock(), log
         self.follower = JointFollower(self.description, motion or FollowerSettings())
+        """Motion of the joints: path, limits and watchdog."""
         self.loop = RealtimeLoop(self.description.rate)
+        """Clocked loop, at the robot's rate."""
         self._every = max(1, round(self.description.rate / self.settings.state_rate))
         self.on_state: list[Callable[[RobotState], None]] = []
         """Called with each state that is published."""

@@ -52,6 +52,7 @@ class StepTimes:
     """Timing of a client's steps."""
 
     steps: int = 0
+    """Number of steps so far."""
     overruns: int = 0
     """Steps whose command was sent after the next one was due."""
 
@@ -66,6 +67,7 @@ class RobotBackend(Backend):
     """
 
     name: ClassVar[str] = "robot"
+    """Name in messages and manifests; it is in no list of plugins."""
     contract: ClassVar[tuple[int, int]] = (1, 0)
     config_type: ClassVar[type] = RobotSettings
     simulates: ClassVar[bool] = False
@@ -107,6 +109,7 @@ class RobotEngine(Engine):
         if len(robots) != 1:
             raise ConfigurationError(f"a robot's computer drives one robot, and the scene has {len(robots)}")
         self.link, self.times = link, StepTimes()
+        """Steps so far, and how many of them were late."""
         self._robot, self._period, self._dt = robots[0], period, layout.scene.physics_dt
         spec = self._robot.spec
         assert isinstance(spec, RobotSpec)

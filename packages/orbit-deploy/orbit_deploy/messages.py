@@ -48,13 +48,17 @@ class RobotState(msgspec.Struct, frozen=True, array_like=True, tag="state"):
     stamp: int
     """Time of the measurement on the robot's clock, ns."""
     mode: Mode
+    """Activity of the robot in this cycle."""
     command: int
     """Number of the newest command that was accepted; -1 before the first."""
     age: float
     """Seconds since that command arrived."""
     positions: list[float]
+    """Measured positions (J), rad or m."""
     velocities: list[float]
+    """Measured velocities (J), rad/s or m/s."""
     efforts: list[float]
+    """Measured or estimated efforts (J), N m or N."""
     targets: list[float]
     """Positions that the drives were given, within limits."""
     target_velocities: list[float]
@@ -77,9 +81,11 @@ class Fault(msgspec.Struct, frozen=True, array_like=True, tag="fault"):
     """Reason why the robot stopped. After ``watchdog`` and ``overrun`` the next command continues."""
 
     stamp: int
+    """Time on the robot's clock, ns."""
     code: str
     """Kind: ``limit``, ``jump``, ``nan``, ``time``, ``shape``, ``watchdog``, ``robot``, ``overrun``."""
     text: str
+    """Reason in words, with the numbers that led to it."""
 
 
 PASSING = ("watchdog", "overrun")
@@ -96,3 +102,4 @@ class Arrangement(msgspec.Struct, frozen=True, array_like=True, tag="arrange"):
     object: str = ""
     """Name of the object that is put at ``pose``."""
     pose: list[float] | None = None
+    """Position (m) and quaternion (w, x, y, z) in the environment's frame."""

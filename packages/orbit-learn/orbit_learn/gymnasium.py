@@ -44,6 +44,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
+    """Render modes and rate, and the autoreset mode, as Gymnasium reads them."""
 
     def __init__(
         self,
@@ -54,15 +55,20 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
         **keywords: Any,
     ) -> None:
         self.environment = make(task, num_envs=num_envs, **keywords)
+        """ORBIT's environment, for what Gymnasium's interface lacks."""
         self._numpy = numpy
         # An attribute of the instance, because the frame rate depends on the task.
         self.metadata = _metadata(self.environment, AutoresetMode.SAME_STEP)
         self.render_mode = checked_mode(render_mode)
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.environment)
+        """Space of one environment's observation."""
         self.single_action_space = action_space(self.environment)
+        """Space of one environment's action, in [-1, 1]."""
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        """Space of all observations, (N, ...)."""
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        """Space of all actions, (N, A)."""
         self._spectator = Spectator(self.environment, self.render_mode)
 
     @property
@@ -114,14 +120,19 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
+    """Render modes and rate, and the autoreset mode, as Gymnasium reads them."""
 
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
         # Gymnasium's single environments are reset by their user, unlike its vector environments here.
         self.environment = make(task, num_envs=1, autoreset=False, **keywords)
+        """ORBIT's environment, for what Gymnasium's interface lacks."""
         self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
         self.render_mode = checked_mode(render_mode)
+        """``"rgb_array"``, or None without pictures."""
         self.observation_space: spaces.Space[Arrays] = observation_space(self.environment)  # pyright: ignore
+        """Space of an observation."""
         self.action_space = action_space(self.environment)
+        """Space of an action, in [-1, 1]."""
         self._spectator = Spectator(self.environment, self.render_mode)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:

@@ -30,6 +30,7 @@ class Selection:
     collisions: bool = False
     """Whether collision shapes are drawn instead of visual ones."""
     markers: bool = True
+    """True to draw goals and other markers."""
     frames: bool = False
     """Axes at the robots' bases, end effectors, finger tips, feet and wheels."""
 

@@ -116,7 +116,9 @@ class ViewedEnvironment(Protocol):
     """Interface of an environment that the viewer steps."""
 
     num_envs: int
+    """Number N of environments."""
     step_dt: float
+    """Seconds of a step."""
 
     @property
     def world(self) -> ViewedWorld:
@@ -184,6 +186,7 @@ class Viewer:
         extra = {name: lambda _, draw=draw: draw() for name, draw in (views or {}).items()}
         self._views |= extra
         self.controls = Controls(env.num_envs, paused)
+        """Pause, speed and chosen environments, as the panel sets them."""
         self.controls.select(frames=frames)
         self._server, token = start_server(host, port, title, pages)
         root, query = f"http://{host}:{self._server.get_port()}", f"?token={token}" if token else ""

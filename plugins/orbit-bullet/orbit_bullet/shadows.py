@@ -40,13 +40,16 @@ class MapCamera:
     axes: _Array
     """(3, 3) rows right, up, backward."""
     eye: _Array
+    """(3,) m, position of the camera."""
     half: float
     """Metres at the middle's distance that the map reaches to each side."""
     size: int
     """Width and height of the map in pixels."""
 
     near = _AWAY - _DEEP
+    """m of depth at which the map begins."""
     far = _AWAY + _DEEP
+    """m of depth at which it ends."""
 
     @property
     def view(self) -> list[float]:

@@ -348,12 +348,14 @@ class SapienFast(_Tier):
     """Rasterised, by Lambert's law, with shadows."""
 
     name, tier = "sapien-fast", "fast"
+    """Name of the shaders that draw."""
 
 
 class SapienPbr(_Tier):
     """Rasterised with physically based materials."""
 
     name, tier = "sapien-pbr", "pbr"
+    """Name of the shaders that draw."""
 
     def capabilities(self) -> Capabilities:
         return PBR_IMAGES
@@ -363,6 +365,7 @@ class SapienRt(_Tier):
     """Traced paths."""
 
     name, tier = "sapien-rt", "rt"
+    """Name of the shaders that draw."""
     config_type: ClassVar[type] = PathConfig
 
     def capabilities(self) -> Capabilities:

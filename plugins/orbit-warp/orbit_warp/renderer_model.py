@@ -21,17 +21,23 @@ class PictureModel:
         spec = looks_spec(layout)
         shapes = drawn_shapes(layout)
         self.links = len(layout.links)
+        """Number L of links."""
         self.sky = layout.scene.sky
+        """Background of the pictures."""
         colors = [shape.color for shape, _ in shapes]
         colors += [shape.color for marker in layout.scene.markers for shape in marker_shapes(marker)]
         if not colors:  # a tree of bounds cannot be empty
             spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=3 * [1e-3], mass=0.0)
             colors = [(0.0, 0.0, 0.0, 0.0)]
         self.model = spec.compile()
+        """MuJoCo's model."""
         markers = len(colors) - len(shapes)
         self.colors = np.tile(np.array(colors, dtype=np.float32).reshape(-1, 4), (len(shown), 1, 1))
         """(kinds, geoms, 4) with opacity, which is zero for what a kind of environment does not have."""
         self.colors[:, : len(shapes), 3] *= shown
         self.is_marker = np.arange(self.colors.shape[1]) >= len(shapes)
+        """(geoms,) True for markers."""
         self.link_of_geom = np.array([*(link for _, link in shapes), *[0] * markers], dtype=np.int32)
+        """(geoms,) number of the link, or TERRAIN."""
         self.geom_types = tuple(sorted({int(kind) for kind in self.model.geom_type}))
+        """Kinds of geoms in the model: others need no code in the ray cast."""

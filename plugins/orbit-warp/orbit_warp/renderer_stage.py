@@ -22,9 +22,13 @@ class StageArrays:
     """Inputs of a ray cast. Colours have a row for each kind; environment i uses row i modulo their number."""
 
     geom_type: wp.array[int]
+    """(geoms,) kind of geom."""
     geom_dataid: wp.array2d[int]
+    """(1, geoms) number of the mesh or height field."""
     geom_size: wp.array2d[wp.vec3]
+    """(1, geoms) m."""
     geom_matid: wp.array2d[int]
+    """(1, geoms) material; -1 for none."""
     colors: wp.array2d[wp.vec4]
     """All that is seen; where markers are not drawn, as the next."""
     solid_colors: wp.array2d[wp.vec4]
@@ -32,32 +36,58 @@ class StageArrays:
     shadow_colors: wp.array2d[wp.vec4]
     """The same, with all that casts no shadow invisible."""
     link_of_geom: wp.array[int]
+    """(geoms,) number of the link, or TERRAIN."""
     xpos: wp.array2d[wp.vec3]
+    """(N, geoms) m in the world."""
     xmat: wp.array2d[wp.mat33]
+    """(N, geoms) rotation in the world."""
     bvh: wp.uint64
+    """Warp's number of the bounding volumes."""
     roots: wp.array[int]
+    """(N,) root of each environment's volumes."""
     geoms: int
+    """Geoms in the volumes."""
     every_geom: wp.array[int]
+    """(geoms,) numbers of those geoms."""
     mesh_ids: wp.array[wp.uint64]
+    """Warp's number of each mesh."""
     hfield_ids: wp.array[wp.uint64]
+    """Warp's number of each height field's mesh."""
     mesh_faceadr: wp.array[int]
+    """First face of each mesh."""
     mesh_normaladr: wp.array[int]
+    """First normal of each mesh."""
     mesh_facenormal: wp.array[wp.vec3i]
+    """Normals of each face's corners."""
     mesh_normal: wp.array[wp.vec3]
+    """Unit normals, in the mesh's frame."""
     ambient: wp.vec3
+    """Linear RGB of the ambient light."""
     sky_above: wp.vec3
+    """Linear RGB straight above."""
     sky_below: wp.vec3
+    """Linear RGB straight below."""
     light_dir: wp.array[wp.vec3]
+    """(lights,) unit vectors that light travels along."""
     light_color: wp.array[wp.vec3]
+    """(lights,) linear RGB, times the intensity."""
     light_casts: wp.array[bool]
+    """(lights,) True for lights with shadows."""
     # MuJoCo-Warp's ray casts also take what is soft, of which there is none.
     no_ints: wp.array[int]
+    """Empty."""
     no_floats: wp.array[float]
+    """Empty."""
     no_ids: wp.array[wp.uint64]
+    """Empty."""
     no_edges: wp.array[wp.vec2i]
+    """Empty."""
     no_colors: wp.array[wp.vec4]
+    """Empty."""
     no_points: wp.array2d[wp.vec3]
+    """Empty."""
     no_table: wp.array2d[int]
+    """Empty."""
 
 
 @wp.func
@@ -97,6 +127,7 @@ class Stage:
     def __init__(self, model: PictureModel) -> None:
         mjm = model.model
         self.device = wp.get_device()
+        """Warp's device."""
         # It makes the trees of the meshes' triangles; the scene's own waits for the first poses, to be a good one.
         self._meshes = mjw.create_render_context(mjm, nworld=1, cam_active=[], use_textures=False)
         self._links, self._geoms = model.links, mjm.ngeom
@@ -111,6 +142,7 @@ class Stage:
         self._capacity = 0
         self._bvh: wp.Bvh | None = None
         self.arrays = self._constant_arrays(model)
+        """Inputs of the ray cast on that device."""
         links = np.where(model.is_marker, -1, model.link_of_geom)
         self._link_of_geom = torch.as_tensor(links, dtype=torch.int64, device=wp.device_to_torch(self.device))
         self._colors = self._kinds_of_colors(model)

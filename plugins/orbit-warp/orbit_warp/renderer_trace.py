@@ -34,7 +34,9 @@ class Hit:
     """The hit of a ray on a geom; -1 where it met none."""
 
     geom: int
+    """Number of the geom."""
     distance: float
+    """m along the ray."""
     normal: wp.vec3
     """Normal of the face."""
     smooth: wp.vec3

@@ -112,7 +112,9 @@ class UrdfShapes:
         self.fields = fields
         self.options = options
         self.meshes = MeshFiles(options, path)
+        """Reader of mesh files, which keeps each."""
         self.colors: dict[str, Color] = {}
+        """Colours of named materials."""
         # Materials may be defined anywhere, and used by name before their definition.
         for material in root.iter("material"):
             color = material.find("color")

@@ -51,6 +51,7 @@ def write_runtime(folder: Path, policy: Policy, manifest: Manifest, environment:
         policy.export_onnx(onnx)
         numbers.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         for name, code in zip(NAMES[2:4], codes, strict=True):
+            # The code travels with the file, so that a robot needs nothing of ORBIT.
             shutil.copyfile(Path(__file__).with_name(name), code)
         header.write_text(cpp_header(document), encoding="utf-8")
 
