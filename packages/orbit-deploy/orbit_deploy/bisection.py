@@ -45,6 +45,7 @@ class Difference:
     kind: str
     """Of :data:`KINDS`."""
     value: float = 0.0
+    """In the unit of its kind; a backend has none."""
     backend: str = ""
     """Name of the backend, of a difference of that kind."""
 
@@ -116,6 +117,7 @@ class Bisector:
         good, bad = self._rate(()), self._rate(every)
         # Half-way between: a rate that drops little by little has no sharper border.
         self._bar = 0.5 * (good + bad)
+        # A smaller drop may be chance: 40 episodes leave a standard error of up to 8 %.
         if good - bad < 0.1:
             raise ConfigurationError(
                 f"the success rate is {100.0 * good:.0f} % without the differences and {100.0 * bad:.0f} % with them: "
@@ -123,6 +125,7 @@ class Bisector:
             )
         deciding = self._least(every)
         threshold = None
+        # A backend has no number, and a delay comes in whole steps.
         if len(deciding) == 1 and deciding[0].kind not in ("backend", "delay"):
             threshold = self._threshold(deciding[0], halvings)
         return Bisection(self._tried, deciding, threshold)
@@ -138,6 +141,7 @@ class Bisector:
             if smaller is not None:
                 failing, parts = smaller, 2
                 continue
+            # Of two parts, the rest of one is the other, which has been tried.
             rest = next((rest for rest in rests if rest and self._fails(rest)), None) if parts > 2 else None
             if rest is not None:
                 failing, parts = rest, max(parts - 1, 2)
@@ -161,6 +165,7 @@ class Bisector:
         return self._rate(differences) <= self._bar
 
     def _rate(self, differences: tuple[Difference, ...]) -> float:
+        # Each rate takes episodes, and the search comes back to the same parts and rests.
         if differences not in self._tried:
             rate = self._tried[differences] = self._evaluate(differences)
             self._report(f"{', '.join(map(str, differences)) or 'no difference'}: {100.0 * rate:.1f} %")
@@ -200,6 +205,7 @@ def changed_scene(scene: Scene, differences: Sequence[Difference]) -> Scene:
                 robots = tuple(_with_joints(robot, each.kind, value) for robot in scene.robots)
                 scene = replace(scene, robots=robots)
             case _:
+                # A backend and a delay change no scene: the world's factory and the actor take them.
                 pass
     return scene
 
@@ -272,6 +278,7 @@ def _slippery(shape: Shape, factor: float) -> Shape:
 
 def _heavier(entity: Any, factor: float) -> Any:
     def change(link: Link) -> Link:
+        # Inertia grows with the mass, as of a denser material.
         return replace(link, mass=link.mass * factor, inertia=link.inertia * factor)
 
     changed = replace(entity, articulation=_links(entity.articulation, change))
@@ -292,6 +299,7 @@ def _with_joints(robot: RobotSpec, kind: str, value: float) -> RobotSpec:
         if not joint.movable or joint.mimic is not None:
             return joint
         if kind == "joint_friction":
+            # There is no share of an effort without a limit.
             limit = joint.effort_limit if math.isfinite(joint.effort_limit) else 0.0
             return replace(joint, friction=joint.friction + value * limit)
         field = "armature" if kind == "armature" else "damping"

@@ -44,6 +44,7 @@ class IdentificationSettings:
     refinements: int = 30
     """Most evaluations of the refinement, each in twice as many worlds as there are parameters."""
     seed: int = 0
+    """Seed of CMA-ES; the refinement draws nothing."""
 
     def __post_init__(self) -> None:
         for name, least in (("worlds", 4), ("generations", 0), ("refinements", 1)):
@@ -56,6 +57,7 @@ class Identification:
     """Result of a search."""
 
     names: tuple[str, ...]
+    """Names of the P parameters, such as ``friction:joint1`` and ``delay``."""
     values: FloatArray
     """(P,)"""
     deviations: FloatArray
@@ -63,7 +65,9 @@ class Identification:
     before: float
     """Root mean square of simulated minus recorded positions of the robot as it was, rad or m."""
     after: float
+    """The same of the fitted robot."""
     fitted: FittedRobot
+    """Robot with the fitted parameters, as it is written to a file."""
 
 
 def identify(
@@ -127,6 +131,7 @@ class _Search:
     def residuals(self, scaled: FloatArray) -> FloatArray:
         """Return simulated minus recorded positions (N, M); large where a simulation failed."""
         away = self._replay.run(self.values(scaled)) - self._log.position
+        # Ten radians: worse than any motion, and still a number that the searches can rank.
         return np.nan_to_num(away[:, :, self._columns], nan=10.0).reshape(len(scaled), -1)
 
     def errors(self, scaled: FloatArray) -> FloatArray:
@@ -145,6 +150,7 @@ class _Search:
             raise ConfigurationError(
                 f"identification needs cmaes: {install_command('orbit-deploy[identify]')}"
             ) from None
+        # It begins away from the ends of the range, beyond which half of the candidates would lie.
         optimizer = CMA(
             np.clip(start, 0.1, 0.9),
             0.2,
@@ -152,10 +158,12 @@ class _Search:
             seed=settings.seed,
             population_size=settings.worlds,
         )
+        # The robot as it is stays the best if no candidate beats it.
         best, error = start, float(self.errors(start[None])[0])
         for generation in range(settings.generations):
             candidates = np.stack([optimizer.ask() for _ in range(settings.worlds)])
             errors = self.errors(candidates)
+            # A failed simulation has 10 in all rows.
             if generation == 0 and not (errors < 5.0).any():
                 raise ConfigurationError("no candidate of the first generation can be simulated: is this its log?")
             optimizer.tell([(each, float(value)) for each, value in zip(candidates, errors, strict=True)])
@@ -189,6 +197,7 @@ class _Search:
             best,
             lambda scaled: at(scaled)[1],  # pyright: ignore[reportArgumentType] - SciPy's stubs name words only
             bounds=(0.0, 1.0),
+            # By their effect: parameters differ in it by orders of magnitude.
             x_scale="jac",
             ftol=_GAIN,
             xtol=_STEP,
@@ -204,6 +213,7 @@ class _Search:
         above, below = np.clip(at + shifts, 0.0, 1.0), np.clip(at - shifts, 0.0, 1.0)
         found = self.residuals(np.concatenate((at[None], above, below)))
         count = len(at)
+        # Shorter at an end of the range, where a shift is cut off.
         way = (above - below)[range(count), range(count)]
         return found[0], ((found[1 : count + 1] - found[count + 1 :]) / way[:, None]).T
 
@@ -216,6 +226,7 @@ class _Search:
         residual = self.residuals(best[None])[0]
         rows = residual.reshape(len(self._log.times), -1)
         independent = max(residual.size / _correlation(rows), len(best) + 1.0)
+        # The fit has used up one independent residual for each parameter.
         variance = float(residual @ residual) / residual.size * independent / (independent - len(best))
         slope = self._upper - self._lower
         normal = (jacobian / slope).T @ (jacobian / slope) * independent / residual.size
@@ -231,8 +242,10 @@ class _Search:
 def _correlation(rows: FloatArray) -> float:
     """Return the mean number of neighbouring rows (T, J) that are alike, 1 for independent ones."""
     centred = rows - rows.mean(0)
+    # Padded with zeros: a transform joins the end of the rows to their beginning.
     power = np.abs(np.fft.rfft(centred, 2 * len(rows), axis=0)) ** 2
     lags = np.fft.irfft(power, axis=0)[: len(rows)]
+    # Joints whose difference is constant have no power, and no correlation.
     shares = lags / np.maximum(lags[0], 1e-300)
     times: list[float] = []
     for column in shares.T:

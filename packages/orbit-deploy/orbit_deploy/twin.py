@@ -22,6 +22,7 @@ class TwinResult:
     """Difference between a log and the simulation that followed its targets on one engine."""
 
     backend: str
+    """Name of the engine."""
     positions: FloatArray
     """(T, J) simulated positions at the log's rows, rad or m."""
     rms: float
@@ -75,6 +76,7 @@ class LiveTwin:
         self._world = simulate(Scene(robots=(spec,), physics_dt=dt), 1, backend, settings=settings)
         self._robot = next(iter(self._world.robots.values()))
         joints = range(len(spec.articulation.movable_joints))
+        # A robot's follower has made them finite: looking again would cost time in every step.
         self._writers = [self._robot.target_writer(each, joints, checked=False) for each in JointTarget]
         self._stamp: int | None = None
         self._before = np.zeros((3, len(joints)))
