@@ -119,12 +119,14 @@ def aim(env: Environment[Hockey]) -> Tensor:
 def striking(env: Environment[Hockey]) -> Tensor:
     """(N,) in [0, 1]: how near the blade is to behind the puck; 1 once the puck is inside."""
     way = behind(0.05, STRIKE)(env)[:, :3] - common.hand_pose(env)[:, :3]
+    # 1 inside, or the blade would have to follow the puck into the net.
     return torch.maximum(common.nearness(vector_norm(way, dim=1), 0.15), inside(env).float())
 
 
 def sliding(env: Environment[Hockey]) -> Tensor:
     """(N,) in [0, 1]: metres a second, at most one, at which the puck goes where it should; 1 once it is inside."""
     speed = vecdot(puck_velocity(env), aim(env)).clamp(0.0, 1.0)
+    # 1 inside, or a puck at rest in the net would earn less than one on its way.
     return torch.maximum(speed, inside(env).float())
 
 

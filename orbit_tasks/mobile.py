@@ -54,6 +54,7 @@ def tipped(env: Environment) -> Tensor:
     """(N,) bool: the base leans by more than 60 degrees."""
     up = torch.tensor([0.0, 0.0, 1.0], device=env.device)
     pose = base_pose(env)
+    # The height of the up axis is the cosine of the lean.
     return quat_rotate(pose[:, 3:], up.expand(len(pose), 3))[:, 2] < 0.5
 
 

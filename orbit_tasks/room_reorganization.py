@@ -62,6 +62,7 @@ class RoomMemory(TaskState):
 def _fit(robot: RobotSpec) -> tuple[float, float]:
     """Find the height of desk and sideboard, and how far off a base stands, that suit the arm, m."""
     space = common.placed_workspace(robot)
+    # Things on the tables are within the workspace: a little above its lower face and beyond its near one.
     return space.low[2] - 0.1, space.low[0] + 0.05
 
 

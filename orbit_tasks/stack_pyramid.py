@@ -117,6 +117,7 @@ def reaching(env: Environment[StackPyramid]) -> Tensor:
 def lifted(env: Environment[StackPyramid]) -> Tensor:
     """(N, M) 1 where the block is off the table, or over its place."""
     way = blocks_to_places(env)
+    # At its place a block of the lowest row is on the table.
     return ((moved_positions(env)[..., 2] > SIZE) | (vector_norm(way[..., :2], dim=2) < 0.02)).float()
 
 

@@ -12,7 +12,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_data.tensor_file import parse_json
 from orbit_learn.training import CURVE
 
-# Curves that a picture shows in colours that can be told apart.
+# Curves that a picture shows in colours that differ enough.
 MOST_CURVES = 20
 _MOST_BYTES = 1 << 26
 

@@ -373,6 +373,7 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
     def _judged(self, critic: TwinCritic, state: Tensor, action: Tensor) -> Tensor:
         """Return the estimates (2, B) for a state before normalisation."""
         if self.settings.normalize_observations:
+            # The buffer keeps states as they were measured, because the statistics go on changing meanwhile.
             moments = self._moments[self._critic_group]
             state = ((state - moments.mean) / moments.std).clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
         return critic(state, action)

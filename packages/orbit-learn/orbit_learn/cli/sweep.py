@@ -53,8 +53,8 @@ def run(settings: SweepSettings) -> None:
 
             def show(trial: Trial) -> None:
                 best = next(best_values(sweep), None)
-                told = "" if best is None else f": best {best[1]:.4g} of trial {best[0].number}"
-                bar.update(line, advance=1, description=f"{plan.train.task}, {cluster.slots} at a time{told}")
+                shown = "" if best is None else f": best {best[1]:.4g} of trial {best[0].number}"
+                bar.update(line, advance=1, description=f"{plan.train.task}, {cluster.slots} at a time{shown}")
 
             sweep.run(cluster, show)
     finally:

@@ -1,4 +1,4 @@
-"""Trainings on the machines of a Ray cluster, each in a process of its own that may die alone."""
+"""Trainings on the machines of a Ray cluster, each in its own process, so that one that dies leaves the others."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def connected(address: str) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of Ray's own coming changes
             local = {"include_dashboard": False} if address == LOCAL else {}
+            # What trainings print would mix line by line with the report of the sweep.
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **local)
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"no Ray cluster answers at '{address}': {error}") from error
@@ -111,10 +112,11 @@ class Cluster:
         """
         ray = self._ray
         try:
+            # Not for good: Python hears Ctrl-C between two calls.
             done, _ = ray.wait(list(self._running), timeout=1.0)
         except (ConnectionError, ray.exceptions.RayError) as error:
             raise ConfigurationError(
-                f"the Ray cluster is gone ({_first_line(error)}): start it, and repeat the command, which goes on"
+                f"the Ray cluster is gone ({_last_line(error)}): start it, and repeat the command, which goes on"
             ) from error
         for reference in done:
             part = self._running.pop(reference)
@@ -123,7 +125,7 @@ class Cluster:
             except ray.exceptions.WorkerCrashedError:
                 yield part, f"its process died {_RETRIES + 1} times"
             except ray.exceptions.RayError as error:
-                yield part, _first_line(error)
+                yield part, _last_line(error)
 
     def close(self) -> None:
         """Leave the cluster, and end one that was started here."""
@@ -160,6 +162,6 @@ def _train_part(part: Part) -> str:
     return ""
 
 
-def _first_line(error: BaseException) -> str:
+def _last_line(error: BaseException) -> str:
     lines = [line for line in str(error).splitlines() if line.strip()]
     return lines[-1].strip() if lines else type(error).__name__

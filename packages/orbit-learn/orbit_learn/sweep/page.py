@@ -76,6 +76,7 @@ def _settings_figure(sweep: Sweep) -> Any:
             axis.set_xlim(choices.low, choices.high)
             places = values
         else:
+            # Evenly by place in the list: choices may be words or lists, which have no axis.
             places = [choices.index(value) for value in values]
             axis.set_xticks(range(len(choices)), labels=[_shown(each) for each in choices])
         axis.plot(places, [value for _, value in ranked], "o", markersize=5, alpha=0.7)
@@ -100,6 +101,7 @@ def _curves_figure(sweep: Sweep) -> Any:
                 [value for _, value in points],
                 color=f"C{place}",
                 linewidth=1.2,
+                # Seeds of a trial share a colour, so that one entry of the legend names them all.
                 label=f"trial {trial.number}" if index == 0 else None,
             )
     axis.set(xlabel="environment steps", ylabel=plan.options.objective)

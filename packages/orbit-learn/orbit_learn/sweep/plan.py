@@ -169,6 +169,7 @@ def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     """Return choices by path; TOML makes tables of dots in keys that are not quoted."""
     flat: dict[str, Any] = {}
     for key, value in table.items():
+        # A table with low is a range, thus a choice; any other holds settings one level down.
         if isinstance(value, dict) and "low" not in value:
             flat |= _flat(value, f"{before}{key}.")
         else:

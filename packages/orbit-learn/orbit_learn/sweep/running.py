@@ -103,6 +103,7 @@ class Sweep:
         # Combinations of an earlier call first: the search gives the same ones, and learns what came of them.
         asked, open_seeds, exhausted = 0, {}, False
         while True:
+            # No more than can start: an estimator asked later has learned from more trials.
             while not exhausted and cluster.free > len(waiting):
                 values = search.ask(asked, self.trials[asked].values if asked < len(self.trials) else None)
                 if values is None:
@@ -152,11 +153,14 @@ class Sweep:
     def _exchange(self, iteration: int) -> None:
         """Give the worst quarter of a population the trainings of the best, with other settings from here on."""
         ranked = self.ranked
+        # Populations of two and three exchange one trial, though a quarter of them is none.
         count = len(ranked) // 4 or int(len(ranked) > 1)
+        # By seed and iteration, so that a command that was interrupted here exchanges the same trials when repeated.
         generator = random.Random(f"{self.plan.options.seed}/{iteration}")
         for trial in ranked[len(ranked) - count :]:
             source = generator.choice(ranked[:count])
             for seed in self.plan.options.seeds:
+                # Whole or not at all: half a copy would pass for a training that goes on.
                 with written_whole(self.folder_of(trial, seed)) as copy:
                     shutil.copytree(self.folder_of(source, seed), copy)
             trial.values = changed(source.values, self.plan.vary, generator)
@@ -172,6 +176,7 @@ class Sweep:
 
     def _judge(self, trial: Trial, part: Part, failure: str) -> None:
         seed = str(part.settings.seed)
+        # Failed trainings run again when the command is repeated; what an earlier call said of them is out of date.
         trial.failures.pop(seed, None)
         found = None if failure else score(part.folder, self.plan)
         if found is None:
@@ -233,6 +238,7 @@ def _described(plan: SweepPlan) -> dict[str, Any]:
     options = {name: value for name, value in asdict(plan.options).items() if name not in ("trials", "cpus", "gpus")}
     vary = {path: asdict(each) if not isinstance(each, tuple) else each for path, each in plan.vary.items()}
     described = {"options": options, "training": asdict(plan.train), "settings to vary": vary}
+    # Through JSON, since tuples and paths come back from the file as lists and words.
     return json.loads(json.dumps(described, default=str))
 
 

@@ -50,6 +50,7 @@ class Tpe(Search):
             import optuna  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise ConfigurationError(f"search tpe needs Optuna: {install_extra('sweep')}") from error
+        # Optuna writes a line for each trial, beside the command's own.
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         sampler = optuna.samplers.TPESampler(seed=plan.options.seed)
         direction = "minimize" if plan.options.minimize else "maximize"
@@ -62,6 +63,7 @@ class Tpe(Search):
         if number >= self._plan.options.trials:
             return None
         if known is not None:
+            # The next trial gets these values, so that the estimator learns from earlier calls too.
             self._study.enqueue_trial({path: self._named(path, value) for path, value in known.items()})
         trial = self._asked[number] = self._study.ask()
         return {path: self._suggested(trial, path, choices) for path, choices in self._plan.vary.items()}
@@ -109,7 +111,7 @@ def _drawn(plan: SweepPlan) -> Iterator[Values]:
 
 
 def changed(values: Values, vary: Mapping[str, Choices], generator: random.Random) -> Values:
-    """Return values that differ some: numbers by a factor, others drawn anew."""
+    """Return values that differ some: numbers by a factor, others drawn again."""
     return {
         path: choices.changed(values[path], generator) if isinstance(choices, Range) else generator.choice(choices)
         for path, choices in vary.items()
