@@ -197,6 +197,22 @@ def _weighed(trial: Trial) -> Mapping[str, float]:
     return {"weight": abs(-float(np.mean(forces)) / weight - 1.0), "hop": float(np.ptp(heights))}
 
 
+def _splash(trial: Trial) -> Mapping[str, float]:
+    """A lump of glycerol falls on a floor, and its middle is followed for half a second after it has come down."""
+    side, fall = 0.04, 0.2
+    middle = Pose((0.0, 0.0, fall + 0.5 * side))
+    lump = Fluid("glycerol", (0.5 * side,) * 3, 1260.0, middle, viscosity=1.0, spacing=SPACING)
+    world = trial.world(_scene((_slab("floor", (0.6, 0.6, 0.02), (0.0, 0.0, -0.01)),), lump))
+    glycerol = world.deformables["glycerol"]
+    down = math.sqrt(2.0 * fall / G)
+    heights = np.array([
+        float(glycerol.positions[0, :, 2].mean()) for time in trial.advance(world, down + 0.5) if time > down
+    ])  # fmt: skip
+    lowest = np.minimum.accumulate(heights)
+    energy = 0.5 * float(glycerol.velocities[0].square().sum(-1).mean())
+    return {"rebound": float((heights - lowest).max()) / fall, "energy": energy / (G * fall)}
+
+
 def _metric(name: str, tolerance: float, meaning: str, unit: str = "", reason: str = COARSE) -> Metric:
     return Metric(name=name, unit=unit, tolerance=tolerance, meaning=meaning, looser_because=reason)
 
@@ -271,5 +287,14 @@ SCENARIOS: tuple[Scenario, ...] = (
         _weighed,
         _metric("weight", 0.02, "relative error of the force on the cup"),
         _metric("hop", 0.0005, "that the cup goes up and down, largest minus smallest height", "m"),
+    ),
+    _scenario(
+        "fluid_splash",
+        "Does a lump of glycerol that falls on a floor stay there and come to rest?",
+        "a layer of it loses its speed as exp(-pi^2 nu t / (4 d^2)), within 0.05 s where d is 1 cm, and does not bounce",
+        "Batchelor, An Introduction to Fluid Dynamics, section 4.3",
+        _splash,
+        _metric("rebound", 0.05, "way that its middle rises again, as a part of its fall"),
+        _metric("energy", 0.01, "energy of its motion 0.5 s after it came down, as a part of that of its fall"),
     ),
 )
