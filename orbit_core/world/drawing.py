@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,10 +16,23 @@ from orbit_core.dynamics.indexing import take_rows, write_columns
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import Engine, Image, Renderer, SceneLayout, UnsupportedCapabilityError
-from orbit_core.interfaces.matter import MatterPainter, MatterSolver
+from orbit_core.interfaces.matter import LightView, MatterPainter, MatterSolver
 from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_core.plugin_kit.rendering import DeformableSurface
-from orbit_core.scene import Articulation, CameraSpec, Channel, Link, MarkerShape, MarkerSpec, RobotSpec, Shape, Texture
+from orbit_core.scene import (
+    Articulation,
+    CameraSpec,
+    Channel,
+    DirectionalLight,
+    Link,
+    MarkerShape,
+    MarkerSpec,
+    RobotSpec,
+    Shape,
+    Texture,
+    look_at,
+)
+from orbit_core.scene.pose import Quaternion, Vector3
 from orbit_core.sensors.camera import intrinsic_matrix, point_cloud
 
 
@@ -206,10 +221,49 @@ class Painting:
         return torch.tensor([*(self._known.index(texture) for texture in textures), -1], device=self._device)
 
 
-def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine, layout: SceneLayout) -> Renderer:
+# Metres between a light's camera and deformables: rays of 0.5 m to the side lean by 0.7 degrees.
+_AWAY = 40.0
+# Metres before and behind deformables within which shadows are cast.
+_DEEP = 3.0
+# Most pixels of a light's camera along its sides.
+_FINE = 256
+
+
+def light_camera(layout: SceneLayout, cameras: Sequence[CameraSpec]) -> CameraSpec | None:
+    """Return the camera that shows deformables as a light meets them; None where no picture has their shadows."""
+    if not layout.scene.deformables or not any(light.shadows for light in layout.scene.directional_lights):
+        return None
+    # A small picture needs no finer shadows than its own pixels.
+    sides = [max(camera.width, camera.height) for camera in cameras if Channel.RGB in camera.channels]
+    if not sides:
+        return None
+    points = np.concatenate([spec.pose.transform(spec.rest_positions) for spec in layout.scene.deformables])
+    reach = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+    # Half as wide again, for what spreads or falls apart.
+    fov, side = 2.0 * math.atan(max(1.5 * reach, 0.2) / _AWAY), min(_FINE, *sides)
+    return CameraSpec(
+        name="light", width=side, height=side, vertical_fov=fov, near=_AWAY - _DEEP, far=_AWAY + _DEEP,
+        channels=(Channel.DEPTH,),
+    )  # fmt: skip
+
+
+def with_matter(
+    renderer: Renderer,
+    solver: MatterSolver | None,
+    engine: Engine,
+    layout: SceneLayout,
+    light: CameraSpec | None = None,
+) -> Renderer:
     """The renderer, with the scene's deformables painted into its pictures if there are any.
 
     Their solver paints them; those of the engine's own, without a ``solver``, any that is installed and can.
+
+    Args:
+        renderer: that draws all else, also for ``light``.
+        solver: of the deformables.
+        engine: that they are read from.
+        layout: of the scene.
+        light: camera of :func:`light_camera`; without one there are no shadows of deformables, and none on them.
 
     Raises:
         UnsupportedCapabilityError: nothing that is installed paints them.
@@ -220,7 +274,7 @@ def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine,
     reasons = [f"no matter solver is installed: {install_extra('matter')}"]
     for each in solvers:
         try:
-            return MatterRenderer(renderer, each.create_painter(layout, engine.device), engine, layout)
+            return MatterRenderer(renderer, each.create_painter(layout, engine.device), engine, layout, light)
         except UnsupportedCapabilityError as error:
             reasons = [*reasons[1:], str(error)]
     raise UnsupportedCapabilityError(f"pictures of deformables need a matter solver that paints: {'; '.join(reasons)}")
@@ -229,10 +283,23 @@ def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine,
 class MatterRenderer(OuterRenderer):
     """Renderer that draws with another one, with depth, and paints deformables over the shapes behind them."""
 
-    def __init__(self, inner: Renderer, painter: MatterPainter, engine: Engine, layout: SceneLayout) -> None:
+    def __init__(
+        self,
+        inner: Renderer,
+        painter: MatterPainter,
+        engine: Engine,
+        layout: SceneLayout,
+        light: CameraSpec | None = None,
+    ) -> None:
         super().__init__(inner)
-        self._painter, self._engine = painter, engine
+        self._painter, self._engine, self._eye = painter, engine, light
         self._surfaces = [DeformableSurface(spec) for spec in layout.scene.deformables]
+        lights = enumerate(layout.scene.directional_lights)
+        self._lights = [
+            (index, *(torch.tensor(each, dtype=torch.float32, device=engine.device) for each in _seen_along(light)))
+            for index, light in lights
+            if light.shadows
+        ]
 
     def render(
         self,
@@ -243,14 +310,32 @@ class MatterRenderer(OuterRenderer):
         marker_poses: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> Image:
-        asked = tuple(dict.fromkeys((*channels, Channel.DEPTH)))
+        casts = Channel.RGB in channels and self._eye is not None
+        extra = (Channel.DEPTH, Channel.NORMALS, Channel.ALBEDO) if casts else (Channel.DEPTH,)
+        asked = tuple(dict.fromkeys((*channels, *extra)))
         image = self._inner.render(camera, camera_poses, link_poses, asked, marker_poses, env_ids)
         count = len(camera_poses)
         shown = [
             surface.vertices(take_rows(self._engine.particle_positions(index), env_ids)[:count])
             for index, surface in enumerate(self._surfaces)
         ]
-        return self._painter.paint(camera, camera_poses, shown, image).only(channels)
+        views = list(self._views(shown, link_poses, env_ids)) if casts else []
+        return self._painter.paint(camera, camera_poses, shown, image, views).only(channels)
+
+    def _views(self, shown: Sequence[Tensor], link_poses: Tensor, env_ids: Tensor | None) -> Iterator[LightView]:
+        """Yield the links (n, L, 7) as each light meets them, around deformables' vertices (n, V, 3) each."""
+        assert self._eye is not None
+        middle = torch.cat(tuple(shown), dim=1).mean(1)
+        for index, way, turn in self._lights:
+            poses = torch.cat((middle - _AWAY * way, turn.expand(len(middle), 4)), dim=1)
+            image = self._inner.render(self._eye, poses, link_poses, (Channel.DEPTH,), None, env_ids)
+            assert image.depth is not None
+            yield LightView(index, self._eye, poses, image.depth)
+
+
+def _seen_along(light: DirectionalLight) -> tuple[Vector3, Quaternion]:
+    """Direction of a light, and the orientation of a camera that looks along it."""
+    return light.unit_direction, look_at((0.0, 0.0, 0.0), light.direction).orientation
 
 
 _OPAQUE = (0.0, 0.0, 0.0, 1.0)

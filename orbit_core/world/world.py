@@ -50,7 +50,7 @@ from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
 from orbit_core.world.checks import check_build, check_capacity
-from orbit_core.world.drawing import Painting, with_frames, with_matter
+from orbit_core.world.drawing import Painting, light_camera, with_frames, with_matter
 from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
 from orbit_core.world.matter import SimulatedDeformable, coupled, rigid_part
@@ -197,8 +197,10 @@ class SimulatedWorld(World):
 
     def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
         layout = rigid_part(with_frames(self.layout) if frames else self.layout, self._solver)
-        renderer = self._renderer_plugin.create_renderer(layout, cameras, self._renderer_config)
-        return self.painting.add(with_matter(renderer, self._solver, self._engine, self.layout))
+        light = light_camera(self.layout, cameras)
+        eyes = cameras if light is None else (*cameras, light)
+        renderer = self._renderer_plugin.create_renderer(layout, eyes, self._renderer_config)
+        return self.painting.add(with_matter(renderer, self._solver, self._engine, self.layout, light))
 
     @property
     def python_laws(self) -> Mapping[str, object]:
