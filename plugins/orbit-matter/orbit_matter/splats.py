@@ -39,14 +39,15 @@ def splat(points: wp.array2d[wp.vec3], poses: wp.array2d[float], lens: Lens, rad
     if not p[2] - radius > lens.near:
         return
     middle, wide = pixel_of(lens, p), lens.focal * radius / (p[2] - radius) + 1.0
-    outside = wp.length_sq(p) - radius * radius
     for row in range(wp.max(int(middle[1] - wide), 0), wp.min(int(middle[1] + wide), lens.height - 1) + 1):
         for column in range(wp.max(int(middle[0] - wide), 0), wp.min(int(middle[0] + wide), lens.width - 1) + 1):
+            # From where the ray is as deep as the middle: squares of the whole way would drown a radius far away.
             ray = ray_of(lens, column, row)
-            along, length = wp.dot(ray, p), wp.length_sq(ray)
-            root = along * along - length * outside
+            away, length = p - ray * p[2], wp.length_sq(ray)
+            along = wp.dot(ray, away)
+            root = along * along - length * (wp.length_sq(away) - radius * radius)
             if root >= 0.0:
-                depth = (along - wp.sqrt(root)) / length
+                depth = p[2] + (along - wp.sqrt(root)) / length
                 if depth < lens.far:
                     wp.atomic_min(depths, env, row, column, depth)
 
