@@ -29,6 +29,10 @@ to it; contacts of what lies on cloth have their damping from the rest, and a lo
 w^2 dt`` of its swing a second."""
 
 
+TOUCHED = wp.constant(0.1)
+"""Of the gravity: acceleration that is neither gravity's nor the matter's by which a body counts as touched."""
+
+
 @wp.struct
 class Bodies:
     """B free bodies of each of N environments."""
@@ -50,20 +54,25 @@ class Bodies:
     twist: wp.array2d[wp.vec3]
     turning: wp.array2d[wp.mat33]
     """(N, B) inverse of the inertia, in world axes."""
+    lags: wp.array2d[int]
+    """(N, B) 1 for those that feel this step's matter in the next one only, as links do."""
     shift: wp.array2d[wp.vec3]
     """(N, B) how far it is from where its velocity alone would have taken it: metres of its centre, and radians."""
     turned: wp.array2d[wp.vec3]
 
 
 def free_links(layout: SceneLayout) -> list[int]:
-    """Indices of the links of free bodies that matter moves: of what is neither fixed nor has joints.
-
-    Beside liquids alone there are none. A liquid gives way to what presses on it, so that a step's delay does no harm,
-    and what it presses with in one step says too little of the next: a light cup went up and down in its water.
-    """
-    if all(isinstance(spec, Fluid) for spec in layout.scene.deformables):
-        return []
+    """Indices of the links of free bodies that matter moves: of what is neither fixed nor has joints."""
     return [e.links.start for e in layout.entities if e.spec.is_free_body]
+
+
+def with_liquids(layout: SceneLayout) -> bool:
+    """Return True if there are liquids, in which only bodies that nothing else touches go ahead of the engine.
+
+    What a liquid presses with in one step says too little of what a stand answers in the next: a light cup went up and
+    down in its water. What floats is touched by the liquid alone, and swung on it where it felt it a step late.
+    """
+    return any(isinstance(spec, Fluid) for spec in layout.scene.deformables)
 
 
 def masses(layout: SceneLayout) -> tuple[npt.NDArray[np.float32], ...]:
@@ -116,13 +125,15 @@ def write_pose(to: wp.array3d[float], env: int, link: int, x: wp.vec3, q: wp.qua
 
 
 @wp.kernel(enable_backward=False)
-def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.array[wp.vec3], dt: float):
+def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.array[wp.vec3], dt: float, liquids: int):
     """The way that each body's velocity takes it in the step to come, and what pulls it beside the matter.
 
     That is what it was in the last step: gravity, and what other bodies did. Of a blow, which does not go on, no more
-    is taken than what carries the body and the matter's own wrench.
+    is taken than what carries the body and the matter's own wrench. With ``liquids`` those lag that more than gravity
+    and matter moved.
     """
     env, i = wp.tid()
+    b.lags[env, i] = 0
     if attached[env, i] > 0:
         return
     link = b.link[env, i]
@@ -136,8 +147,11 @@ def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.a
     v_before = three(b.before, env, i, 0) + wp.cross(w_before, arm)
     force = three(b.wrenches, env, link, 0)
     torque = three(b.wrenches, env, link, 3) - wp.cross(arm, force)
-    weight = wp.length(gravity[env])
     own, own_turn = force / mass, turning * torque
+    weight = wp.length(gravity[env])
+    if liquids == 1 and wp.length((v - v_before) / dt - own - gravity[env]) > TOUCHED * wp.max(weight, 1.0):
+        b.lags[env, i] = 1
+        return
     b.pull[env, i] = _at_most((v - v_before) / dt - own, weight + wp.length(own))
     gyration = wp.sqrt(wp.trace(b.inertia[env, i]) / mass)
     b.twist[env, i] = _at_most((w - w_before) / dt - own_turn, weight / gyration + wp.length(own_turn))
@@ -153,7 +167,7 @@ def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.a
 def respond(b: Bodies, attached: wp.array2d[int], links: Links, felt: Felt, dt: float, share: float, h: float):
     """Move bodies by what was done to them so far, in the substep that ends after a share of the step."""
     env, i = wp.tid()
-    if attached[env, i] > 0:
+    if attached[env, i] > 0 or b.lags[env, i] == 1:
         return
     link = b.link[env, i]
     force = wp.vec3()

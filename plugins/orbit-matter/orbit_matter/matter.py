@@ -28,7 +28,7 @@ from orbit_matter.part import Part, Stepping
 from orbit_matter.solids import inside as solid_inside
 from orbit_matter.solids import kernels as solid_kernels
 from orbit_matter.solids import launches as solid_launches
-from orbit_matter.solids import laying, limits
+from orbit_matter.solids import limits
 from orbit_matter.solids import rows as solid_rows
 from orbit_matter.solids.solids import Solids
 from orbit_warpkit.graphs import Graphs
@@ -73,9 +73,7 @@ class ParticleMatter(Matter):
         load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
         if self._solids.model.deformables:
             by_rows = (solid_rows,) if device.type == "cpu" else ()
-            load_kernels(
-                "orbit-matter", (solid_inside, solid_kernels, solid_launches, laying, *by_rows), self._graphs.device
-            )
+            load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, *by_rows), self._graphs.device)
         if self._fluids.model is not None:
             load_kernels("orbit-matter", (fluid_kernels,), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)
