@@ -164,7 +164,7 @@ def _draught(trial: Trial) -> Mapping[str, float]:
     ]
     # What the raft displaces rises around it.
     draught = tank**2 * (depth - float(np.mean(bottoms))) / (tank**2 - side**2)
-    return {"draught": abs(draught / (0.5 * thick) - 1.0)}
+    return {"draught": abs(draught / (0.5 * thick) - 1.0), "swing": float(np.ptp(bottoms))}
 
 
 def _weighed(trial: Trial) -> Mapping[str, float]:
@@ -278,6 +278,7 @@ SCENARIOS: tuple[Scenario, ...] = (
         "Batchelor, An Introduction to Fluid Dynamics, section 4.1",
         _draught,
         _metric("draught", 0.05, "relative error after 2 s"),
+        _metric("swing", 0.002, "that it goes up and down, largest minus smallest height", "m"),
     ),
     _scenario(
         "fluid_weighed",
