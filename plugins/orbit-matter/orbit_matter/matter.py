@@ -299,7 +299,8 @@ class ParticleMatter(Matter):
     def build_report(self) -> tuple[Approximation, ...]:
         of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
-        of_ropes = stability.late_links(self._layout) + stability.folding(self._layout) + stability.tossed(self._layout)
+        of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
+        of_liquids = stability.tossed(self._layout)
         of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 

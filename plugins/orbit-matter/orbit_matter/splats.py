@@ -33,7 +33,7 @@ ROUNDS = 3
 
 @wp.kernel(enable_backward=False)
 def splat(points: wp.array2d[wp.vec3], poses: wp.array2d[float], lens: Lens, radius: float, depths: wp.array3d[float]):
-    """The nearest sphere along each pixel's ray."""
+    """Draw the nearest sphere along each pixel's ray."""
     env, i = wp.tid()
     p = seen(poses, env, points[env, i])
     if not p[2] - radius > lens.near:
@@ -76,7 +76,7 @@ def smooth(before: wp.array3d[float], lens: Lens, spacing: float, reach: float, 
 
 @wp.func
 def slope(at: wp.vec3, before: wp.vec3, after: wp.vec3, most: float) -> wp.vec3:
-    """Way along the surface between neighbouring pixels: of two sides the one that is less steep."""
+    """Return the way along the surface to a neighbouring pixel, on the side that is less steep."""
     back, on = at - before, after - at
     if wp.abs(back[2]) < wp.abs(on[2]):
         on = back
