@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from orbit_core.interfaces.layout import Approximation, SceneLayout
-    from orbit_core.interfaces.renderer import Image
+    from orbit_core.interfaces.renderer import Image, LightTable
     from orbit_core.scene import CameraSpec
 
 # A plugin that registers under this name can never be chosen.
@@ -168,7 +168,8 @@ class MatterPainter(ABC):
         camera_poses: Tensor,
         vertices: Sequence[Tensor],
         image: Image,
-        lights: Sequence[LightView] = (),
+        lights: LightTable,
+        views: Sequence[LightView] = (),
     ) -> Image:
         """Return the image with deformables drawn over what is behind them, and their shadows.
 
@@ -179,8 +180,9 @@ class MatterPainter(ABC):
                 (:class:`orbit_core.plugin_kit.rendering.DeformableSurface`), in the environment's frame.
             image: with depth; its other fields may be None, and stay so. In ``links`` a deformable has the number of
                 links plus its own index.
-            lights: whose shadows deformables cast and receive; the image then has normals and albedo where it has
-                colour.
+            lights: of the n environments.
+            views: of the lights whose shadows deformables cast and receive; the image then has colour, normals and
+                albedo.
         """
 
 
@@ -193,6 +195,7 @@ class MatterSolver(ABC):
     """A plugin that makes :class:`Matter`. Importing and making one must not import the solver's libraries."""
 
     name: ClassVar[str]
+    """Name in commands, settings and entry points."""
     contract: ClassVar[tuple[int, int]]
     """Version of the contract that the plugin was written for, as of a :class:`~orbit_core.interfaces.Backend`."""
     config_type: ClassVar[type]

@@ -197,6 +197,7 @@ class LeRobotWriter:
     rate: int
     robot: str
     features: dict[str, Any] = field(init=False, default_factory=dict)
+    """Dtype, shape and names of each column, by its name in LeRobot's layout; known after the first episode."""
     left_out: set[str] = field(init=False, default_factory=set)
     """Names of arrays that the layout cannot store."""
 

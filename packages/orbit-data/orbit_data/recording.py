@@ -417,6 +417,7 @@ class RecordingFile:
     def __init__(self, path: Path | str) -> None:
         self.path = path = as_path(path)
         self.parts = PartFolder(path.with_name(f"{path.name}.parts"))
+        """Folder of episodes that are not in the file yet."""
 
     def check_begun(self, resume: bool, overwrite: bool) -> None:
         """Check that a recording can begin here.

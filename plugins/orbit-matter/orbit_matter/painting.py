@@ -20,7 +20,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import Image, SceneLayout
+from orbit_core.interfaces import Image, LightTable, SceneLayout
 from orbit_core.interfaces.matter import LightView, MatterPainter
 from orbit_core.plugin_kit.rendering import DeformableSurface
 from orbit_core.scene import CameraSpec, Fluid
@@ -40,8 +40,9 @@ SHIFT = wp.constant(wp.int64(2**24))
 
 @wp.func
 def shares(a: wp.vec2, b: wp.vec2, c: wp.vec2, p: wp.vec2) -> wp.vec3:
-    """Barycentric coordinates in the picture."""
+    """Return barycentric coordinates in the picture."""
     area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    # Seen edge-on, a triangle covers no pixel.
     if wp.abs(area) < 1.0e-9:
         return wp.vec3(-1.0, -1.0, -1.0)
     u = ((b[0] - p[0]) * (c[1] - p[1]) - (b[1] - p[1]) * (c[0] - p[0])) / area
@@ -62,6 +63,7 @@ def rasterise(
     a = seen(poses, env, points[env, faces[face, 0]])
     b = seen(poses, env, points[env, faces[face, 1]])
     c = seen(poses, env, points[env, faces[face, 2]])
+    # A triangle across the near plane would have to be clipped; it is left out whole.
     if wp.min(a[2], wp.min(b[2], c[2])) < lens.near:
         return
     pa, pb, pc = pixel_of(lens, a), pixel_of(lens, b), pixel_of(lens, c)
@@ -75,6 +77,8 @@ def rasterise(
             if s[0] >= 0.0 and s[1] >= 0.0 and s[2] >= 0.0:
                 depth = 1.0 / (s[0] / a[2] + s[1] / b[2] + s[2] / c[2])
                 if depth < lens.far:
+                    # Depth first, then the number: one atomic minimum finds the nearest triangle, the same in every
+                    # run.
                     key = wp.int64(depth * TICKS) * SHIFT + wp.int64(face)
                     wp.atomic_min(keys, env, row, column, key)
 
@@ -104,6 +108,7 @@ def resolve(
     n = normals[env, i] * weights[0] + normals[env, j] * weights[1] + normals[env, k] * weights[2]
     eye = wp.vec3(poses[env, 0], poses[env, 1], poses[env, 2])
     n = wp.normalize(n)
+    # Cloth has two sides, and both are lit.
     if wp.dot(n, points[env, i] - eye) > 0.0:
         n = -n
     depths[env, row, column] = depth
@@ -122,13 +127,9 @@ class Painter(MatterPainter):
         self._corners = [torch.as_tensor(each, dtype=torch.int64, device=device) for each in faces]
         with wp.ScopedDevice(self._graphs.device):
             self._faces = [wp.array(np.asarray(each, np.int32), dtype=int, ndim=2) for each in faces]
+        self._lamps = len(layout.scene.directional_lights)
         self._order = sorted(range(len(specs)), key=lambda index: specs[index].color[3] < 1.0)
-        lights = layout.scene.directional_lights
-        make = {"dtype": torch.float32, "device": device}
-        self._directions = torch.tensor([light.unit_direction for light in lights], **make).view(-1, 3)
-        self._radiance = torch.tensor([light.radiance for light in lights], **make).view(-1, 3)
-        self._ambient = torch.tensor(layout.scene.ambient, **make)
-        self._colors = torch.tensor([spec.color[:3] for spec in specs], **make)
+        self._colors = torch.tensor([spec.color[:3] for spec in specs], dtype=torch.float32, device=device)
 
     def paint(
         self,
@@ -136,19 +137,20 @@ class Painter(MatterPainter):
         camera_poses: Tensor,
         vertices: Sequence[Tensor],
         image: Image,
-        lights: Sequence[LightView] = (),
+        lights: LightTable,
+        views: Sequence[LightView] = (),
     ) -> Image:
-        of_matter = [self._map_of(view, vertices) for view in lights]
-        image = self._darken(camera, camera_poses, image, of_matter)
+        of_matter = [self._map_of(view, vertices) for view in views]
+        image = self._darken(camera, camera_poses, image, lights, of_matter)
         # Renderers shade other things by each other; deformables are shaded here, by everything.
         of_all = [
             replace(each, depths=torch.minimum(each.depths, view.depth[..., 0]))
-            for each, view in zip(of_matter, lights, strict=True)
+            for each, view in zip(of_matter, views, strict=True)
         ]
         for index in self._order:
             depth, normals = self._draw(camera, camera_poses, vertices[index], index)
             reached = self._reached(camera, camera_poses, depth, normals, of_all)
-            image = self._over(image, index, depth, normals, reached)
+            image = self._over(image, index, depth, normals, _light(lights, normals, reached))
         return image
 
     def _map_of(self, view: LightView, vertices: Sequence[Tensor]) -> shadows.DepthMap:
@@ -163,7 +165,14 @@ class Painter(MatterPainter):
             nearest = torch.minimum(nearest, depth)
         return shadows.DepthMap(view.light, view.camera, view.poses, nearest)
 
-    def _darken(self, camera: CameraSpec, poses: Tensor, image: Image, maps: Sequence[shadows.DepthMap]) -> Image:
+    def _darken(
+        self,
+        camera: CameraSpec,
+        poses: Tensor,
+        image: Image,
+        lights: LightTable,
+        maps: Sequence[shadows.DepthMap],
+    ) -> Image:
         """Return the image with the shadows of deformables on what it shows."""
         if not maps:
             return image
@@ -172,7 +181,7 @@ class Painter(MatterPainter):
         assert image.normals is not None
         assert image.albedo is not None
         reached = self._reached(camera, poses, image.depth[..., 0], image.normals, maps)
-        lit = image.albedo * self._light(image.normals, reached) + 0.5
+        lit = image.albedo * _light(lights, image.normals, reached) + 0.5
         # Not lighter than it was: what other things shade stays dark.
         dark = torch.minimum(lit.clamp(0.0, 255.0).to(image.rgb.dtype), image.rgb)
         shaded = (reached < 1.0).any(-1, keepdim=True)
@@ -182,14 +191,10 @@ class Painter(MatterPainter):
         self, camera: CameraSpec, poses: Tensor, depth: Tensor, normals: Tensor, maps: Sequence[shadows.DepthMap]
     ) -> Tensor:
         """(n, H, W, K) in [0, 1] of each directional light that reaches a surface (n, H, W)."""
-        reached = torch.ones(*depth.shape, len(self._directions), device=self._device)
+        reached = torch.ones(*depth.shape, self._lamps, device=self._device)
         for each in maps:
             shadows.cast(self._graphs, camera, poses, depth, normals, each, reached)
         return reached
-
-    def _light(self, normals: Tensor, reached: Tensor) -> Tensor:
-        """(n, H, W, 3) that falls on surfaces with those normals (n, H, W, 3)."""
-        return (torch.relu(-(normals @ self._directions.T)) * reached) @ self._radiance + self._ambient
 
     def _draw(self, camera: CameraSpec, poses: Tensor, points: Tensor, index: int) -> tuple[Tensor, Tensor]:
         """Depth (n, H, W), infinite next to it, and normals (n, H, W, 3) of one deformable."""
@@ -218,17 +223,18 @@ class Painter(MatterPainter):
         """(n, V, 3) mean of the triangles at each vertex, by their areas."""
         corners = self._corners[index]
         a, b, c = (points[:, corners[:, k]] for k in range(3))
+        # Not normalised: large triangles count more, so that slivers do not bend the shading.
         across = torch.linalg.cross(b - a, c - a)
         normals = torch.zeros_like(points)
         for k in range(3):
             normals.index_add_(1, corners[:, k], across)
         return torch.nn.functional.normalize(normals, dim=-1)
 
-    def _over(self, image: Image, index: int, depth: Tensor, normals: Tensor, reached: Tensor) -> Image:
+    def _over(self, image: Image, index: int, depth: Tensor, normals: Tensor, light: Tensor) -> Image:
         assert image.depth is not None  # the core asks for it
         depth = depth[..., None]
         nearer, color = depth < image.depth, self._colors[index]
-        rgb = (255.0 * color * self._light(normals, reached)).clamp(0.0, 255.0)
+        rgb = (255.0 * color * light).clamp(0.0, 255.0)
         opacity = self._scene.deformables[index].color[3]
         if opacity < 1.0 and image.rgb is not None:
             rgb = torch.lerp(image.rgb.to(rgb.dtype), rgb, opacity)
@@ -243,3 +249,9 @@ class Painter(MatterPainter):
 
 def _chosen(where: Tensor, new: Tensor, old: Tensor | None) -> Tensor | None:
     return None if old is None else torch.where(where, new.to(old.dtype), old)
+
+
+def _light(lights: LightTable, normals: Tensor, reached: Tensor) -> Tensor:
+    """Return the light (n, H, W, 3) on surfaces of those normals (n, H, W, 3), of ``reached`` (n, H, W, K) of each."""
+    cosines = torch.relu(-(normals @ lights.directions.mT[:, None])) * reached
+    return cosines @ lights.radiance[:, None] + lights.ambient[:, None, None]

@@ -66,6 +66,21 @@ def test_a_light_without_shadows_passes_cloth() -> None:
     assert rgb[_pixel((0.0, -0.1, 0.0))].mean().item() == pytest.approx(LIT, abs=1.5)
 
 
+def test_shadows_follow_the_light_that_an_environment_is_given() -> None:
+    hung = replace(CLOTH, pose=Pose((0.0, 0.0, 0.5)))
+    world = simulate(replace(BASE, deformables=(hung,)), num_envs=2, backend="mujoco", matter="orbit-matter")
+    lights = world.nominal_lights
+    # Lower and from the side in the second environment: shadows move by 3 / 4 of the height.
+    lights.directions[1, 0] = torch.tensor([0.6, 0.0, -0.8])
+    world.set_lights(lights)
+    images = world.sensors["camera"].images[Channel.RGB].float()
+    world.close()
+    below, beside = _pixel((0.0, -0.1, 0.0)), _pixel((0.375, -0.1, 0.0))
+    assert images[0][below].mean().item() == pytest.approx(SHADED, abs=1.5)
+    assert images[1][below].mean().item() == pytest.approx(0.6 * (0.4 + 0.5 * 0.8) * 255.0, abs=1.5)
+    assert images[1][beside].mean().item() == pytest.approx(SHADED, abs=1.5)
+
+
 def test_what_is_above_cloth_shades_it() -> None:
     lid = box("lid", size=(0.12, 0.12, 0.01), mass=0.1, pose=Pose((0.0, 0.0, 0.4)), fixed_base=True)
     rgb = _images(replace(BASE, objects=(lid,), deformables=(replace(CLOTH, pose=Pose((0.0, 0.0, 0.02))),)))

@@ -50,11 +50,13 @@ class ImitationSettings:
     dataset: tuple[str, ...] = ()
     """Paths of the demonstrations, one dataset or several of one kind."""
     iterations: int = 40
+    """Iterations of ``updates_per_iteration`` gradient steps."""
     updates_per_iteration: int = 200
     """Gradient steps in an iteration."""
     batch_size: int = 0
     """Chunks in a gradient step; 0 for the algorithm's own: 64 for act, whose steps take long, and 256 for others."""
     learning_rate: float = 1e-3
+    """Step size of AdamW at the beginning."""
     chunk: int = 16
     """Actions that are planned at a time."""
     executed: int = 8
@@ -115,6 +117,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         self._network = _network(settings, encoding)
         planner = self._network.build(encoding.vector_size, environment.action_size)  # pyright: ignore
         assert isinstance(planner, Planner)
+        # An even sample is enough for means and deviations, and fits into memory with any dataset.
         every = torch.arange(0, shown.steps, max(1, shown.steps // 65536))
         vectors = planner.encoder.vectors(shown.observed(every))
         planner.encoder.fit(vectors)
@@ -148,6 +151,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         self._planner.load_state_dict(state["planner"])
         self._optimizer.load_state_dict(state["optimizer"])
         self._iteration = iteration + 1
+        # Another seed for each iteration: a resumed training must not repeat the batches of its beginning.
         self._generator.manual_seed(self.seed + self._iteration)
 
     def actor(self) -> ActorNetwork:
@@ -175,6 +179,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
             loss.backward()
             nn.utils.clip_grad_norm_(self._planner.parameters(), _MOST_GRADIENT)
             self._optimizer.step()
+            # Summed on the device: reading each loss would wait for it.
             losses += loss.detach()
         self._planner.eval()
         self._loss = float(losses) / settings.updates_per_iteration
