@@ -257,6 +257,7 @@ class Lift(Task):
     action: str = "joint_position"
     episode_length: float = 5.0
     metadata: TaskMetadata = TaskMetadata(
+        instruction="lift the cube to the goal",
         subtasks=(Subtask(at_cube, off_table), Subtask(goal_frame, lifted)),
         ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
     )

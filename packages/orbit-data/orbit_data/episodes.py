@@ -44,6 +44,8 @@ class EpisodeInfo:
     """Number of the episode among the environment's own."""
     backend: str = ""
     """Engine that ran the episode."""
+    instruction: str = ""
+    """What the episode shows, in words, as policies of vision and language are asked for it; empty if nobody said."""
 
 
 @dataclass(frozen=True, eq=False)

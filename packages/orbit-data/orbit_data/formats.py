@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,9 +15,12 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_data.card import CARD, card, check_card, write_card
 from orbit_data.episodes import Dataset, Episode
 from orbit_data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
-from orbit_data.lerobot import LeRobotDataset, check_replaceable, write_lerobot
+from orbit_data.lerobot import INFO, LeRobotDataset, check_replaceable, write_lerobot
+from orbit_data.lerobot import check_recordable as check_lerobot
 from orbit_data.manifest.manifest import Kind, Manifest, differences
 from orbit_data.reading.budget import TRUSTED, ReadBudget
+from orbit_data.reading.hdf5 import hdf5_module
+from orbit_data.reading.parquet import arrow_modules
 from orbit_data.zarr_reader import SUFFIXES as ZARR
 from orbit_data.zarr_reader import ZarrDataset, is_zarr
 
@@ -83,13 +87,73 @@ def write_dataset(
     step_rate = rate if manifest is None else 1.0 / manifest.step_dt
     if step_rate is None:
         raise ConfigurationError("the number of steps per second is unknown: give --rate, which LeRobot needs")
+    return _write_folder(path, episodes, manifest, step_rate, None)
+
+
+def _write_folder(
+    path: Path, episodes: Iterable[Episode], manifest: Manifest | None, rate: float, continued: LeRobotDataset | None
+) -> set[str]:
     # The path behind a link, so that the link stays and its target is replaced.
     with written_whole(path.resolve()) as written:
-        left_out = write_lerobot(written, episodes, manifest, step_rate)
+        left_out = write_lerobot(written, episodes, manifest, rate, continued)
         with opened(written, TRUSTED) as dataset:
             (written / CARD).write_text(card(dataset), encoding="utf-8")
         check_replaceable(path)  # again, because a person may have put something there in the meantime
     return left_out
+
+
+def gather_dataset(path: Path, episodes: Iterable[Episode], manifest: Manifest, size: int, continued: bool) -> set[str]:
+    """Write the episodes of a recording, in its format, with their card.
+
+    Args:
+        path: path of the file or folder, which is replaced once the new one is complete.
+        episodes: episodes in their order.
+        manifest: manifest of the environment.
+        size: estimate of the episodes' bytes.
+        continued: whether the episodes of the dataset that is there come first.
+
+    Returns:
+        Names of arrays that the format cannot store.
+
+    Raises:
+        StorageError: the disk is full, or the folder cannot be written.
+    """
+    if path.suffix not in _SUFFIXES:
+        # Pictures of earlier episodes are linked, not encoded again.
+        before = LeRobotDataset(path, TRUSTED) if continued else None
+        return _write_folder(path, episodes, manifest, 1.0 / manifest.step_dt, before)
+    if continued:
+        size += path.stat().st_size
+        with opened(path, TRUSTED) as dataset:
+            write_hdf5(path, itertools.chain(read_all((dataset,)), episodes), manifest, size=size)
+    else:
+        write_hdf5(path, episodes, manifest, size=size)
+    write_card(path)
+    return set()
+
+
+def is_dataset(path: Path) -> bool:
+    """Return True if a dataset is at a path, and not an empty folder."""
+    return (path / INFO).is_file() if path.is_dir() else path.exists()
+
+
+def check_installed(path: Path) -> None:
+    """Check that the package of a new dataset's format is installed.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    hdf5_module() if path.suffix in _SUFFIXES else arrow_modules()
+
+
+def check_recordable(path: Path, manifest: Manifest) -> None:
+    """Check that the format of a new dataset can store an environment's episodes, before any is recorded.
+
+    Raises:
+        ConfigurationError: it cannot; the message says why.
+    """
+    if path.suffix not in _SUFFIXES:
+        check_lerobot(manifest)
 
 
 def check_target(path: Path) -> None:

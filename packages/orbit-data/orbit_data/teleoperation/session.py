@@ -97,6 +97,7 @@ class Session:
         file: recording that receives the episodes.
         task: name that the environment was made by.
         seed: seed of its random stream.
+        instruction: what the episodes show, in words.
 
     Raises:
         ConfigurationError: the file was recorded with another environment.
@@ -111,11 +112,12 @@ class Session:
         file: RecordingFile,
         task: str,
         seed: int,
+        instruction: str = "",
     ) -> None:
         self.num_envs, self.step_dt, self.world = 1, environment.step_dt, environment.world
         self._environment, self._driver, self._device, self._file, self._seed = environment, driver, device, file, seed
         file.take_up(replace(Manifest.of(environment, task, seed), input_device=name))
-        self._name = name
+        self._name, self._instruction = name, instruction
         self._recorder: DemonstrationRecorder | None = None
         self._success = False
         self._moved: float | None = None
@@ -240,7 +242,7 @@ class Session:
         if recording:
             begun = self.world.random.episode.clone()
             self._recorder = DemonstrationRecorder(
-                self._environment, self._file.parts, _everything, self._seed, begun=begun
+                self._environment, self._file.parts, _everything, self._seed, begun=begun, instruction=self._instruction
             )
 
     def _save(self) -> None:
