@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from orbit_core.envs.environment import Environment, Observation
+from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.description import group_parts

@@ -102,8 +102,8 @@ class ImitationSettings:
 
 
 class ImitationTrainer(Trainer[ImitationSettings]):
-    """Clones a dataset, and with a teacher has the policy corrected where it leads. The success that is reported is that
-    of whole episodes which the policy played.
+    """Clones a dataset, and with a teacher has the policy corrected where it leads. The success that is reported is
+    that of whole episodes which the policy played.
 
     Raises:
         ConfigurationError: there is neither dataset nor teacher, or one does not fit the environment.
