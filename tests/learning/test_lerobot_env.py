@@ -66,9 +66,14 @@ def test_attributes_are_given_once_for_each_environment(made: LeRobotEnvironment
 
 
 def test_each_environment_is_drawn() -> None:
-    environment = LeRobotEnvironment(make("Cartpole-Balance", 1, BACKEND), "Cartpole-Balance")
+    environment = LeRobotEnvironment(make("Cartpole-Balance", 3, BACKEND), "Cartpole-Balance")
     environment.reset(seed=0)
-    assert [picture.shape for picture in environment.call("render")] == [(480, 640, 3)]
+    pictures = environment.call("render")
+    assert len(pictures) == 3
+    first, second = pictures[:2]
+    assert first.shape == (240, 320, 3)
+    assert (second == pictures[1]).all()
+    assert (first != second).any()
     environment.close()
 
 

@@ -22,11 +22,13 @@ from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import POLICY, Observation, TermLayout
 from orbit_core.envs.task import instruction_of
 from orbit_core.interfaces import ArgumentError
+from orbit_core.rollout.pictures import OverviewCamera
 from orbit_data.lerobot import STATE, joint_terms, state_column
 from orbit_data.manifest.manifest import Manifest
 from orbit_learn.ends import all_ends
-from orbit_learn.gymnasium import Spectator, as_tensor
+from orbit_learn.gymnasium import as_tensor
 
+_SIZE = (320, 240)
 JOINTS, STATE_OF_SCENE, PICTURES = "agent_pos", "environment_state", "pixels"
 Arrays = dict[str, npt.NDArray[Any] | dict[str, npt.NDArray[Any]]]
 """Observation by LeRobot's keys: numbers (N, K), and pictures (N, H, W, 3) by name."""
@@ -70,7 +72,7 @@ class LeRobotEnvironment(gymnasium.vector.VectorEnv[Arrays, npt.NDArray[np.float
         self.single_action_space = spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, self.num_envs)
-        self._spectator = Spectator(environment, self.render_mode)
+        self._camera: OverviewCamera | None = None
 
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride] - Gymnasium types infos loosely
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -101,27 +103,30 @@ class LeRobotEnvironment(gymnasium.vector.VectorEnv[Arrays, npt.NDArray[np.float
         final = {} if found is None else {"final_info": {"is_success": found[0].success.cpu().numpy()}}
         return self._arrays(observation), *results, final  # pyright: ignore[reportReturnType]
 
-    def call(self, name: str, *args: Any, **keywords: Any) -> tuple[Any, ...]:
+    def call(self, name: str, *args: Any, **keywords: Any) -> Sequence[Any]:
         """Return an attribute, or what a method gives, once for each environment."""
         value: Any = getattr(self, name)
         if not callable(value):
             return (value,) * self.num_envs
-        result = value(*args, **keywords)
-        return result if name == "render" else (result,) * self.num_envs
+        if value == self.render:
+            return self.render()
+        return (value(*args, **keywords),) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Return an attribute once for each environment."""
         return (getattr(self, name),) * self.num_envs
 
-    def render(self) -> tuple[npt.NDArray[np.uint8], ...]:
-        """Draw the task's own view of each environment, (480, 640, 3)."""
-        pictures = self._spectator.pictures()
-        assert pictures is not None  # the render mode is set
-        return tuple(pictures)
+    def render(self) -> Pictures:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return the task's own view of each environment, (240, 320, 3), drawn as it is taken."""
+        if self._camera is None:
+            # On first use, for a renderer takes memory that evaluations without videos do not need.
+            self._camera = OverviewCamera(self.environment.world, *_SIZE, self.environment.task.metadata.view)
+        return Pictures(self._camera, self.num_envs)
 
     def close_extras(self, **keywords: Any) -> None:
         """Close the environment."""
-        self._spectator.close()
+        if self._camera is not None:
+            self._camera.close()
         self.environment.close()
 
     def _arrays(self, observation: Observation) -> Arrays:
@@ -133,6 +138,27 @@ class LeRobotEnvironment(gymnasium.vector.VectorEnv[Arrays, npt.NDArray[np.float
         if self._films:
             shown[PICTURES] = {name: terms[name].cpu().numpy() for name in self._films}
         return shown
+
+
+class Pictures(Sequence[npt.NDArray[np.uint8]]):
+    """Pictures of all environments, of which only those are drawn that are taken: LeRobot films a few of a batch.
+
+    Args:
+        camera: that draws.
+        count: number of environments.
+    """
+
+    def __init__(self, camera: OverviewCamera, count: int) -> None:
+        self._camera, self._count = camera, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, place: int | slice) -> Any:
+        rows = range(self._count)[place]
+        chosen = torch.tensor([rows] if isinstance(rows, int) else [*rows])
+        pictures = [*self._camera.pictures(chosen).numpy()]
+        return pictures[0] if isinstance(rows, int) else pictures
 
 
 def _shown(environment: Environment, task: str, scene_state: bool) -> tuple[dict[str, list[str]], list[str]]:
