@@ -98,7 +98,7 @@ def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) ->
         ends = torch.stack([subtask.over(environment)[:count] for subtask in subtasks[:-1]]) if subtasks[1:] else None
         hands.append(hand_pose(environment)[:count].clone())
         frames.append(torch.stack([subtask.frame(environment)[:count] for subtask in subtasks], 1))
-        grips.append(_opens(environment, actions.to(environment.device)))
+        grips.append(opens_gripper(environment, actions.to(environment.device)))
         stages.append(stage.clone())
         if ends is not None:
             last = stage == len(subtasks) - 1
@@ -152,7 +152,7 @@ def hand_pose(environment: Environment) -> Tensor:
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
-def _opens(environment: Environment, actions: Tensor) -> Tensor:
+def opens_gripper(environment: Environment, actions: Tensor) -> Tensor:
     """Return whether (D,) actions (D, A) open the gripper: closer to the action that opens it than to its opposite."""
     hand = hand_pose(environment)
     yes = torch.ones(environment.num_envs, dtype=torch.bool, device=environment.device)

@@ -33,6 +33,7 @@ from orbit_data.episodes import (
     OBSERVED,
     REWARDS,
     STATES,
+    TAUGHT,
     Array,
     Dataset,
     Episode,
@@ -142,6 +143,8 @@ STATE_OF_GROUP = ".state"
 STATE, ENVIRONMENT_STATE = "observation.state", "observation.environment_state"
 ACTION, EXECUTED = "action", "executed_action"
 """Columns of the actions to learn, and of those that were executed where noise disturbed them."""
+INTERVENTION = "complementary_info.is_intervention"
+"""Column of the steps that a person led, under LeRobot's name."""
 PICTURE, SIMULATED = "observation.images.", "simulation.state"
 MANIFEST, EPISODES, INFO = "meta/orbit_manifest.json", "meta/orbit_episodes.json", "meta/info.json"
 TASKS, STATISTICS = "meta/tasks.parquet", "meta/stats.json"
@@ -257,7 +260,7 @@ class LeRobotWriter:
         numbers = self._numbers(episode)
         self.left_out |= {
             name for name in episode.arrays
-            if name not in (ACTIONS, CLEAN, REWARDS, DONES, STATES) and not name.startswith(OBSERVED)
+            if name not in (ACTIONS, CLEAN, REWARDS, DONES, STATES, TAUGHT) and not name.startswith(OBSERVED)
         }  # fmt: skip
         row = self._place(episode.info)
         begin = sum(len(rows["index"]) for rows in self._rows)
@@ -313,6 +316,8 @@ class LeRobotWriter:
         numbers[ACTION] = episode.arrays.get(CLEAN, episode.arrays[ACTIONS]).astype(np.float32)
         if CLEAN in episode.arrays:
             numbers[EXECUTED] = episode.arrays[ACTIONS].astype(np.float32)
+        if TAUGHT in episode.arrays:
+            numbers[INTERVENTION] = episode.arrays[TAUGHT].astype(np.bool_)
         if STATES in episode.arrays:
             numbers[SIMULATED] = episode.arrays[STATES].astype(np.float32)
         # LeRobot's names of rewards and ends begin with "next.": they are results of the action.
@@ -571,7 +576,7 @@ def _pandas_index() -> Mapping[str, str]:
 
 # Reader of LeRobot datasets v3.0, of ORBIT and others -----------------------------------------------------------------
 
-_OWN = {ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
+_OWN = {INTERVENTION: TAUGHT, ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
 # Fields that a pattern of file names may contain; others could produce names of any length.
 _PLACE = re.compile(r"\{(chunk_index|file_index|video_key)(:0?[1-9]d)?\}")
 # Bytes of memory for one number of meta/episodes.

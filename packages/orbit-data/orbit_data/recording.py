@@ -39,6 +39,7 @@ from orbit_data.episodes import (
     POSES,
     REWARDS,
     STATES,
+    TAUGHT,
     Array,
     Episode,
     EpisodeInfo,
@@ -257,6 +258,7 @@ class DemonstrationRecorder(StepObserver):
         begun: numbers (N,) of episodes that each environment ended before; zeros if None.
         clean: returns the actions (N, A) of the last step without noise, which are recorded too.
         instruction: what the episodes show, in words.
+        taught: returns which environments (N,) a person led at the last step, correcting a policy.
 
     Raises:
         UnknownNameError: a group does not exist.
@@ -272,6 +274,7 @@ class DemonstrationRecorder(StepObserver):
         begun: Tensor | None = None,
         clean: Callable[[], Tensor] | None = None,
         instruction: str = "",
+        taught: Callable[[], Tensor] | None = None,
     ) -> None:
         check_groups(groups or (), environment)
         self._environment, self._folder, self._wanted, self._seed = environment, folder, wanted, seed
@@ -283,7 +286,7 @@ class DemonstrationRecorder(StepObserver):
         self._rings: dict[str, Tensor] = {}
         # One more than the longest episode, so that a ring never overwrites an episode that has not been written.
         self._capacity = environment.max_episode_steps + 1
-        self._clean, self._instruction = clean, instruction
+        self._clean, self._instruction, self._taught = clean, instruction, taught
         self._step = 0
         self._initial = {name: value.clone() for name, value in self._memory.read().items()}
         self._seen = environment.observe()
@@ -309,6 +312,8 @@ class DemonstrationRecorder(StepObserver):
         self._put(ACTIONS, action.clamp(-1.0, 1.0))
         if self._clean is not None:
             self._put(CLEAN, self._clean())
+        if self._taught is not None:
+            self._put(TAUGHT, self._taught())
         self._put(REWARDS, reward)
         self._put(DONES, terminated | truncated)
         self._step += 1
@@ -343,16 +348,19 @@ class DemonstrationRecorder(StepObserver):
         rows = self._wanted(end, self.ended[ids]).nonzero().squeeze(-1)
         if len(rows):
             kept = end.only(rows)
-            self._folder.add(self._infos(kept), self._arrays(kept))
+            arrays = self._arrays(kept)
+            self._folder.add(self._infos(kept, arrays.get(TAUGHT)), arrays)
             self.kept += len(rows)
         self.ended[ids] += 1
         # The environment has begun the next episodes by now, so that memory holds their goals.
         for name, value in self._memory.read().items():
             self._initial[name][ids] = value[ids]
 
-    def _infos(self, end: EpisodeEnd) -> list[EpisodeInfo]:
+    def _infos(self, end: EpisodeEnd, taught: Array | None) -> list[EpisodeInfo]:
         count, backend = self._environment.num_envs, self._environment.world.backend
         returns = torch.stack(list(end.rewards.values())).sum(0).tolist() if end.rewards else [0.0] * len(end.env_ids)
+        begins = (end.steps.cumsum(0) - end.steps).cpu().numpy()
+        led = [None] * len(begins) if taught is None else np.add.reduceat(taught, begins, dtype=np.int64).tolist()
         ids, numbers = end.env_ids.tolist(), self.ended[end.env_ids].tolist()
         metrics = {name: values.tolist() for name, values in end.metrics.items()}
         return [
@@ -367,6 +375,7 @@ class DemonstrationRecorder(StepObserver):
                 env_id=env_id,
                 episode=number,
                 backend=backend,
+                taught=led[row],
                 instruction=self._instruction,
             )
             for row, (env_id, number, length, success) in enumerate(

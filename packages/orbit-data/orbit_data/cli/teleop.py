@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from orbit_core.cli.making import make_environment
+from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console
 from orbit_core.cli.settings import (
     EnvironmentSettings,
@@ -42,6 +43,9 @@ class TeleopSettings(EnvironmentSettings):
     episode is saved."""
     instruction: Annotated[str | None, arg(metavar="TEXT")] = None
     """What the episodes show, in words; the task's own if left out."""
+    policy: Annotated[str | None, arg(metavar="POLICY")] = None
+    """A policy that acts until you move the device, and again a second after you let go (HG-DAgger): only your steps are
+    marked to be learned from ('orbit train TASK --library imitation --dataset ...')."""
     resume: bool = False
     """Add to the dataset of that name."""
     overwrite: bool = False
@@ -89,6 +93,8 @@ def teleop(settings: TeleopSettings) -> None:
     check_port("port", settings.port)
     check_port("leader_port", settings.leader_port)
     check_steps(settings.max_steps)
+    if settings.policy is not None:
+        check_actor(settings.policy)
     make_folder(settings.output)
     check_recording(settings.output, settings.overwrite or settings.resume)
     file = RecordingFile(settings.output)
@@ -112,6 +118,7 @@ def teleop(settings: TeleopSettings) -> None:
                 settings.task or "",
                 settings.seed,
                 instruction,
+                None if settings.policy is None else partial(make_actor, settings.policy, environment, settings.seed),
             )
             try:
                 _show(settings, session, device, driver)
