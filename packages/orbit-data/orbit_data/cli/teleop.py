@@ -44,8 +44,8 @@ class TeleopSettings(EnvironmentSettings):
     instruction: Annotated[str | None, arg(metavar="TEXT")] = None
     """What the episodes show, in words; the task's own if left out."""
     policy: Annotated[str | None, arg(metavar="POLICY")] = None
-    """A policy that acts until you move the device, and again a second after you let go (HG-DAgger): only your steps are
-    marked to be learned from ('orbit train TASK --library imitation --dataset ...')."""
+    """A policy that acts until you move the device, and again a second after you let go (HG-DAgger): only your steps
+    are marked to be learned from ('orbit train TASK --library imitation --dataset ...')."""
     resume: bool = False
     """Add to the dataset of that name."""
     overwrite: bool = False
