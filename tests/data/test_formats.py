@@ -226,6 +226,37 @@ def test_the_command_converts_filters_splits_merges_and_tells(path: Path, tmp_pa
         assert message in capsys.readouterr().err
 
 
+def test_datasets_of_several_tasks_are_put_together_with_their_words(path: Path, tmp_path: Path, capsys) -> None:
+    made = make("Reach", 2, BACKEND, episode_length=0.02 * STEPS)
+    reach = tmp_path / "reach.hdf5"
+    told = "touch the marker"
+    record(made, lambda: scripted_actor("expert", made, 0), RecordingFile(reach), "Reach", 2, 0, instruction=told)
+    made.close()
+    both = tmp_path / "both"
+    assert main(["data", "merge", str(path), str(reach), "--output", str(both)]) == 2
+    assert "not of one kind" in capsys.readouterr().err
+    assert main(["data", "merge", str(path), str(reach), "--output", str(both), "--shared"]) == 0
+    assert json.loads((both / "meta/info.json").read_text())["total_tasks"] == 2
+    with opened(both) as dataset, opened(path) as lift:
+        assert dataset.known().task == "Lift, Reach"
+        assert [each.instruction for each in dataset.episodes] == ["Lift"] * 8 + [told] * 2
+        terms = {*dataset.known().observations["policy"].terms}
+        assert {"joint_positions", "joint_velocities", "last_action"} <= terms
+        assert "cube_pose" not in terms
+        arrays = dataset.read(0).arrays
+        assert {*arrays} == {f"obs/{term}" for term in terms} | {"actions", "rewards", "dones"}
+        np.testing.assert_array_equal(arrays["actions"], lift.read(0).arrays["actions"])
+    other = make("Reach", 2, BACKEND, robot="ur10", episode_length=0.02 * STEPS)
+    ur10 = tmp_path / "ur10.hdf5"
+    record(other, lambda: scripted_actor("zero", other, 0), RecordingFile(ur10), "Reach", 2, 0)
+    other.close()
+    words = ["data", "merge", str(path), str(ur10), "--output", str(tmp_path / "no"), "--shared"]
+    assert main(words) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "share no robot or action" in told
+    assert "action_terms" in told
+
+
 def test_datasets_of_two_kinds_do_not_merge(path: Path, tmp_path: Path) -> None:
     with opened(path) as dataset:
         manifest = dataset.known()

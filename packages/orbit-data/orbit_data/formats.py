@@ -6,18 +6,21 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.files import as_path, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.card import CARD, card, check_card, write_card
-from orbit_data.episodes import Dataset, Episode
+from orbit_data.episodes import ACTIONS, DONES, NEXT, OBSERVED, REWARDS, TAUGHT, Dataset, Episode
 from orbit_data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
 from orbit_data.lerobot import INFO, LeRobotDataset, check_replaceable, write_lerobot
 from orbit_data.lerobot import check_recordable as check_lerobot
 from orbit_data.manifest.manifest import Kind, Manifest, differences
+from orbit_data.noise import CLEAN
 from orbit_data.reading.budget import TRUSTED, ReadBudget
 from orbit_data.reading.hdf5 import hdf5_module
 from orbit_data.reading.parquet import arrow_modules
@@ -199,6 +202,60 @@ def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
             listed = "; ".join(str(difference) for difference in graver)
             raise ConfigurationError(f"{first.path} and {other.path} are not of one kind: {listed}")
     return first.manifest
+
+
+def shared_manifest(datasets: Sequence[Dataset]) -> Manifest:
+    """Return a manifest of what datasets of several tasks have alike: robot, action, rate, and the policy's terms.
+
+    It names all tasks and describes no environment, for there is none of all of them.
+
+    Raises:
+        ConfigurationError: one has no manifest, their robots, actions or rates differ, or no term is shared.
+    """
+    first, *others = manifests = [dataset.known() for dataset in datasets]
+    for dataset, other in zip(datasets[1:], others, strict=True):
+        found = differences(_acting(first), _acting(other), ())
+        wrong = [str(each) for each in found if each.kind is Kind.ERROR]
+        if wrong:
+            raise ConfigurationError(
+                f"{datasets[0].path} and {dataset.path} share no robot or action: {'; '.join(wrong)}"
+            )
+    seen = [manifest.observations[POLICY].terms if POLICY in manifest.observations else {} for manifest in manifests]
+    terms = {name: term for name, term in seen[0].items() if all(each.get(name) == term for each in seen[1:])}
+    if not terms:
+        told = "; ".join(", ".join(each) or "none" for each in seen)
+        raise ConfigurationError(f"no term that the policy sees is the same in all datasets ({told})")
+    return replace(
+        _acting(first),
+        task=", ".join(dict.fromkeys(manifest.task for manifest in manifests)),
+        configuration={},
+        observations={POLICY: replace(first.observations[POLICY], terms=terms)},
+        assets={},
+    )
+
+
+def _acting(manifest: Manifest) -> Manifest:
+    """Return a manifest with the robots that act only."""
+    return replace(manifest, robots={name: robot for name, robot in manifest.robots.items() if robot.agent})
+
+
+_SHARED = (ACTIONS, CLEAN, REWARDS, DONES, TAUGHT)
+
+
+def read_shared(datasets: Iterable[Dataset], manifest: Manifest) -> Iterator[Episode]:
+    """Yield all episodes of some datasets with what all of them have, each with its task's words.
+
+    Args:
+        datasets: to read.
+        manifest: of what they share, :func:`shared_manifest`.
+    """
+    terms = manifest.observations[POLICY].terms
+    wanted = {*_SHARED, *(prefix + name for name in terms for prefix in (OBSERVED, NEXT))}
+    for dataset in datasets:
+        for place, info in enumerate(dataset.episodes):
+            episode = dataset.read(place)
+            told = replace(info, instruction=info.instruction or dataset.known().task)
+            yield Episode(told, {name: array for name, array in episode.arrays.items() if name in wanted})
 
 
 def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
