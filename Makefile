@@ -9,7 +9,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 BACKENDS := mujoco bullet sapien warp
-LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,pettingzoo,onnx
+LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,pettingzoo,onnx,sweep,wandb
 # Newton's solvers register as backends only where Newton is installed, which `pip install "orbit-core[newton]"` does.
 PLUGINS := mjmodel warpkit $(BACKENDS) newton matter
 # What the example backend is asked of the suite: one scenario or two of each capability, without those that take minutes
@@ -141,7 +141,7 @@ $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
 	sh tools/system_packages.sh graphics vulkan browser & $(PIP) -r checkout.txt \
 		$(PLUGINS:%=--editable plugins/orbit-%) \
-		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,deploy,ros,$(LEARNING),docs,dev]" \
+		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,deploy,ros,scenes,scan,$(LEARNING),docs,dev]" \
 		&& wait $$!
 	$(PIP) --no-deps crocoddyl libcrocoddyl
 	touch $(VENV)/.ready $@

@@ -114,7 +114,7 @@ def backend(name: str) -> Backend:
 
 
 def renderer(name: str) -> Backend:
-    """What draws under that name: a renderer alone, made once and kept, or a backend.
+    """Return the renderer of that name, made once and kept, or the backend that draws under it.
 
     Raises:
         BackendNotInstalledError, UnknownNameError, ConfigurationError: as :func:`backend`.
@@ -149,7 +149,7 @@ def matter_solver(name: str) -> MatterSolver:
 
 
 def choose_matter(backend: Backend, scene: Scene, name: str | None) -> MatterSolver | None:
-    """What simulates a scene's deformables: a solver, or None where the engine itself does or there are none.
+    """Choose the solver of a scene's deformables; None if the engine itself has them or there are none.
 
     Args:
         backend: what simulates the rest.
@@ -354,7 +354,7 @@ def versions_of(*backends: str | None, matter: str = "") -> dict[str, str]:
 
 
 def _is_complete(entry_point: importlib_metadata.EntryPoint) -> bool:
-    """Whether what the entry point's extras bring is installed."""
+    """Return True if the requirements of the entry point's extras are installed."""
     requirements = (entry_point.dist.requires if entry_point.dist else None) or []
     for extra in entry_point.extras:
         pattern = re.compile(rf"([\w.-]+).*extra\s*==\s*['\"]{re.escape(extra)}['\"]")
@@ -389,7 +389,7 @@ def _command_with_extra(entry_point: importlib_metadata.EntryPoint) -> str:
 
 
 def _requirements() -> list[str]:
-    """What this distribution asks for, with and without extras."""
+    """Return the requirements of this distribution, with and without extras."""
     try:
         return importlib_metadata.requires("orbit-core") or []
     except importlib_metadata.PackageNotFoundError:  # run from a source tree
@@ -397,7 +397,7 @@ def _requirements() -> list[str]:
 
 
 def _able(names: Iterable[str], needs: Iterable[Capability]) -> list[str]:
-    """Which of these backends and renderers do all of ``needs``; one that fails to load does nothing."""
+    """Return the backends and renderers that have all of ``needs``; one that fails to load has nothing."""
     able: list[str] = []
     for name in names:
         try:

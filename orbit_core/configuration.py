@@ -45,6 +45,7 @@ class Text:
     """A value as it was typed, to be read as its field says."""
 
     text: str
+    """Characters as they were typed, without quotes."""
 
 
 Presets = Mapping[str, Mapping[str, Callable[[], Any]]]

@@ -26,7 +26,7 @@ EntryPoint = importlib_metadata.EntryPoint
 
 
 class PluginWarning(UserWarning):
-    """An installed package is left out, for a reason of its own."""
+    """An installed package is left out; the message has the reason."""
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,7 @@ class BuzzMemory(TaskState):
 
     def update(self, env: Environment[BeatTheBuzz]) -> None:
         now = touching(env)
+        # Beginnings are counted: one long touch is one.
         self.touches += (now & ~self.touched).float()
         self.touched.copy_(now)
         ring = pose_multiply(pose_inverse(env.world.objects[ROD].root_pose), common.hand_pose(env))
@@ -116,6 +117,7 @@ class BuzzMemory(TaskState):
         # Only near the present place: elsewhere the rod may be as near to the ring, which is not around it there.
         far = (places - self.covered[:, None]).abs() > 0.05
         nearest = vector_norm(ring[:, None, :3] - self.rings[:, :3], dim=2).masked_fill(far, torch.inf).argmin(1)
+        # Never less, so that going back and forth earns nothing twice.
         covered = torch.maximum(self.covered, places[nearest])
         self.gained.copy_((covered - self.covered) / env.step_dt)
         self.covered.copy_(covered)
@@ -199,7 +201,7 @@ class BuzzState(ObservationGroup):
 
 @dataclass
 class BuzzObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: BuzzState = field(default_factory=BuzzState)
     critic: ObservationGroup | None = None
@@ -211,8 +213,11 @@ class BuzzRewards:
 
     centre: RewardTerm | None = RewardTerm(centred, 1.0)
     advance: RewardTerm | None = RewardTerm(lambda env: env.state.gained, 20.0)
+    """m/s at which the ring comes to parts of the rod where it has not been yet."""
     done: RewardTerm | None = RewardTerm(lambda env: finished(env).float(), 8.0)
+    """1 in each step from the time that the ring has come to the rod's other end."""
     touch: RewardTerm | None = RewardTerm(lambda env: touching(env).float(), -4.0)
+    """Penalty of each step in which the ring touches the rod."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 
@@ -229,6 +234,7 @@ class BuzzEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.005))
     place_rod: EventTerm | None = EventTerm(place_rod)
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping, drawn for each environment; set by domain randomisation."""
 
 
 @dataclass

@@ -101,6 +101,7 @@ class CabinetGoal(UniformScalarCommand):
     """Metres that the drawer is to be open; a marker shows where its handle is then."""
 
     value: Bounds = (0.15, 0.3)
+    """Least and most opening, m."""
 
     def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:
         handle = handle_pose(env)[env_ids]
@@ -138,6 +139,7 @@ def pulled(env: Environment[Cabinet]) -> Tensor:
 def _moved_in(handle: Tensor, position: Tensor, distance: Tensor) -> Tensor:
     """(n, 7) oriented like the handle, at ``position`` (n, 3) moved into the cabinet by ``distance`` (n,)."""
     along = torch.zeros_like(position)
+    # The handle's z points into the cabinet.
     along[:, 2] = distance
     return torch.cat((position + quat_rotate(handle[:, 3:], along), handle[:, 3:]), dim=1)
 
@@ -179,7 +181,7 @@ class CabinetState(ObservationGroup):
 
 @dataclass
 class CabinetObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: CabinetState = field(default_factory=CabinetState)
     critic: ObservationGroup | None = None
@@ -214,8 +216,11 @@ class CabinetEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cabinet: EventTerm | None = EventTerm(place_cabinet)
     masses: EventTerm | None = None
+    """Masses of the cabinet's parts, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of fingers and cabinet; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)
@@ -251,6 +256,7 @@ class Cabinet(Task):
     def scene_with(self, robot: RobotSpec, plinth: float) -> Scene:
         """The cabinet before a robot, on a plinth of that height in metres."""
         away = distance_to_cabinet(robot)
+        # The plinth raises the cabinet; fixed, as it would tip when the drawer is pulled.
         options = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((away, 0.0, 0.5 * plinth)))
         return Scene(
             robots=(robot,),

@@ -76,6 +76,7 @@ def state(env: Environment[Cartpole]) -> Tensor:
     """(N, 4) where the cart is, the pole's angle from the vertical in [-pi, pi], and how fast both change."""
     body = common.robot_of(env.world)
     cart, angle = body.joint_positions.unbind(1)
+    # The hinge turns without end: its angle is brought back into one turn.
     return torch.cat((torch.stack((cart, torch.atan2(angle.sin(), angle.cos())), 1), body.joint_velocities), 1)
 
 
@@ -131,7 +132,7 @@ class CartpoleState(ObservationGroup):
 
 @dataclass
 class CartpoleObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: CartpoleState = field(default_factory=CartpoleState)
     critic: ObservationGroup | None = None
@@ -167,6 +168,7 @@ class CartpoleEvents:
 
     place: EventTerm | None = EventTerm(place)
     masses: EventTerm | None = None
+    """Masses of cart and pole, drawn for each environment; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)
@@ -248,11 +250,13 @@ class SwingUpController(Node):
 
     def __init__(self, env: Environment[Cartpole]) -> None:
         self.name = "policy"
+        """Name of the node in the agent's graph, where it takes the policy's place."""
         generator = env.actions.generators[0]
         if not isinstance(generator, JointEffort) or generator.command_size != 1:
             raise ConfigurationError(f"the expert gives the cart's effort: action '{env.task.action}' does not take it")
         self._generator, self._env = generator, env
         self.outputs = (Port("action", (1,)),)
+        """Port of the action, (1,): the cart's effort, scaled as the action space takes it."""
         links = {link.name: link for link in common.robot_of(env.world).spec.articulation.links}
         pole, self._gravity = links["pole"], -env.world.scene.gravity[2]
         arm = pole.center_of_mass[2]
@@ -269,9 +273,11 @@ class SwingUpController(Node):
         energy = 0.5 * self._inertia * rate.square() + self._first_moment * gravity * (cosine - 1.0)
         top = self._first_moment * gravity
         # What the pole gains is the cart's acceleration times what follows from its own motion.
+        # Clamped, so that the first swings do not take the cart to the end of the rail.
         pumped = (25.0 * energy / top * rate * cosine).clamp(-6.0, 6.0) - 2.0 * cart - 1.5 * speed
         turn = (self._first_moment / self._inertia) * (gravity * sine - pumped * cosine)
         push = self._mass * pumped + self._first_moment * (turn * cosine - rate.square() * sine)
+        # By the energy too: a pole that passes the top fast cannot be held there.
         caught = (angle.abs() < _CATCH) & (energy.abs() < 0.5 * top)
         effort = torch.where(caught, -(now * self._gains).sum(1), push)
         return {"action": self._generator.encode_efforts(effort[:, None])}

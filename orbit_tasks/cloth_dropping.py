@@ -36,6 +36,7 @@ def container(env: Environment[ClothDropping]) -> Tensor:
 def distance(env: Environment[ClothDropping]) -> Tensor:
     """(N,) metres between the cloth's middle and the container's, seen from above and, out of it, in height."""
     away = middle(env) - container(env)
+    # Below the rim height does not count: cloth may be flat on the floor or in a heap.
     above = (away[:, 2] - INNER[2]).clamp_min(0.0)
     return torch.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2 + above**2)
 
@@ -44,6 +45,7 @@ def distance(env: Environment[ClothDropping]) -> Tensor:
 def inside(env: Environment[ClothDropping]) -> Tensor:
     """(N,) in [0, 1]: the part of the cloth that is in the container."""
     half = Pose((0.0, 0.0, 0.5 * INNER[2]))
+    # Walls and 2 cm above the rim count as inside: cloth leans on the one and stands out of the other.
     region = Region((0.5 * INNER[0] + 0.01, 0.5 * INNER[1] + 0.01, 0.5 * INNER[2] + 0.02), half, CONTAINER, CONTAINER)
     return env.world.deformables[CLOTH].share_inside(region)
 
@@ -72,7 +74,7 @@ class ClothDroppingState(cloth.ClothState):
 
 @dataclass
 class ClothDroppingObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: ClothDroppingState = field(default_factory=ClothDroppingState)
     critic: ObservationGroup | None = None
@@ -84,6 +86,7 @@ class ClothDroppingRewards(cloth.Smoothness):
 
     reach: RewardTerm | None = RewardTerm(cloth.reaching("middle"), 1.0)
     bring: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.3), 8.0)
+    """Nearness of the cloth's middle to the container's, within some 0.3 m."""
     drop: RewardTerm | None = RewardTerm(inside, 16.0)
 
 

@@ -115,7 +115,7 @@ def reaching(env: Environment[ClothSpreading]) -> Tensor:
 
 @dataclass
 class ClothSpreadingObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: cloth.ClothState = field(default_factory=cloth.ClothState)
     critic: ObservationGroup | None = None

@@ -55,6 +55,7 @@ class DishwasherMemory(TaskState):
     """State of a dishwasher, looked up once in a new world."""
 
     door: int
+    """Column of the door's hinge among the joints of the dishwasher."""
     rack: int
     """Indices of the joints."""
 
@@ -138,6 +139,7 @@ class DishwasherGoal(UniformScalarCommand):
     """Metres that the rack is to be out; a marker shows where its bar is then."""
 
     value: Bounds = (0.12, 0.2)
+    """Least and most travel of the rack, m."""
 
     def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:
         bar = env.world.objects[THING].frame_pose(RACK_BAR)[env_ids]
@@ -199,7 +201,7 @@ class DishwasherState(ObservationGroup):
 
 @dataclass
 class DishwasherObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: DishwasherState = field(default_factory=DishwasherState)
     critic: ObservationGroup | None = None
@@ -211,7 +213,9 @@ class DishwasherRewards:
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     open: RewardTerm | None = RewardTerm(lambda env: 1.0 - door_lacks(env) / env.task.door_goal, 4.0)
+    """Share of the way to ``door_goal`` that the door is open, in [0, 1]."""
     pull: RewardTerm | None = RewardTerm(lambda env: 1.0 - rack_lacks(env) / env.commands["goal"][:, 0], 8.0)
+    """Share of the commanded travel that the rack is out, in [0, 1]."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 
@@ -235,8 +239,11 @@ class DishwasherEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place: EventTerm | None = EventTerm(place)
     seal: EventTerm | None = None
+    """Force of the magnetic seal, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of fingers and bars; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass

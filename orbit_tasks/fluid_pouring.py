@@ -75,7 +75,7 @@ class FluidPouringState(fluid.CupState):
 
 @dataclass
 class FluidPouringObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: FluidPouringState = field(default_factory=FluidPouringState)
     critic: ObservationGroup | None = None
@@ -86,6 +86,7 @@ class FluidPouringRewards(fluid.CupRewards):
     """Rewards of the hand at the handle, the cup over the container and what is in it, less what is spilt or abrupt."""
 
     bring: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.2), 4.0)
+    """Nearness of the cup's middle to the place from which it pours, within some 0.2 m."""
     pour: RewardTerm | None = RewardTerm(poured, 16.0)
     spill: RewardTerm | None = RewardTerm(spilt, -8.0)
 
@@ -127,6 +128,7 @@ class FluidPouring(fluid.CupTask):
 
     def expert(self, env: Environment) -> Expert:
         def tilted(tilt: float) -> Phase:
+            # Loose and short: a cup that pours need not be still before it is tilted further.
             pose = fluid.carrying(pouring_place, tilt)
             return Phase(
                 pose, gripper_open=False, position_tolerance=0.03, rotation_tolerance=0.1, dwell=0.4, timeout=1.0
@@ -139,6 +141,7 @@ class FluidPouring(fluid.CupTask):
                 Phase(lifted, gripper_open=False, position_tolerance=0.03, timeout=1.5),
                 Phase(fluid.carrying(pouring_place), gripper_open=False, position_tolerance=0.02, timeout=3.5),
                 *(tilted(tilt) for tilt in TILTS),
+                # The last tilt once more, until the episode ends, for what still drips.
                 Phase(fluid.carrying(pouring_place, TILTS[-1]), gripper_open=False),
             ),
         )

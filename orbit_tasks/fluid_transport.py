@@ -36,6 +36,7 @@ def lifted(env: Environment[FluidTransport]) -> Tensor:
 
 def tracking(env: Environment[FluidTransport], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted cup is to the goal, times the part of the liquid that is in it."""
+    # Counts once it is lifted: tipping the cup towards the goal would pay as well.
     return lifted(env) * in_cup(env) * common.nearness(goal_distance(env), scale)
 
 
@@ -81,7 +82,7 @@ class FluidTransportState(fluid.CupState):
 
 @dataclass
 class FluidTransportObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: FluidTransportState = field(default_factory=FluidTransportState)
     critic: ObservationGroup | None = None
@@ -93,7 +94,9 @@ class FluidTransportRewards(fluid.CupRewards):
 
     lift: RewardTerm | None = RewardTerm(lifted, 4.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    """Nearness of the lifted cup to the goal within some 0.3 m, times the share of liquid in it."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+    """The same within 0.05 m, which decides the last centimetres."""
     spill: RewardTerm | None = RewardTerm(fluid.spilt((in_cup,)), -8.0)
 
 
@@ -138,6 +141,7 @@ class FluidTransport(fluid.CupTask):
             env,
             (
                 *fluid.taking(env.world),
+                # Straight up first: led aslant, the cup would scrape along its stand.
                 Phase(raised, gripper_open=False, position_tolerance=0.02, timeout=1.5),
                 Phase(at_goal, gripper_open=False),
             ),

@@ -108,6 +108,7 @@ class FootholdGait(Node):
 
     def __init__(self, env: Environment, command: Tensor, gait: Gait | None = None) -> None:
         self.name = "policy"
+        """Name of the node in the agent's graph, where it takes the policy's place."""
         generator = env.actions.generators[0]
         if not isinstance(generator, JointPosition):
             raise ConfigurationError(f"a gait gives joint positions: action '{env.task.action}' does not take them")
@@ -118,6 +119,7 @@ class FootholdGait(Node):
         self._generator, self._task, self._command, self._robot = generator, env.task, command, robot
         self._state = env.state
         self.outputs = (Port("action", (generator.command_size,)),)
+        """Port of the action, whose numbers are joint targets as the action space takes them."""
         self._dt = env.step_dt
         self._gravity = -env.world.scene.gravity[2]
         self._tree = KinematicTree(robot.spec.articulation, env.device)

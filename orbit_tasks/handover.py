@@ -57,6 +57,7 @@ class HandoverMemory(tabletop.TabletopMemory):
     def start(self, env: Environment[Handover]) -> None:
         super().start(env)
         self.along = torch.tensor([1.0, 0.0, 0.0], device=env.device)
+        # Half-way between the arms, which both reach.
         middle = torch.tensor([0.5 * env.task.spacing, 0.0, HEIGHT], device=env.device)
         self.place = middle.repeat(env.num_envs, 1)
 
@@ -132,6 +133,7 @@ def offering(env: Environment[Handover], agent: str) -> Tensor:
 
 def tracking(env: Environment[Handover], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the lifted rod is to the goal."""
+    # Counts once it is lifted: a rod that is pushed across the table comes nearer as well.
     return lifted(env) * common.nearness(goal_distance(env), scale)
 
 
@@ -214,7 +216,9 @@ class HandoverRewards:
     receiver_joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4, agent=RECEIVER)
     lift: RewardTerm | None = RewardTerm(lifted, 4.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    """Nearness of the lifted rod to the goal, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+    """The same within 0.05 m, which decides the last centimetres."""
 
 
 @dataclass
@@ -234,9 +238,13 @@ class HandoverEvents:
         common.place_object("rod", x=(0.37, 0.47), y=(-0.2, 0.2), z=0.5 * WIDTH, yaw=(-0.5, 0.5))
     )  # on a patch that only the giver reaches
     rod_mass: EventTerm | None = None
+    """Mass of the rod, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of both hands, rod and table; set by domain randomisation."""
     giver_gains: EventTerm | None = None
+    """Scales of the giver's stiffness and damping; set by domain randomisation."""
     receiver_gains: EventTerm | None = None
+    """Scales of the receiver's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)

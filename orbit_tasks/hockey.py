@@ -55,6 +55,7 @@ class HockeyMemory(tabletop.TabletopMemory):
 def net_at(env: Environment[Hockey, HockeyMemory], seconds: Tensor | float) -> tuple[Tensor, Tensor]:
     """(N,) metres and (N,) m/s: place and velocity of the net, so many seconds from now."""
     amplitude, rate = (0.08 if env.task.moving_goal else 0.0), 0.5 * math.pi
+    # By the episode's own steps, so that a snapshot or a reset moves the net with them.
     time = env.state.episode_step * env.step_dt + seconds
     angle = env.state.net_phase + rate * time
     return env.state.net_middle + amplitude * angle.sin(), amplitude * rate * angle.cos()
@@ -118,12 +119,14 @@ def aim(env: Environment[Hockey]) -> Tensor:
 def striking(env: Environment[Hockey]) -> Tensor:
     """(N,) in [0, 1]: how near the blade is to behind the puck; 1 once the puck is inside."""
     way = behind(0.05, STRIKE)(env)[:, :3] - common.hand_pose(env)[:, :3]
+    # 1 inside, or the blade would have to follow the puck into the net.
     return torch.maximum(common.nearness(vector_norm(way, dim=1), 0.15), inside(env).float())
 
 
 def sliding(env: Environment[Hockey]) -> Tensor:
     """(N,) in [0, 1]: metres a second, at most one, at which the puck goes where it should; 1 once it is inside."""
     speed = vecdot(puck_velocity(env), aim(env)).clamp(0.0, 1.0)
+    # 1 inside, or a puck at rest in the net would earn less than one on its way.
     return torch.maximum(speed, inside(env).float())
 
 
@@ -195,7 +198,9 @@ class HockeyRewards:
     strike: RewardTerm | None = RewardTerm(striking, 1.0)
     slide: RewardTerm | None = RewardTerm(sliding, 4.0)
     near: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.3), 8.0)
+    """Nearness of the puck to the inside of the net, within some 0.3 m."""
     score: RewardTerm | None = RewardTerm(lambda env: inside(env).float(), 16.0)
+    """1 in each step in which the puck is in the net."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 

@@ -37,7 +37,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformOrientationCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
-from orbit_core.scene import MarkerSpec, Pose, RobotSpec, Scene, look_at
+from orbit_core.scene import MarkerSpec, Pose, RobotSpec, Scene, ghost, look_at
 from orbit_core.scene.pose import Vector3
 
 OBJECT = "object"
@@ -150,6 +150,7 @@ class HandGoal(UniformOrientationCommand):
 
     def follow(self, env: Environment[Any, HandMemory], command: Tensor) -> bool:
         held, markers = env.world.objects[OBJECT].root_pose, env.world.markers
+        # Axes on the object and on the goal next to it let a viewer compare both.
         markers["object_axes"].set_pose(held)
         markers["goal"].set_pose(torch.cat((env.state.beside.expand(len(held), 3), command), dim=1))
         return False
@@ -175,7 +176,7 @@ class HandState(ObservationGroup):
 
 @dataclass
 class HandObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: HandState = field(default_factory=HandState)
     critic: ObservationGroup | None = None
@@ -186,8 +187,10 @@ class HandRewards:
     """Rewards of an orientation near the goal and of each goal that is reached, less what slips or hurries."""
 
     turned: RewardTerm | None = RewardTerm(lambda env: 1.0 / (env.state.distance + 0.1), 1.0)
+    """Inverse of the angle to the goal plus 0.1 rad: at most 10, and steepest near the goal."""
     # As in Isaac Gym's task: a goal takes many steps, at each of which nearness is paid.
     reached: RewardTerm | None = RewardTerm(lambda env: env.state.reached.float(), 250.0)
+    """1 in the step that reaches a goal."""
     slipped: RewardTerm | None = RewardTerm(slipped, -10.0)
     action: RewardTerm | None = RewardTerm(common.action_size, -1e-3)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
@@ -215,8 +218,11 @@ class HandEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.1))
     place_object: EventTerm | None = EventTerm(place_object)
     object_mass: EventTerm | None = None
+    """Mass of the object, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of hand and object; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the fingers' stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)
@@ -273,7 +279,7 @@ class InHandRepose(Task):
             robots=(hand(self.robot),),
             objects=(item,),
             terrain=(common.floor(),),
-            markers=(MarkerSpec("goal", size=0.08), MarkerSpec("object_axes", size=0.08)),
+            markers=(ghost("goal", item, axes=0.08), MarkerSpec("object_axes", size=0.08)),
             physics_dt=self.physics_dt,
         )
 

@@ -49,10 +49,12 @@ class JengaMemory(tabletop.TabletopMemory):
         super().start(env)
         layers = env.task.layers
         self.heights = torch.zeros(env.num_envs, len(env.task.others), device=env.device)
+        # Layers alternate in direction, and the arm pulls along its own; foot and top stay as they are.
         pointing = [layer for layer in range(3, layers - 2) if (layers - layer) % 2 == 0]
         self.cells = torch.tensor([3 * layer + slot for layer in pointing for slot in range(3)], device=env.device)
 
     def update(self, env: Environment[Jenga]) -> None:
+        # Followed while it is in the tower, whose blocks shift a little under the hand.
         inside = out(env) < env.task.protrusion + 0.002
         self.rest.copy_(torch.where(inside[:, None], given_pose(env), self.rest))
 
@@ -114,6 +116,7 @@ def out(env: Environment[Jenga, JengaMemory]) -> Tensor:
 
 def tracking(env: Environment[Jenga], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the block is to its place, once it is out of the tower."""
+    # Once it is nearly out: before, going up would tear the tower down.
     return (out(env) > 0.9 * SIZE[0]) * common.nearness(distance(env), scale)
 
 
@@ -204,11 +207,17 @@ class JengaRewards:
     """Rewards of the hand at the block, the block out of the tower and at its place, less a fall and what is abrupt."""
 
     reach: RewardTerm | None = RewardTerm(lambda env: common.nearness(vector_norm(hand_to_block(env), dim=1), 0.1), 1.0)
+    """Nearness of the hand to its grasp of the block, within some 0.1 m."""
     pull: RewardTerm | None = RewardTerm(lambda env: out(env) / SIZE[0], 5.0)
+    """Share of the block's length that is out of the tower, in [0, 1]."""
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 10.0)
+    """Nearness of the drawn block to its place, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 10.0)
+    """The same within 0.05 m, which decides the last centimetres."""
     let_go: RewardTerm | None = RewardTerm(lambda env: put_down(env).float(), 20.0)
+    """1 in each step in which the block is at its place and the hand away from it."""
     fall: RewardTerm | None = RewardTerm(lambda env: fallen(env).float(), -50.0)
+    """Penalty of the step in which the tower falls; it ends the episode."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 

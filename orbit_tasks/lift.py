@@ -105,6 +105,7 @@ def lifted(env: Environment[Lift, LiftMemory]) -> Tensor:
 
 def tracking(env: Environment[Lift], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted cube is to the goal."""
+    # Counts once it is lifted: a cube that is pushed along the table comes nearer as well.
     return lifted(env) * common.nearness(goal_distance(env), scale)
 
 
@@ -130,6 +131,7 @@ def place_cube(env: Environment[Lift, LiftMemory], env_ids: Tensor) -> None:
     """Place the cube on a patch of the table in the hand's workspace, 20 x 50 cm for a Panda, turned by any angle."""
     height, (low, high), spread = env.state.rest_height, patch(env.world), env.task.start_spread
     (left, right), (near, far) = (narrowed(bounds, spread) for bounds in zip(low, high, strict=True))
+    # Starts and turns narrow together, so that a spread of 0 is one start.
     turn = math.pi * spread
     place = env.world.random.uniform((4,), (left, near, height, -turn), (right, far, height, turn), env_ids)
     pose = common.standing(place)
@@ -162,6 +164,7 @@ def off_table(env: Environment[Lift, LiftMemory]) -> Tensor:
 
 def goal_frame(env: Environment[Lift]) -> Tensor:
     """(N, 7) at the goal, pointing down."""
+    # A subtask's frame needs an orientation, which a goal without one gets here.
     return common.pointing_down(env.commands["goal"])
 
 
@@ -192,7 +195,7 @@ class LiftState(ObservationGroup):
 
 @dataclass
 class LiftObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: LiftState = field(default_factory=LiftState)
     critic: ObservationGroup | None = None
@@ -200,7 +203,7 @@ class LiftObservations:
 
 @dataclass
 class LiftPixelObservations:
-    """The policy sees pictures, critic and teacher the state."""
+    """Pictures for ``policy``; the state for ``critic`` and ``teacher``."""
 
     policy: ArmPixels = field(default_factory=ArmPixels)
     critic: ObservationGroup | None = field(default_factory=LiftState)
@@ -214,7 +217,9 @@ class LiftRewards:
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 15.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
+    """Nearness of the lifted cube to the goal, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+    """The same within 0.05 m, which decides the last centimetres."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -240,8 +245,11 @@ class LiftEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cube: EventTerm | None = EventTerm(place_cube)
     cube_mass: EventTerm | None = None
+    """Mass of the cube, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of fingers, cube and table; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)
@@ -313,6 +321,7 @@ class Lift(Task):
         return {"goal_distance_m": goal_distance(env)}
 
     def expert(self, env: Environment) -> Expert:
+        # At least 0.4 s: the fingers must be still on the cube before it is lifted.
         closing = max(0.4, common.closing_time(env.world))
         return Expert(
             env,

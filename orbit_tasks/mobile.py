@@ -54,6 +54,7 @@ def tipped(env: Environment) -> Tensor:
     """(N,) bool: the base leans by more than 60 degrees."""
     up = torch.tensor([0.0, 0.0, 1.0], device=env.device)
     pose = base_pose(env)
+    # The height of the up axis is the cosine of the lean.
     return quat_rotate(pose[:, 3:], up.expand(len(pose), 3))[:, 2] < 0.5
 
 
@@ -149,6 +150,7 @@ class Mobile:
     """
 
     robot: str = "base_omni_franka_panda"
+    """Name of a robot in the catalogue whose base drives or walks."""
     gait: str = "velocity_flat"
     """Kept policy, or path of one, that walks a robot on legs (:class:`~orbit_tasks.locomotion.LocomotionConfig`)."""
     walking_speed: float = 0.5
@@ -178,8 +180,11 @@ class Walking(Protocol):
     """Protocol of the task that :class:`Mobile` extends."""
 
     action: str
+    """Name of the action space of the arm."""
     gait: str
+    """Kept policy that walks a robot on legs."""
     walking_speed: float
+    """m/s forward at which a robot on legs is led."""
 
 
 def sag_rate(world: World) -> float:

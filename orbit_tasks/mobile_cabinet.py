@@ -65,7 +65,7 @@ class MobileCabinetState(CabinetState):
 
 @dataclass
 class MobileCabinetObservations(CabinetObservations):
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: CabinetState = field(default_factory=MobileCabinetState)
 
@@ -116,6 +116,7 @@ class MobileCabinet(Mobile, Cabinet):
         return replace(scene, firm_friction=bool(robot.feet))
 
     def expert(self, env: Environment) -> Expert:
+        # Tight: the arm opens the drawer from here, and its handle must stay within reach.
         drive = Phase(base=before_cabinet, position_tolerance=0.03, rotation_tolerance=0.05, timeout=12.0)
         return Expert(
             env,

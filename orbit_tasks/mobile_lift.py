@@ -101,7 +101,7 @@ class MobileLiftState(LiftState):
 
 @dataclass
 class MobileLiftObservations(LiftObservations):
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: LiftState = field(default_factory=MobileLiftState)
 

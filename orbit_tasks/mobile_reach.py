@@ -62,6 +62,7 @@ class MobileReachGoal(UniformPoseCommand):
         distance, bearing, height, roll, pitch, yaw = drawn.unbind(1)
         start = over_floor(base_pose(env)[env_ids])
         place = start[:, :2] + torch.stack((distance * bearing.cos(), distance * bearing.sin()), 1)
+        # Tilt before yaw, so that it is relative to a hand that points down, however it is turned.
         tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
         orientation = quat_multiply(common.turned(yaw), quat_multiply(tilt, common.facing_down(torch.zeros_like(yaw))))
         return torch.cat((place, height[:, None], orientation), dim=1)
@@ -81,7 +82,7 @@ class MobileReachState(ReachState):
 
 @dataclass
 class MobileReachObservations(ReachObservations):
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: ReachState = field(default_factory=MobileReachState)
 
@@ -144,6 +145,7 @@ class MobileReach(Mobile, Reach):
         return Expert(
             env,
             (
+                # Loose: the arm makes up for what the base is off.
                 Phase(base=before_goal, position_tolerance=0.08, rotation_tolerance=0.15),
                 Phase(lambda env: env.commands["goal"], free=True),
             ),

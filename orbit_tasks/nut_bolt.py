@@ -196,9 +196,12 @@ class NutRewards:
     """Rewards of the hand at the nut, the nut over the bolt and at its place, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(lambda env: common.nearness(vector_norm(hand_to_nut(env), dim=1), 0.1), 1.0)
+    """Nearness of the hand to the nut, within some 0.1 m."""
     align: RewardTerm | None = RewardTerm(aligned, 4.0)
     near: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.1), 4.0)
+    """Nearness of the nut to its place on the bolt, within some 0.1 m."""
     screw: RewardTerm | None = RewardTerm(lambda env: common.nearness(distance(env), 0.005), 20.0)
+    """The same within 5 mm: what is left is turned down the thread."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 

@@ -132,6 +132,7 @@ def aligned(env: Environment[PegInHole]) -> Tensor:
 def depth(env: Environment[PegInHole]) -> Tensor:
     """(N,) in [0, 1]: how deep blocks are in their holes, on average."""
     off = offsets(env)
+    # Over its hole only: a block on the table next to the board is as low.
     return ((vector_norm(off[..., :2], dim=-1) < 0.01) * (1.0 - off[..., 2] / BOARD_HEIGHT).clamp(0.0, 1.0)).mean(1)
 
 
@@ -147,6 +148,7 @@ def place_blocks(env: Environment[PegInHole], env_ids: Tensor) -> None:
     """Stand the blocks in a row before the board, 11 cm apart, in any order, each turned by any angle."""
     count, (low, high) = len(env.task.pieces), common.workspace(env.world)
     draw = env.world.random.uniform((4 * count,), -1.0, 1.0, env_ids).view(-1, count, 4)
+    # The ranks of random numbers are a random order, drawn without a loop over environments.
     slots = draw[..., 0].argsort(dim=1).float() - 0.5 * (count - 1)
     poses = torch.zeros(len(env_ids), count, 7, device=env.device)
     poses[..., 0] = low[0] + 0.01 + 0.02 * draw[..., 1]
@@ -158,6 +160,7 @@ def place_blocks(env: Environment[PegInHole], env_ids: Tensor) -> None:
 def grasp(env: Environment[PegInHole, PegMemory], index: int, height: float = 0.0) -> Tensor:
     """(N, 7) the hand around a block's knob, or above it, in the quarter turn that turns the hand least in all."""
     knob = transforms.pose_multiply(tabletop.piece_poses(env)[:, index], env.state.grip.expand(env.num_envs, 7))
+    # A gripper takes a knob by any two opposite faces, at four turns of the hand.
     quarters = 0.5 * math.pi * torch.tensor([-1.0, 0.0, 1.0, 2.0], device=env.device)
     before = transforms.yaw_angle(knob[:, 3:])[:, None] + quarters
     ahead = [turned_seats(env, (-turn).expand(env.num_envs, len(env.task.pieces)))[:, index] for turn in quarters]
@@ -203,10 +206,13 @@ class PegRewards:
 
     reach: RewardTerm | None = RewardTerm(reaching, 0.3)
     lift: RewardTerm | None = RewardTerm(lambda env: lifted(env).mean(1), 0.4)
+    """Share of the blocks that are off the table or in their holes."""
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.2), 0.6)
+    """Nearness of lifted blocks to their places, turned as they must be, within some 0.2 m."""
     align: RewardTerm | None = RewardTerm(aligned, 0.6)
     depth: RewardTerm | None = RewardTerm(depth, 2.0)
     insert: RewardTerm | None = RewardTerm(lambda env: inserted(env).mean(1), 6.0)
+    """Share of the blocks that are in their holes."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -265,6 +271,7 @@ class PegInHole(tabletop.TabletopTask):
         self.bound(tolerance=(1e-6, 0.02))
         if len(self.shapes) > len(COLORS):
             raise ConfigurationError(f"{len(self.shapes)} shapes do not fit before an arm: give {len(COLORS)} at most")
+        # There are more colours than blocks.
         parts = zip(self.pieces, self.shapes, COLORS, strict=False)
         blocks = [block(name, shape, color=color, material=SMOOTH) for name, shape, color in parts]
         return self.bench(*blocks, board("board", self.shapes, self.clearance, material=SMOOTH))

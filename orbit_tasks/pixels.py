@@ -56,6 +56,7 @@ class ArmPixels(ObservationGroup):
     """Observations of an arm from its joints, its goal and two cameras, which only see what is before it."""
 
     concatenate: bool = False
+    """False: pictures and numbers stay apart, for networks that read each by its own encoder."""
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     goal: ObservationTerm | None = ObservationTerm(goal)
@@ -71,6 +72,7 @@ class ArmLabels(ObservationGroup):
     """Observations of an arm from its joints and a semantic camera, whose labels say which thing is which."""
 
     concatenate: bool = False
+    """False: pictures and numbers stay apart, for networks that read each by its own encoder."""
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)

@@ -74,7 +74,7 @@ class ReachState(ObservationGroup):
 
 @dataclass
 class ReachObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: ReachState = field(default_factory=ReachState)
     critic: ObservationGroup | None = None
@@ -82,7 +82,7 @@ class ReachObservations:
 
 @dataclass
 class ReachPixelObservations:
-    """The policy sees pictures, critic and teacher the state."""
+    """Pictures for ``policy``; the state for ``critic`` and ``teacher``."""
 
     policy: ArmPixels = field(default_factory=ArmPixels)
     critic: ObservationGroup | None = field(default_factory=ReachState)
@@ -93,6 +93,8 @@ class ReachPixelObservations:
 class ReachRewards:
     """Rewards of the hand's position and rotation at the goal, less what is fast or abrupt."""
 
+    # None = RewardTerm(position_error, -2.0) | A cost in metres leads from anywhere, nearness decides the last
+    # decimetre.
     position: RewardTerm | None = RewardTerm(position_error, -2.0)
     position_finely: RewardTerm | None = RewardTerm(near, 1.0)
     rotation: RewardTerm | None = RewardTerm(rotation_error, -0.5)
@@ -118,7 +120,9 @@ class ReachEvents:
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.2))
     masses: EventTerm | None = None
+    """Masses of the arm's links, drawn for each environment; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)

@@ -74,6 +74,7 @@ def raised(env: Environment[Recover]) -> Tensor:
 
 def at_home(env: Environment[Recover]) -> Tensor:
     """(N,) 0 to 1: how near the joints are to home, where the trunk is upright."""
+    # Squared here too: on its back a robot needs its joints to roll over, not to bring them home.
     return upright(env).square() * torch.exp(-stance(env).square() / 0.25)
 
 
@@ -112,7 +113,7 @@ class RecoverState(ObservationGroup):
 
 @dataclass
 class RecoverObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RecoverState = field(default_factory=RecoverState)
     critic: ObservationGroup | None = None
@@ -142,8 +143,11 @@ class RecoverEvents:
 
     drop: EventTerm | None = EventTerm(drop)
     masses: EventTerm | None = None
+    """Masses of all links, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of robot and ground; set by domain randomisation."""
     gains: EventTerm | None = None
+    """Scales of the legs' stiffness and damping; set by domain randomisation."""
 
 
 class HomePosture(Node):
@@ -151,8 +155,10 @@ class HomePosture(Node):
 
     def __init__(self, env: Environment[Recover]) -> None:
         self.name = "policy"
+        """Name of the node in the agent's graph, where it takes the policy's place."""
         self._action = torch.zeros(env.num_envs, env.state.last_action.shape[1], device=env.device)
         self.outputs = (Port("action", (self._action.shape[1],)),)
+        """Port of the action, whose numbers are the home's joint targets as the action space takes them."""
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         return {"action": self._action}
@@ -173,6 +179,7 @@ class Recover(Task):
             iterations=1000, hidden_sizes=(512, 256, 128), initial_std=0.5, entropy_weight=0.005, discount=0.99
         ),
         view=look_at(eye=(2.4, 1.8, 1.2), target=(0.0, 0.0, 0.25)),
+        follow=common.ROBOT,
         expert_success=0.0,  # the home posture turns nobody over
         exceptions=(
             TaskException(TaskCheck.EXPERT_BEATS_ZERO, "the expert drives joints home, as zero actions do"),

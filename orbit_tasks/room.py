@@ -33,6 +33,7 @@ class Furniture:
     """One piece: how large it is, at which wall it stands, and where along it."""
 
     name: str
+    """Name of its object in the scene."""
     depth: float
     """Metres from its front to the wall."""
     width: float

@@ -62,6 +62,7 @@ class RoomMemory(TaskState):
 def _fit(robot: RobotSpec) -> tuple[float, float]:
     """Find the height of desk and sideboard, and how far off a base stands, that suit the arm, m."""
     space = common.placed_workspace(robot)
+    # Things on the tables are within the workspace: a little above its lower face and beyond its near one.
     return space.low[2] - 0.1, space.low[0] + 0.05
 
 
@@ -119,6 +120,7 @@ def place_things(env: Environment[RoomReorganization, RoomMemory], env_ids: Tens
         start, goal = stands[rows, taken[:, number]], goals[rows, order[:, number]]
         up = torch.tensor([0.0, 0.0, HALF_HEIGHTS[number]], device=env.device)
         place = torch.cat((start[:, :3] + up, start[:, 3:4]), 1)
+        # x, y and yaw; the height is that of the furniture.
         place[:, [0, 1, 3]] += off[:, number]
         env.world.objects[name].set_root_pose(common.standing(place), env_ids)
         env.state.places[env_ids, number] = goal[:, :3] + up
@@ -157,7 +159,7 @@ class RoomState(ObservationGroup):
 
 @dataclass
 class RoomObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RoomState = field(default_factory=RoomState)
     critic: ObservationGroup | None = None

@@ -87,6 +87,7 @@ class BendCommand(CommandTerm):
         return {"angle": self.angle, "side": (0.0, 1.0)}
 
     def command(self, env: Environment, drawn: Tensor, env_ids: Tensor) -> Tensor:
+        # A second number draws the side: one range through zero would include ropes that need no bend.
         return drawn[:, :1] * torch.where(drawn[:, 1:] < 0.5, -1.0, 1.0)
 
     def show(self, env: Environment, command: Tensor, env_ids: Tensor) -> None:
@@ -156,7 +157,7 @@ class RopeReshapingState(ObservationGroup):
 
 @dataclass
 class RopeReshapingObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RopeReshapingState = field(default_factory=RopeReshapingState)
     critic: ObservationGroup | None = None
@@ -168,7 +169,9 @@ class RopeReshapingRewards:
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     shape: RewardTerm | None = RewardTerm(lambda env: shaping(env, 0.1), 10.0)
+    """Nearness of the rope's points to their places, within some 0.1 m."""
     shape_finely: RewardTerm | None = RewardTerm(lambda env: shaping(env, 0.02), 5.0)
+    """The same within 0.02 m, which decides the last centimetres."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -223,6 +226,7 @@ class RopeReshaping(Task):
     radius: float = 0.008
     """Metres."""
     particles: int = 41
+    """Particles along the rope."""
     grip_force: float = 10.0
     """Newtons at most that the gripper closes with."""
     tolerance: float = 0.03

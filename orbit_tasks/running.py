@@ -75,6 +75,7 @@ def speed(env: Environment[Running]) -> Tensor:
 
 def alive(env: Environment[Running]) -> Tensor:
     """(N,) ones."""
+    # A wage for every step, so that running on pays more than falling early.
     return torch.ones_like(speed(env))
 
 
@@ -85,6 +86,7 @@ def facing_ahead(env: Environment[Running]) -> Tensor:
 
 def standing_up(env: Environment[Running]) -> Tensor:
     """(N,) in [-1, 1]: 1 where the trunk stands upright."""
+    # Gravity in the trunk's axes points down along its z where it stands.
     return -projected_gravity(env)[:, 2]
 
 
@@ -104,6 +106,7 @@ def place_robot(env: Environment[Running], env_ids: Tensor) -> None:
     body = common.robot_of(env.world)
     pose = torch.tensor((*body.spec.pose.position, *body.spec.pose.orientation), device=env.device)
     body.set_root_pose(pose.expand(len(env_ids), 7), env_ids)
+    # After the root: joints are drawn around home in a robot that stands.
     common.randomize_robot_start(0.1)(env, env_ids)
 
 
@@ -123,7 +126,7 @@ class RunningState(ObservationGroup):
 
 @dataclass
 class RunningObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RunningState = field(default_factory=RunningState)
     critic: ObservationGroup | None = None
@@ -154,7 +157,9 @@ class RunningEvents:
 
     place_robot: EventTerm | None = EventTerm(place_robot)
     masses: EventTerm | None = None
+    """Masses of all links, drawn for each environment; set by domain randomisation."""
     friction: EventTerm | None = None
+    """Friction of robot and ground; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)
@@ -166,6 +171,7 @@ class Running(Task):
     state_type: ClassVar[type[TaskState]] = RunningMemory
     metadata: TaskMetadata = TaskMetadata(
         view=look_at(eye=(2.5, -4.5, 2.0), target=(1.0, 0.0, 0.5)),
+        follow=common.ROBOT,
         exceptions=(
             TaskException(TaskCheck.START_AREA, "a run starts at one place"),
             TaskException(TaskCheck.START_YAW, "a run starts along x"),

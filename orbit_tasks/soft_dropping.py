@@ -61,6 +61,7 @@ def above(env: Environment[SoftDropping]) -> Tensor:
 
 def tracking(env: Environment[SoftDropping]) -> Tensor:
     """(N,) in [0, 1]: how near a lifted block is to the container's middle."""
+    # In x and y only: the block is carried above the rim before it is dropped.
     return lifted(env) * common.nearness(vector_norm((middle(env) - container(env))[:, :2], dim=1), 0.3)
 
 
@@ -83,7 +84,7 @@ class SoftDroppingState(soft.SoftState):
 
 @dataclass
 class SoftDroppingObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: SoftDroppingState = field(default_factory=SoftDroppingState)
     critic: ObservationGroup | None = None

@@ -61,6 +61,7 @@ def placed(env: Environment[SoftPlacing]) -> Tensor:
 
 def tracking(env: Environment[SoftPlacing], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted block is to its place."""
+    # Counts once it is lifted: a block that is pushed against the pad is near its place as well.
     return lifted(env) * common.nearness(distance(env), scale)
 
 
@@ -81,7 +82,7 @@ class SoftPlacingState(soft.SoftState):
 
 @dataclass
 class SoftPlacingObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: SoftPlacingState = field(default_factory=SoftPlacingState)
     critic: ObservationGroup | None = None
@@ -94,8 +95,11 @@ class SoftPlacingRewards(Smoothness):
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 5.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 8.0)
+    """Nearness of the lifted block to its place, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+    """The same within 0.05 m, which decides the last centimetres."""
     place: RewardTerm | None = RewardTerm(lambda env: placed(env).float(), 16.0)
+    """1 in each step in which the block is on the pad and the hand away from it."""
 
 
 @dataclass
@@ -130,6 +134,7 @@ class SoftPlacing(soft.SoftTask):
 
     def scene(self) -> Scene:
         where = Pose((0.48, 0.12, 0.5 * EXTENT[2]))
+        # Fixed, or a block that is put down aslant would push the pad away.
         options = SolidOptions(mass=1.0, fixed_base=True, pose=where, color=(0.35, 0.5, 0.7, 1.0))
         return self.on_bench((self.block((0.48, -0.12, 0.5 * self.size)),), box(PAD, EXTENT, **options))
 

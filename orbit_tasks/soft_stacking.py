@@ -36,6 +36,7 @@ def place(env: Environment[SoftStacking]) -> Tensor:
     below = env.world.deformables[BASE]
     way = below.key_point("front") - base(env)
     up = torch.tensor([0.0, 0.0, env.task.size], device=env.device)
+    # A square block looks the same after a quarter turn: the hand takes the least.
     turn = picking.quarter(torch.atan2(way[:, 1], way[:, 0]))
     return torch.cat((base(env) + up, common.facing_down(turn)), dim=1)
 
@@ -55,12 +56,14 @@ def distance(env: Environment[SoftStacking]) -> Tensor:
 @once_per_state
 def stacked(env: Environment[SoftStacking]) -> Tensor:
     """(N,) bool: the block is upright on the other, and the hand away from it."""
+    # Soft blocks sag, so that height is judged by a part of the size and not by the tolerance.
     level = away(env)[:, 2].abs() < 0.3 * env.task.size
     return (distance(env) < env.task.tolerance) & level & soft.let_go(env)
 
 
 def tracking(env: Environment[SoftStacking], scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted block is to its place."""
+    # Counts once it is lifted: a block that is pushed against the other is near its place as well.
     return lifted(env) * common.nearness(vector_norm(away(env), dim=1), scale)
 
 
@@ -73,7 +76,7 @@ class SoftStackingState(soft.SoftState):
 
 @dataclass
 class SoftStackingObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: SoftStackingState = field(default_factory=SoftStackingState)
     critic: ObservationGroup | None = None
@@ -86,8 +89,11 @@ class SoftStackingRewards(Smoothness):
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 5.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 8.0)
+    """Nearness of the lifted block to its place, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
+    """The same within 0.05 m, which decides the last centimetres."""
     stack: RewardTerm | None = RewardTerm(lambda env: stacked(env).float(), 16.0)
+    """1 in each step in which the block is on the other and the hand away from it."""
 
 
 @dataclass

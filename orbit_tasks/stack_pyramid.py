@@ -46,6 +46,7 @@ class StackMemory(tabletop.TabletopMemory):
     """State of pyramids, looked up once in a new world."""
 
     opening: common.GripperOpening
+    """Reader of the share by which the gripper is open."""
     ways: tuple[Tensor, ...]
     """(3,) from a pyramid's first block to the places of its others, in the first one's frame."""
 
@@ -116,6 +117,7 @@ def reaching(env: Environment[StackPyramid]) -> Tensor:
 def lifted(env: Environment[StackPyramid]) -> Tensor:
     """(N, M) 1 where the block is off the table, or over its place."""
     way = blocks_to_places(env)
+    # At its place a block of the lowest row is on the table.
     return ((moved_positions(env)[..., 2] > SIZE) | (vector_norm(way[..., :2], dim=2) < 0.02)).float()
 
 
@@ -164,6 +166,7 @@ def place_in_corners(env: Environment[StackPyramid], env_ids: Tensor) -> None:
     low, high = common.workspace(env.world)
     near, far, width = low[0], high[0] - 0.05, 0.5 * (high[1] - low[1])
     middle, height = 0.5 * (low[1] + high[1]), 0.5 * SIZE
+    # One pyramid has the whole width, two have a side each.
     bands = ((-0.11, 0.11),) if env.task.pyramids == 1 else ((-0.11, -0.07), (0.07, 0.11))
     for name, (right, left) in zip(env.task.first, bands, strict=True):
         bounds = (near + 0.03, middle + right, height, -0.3), (near + 0.07, middle + left, height, 0.3)
@@ -201,8 +204,11 @@ class StackRewards:
 
     reach: RewardTerm | None = RewardTerm(reaching, 0.3)
     lift: RewardTerm | None = RewardTerm(lambda env: staged(env, lifted(env)), 0.6)
+    """Progress of the blocks, of which the next counts while it is off the table."""
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 0.9)
+    """Nearness of the next, lifted block to its place, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 0.6)
+    """The same within 0.05 m, which decides the last centimetres."""
     let_go: RewardTerm | None = RewardTerm(letting_go, 6.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)

@@ -34,7 +34,7 @@ COLORS: dict[str, Color] = {
 SECTION = 0.01
 # Metres: the rod's radius and height.
 ROD_SIZE = (0.004, 0.075)
-# Places of rings, in metres; each starts within SPREAD of its own.
+# Places of rings, in metres; each starts within SPREAD of its place.
 PLACES = {"large": (0.42, -0.2), "middle": (0.56, -0.14), "small": (0.42, -0.06)}
 SPREAD = 0.02
 # Metres above its ring's middle at which a hand takes it: fingertips reach below their frame.
@@ -118,7 +118,7 @@ class HanoiState(ObservationGroup):
 
 @dataclass
 class HanoiObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: HanoiState = field(default_factory=HanoiState)
     critic: ObservationGroup | None = None
@@ -130,7 +130,9 @@ class HanoiRewards(Smoothness):
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.1), 4.0)
+    """Nearness of the next, lifted ring to the rod, within some 0.1 m."""
     thread: RewardTerm | None = RewardTerm(lambda env: in_order(env).float().mean(1), 16.0)
+    """Share of the rings that are round the rod in their order."""
 
 
 @dataclass

@@ -30,7 +30,7 @@ from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import HeadingVelocityCommand
 from orbit_core.mdp.sensing import height_scan
-from orbit_core.scene import Pose, RayCasterSpec, Scene, look_at
+from orbit_core.scene import Pose, RayCasterSpec, Scene
 from orbit_core.sensors import grid_pattern
 from orbit_tasks.biped import contacts_of
 from orbit_tasks.mdp.terrain import OnTerrain, TerrainMemory, by_distance, place_on_terrain
@@ -75,6 +75,7 @@ def flight(env: Environment[VelocityRough, RoughMemory]) -> Tensor:
     """
     timer = contacts_of(env.world).timer()
     landed = timer.touched_down(env.step_dt)[:, env.state.foot_links]
+    # Less the threshold, so that short, hasty steps cost and long ones pay.
     longer = (timer.last_air_time[:, env.state.foot_links] - _LEAST_FLIGHT) * landed
     return longer.sum(1) * (env.commands["velocity"][:, :2].norm(dim=1) > 0.1)
 
@@ -94,7 +95,7 @@ class RoughState(VelocityState):
 
 @dataclass
 class RoughObservations:
-    """Policy and critic see the state."""
+    """State that ``policy`` sees, and ``critic`` as well unless it is given another group."""
 
     policy: RoughState = field(default_factory=RoughState)
     critic: ObservationGroup | None = None
@@ -134,6 +135,7 @@ class RoughCurriculum:
     """Robots that leave their cell go a level up."""
 
     level: CurriculumTerm | None = CurriculumTerm(BY_DISTANCE)
+    """Change of the terrain's level after each episode, by the distance walked."""
 
 
 @dataclass(kw_only=True)
@@ -157,7 +159,6 @@ class VelocityRough(VelocityFlat, OnTerrain):
         ppo=PpoSettings(
             iterations=1500, hidden_sizes=(512, 256, 128), initial_std=0.3, entropy_weight=0.005, discount=0.99
         ),
-        view=look_at(eye=(14.0, 10.0, 9.0), target=(0.0, 0.0, 0.0)),
         expert_success=0.0,  # the gait does not see the ground
         exceptions=(
             TaskException(
@@ -183,6 +184,7 @@ class VelocityRough(VelocityFlat, OnTerrain):
 
     def scene(self) -> Scene:
         scene = replace(super().scene(), terrain=self.terrain.shapes())
+        # The trunk's name is known from the robot only, so that the term is made with the scene.
         if self.scan and self.observations.policy.height_scan is None:
             trunk = scene.robots[0].articulation.root.name
             seen = replace(height_scan(scanner(common.ROBOT, trunk)), noise_std=0.02 * self.domain_randomization)

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import pkgutil
 import re
 import runpy
 import subprocess
 import sys
 import tomllib
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from orbit_core.cli import COMMANDS, OTHERS
+from orbit_core.envs import task_entries
+from orbit_core.moved import new_name
+from tests.distributions import DISTRIBUTIONS
 
 ROOT = Path(__file__).parents[1]
 SITE = runpy.run_path(str(ROOT / "tools" / "docs_site.py"))
@@ -19,6 +27,7 @@ GENERATOR = runpy.run_path(str(ROOT / "tools" / "readme_tables.py"))
 PAGES: list[Path] = GENERATOR["pages"]()
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 _LINK = re.compile(r"\]\((?!https?:|#)([^)\s#]+)(?:#([^)\s]+))?\)")
+_PYTHON = re.compile(r"^```python[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 _RUNNABLE = re.compile(r"^```python runnable\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
@@ -32,6 +41,18 @@ def anchors(page: Path) -> set[str]:
         return {*re.findall(r'\bid="([^"]+)"', text)}
     headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def shown_imports(page: Path) -> list[str]:
+    """Import statements of the distributions in a page's blocks of Python, one name each."""
+    statements: set[str] = set()
+    for block in _PYTHON.findall(page.read_text(encoding="utf-8")):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.Import):
+                statements |= {f"import {name.name}" for name in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                statements |= {f"from {node.module} import {name.name}" for name in node.names}
+    return sorted(line for line in statements if re.match(r"(?:import|from) orbit_(?!runtime\b|torch\b)", line))
 
 
 def runnable_blocks() -> list[tuple[str, str]]:
@@ -66,6 +87,40 @@ def test_links_resolve(page: Path) -> None:
         path = page.parent / target
         assert path.exists(), target
         assert not anchor or anchor in anchors(path), f"{target}#{anchor}"
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if shown_imports(page)], ids=name_of)
+def test_shown_imports_are_of_names_as_they_are_today(page: Path) -> None:
+    """A name that has moved still imports, with a warning: newcomers shall not learn the old one."""
+    for statement in shown_imports(page):
+        assert new_name(".".join(re.findall(r"(?:from|import) (\S+)", statement))) is None  # not cached by another test
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", FutureWarning)
+            exec(statement, {})
+
+
+def test_the_page_of_the_command_line_has_every_command() -> None:
+    page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    assert [name for name in (*COMMANDS, *OTHERS) if f"| `orbit {name} " not in page] == ["conformance"]
+    assert "| `orbit conformance` |" in page
+
+
+def test_the_gallery_shows_every_task() -> None:
+    """Else: add it to a group of tools/task_gallery.py, and run that with --only NAME."""
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    assert [name for name in task_entries() if f"**{name}**" not in page] == []
+
+
+def test_renamed_names_are_those_of_today() -> None:
+    rows = (ROOT / "docs" / "renamed.md").read_text(encoding="utf-8").splitlines()
+    today = [name for row in rows if row.startswith("|") for name in re.findall(r"`(orbit_[\w.]+)`", row.split("|")[2])]
+    packages = {distribution.package for distribution in DISTRIBUTIONS}  # without plugins, which need their engines
+    assert len(today) > 50
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", FutureWarning)
+        for name in today:
+            if name.partition(".")[0] in packages:
+                pkgutil.resolve_name(name)
 
 
 def navigated(entry: object) -> Iterator[str]:

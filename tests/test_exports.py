@@ -23,6 +23,13 @@ PACKAGES = sorted(
 )
 
 
+PLUGINS = sorted(
+    ".".join(path.parent.relative_to(folder.parent).parts)
+    for folder in ROOT.glob("plugins/orbit-*/orbit_*")
+    for path in folder.rglob("__init__.py")
+)
+
+
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """An empty package of two modules, one of which needs what is not installed."""
@@ -44,6 +51,13 @@ def test_every_exported_name_is_shown_and_found(name: str) -> None:
     exported = set(getattr(package, "__all__", ()))
     assert exported <= {*dir(package)}
     assert all(getattr(package, each) is not None for each in exported)
+
+
+@pytest.mark.parametrize("name", [*(each for each in PACKAGES if each != "orbit_policies"), *PLUGINS])
+def test_every_package_shows_what_it_holds_and_no_imports_of_its_own(name: str) -> None:
+    shown = {each for each in dir(importlib.import_module(name)) if not each.startswith("_")}
+    assert shown
+    assert not shown & {"importlib", "moved_name"}
 
 
 def test_a_package_without_exports_shows_its_modules(package: ModuleType) -> None:

@@ -31,15 +31,14 @@ class Limits:
 LIMITS = {
     "orbit_core": Limits(comments=2.9),
     "orbit_assets": Limits(comments=2.9),
-    "orbit_learn": Limits(comments=2.8),
+    "orbit_learn": Limits(comments=2.9),
     "orbit_data": Limits(comments=2.9),
     "orbit_policies": Limits(comments=0.0),
-    "orbit_tasks": Limits(comments=2.4),
+    "orbit_tasks": Limits(comments=2.8),
     "orbit_conformance": Limits(comments=2.8),
     "orbit_bullet": Limits(comments=2.9),
-    "orbit_matter": Limits(openings=13.0, words=2.1, comments=1.4),
+    "orbit_matter": Limits(comments=2.8),
     "orbit_mujoco": Limits(comments=2.9),
-    "orbit_ros": Limits(comments=2.1),
     "orbit_newton": Limits(comments=2.9),
     "orbit_sapien": Limits(comments=2.9),
     "orbit_warp": Limits(comments=2.8),
@@ -50,7 +49,8 @@ REACHED = (
     "scene", "interfaces", "dynamics", "sensors", "actuators", "active", "preparation", "plugin_kit", "cli", "rollout",
 )  # fmt: skip
 LIMITS |= {f"orbit_core/{name}": Limits(comments=2.7) for name in REACHED}
-LIMITS["orbit_core/interfaces"] = Limits(openings=2.2, comments=2.7)  # its captured steps are being rewritten
+# Guides of the documentation; records of measurements and pages made from declarations are not measured.
+GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "from").glob("*.md"))]
 FOLDERS = {
     **{distribution.package: ROOT / distribution.folder for distribution in DISTRIBUTIONS},
     **{
@@ -70,6 +70,13 @@ def test_docstrings_and_comments_are_plain_english(name: str) -> None:
     assert found.comments_share >= limits.comments, f"only {found.comments} of {found.lines} lines are comments"
 
 
+def test_guides_are_plain_english() -> None:
+    found = [PROSE["measure"](page) for page in GUIDES if page.name != "backends.md"]
+    words, dialect = sum(page.words for page in found), [word for page in found for word in page.dialect]
+    assert words > 10_000
+    assert 1000 * len(dialect) / words <= 0.5, "\n".join(dialect)
+
+
 def test_every_distribution_is_measured() -> None:
     assert set(LIMITS) <= set(FOLDERS)
     assert len(FOLDERS) > 20
@@ -80,3 +87,9 @@ def test_a_fragment_a_homely_word_and_silence_are_found(tmp_path: Path) -> None:
     found = PROSE["measure"](tmp_path)
     assert (found.openings_share, found.comments_share) == (100.0, 0.0)
     assert found.dialect_rate == pytest.approx(200.0)
+
+
+def test_pages_are_read_without_their_code(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("It lies `beside` it.\n\n```sh\nlies\n```\n\nThe end comes to rest.\n")
+    found = PROSE["measure"](tmp_path)
+    assert found.dialect == [f"{tmp_path / 'page.md'}:1: lies"]

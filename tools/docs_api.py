@@ -6,6 +6,7 @@ The pages hold mkdocstrings directives and tables made from the syntax tree; no 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
@@ -66,8 +67,14 @@ def module_at(path: Path) -> str:
     return next((module.name for module in modules().values() if module.path == path), "")
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Return the syntax tree of a source file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def _read(name: str, path: Path) -> Module:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     own: set[str] = set()
     imported: dict[str, str] = {}
     exported: tuple[str, ...] = ()
@@ -116,6 +123,57 @@ def resolve(name: str) -> tuple[str, str] | None:
             return module.name, "" if own.startswith("_") else ".".join([module.name, own])
         return resolve(".".join([module.imported[own], *rest])) if own in module.imported else None
     return None
+
+
+def docstring_of(name: str) -> str:
+    """Return the docstring of a function, class or value of a module by its full name; empty if there is none."""
+    module, anchor = resolve(name) or ("", "")
+    inside = anchor.removeprefix(f"{module}.")
+    return _docstrings(module).get(inside, "") if anchor else ""
+
+
+@cache
+def _docstrings(module: str) -> dict[str, str]:
+    tree = tree_of(modules()[module].path)
+    found: dict[str, str] = {}
+    for node, following in zip(tree.body, [*tree.body[1:], ast.Pass()], strict=True):
+        match node, following:
+            case ((ast.FunctionDef() | ast.ClassDef()), _):
+                found[node.name] = ast.get_docstring(node) or ""
+            case ast.Assign(targets=[ast.Name(id=name)]), ast.Expr(value=ast.Constant(value=str(text))):
+                found[name] = text
+            case _:
+                pass
+    return found
+
+
+def term_docstring(annotation: str, value: str, module: str) -> str:
+    """Return the docstring of the function or class that the default of a task's term is made of.
+
+    Args:
+        annotation: source of the field's annotation, such as ``RewardTerm | None``.
+        value: source of its default, such as ``RewardTerm(reaching, 1.0)`` or ``LiftGoal()``.
+        module: full name of the module that defines the field.
+
+    Returns:
+        Docstring; the term's own ``Meaning`` or reason if it has one; empty if the field is no term, or a lambda's.
+    """
+    call = ast.parse(value, mode="eval").body
+    if "Term" not in annotation or not isinstance(call, ast.Call):
+        return ""
+    made = ast.unparse(call.func)
+    if made.endswith("Term"):
+        texts = [keyword.value for keyword in call.keywords if keyword.arg == "meaning"] + call.args[1:2]
+        for text in texts:
+            match text:
+                case ast.Call(args=[ast.Constant(value=str(said)), *_]) | ast.Constant(value=str(said)):
+                    return f"{said[:1].upper()}{said[1:]}."
+                case _:
+                    pass
+        function = call.args[0]
+        # A function that makes the term's function, such as `reaching("middle")`, says what it makes.
+        made = ast.unparse(function.func if isinstance(function, ast.Call) else function)
+    return docstring_of(f"{module}.{made}") if re.fullmatch(r"[\w.]+", made) else ""
 
 
 def import_path(name: str) -> str:

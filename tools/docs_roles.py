@@ -1,4 +1,4 @@
-"""Extension of mkdocstrings' parser: Sphinx roles and literal blocks in docstrings become Markdown.
+"""Extension of mkdocstrings' parser: Sphinx roles and literal blocks in docstrings become Markdown, terms get docs.
 
 ``:class:`Pose` `` becomes a link to the page of `Pose`, and plain code where the name has no page.
 """
@@ -23,7 +23,13 @@ class Roles(griffe.Extension):
     """Rewrites each docstring as it is collected."""
 
     def on_object(self, *, obj: griffe.Object, **kwargs: Any) -> None:
-        """Replace roles by links, which are looked up in the object, its class and its module."""
+        """Replace roles by links, which are looked up in the object, its class and its module.
+
+        A term of a task without a docstring gets that of its function.
+        """
+        if obj.docstring is None and isinstance(obj, griffe.Attribute):
+            text = docs_api.term_docstring(str(obj.annotation), str(obj.value), obj.module.path)
+            obj.docstring = griffe.Docstring(text, parent=obj) if text else None
         if obj.docstring is None:
             return
         scopes = dict.fromkeys((obj.path, obj.path.rpartition(".")[0], obj.module.path))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+import pkgutil
 import re
 import textwrap
 import tomllib
@@ -19,8 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from orbit_conformance.report.declared import declarations_of
-from orbit_core.backends import backend
-from orbit_core.interfaces import Capability, Level
+from orbit_core.interfaces import Backend, Capability, Level
 
 ROOT = Path(__file__).parents[1]
 _PART = re.compile(
@@ -80,11 +80,16 @@ def page_table() -> str:
 
 
 def _sections(title: str, entries: list[Any]) -> list[tuple[str, list[str]]]:
-    """Return the links of a section of the navigation, and after them those of the sections within it."""
+    """Return the links of a section of the navigation, and after them those of the sections within it.
+
+    A section with an index page is that page only, which lists the others.
+    """
+    if index := [entry for entry in entries if isinstance(entry, str)]:
+        return [(title, [f"[{title}]({index[0]})"])]
     own: list[str] = []
     within: list[tuple[str, list[str]]] = []
     for entry in entries:
-        for name, content in entry.items() if isinstance(entry, dict) else ((title, entry),):
+        for name, content in entry.items():
             if isinstance(content, list):
                 within += _sections(name, content)
             else:
@@ -97,11 +102,7 @@ def _project(folder: Path) -> dict[str, Any]:
 
 
 def capability_table() -> str:
-    """Every capability, and each offered backend's level.
-
-    Raises:
-        BackendNotInstalledError: one is not installed.
-    """
+    """Return every capability with each offered backend's level."""
     names = offered_backends()
     rows = [f"| capability | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
     for capability in Capability:
@@ -111,24 +112,33 @@ def capability_table() -> str:
 
 
 def declarations(name: str) -> str:
-    """Return what a backend declares, with what the committed report measured.
+    """Return what a backend declares, with what the committed report measured."""
+    return declarations_of([plugin_backend(name)], ROOT / "docs" / "conformance")
+
+
+def plugin_backend(name: str) -> Backend:
+    """Return a backend of the checkout's plugins; its declarations can be read where its engine is not installed.
 
     Raises:
-        BackendNotInstalledError: it is not installed.
+        KeyError: no plugin registers that name.
     """
-    return declarations_of([name], ROOT / "docs" / "conformance")
+    registered: dict[str, str] = {}
+    for folder in sorted((ROOT / "plugins").iterdir()):
+        if (folder / "pyproject.toml").exists():
+            registered |= _project(folder).get("entry-points", {}).get("orbit.backends", {})
+    return pkgutil.resolve_name(registered[name].partition("[")[0].strip())()
 
 
 def exact_capabilities(name: str) -> str:
     """Return the capabilities that a backend declares exact, as one sentence."""
-    capabilities = backend(name).capabilities()
+    capabilities = plugin_backend(name).capabilities()
     exact = [capability.value for capability in Capability if capabilities[capability].level is Level.EXACT]
     return "; ".join(exact) + ".\n"
 
 
 def settings(name: str) -> str:
     """Return a table of a backend's settings, with the docstrings of their fields."""
-    config = backend(name).config_type
+    config = plugin_backend(name).config_type
     documented: dict[str, str] = {}
     for owner in reversed(config.__mro__):
         if dataclasses.is_dataclass(owner):
@@ -167,7 +177,7 @@ _WORDS = {Level.EXACT: "yes", Level.APPROXIMATE: "approximate", Level.UNSUPPORTE
 
 
 def _cell(name: str, capability: Capability) -> str:
-    return _WORDS[backend(name).capabilities()[capability].level]
+    return _WORDS[plugin_backend(name).capabilities()[capability].level]
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Draws each robot of the catalogue at home, and writes the page that shows them.
 
-    python tools/robot_gallery.py [--only NAME ...] [--no-pictures] [--result out/robots ...]
+    python tools/robot_gallery.py [--only NAME ...] [--no-pictures] [--result docs/conformance ...]
 
 draws docs/images/robots/NAME.png and writes docs/robots.md. ``--result`` are folders of finished runs of
 ``orbit conformance --part robots``, whose verdicts the page tells, of each robot those of the last that has it; without
@@ -12,7 +12,9 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterable, Sequence
+import string
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -179,18 +181,23 @@ def page(names: Sequence[str], results: Sequence[Path]) -> str:
     lines = [
         "# Robots",
         "",
-        "The robots of the catalogue at home, and some compositions of their parts, as MuJoCo draws them. The page is",
-        "made by `python tools/robot_gallery.py`; `orbit info NAME` tells every joint, `orbit check-robot NAME`",
-        "what is implausible, [Add a robot](add-a-robot.md) how one is made and composed.",
+        "The robots of the catalogue at home, and some compositions of their parts, drawn by MuJoCo. `orbit info NAME`",
+        "lists every joint, `orbit check-robot NAME` what is implausible; [add a robot](add-a-robot.md) of your own.",
         "",
-        "*Drives*: natural frequency and damping ratio of the joints over the workspace. *Engines*: whether the robot",
-        f"passes the [checks of robots](conformance.md#robots) ✓, misses one as declared ≈, or misses one ✗{checked}.",
+        "*Drives*: natural frequency and damping ratio of the joints over the workspace. *Engines*: the robot passes",
+        f"the [checks of robots](conformance.md#robots) ✓, misses one as declared ≈, or misses one ✗{checked}.",
+        "*Simplified*: letters are simplifications that several robots share:",
+        "",
+        "| | simplified |",
+        "|---|---|",
     ]
+    shared = shared_notes(simplifications(report.spec.articulation.notes) for report in reports.values())
+    lines += [f"| {letter} | {note} |" for note, letter in shared.items()]
     headings = ("robot", "", "joints", "mass", "drives", "simplified", "source, licence", "engines")
     table = [f"| {' | '.join(headings)} |", "|---" * len(headings) + "|"]
     for title, own in grouped(reports):
         lines += ["", f"## {title}", "", *table]
-        lines += [row(name, reports[name], verdicts.get(name, "not run")) for name in own]
+        lines += [row(name, reports[name], verdicts.get(name, "not run"), shared) for name in own]
     return "\n".join(lines) + "\n"
 
 
@@ -207,8 +214,8 @@ def grouped(reports: dict[str, RobotReport]) -> Iterable[tuple[str, list[str]]]:
         yield "Compositions", composed
 
 
-def row(name: str, report: RobotReport, verdict: str) -> str:
-    """One robot's line in its table."""
+def row(name: str, report: RobotReport, verdict: str, shared: Mapping[str, str]) -> str:
+    """Return one robot's line in its table, with shared notes as their letters."""
     spec, entry = report.spec, report.entry
     kinds = ", ".join(category.value for category in spec.categories)
     about = f"**{name}**<br>{entry.description}" + (f"<br>({kinds})" if kinds else "")
@@ -220,7 +227,7 @@ def row(name: str, report: RobotReport, verdict: str) -> str:
         joints,
         f"{spec.articulation.mass:.3g} kg",
         drives(report),
-        "; ".join(simplifications(spec.articulation.notes)) or "nothing",
+        cell_of_notes(simplifications(spec.articulation.notes), shared),
         f"{entry.source}<br>{entry.licence}",
         verdict,
     )
@@ -243,6 +250,19 @@ def simplifications(notes: Iterable[str]) -> list[str]:
             if not note.startswith((*_COMPUTED, "<")))  # fmt: skip
     computed = ["armature from the motors' limits"] if any(note.startswith(_COMPUTED[1]) for note in notes) else []
     return [*dict.fromkeys(told), *computed]
+
+
+def shared_notes(robots: Iterable[Sequence[str]]) -> dict[str, str]:
+    """Return a letter for each note of at least three robots, the most frequent first."""
+    counts = Counter(note for notes in robots for note in notes)
+    frequent = (note for note, count in counts.most_common() if count >= 3)
+    return dict(zip(frequent, string.ascii_lowercase, strict=False))
+
+
+def cell_of_notes(notes: Sequence[str], shared: Mapping[str, str]) -> str:
+    """Return a robot's simplifications: letters of the shared ones, then its own in full."""
+    letters = ", ".join(sorted(shared[note] for note in notes if note in shared))
+    return "; ".join([*([letters] if letters else []), *(note for note in notes if note not in shared)]) or "nothing"
 
 
 def verdicts_of(folders: Sequence[Path]) -> tuple[dict[str, str], str]:

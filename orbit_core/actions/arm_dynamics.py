@@ -35,9 +35,13 @@ class ArmState:
     speeds: Tensor
     """(N, J) of all joints."""
     positions: Tensor
+    """(N, k) rad or m."""
     velocities: Tensor
+    """(N, k) rad/s or m/s."""
     mass: Tensor
+    """(N, k, k) kg m^2 or kg."""
     bias: Tensor
+    """(N, k) N m or N."""
 
     def efforts(self, accelerations: Tensor) -> Tensor:
         """(N, k) that accelerate the joints by (N, k)."""
@@ -72,6 +76,7 @@ class ArmDynamics:
         gravity = (0.0, 0.0, 0.0) if spec.gravity_compensation else gravity
         self.robot = robot
         self.model = RigidBodyModel(spec.articulation, True, device, armature=armature.tolist(), gravity=gravity)
+        """Dynamics of the whole robot, from which the moving joints are taken."""
         self._joints = torch.tensor(list(joints), dtype=torch.int64, device=device)
         self._damping = torch.as_tensor(damping, dtype=torch.float32, device=device)[self._joints]
 

@@ -37,11 +37,16 @@ class MotionGenerator(Node):
         self.joints = list(joints)
         self.command_size = command_size
         self.inputs = (Port("command", (command_size,)),)
+        """Port of the command, (command_size,)."""
         self.outputs = tuple(Port(target.value, (len(self.joints),)) for target in targets)
+        """One port for each quantity that is commanded, (k,) for k joints."""
         self.num_envs = robot.joint_positions.shape[0]
+        """Number N of environments."""
         self.device = robot.joint_positions.device
+        """Device of the robot's tensors."""
         # Split once, because clamping takes them as two tensors in every step.
         self.lower_limits, self.upper_limits = robot.position_limits[self.joints].unbind(-1)
+        """Both limits (k,) of the joints' positions, rad or m; infinite where there is none."""
         # A slice where joints are adjacent: a view costs less than a gather.
         self._columns = columns_of(self.joints, self.device)
         # A view of nothing that no engine returns, so that the first read makes the real one.
@@ -198,8 +203,11 @@ class Actuate(Node):
 
     def __init__(self, robot: Robot, generator: MotionGenerator) -> None:
         self.name = f"actuate_{generator.name}"
+        """Name of the generator behind ``actuate_``."""
         self.inputs = generator.outputs
+        """The generator's outputs."""
         self.robot = robot
+        """Robot whose targets are written."""
         # Looked up once, so that a turn of the node only writes.
         self._writers = [
             (port.name, robot.target_writer(JointTarget(port.name), generator.joints)) for port in self.inputs

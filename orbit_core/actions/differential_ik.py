@@ -51,6 +51,7 @@ class PoseTermConfig(ActionTerm):
     """The frame that moves; None takes the first end effector's. ``joints`` are by default the arm of the end effector
     with that frame, or of the first one."""
     mode: CommandMode = CommandMode.RELATIVE
+    """Reference that a command counts from."""
     position_scale: float = 0.05
     """m"""
     rotation_scale: float = 0.2
@@ -112,6 +113,7 @@ class DifferentialIkConfig(PoseTermConfig):
     unbounded: ClassVar[tuple[str, ...]] = (*PoseTermConfig.unbounded, "max_joint_step")
 
     method: IkMethod = IkMethod.DAMPED_LEAST_SQUARES
+    """Inversion of the Jacobian; damped least squares stays bounded everywhere."""
     damping: float = 0.05
     """See :func:`orbit_core.actions.ik.joint_delta`."""
     max_joint_step: float = 0.3
@@ -127,7 +129,9 @@ class DifferentialIk(PoseFollower):
     def __init__(self, name: str, robot: Robot, config: DifferentialIkConfig) -> None:
         super().__init__(name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION,))
         self.config = config
+        """Settings, as the action term gives them."""
         self.frame = config.frame_of(robot)
+        """Name of the frame that moves."""
         self._pose = config.pose_command(robot)
         damped = config.method is IkMethod.DAMPED_LEAST_SQUARES
         self.bounded = damped and config.damping > 0.0  # other inverses are not finite where the Jacobian is singular

@@ -233,9 +233,13 @@ class IkSolution:
     """Positions (N, k), what is missing to the pose in m and rad (N,), and whether it is reached (N,)."""
 
     positions: Tensor
+    """(N, k) rad or m, within the joints' limits."""
     position_error: Tensor
+    """(N,) m between the frame and the wanted pose."""
     rotation_error: Tensor
+    """(N,) rad."""
     converged: Tensor
+    """(N,) bool: both errors are within their tolerances."""
 
 
 class PoseSearch(Protocol):
@@ -256,6 +260,7 @@ class PoseFollower(MotionGenerator):
     """A generator whose commands ask for poses of a frame."""
 
     frame: str
+    """Name of the frame that moves."""
     _pose: PoseCommand
 
     def asked(self) -> Tensor:

@@ -34,6 +34,7 @@ class JointPositionConfig(ActionTerm):
     """rad or m. None (absolute only) puts -1, 0 and 1 at lower limit, home and upper limit, linear in between; a
     joint without limits takes half a turn either way."""
     mode: CommandMode = CommandMode.ABSOLUTE
+    """Reference that a command counts from; absolute is most common in learning."""
     limit_speed: bool = False
     """Keep targets within :func:`orbit_core.actions.base.speed_limited_lead` of the measured positions."""
 
@@ -52,6 +53,7 @@ class JointPosition(MotionGenerator):
         if config.scale is None and config.mode is not CommandMode.ABSOLUTE:
             raise ConfigurationError("a relative joint position space needs a scale: give it in rad or m per command")
         self.config = config
+        """Settings, as the action term gives them."""
         self._home = robot.home_positions[joints]
         self._above, self._below = self._spans()
         self._lead = speed_limited_lead(robot, joints) if config.limit_speed else None
@@ -160,6 +162,7 @@ class JointVelocityConfig(ActionTerm):
     scale: float = 1.0
     """rad/s or m/s."""
     mode: CommandMode = CommandMode.ABSOLUTE
+    """Reference that a command counts from."""
 
     def build(self, name: str, robot: Robot) -> JointVelocity:
         return JointVelocity(name, robot, self)
@@ -174,6 +177,7 @@ class JointVelocity(MotionGenerator):
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), (JointTarget.POSITION, JointTarget.VELOCITY))
         self.config = config
+        """Settings, as the action term gives them."""
         limits = joint_limits(robot.spec, "velocity_limit")[joints]
         self._fastest = torch.as_tensor(limits, dtype=torch.float32, device=self.device)
         self._last = LastTargets(self.num_envs, (len(joints),), self.device)
@@ -235,6 +239,7 @@ class JointEffortConfig(ActionTerm):
     scale: float | None = None
     """N m or N; None takes each joint's effort limit."""
     mode: CommandMode = CommandMode.ABSOLUTE
+    """Reference that a command counts from."""
 
     def build(self, name: str, robot: Robot) -> JointEffort:
         return JointEffort(name, robot, self)
@@ -249,6 +254,7 @@ class JointEffort(MotionGenerator):
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), tuple(JointTarget))
         self.config = config
+        """Settings, as the action term gives them."""
         scales = _effort_limits(robot, joints) if config.scale is None else [config.scale] * len(joints)
         self._scale = torch.tensor(scales, device=self.device)
         limits = joint_limits(robot.spec, "effort_limit")[joints]

@@ -82,6 +82,7 @@ class BaseVelocity(MotionGenerator):
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, 3, (JointTarget.POSITION, JointTarget.VELOCITY))
         self.config = config
+        """Settings, as the action term gives them."""
         self._limits = torch.tensor(config.limits, device=self.device)
         fastest = joint_limits(robot.spec, "velocity_limit")[joints]
         self._fastest = torch.as_tensor(fastest, dtype=torch.float32, device=self.device)

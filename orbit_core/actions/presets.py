@@ -78,6 +78,7 @@ class ActionPreset:
     description: str
     """What one unit of action is, in one line."""
     term: Callable[[RobotSpec], ActionTerm]
+    """Function that makes the term for a robot."""
 
 
 def preset_terms(spec: RobotSpec, name: str, prefix: str = "") -> dict[str, ActionTerm]:

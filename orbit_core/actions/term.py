@@ -109,7 +109,7 @@ class ActionTerm(ABC):
         where = f"robot '{spec.name}', for action term '{name}'"
         articulation = spec.articulation
         matched = match_names(patterns, articulation.joint_names, "joint", where)
-        # A mimic joint has no command of its own; the engine moves it with its leader.
+        # A mimic joint has no command: the engine moves it with its leader.
         joints = [joint for joint in matched if articulation.movable_joints[joint].mimic is None]
         if not joints:
             raise ConfigurationError(f"no joint moves freely in {where}: name joints that follow no other")

@@ -28,8 +28,11 @@ class DelayState:
     """A snapshot of a delay line."""
 
     history: Tensor
+    """(T, 3, N, k) ring of the last T targets of position, velocity and effort."""
     delays: Tensor
+    """(N, k) physics steps by which targets are late."""
     age: Tensor
+    """(N, 1) targets since the reset; nothing older is read."""
 
 
 class CommandDelay:
@@ -152,8 +155,11 @@ class ActuatorState:
     """A snapshot of the actuators; what the engine's buffers hold is in the engine's."""
 
     effort_targets: Tensor
+    """(N, J) commanded efforts, N m or N."""
     gains: tuple[tuple[Tensor, ...], ...]
+    """Gains of each model, as they are randomised."""
     delays: tuple[DelayState | None, ...]
+    """Delay line of each model; None without delay."""
     memory: tuple[dict[str, Tensor], ...]
     """Memory of each model."""
 

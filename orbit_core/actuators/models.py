@@ -106,6 +106,7 @@ class ActuatorContext:
     num_envs: int
     """N."""
     device: torch.device
+    """Device that tensors are made on."""
 
     @property
     def physics_dt(self) -> float:
@@ -136,8 +137,10 @@ class ActuatorModel(ABC):
 
     def __init__(self, context: ActuatorContext) -> None:
         self.joints = list(context.joints)
+        """Indices (k,) of the joints in the scene."""
         # A slice where possible: reading it is a view and no copy.
         self.columns = columns_of(self.joints, context.device)
+        """The same as an index for (N, J) tensors: a slice where they are consecutive, which copies nothing."""
         self.memory: dict[str, Tensor] = {}
         """(N, ...) tensors that the model remembers, by name: part of snapshots, set to :meth:`fresh` by resets."""
         self.gains: tuple[Tensor, Tensor] | None = None
@@ -186,6 +189,7 @@ class PdModel(ActuatorModel):
         # Made once, because the step is evaluated at the physics rate.
         self._lower = -self._upper
         self.stiffness, self.damping = self.gains = context.values("stiffness"), context.values("damping")
+        """Gains (N, k): stiffness in N m/rad or N/m, damping in N m s/rad or N s/m."""
 
     def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
         """Return (N, k) from measured state (N, k) and position, velocity and effort targets (N, k) each."""

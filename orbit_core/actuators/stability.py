@@ -36,8 +36,11 @@ class UnstableDrive:
     """
 
     joint: str
+    """Name of the joint."""
     stiffness: float
+    """N m/rad or N/m, as configured."""
     damping: float
+    """N m s/rad or N s/m, as configured."""
     share: float
     time_step: float
 
@@ -51,7 +54,9 @@ class ExplicitGains:
     """
 
     stiffness: FloatArray
+    """(J,) N m/rad or N/m."""
     damping: FloatArray
+    """(J,) N m s/rad or N s/m."""
     implicit_damping: FloatArray
 
     def loads(self, step: float) -> FloatArray:

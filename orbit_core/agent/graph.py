@@ -26,7 +26,9 @@ class Edge:
     """Edge from an output port to an input port, each ``"node.port"``; a port of the graph itself is its bare name."""
 
     source: str
+    """Output port that values come from."""
     target: str
+    """Input port that they go to."""
 
 
 @dataclass(frozen=True)
@@ -190,8 +192,11 @@ class FunctionNode(Node):
         rate: float | None = None,
     ) -> None:
         self.name = name
+        """Name in the graph."""
         self.inputs = tuple(inputs)
+        """Ports whose values the function takes, by name."""
         self.outputs = tuple(outputs)
+        """Ports whose values it returns, by name."""
         self.rate = rate
         self._function = function
 
@@ -204,8 +209,11 @@ class Concatenate(Node):
 
     def __init__(self, name: str, inputs: Sequence[Port], output: str = "value", rate: float | None = None) -> None:
         self.name = name
+        """Name in the graph."""
         self.inputs = tuple(inputs)
+        """Ports that are put side by side, in order."""
         self.outputs = (Port(output, (sum(math.prod(port.shape) for port in inputs),)),)
+        """Port of the concatenated values, as wide as all inputs together."""
         self.rate = rate
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -219,9 +227,13 @@ class RunnerState:
     """A snapshot of one node and its place in the schedule."""
 
     memory: Mapping[str, Tensor]
+    """Tensors that the node carries from turn to turn, by name."""
     last_turn: int
+    """Step of its last turn; -1 before the first."""
     pending: bool
+    """True if environments that were reset wait for outputs."""
     waiting: Tensor | None
+    """(N,) bool: those environments; None before the first turn."""
 
 
 class NodeRunner:
@@ -388,8 +400,11 @@ class GraphState:
     """A snapshot of an agent between two steps."""
 
     step_count: int
+    """Steps of the agent so far."""
     values: tuple[Tensor | None, ...]
+    """Last value of each port; None before the first."""
     runners: tuple[RunnerState, ...]
+    """Snapshots of the nodes, in the order of their execution."""
 
 
 class AgentGraph:
@@ -425,6 +440,7 @@ class AgentGraph:
         self.inputs = tuple(inputs)
         self.outputs = tuple(outputs)
         self.wiring: Wiring = wire(nodes, edges, rate, inputs, outputs)
+        """Order of the nodes, their periods, and the sources of their inputs."""
         self.nodes: Mapping[str, Node] = {node.name: node for node in self.wiring.order}
         self.step_count = 0
         """Steps done since the last reset of all environments."""
@@ -436,6 +452,7 @@ class AgentGraph:
             NodeRunner(node, self.wiring.periods[node.name], self.wiring.sources, slots, self.values)
             for node in self.wiring.order
         )
+        """Nodes with their memory and schedule, in the order of execution."""
         self._runner_of = {
             slot: runner for (node, _), slot in slots.items() for runner in self.runners if runner.node.name == node
         }
@@ -578,6 +595,7 @@ class Cut:
         find_name(name, list(graph.nodes), "node", "the agent")
         self.graph = graph
         self.node = graph.nodes[name]
+        """Node that is taken out."""
         before = graph.wiring.ancestors(name)
         self._upstream = [runner for runner in graph.runners if runner.node.name in before]
         self._downstream = [runner for runner in graph.runners if runner.node.name not in (*before, name)]

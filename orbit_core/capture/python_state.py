@@ -108,8 +108,11 @@ class Holder:
     """A dictionary, list, set, closure cell or array that holds values, and the values when it was looked at."""
 
     path: str
+    """Expression that leads to the holder, for messages."""
     live: Any
+    """Holder itself."""
     known: Any
+    """Copy of its values at the time of tracing."""
     owner: Any
     """Object whose attributes the dictionary is; None for other holders."""
 

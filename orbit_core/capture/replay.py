@@ -204,6 +204,7 @@ class CapturedFunction:
         self._build = compiled if compile else _as_it_is
         self._compiles = compile
         self.replay: Callable[[], tuple[Tensor, ...]] | None = None
+        """Replays the operations; None until they are traced."""
         self.refusal = ""
         """Reason why the operations cannot be repeated without Python; empty if they can, or have not run."""
 

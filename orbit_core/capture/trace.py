@@ -36,9 +36,13 @@ class Operation:
     """One operation of torch with the very tensors that it took and gave."""
 
     function: Any
+    """Overload of the operation, as the dispatcher gives it."""
     arguments: tuple[Any, ...]
+    """Positional arguments, tensors among them."""
     keywords: dict[str, Any]
+    """Keyword arguments."""
     result: Any
+    """Tensor or tensors that it returned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +50,7 @@ class NotedCall:
     """One call to an engine or renderer, and what it measured."""
 
     call: EngineCall
+    """Method, owner and arguments."""
     results: list[Tensor]
     """Memory of the trace's own, that later operations read."""
 
@@ -81,7 +86,9 @@ class Stage:
     expressed: dict[str, Tensor] = field(default_factory=dict)
     """What was read by way of operations."""
     operations: list[Operation] = field(default_factory=list)
+    """Operations in the order in which they ran."""
     call: NotedCall | None = None
+    """Call that ends the stage; None for the last one."""
 
 
 class Tracer(TorchDispatchMode):
@@ -94,11 +101,14 @@ class Tracer(TorchDispatchMode):
     def __init__(self, engine: Engine) -> None:
         super().__init__()
         self.stages = [Stage()]
+        """Stages so far; the last one is still open."""
         self.refusal = ""
         """What no trace can repeat; empty if nothing."""
         self.incomplete = False
+        """True if the step made memory that later steps use, so that only its next trace may be replayed."""
         self._engine = engine
         self.paused = False
+        """True while nothing is noted, as within a call to the engine."""
 
     @contextmanager
     def tracing(self) -> Iterator[None]:

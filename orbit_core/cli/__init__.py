@@ -38,12 +38,21 @@ OTHERS = {
     "augment": ("orbit-data", "Make many demonstrations of a few, moved to where things are in new episodes"),
     "data": ("orbit-data", "Describe, convert, merge, filter, split and replay datasets of demonstrations"),
     "grasp": ("orbit-motion", "Choose, accept and move grasps of an arm in the browser, and take the arm"),
-    "train": ("orbit-learn", "Learn a task with a reinforcement learning library"),
+    "train": ("orbit-learn", "Learn a task: by reinforcement, from a teacher or from demonstrations"),
+    "sweep": ("orbit-learn", "Train with varied settings on the machines of a Ray cluster, and compare"),
+    "plot": ("orbit-learn", "Draw learning curves of trainings against each other"),
     "train-actuator": ("orbit-learn", "Fit a network to logged data of an actuator's joints"),
     "play": ("orbit-learn", "Run a learned policy on any backend, and report how it went"),
     "export": ("orbit-learn", "Write a learned policy as safetensors and ONNX, with its description"),
+    "evaluate": ("orbit-learn", "Compare policies on the same starts, on several backends, with intervals"),
+    "adopt": ("orbit-learn", "Describe a network made elsewhere, so that it acts as a policy of a task"),
+    "serve": ("orbit-learn", "Serve a policy to programs that speak OpenPI's protocol"),
     "deploy": ("orbit-deploy", "Run an expert, a learned policy or a person on a robot, through a bridge"),
     "robot": ("orbit-deploy", "Serve a simulated robot as a robot's computer does, in real time"),
+    "identify": ("orbit-deploy", "Fit a robot's friction, damping, armature, delay and payload to a log of its motion"),
+    "twin": ("orbit-deploy", "Replay a robot's log in simulation, and show where robot and simulations differ"),
+    "bisect": ("orbit-deploy", "Find which difference between two simulations makes a policy fail"),
+    "scene": ("orbit-scenes", "Make rooms, houses, tables and bins by seed, check scenes, list household things"),
     "check-asset": ("orbit-assets", "Check an asset file: masses, inertias, limits, shapes, and what was changed"),
     "check-robot": (
         "orbit-assets",
@@ -101,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _show_warning(message: Warning | str, *_: object) -> None:
-    """Return a warning is a sentence to the user; where in the code it arose is for ``--debug``."""
+    """Print a warning as one sentence; where in the code it arose is for ``--debug``."""
     print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 

@@ -28,6 +28,7 @@ class Throughput:
     """Measurements of one number of environments."""
 
     num_envs: int
+    """Number N of environments."""
     env_steps_per_second: float
     """Steps of single environments."""
     milliseconds_per_step: float

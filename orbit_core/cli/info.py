@@ -118,6 +118,7 @@ def main(words: Sequence[str]) -> None:
         named = [other for source in info_sources().values.values() for other in source.names()]
         things = [*task_entries(), *named, *sensor_types().names]
         known = [*things, *backend_names(), *installable_backends(), *renderer_names()]
+        # What is not installed may be why the name is unknown.
         note = "; ".join(filter(None, (missing_note("orbit.tasks"), info_sources().note)))
         raise UnknownNameError("task, robot, object, sensor, backend or renderer", name, known, note=note)
 

@@ -41,7 +41,9 @@ class ResultDifference:
     name: str
     """Path in the result."""
     recorded: Any
+    """Value in the result's file."""
     repeated: Any
+    """Value of the new run."""
 
 
 def main(words: Sequence[str]) -> int:
@@ -73,6 +75,7 @@ def read_result(path: Path) -> dict[str, Any]:
         ConfigurationError: the file is not readable, is none, or holds no settings.
     """
     try:
+        # Before reading, as a wrong path may be a video of gigabytes.
         if path.stat().st_size > _MOST_BYTES:
             raise ConfigurationError(f"{path} is no result of a run: it has {path.stat().st_size:,} bytes")
         values = json.loads(path.read_text(encoding="utf-8"))
@@ -98,6 +101,7 @@ def differences(recorded: Mapping[str, Any], repeated: Mapping[str, Any]) -> Ite
     """Yield the numbers of two results that differ; those of the clock and descriptions of the run do not count."""
     for name in dict.fromkeys((*recorded, *repeated)):
         if name not in (*_TIMED, "settings", "versions", "agent_digest"):
+            # As the file has it: JSON makes lists of tuples, and text of keys.
             yield from _apart(name, recorded.get(name), json.loads(json.dumps(repeated.get(name))))
 
 
@@ -105,6 +109,7 @@ def _apart(name: str, one: Any, other: Any) -> Iterator[ResultDifference]:
     if isinstance(one, dict) and isinstance(other, dict):
         for key in dict.fromkeys((*one, *other)):
             yield from _apart(f"{name}.{key}", one.get(key), other.get(key))
+    # A mean of no episodes is NaN in both results, and NaN is unlike itself.
     elif one != other and not (_is_nan(one) and _is_nan(other)):
         yield ResultDifference(name, one, other)
 

@@ -36,21 +36,31 @@ class RunResult:
     """Result of a run."""
 
     task: str
+    """Name of the task."""
     backend: str
+    """Name of the physics backend."""
     robot: str
+    """Name of the robot in the catalogue."""
     action: str
+    """Name of the action space."""
     agent: str
+    """Actor: ``expert``, ``random``, ``zero``, a policy's name or file, or a server's address."""
     seed: int
+    """Seed of the world's random streams."""
     num_envs: int
+    """Number N of environments."""
     versions: dict[str, str]
     """Versions of ORBIT, of what the backend depends on, of torch and of Python."""
     episodes: int
+    """Number of episodes in the averages."""
     success_rate: Estimate
     """Success rate in [0, 1], with its 95 % interval."""
     metrics: dict[str, Statistic]
     """Means and deviations of the task's metrics by name; the first leads."""
     episode_return: Statistic
+    """Sum of an episode's rewards."""
     episode_steps: Statistic
+    """Steps of an episode."""
     premises: tuple[PremiseCheck, ...]
     """Premises of the task about an episode's start, and the number of sampled starts in which each failed."""
     unanswered: int

@@ -27,7 +27,7 @@ File = Annotated[Path | None, arg(metavar="FILE")]
 KeyValues = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")]
 _Parsed = TypeVar("_Parsed")
 # A file has tables ([fields], [settings] ...) in place of these, and names no other file.
-_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
+COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +235,7 @@ def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default
 def read_file(settings_type: type[_Settings], path: Path) -> _Settings:
     """Return the settings of a TOML file over the defaults of ``settings_type``."""
     values = read_toml(path, "configuration file")
-    known = field_types(settings_type).keys() - {*_COMMAND_LINE_ONLY}
+    known = field_types(settings_type).keys() - {*COMMAND_LINE_ONLY}
     for key in values.keys() - known:
         raise UnknownNameError("key", key, known, f"configuration file {path}")
     return configured(settings_type(), values, f"configuration file {path}", "key")

@@ -62,6 +62,7 @@ class RowSelection:
     count: int
     """Rows that are given of each value."""
     device: torch.device
+    """Device that values are moved to."""
     taken: bool = False
     """True if values are given for all environments, and those of ``rows`` must be taken."""
     masked: bool = False

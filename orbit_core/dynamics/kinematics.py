@@ -348,7 +348,7 @@ def mimic_matrix(articulation: Articulation) -> FloatArray:
     for index, joint in enumerate(articulation.movable_joints):
         if joint.mimic is not None:
             matrix[index, index] = 0.0
-            # A follower moves with its leader, and has no velocity of its own.
+            # A follower moves with its leader, and its own velocity does not count.
             matrix[index, names.index(joint.mimic.joint)] = joint.mimic.slope(0.0)
     return matrix
 

@@ -31,7 +31,9 @@ class RandomStreams:
 
     def __init__(self, num_envs: int, seed: int, device: torch.device, selector: RowSelector | None = None) -> None:
         self.device = device
+        """Device that numbers are drawn on."""
         self.selector = selector or RowSelector(num_envs, device)
+        """Mask of environments that draw; others keep their counters."""
         self._envs: _Array = _array(torch.arange(num_envs, dtype=torch.int64, device=device))
         self._key: _Array = self._envs * 0
         self._episode: _Array = self._envs * 0

@@ -57,6 +57,7 @@ class RigidBodyModel:
         dtype: torch.dtype = torch.float32,
     ) -> None:
         self.kinematics = KinematicTree(articulation, device, dtype)
+        """Poses, velocities and Jacobians of the same articulation."""
         self.dtype = dtype
         self.fixed_base = fixed_base
         self.device = torch.device(device)
@@ -65,7 +66,7 @@ class RigidBodyModel:
         ancestry = link_ancestry(articulation)
         children = [0] * base + child_links(articulation)
         moves = np.concatenate((np.ones((len(ancestry), base), dtype=bool), joint_ancestry(articulation)), axis=1)
-        # Actuator groups may override a joint's armature, hence the argument.
+        # An argument, because actuator groups may override a joint's armature.
         own = [joint.armature for joint in joints] if armature is None else list(armature)
         self._children = torch.tensor(children, dtype=torch.int64, device=self.device)
         self._moves = self._tensor(moves[:, base:])
@@ -240,8 +241,11 @@ class ReflectedInertia:
     """
 
     smallest: npt.NDArray[np.float64]
+    """(J,) at the postures where the joint moves least."""
     mean: npt.NDArray[np.float64]
+    """(J,) over the sampled postures."""
     largest: npt.NDArray[np.float64]
+    """(J,) at the postures where the joint moves most."""
 
 
 def reflected_inertia(articulation: Articulation, armature: Sequence[float] | None = None) -> ReflectedInertia:
@@ -266,10 +270,15 @@ class DriveResponse:
     """
 
     joint: str
+    """Name of the joint."""
     slowest: float
+    """Hz, at the largest inertia."""
     fastest: float
+    """Hz, at the smallest inertia."""
     least_damped: float
+    """Damping ratio of the slowest response."""
     most_damped: float
+    """Damping ratio of the fastest response."""
 
 
 def drive_responses(robot: RobotSpec) -> tuple[DriveResponse, ...]:

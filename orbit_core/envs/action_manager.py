@@ -153,7 +153,7 @@ class ActionManager:
         """(N, A) the action that :meth:`apply` takes; written in place."""
         parts = self.action.split_with_sizes(self._sizes, dim=1)
         self._drives = [_Drive(generator, part) for generator, part in zip(self.generators, parts, strict=True)]
-        # The agent from the action on, where a generator has a rate of its own; the others need no schedule.
+        # The agent from the action on, where a generator has another rate than the agent; the others need no schedule.
         self._graph: AgentGraph | None = None
         if any(generator.rate is not None for generator in self.generators):
             given = Port("action", (self.size,))

@@ -29,10 +29,15 @@ class CapturableEnvironment(Protocol):
     """The parts of a step, which an environment runs one by one or has captured. None of them waits for the device."""
 
     world: World
+    """World that is stepped."""
     actions: ActionManager
+    """Manager of the action terms."""
     commands: CommandManager
+    """Manager of the command terms."""
     device: torch.device
+    """Device of all tensors."""
     observer: ObservationManager
+    """Manager of the observation groups."""
     observation: dict[str, GroupLayout]
     """What each group of the observation is like, by name."""
     reward_terms: dict[str, RewardTerm]
@@ -123,6 +128,7 @@ class CapturedStep:
         alone = settles or not renews
         parts = (self._play,) if alone else (self._play_and_renew,) if whole else (self._play, self._renew)
         self.parts = [self._scheduled(part, compile) for part in parts]
+        """Step, then reset where that is a part of its own; each is traced when it first runs."""
 
     def _scheduled(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> ScheduledFunction:
         world, actions = self._environment.world, self._environment.actions

@@ -31,6 +31,7 @@ class CommandManager(Mapping[str, Tensor]):
     def __init__(self, env: Environment) -> None:
         self._env = env
         self.terms = terms_of(env.task.commands, CommandTerm)
+        """Command terms by name."""
         self._commands = {name: _Command(name, term, env) for name, term in self.terms.items()}
         self.changing: list[_Command] = []
         """Commands that may change within an episode; the others cost a step nothing."""

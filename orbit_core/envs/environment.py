@@ -124,6 +124,7 @@ class Environment(Generic[TaskT, StateT]):
         if task.domain_randomization:
             task.randomize()
         self.max_episode_steps = whole_steps(task)
+        """Steps until the time limit."""
         scene = task.scene()
         terms = action_terms(task, scene)
         scene = with_sensors_of_terms(driven_scene(scene, terms), task)
@@ -141,15 +142,18 @@ class Environment(Generic[TaskT, StateT]):
         self.num_envs = num_envs
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
+        """Seconds of a step: physics step times decimation."""
         check_owners(task)
         self.cache: dict[Hashable, tuple[int, Tensor]] = {}
         """Values of terms that are computed once per state of the world (:func:`once_per_state`)."""
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
+        """Terms that end episodes early, by name."""
         self._curriculum = curriculum_of(task)
         self._modifiers = Modifiers(task, modifiers_of(task))
         self.steps = 0
         """Steps made since the environment was made."""
         self.all_ids = torch.arange(num_envs, device=self.device)
+        """(N,) indices of all environments."""
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
         # NumPy's view: on few numbers its operations cost a third of torch's.
@@ -158,7 +162,9 @@ class Environment(Generic[TaskT, StateT]):
         """Episodes that diverged, where these do not raise."""
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self.actions = ActionManager(self.world, task, terms, self.step_dt)
+        """Manager of the action terms."""
         self.action_size = self.actions.size
+        """Components A of an action."""
         self._action = self.actions.action
         self.state: StateT = cast(StateT, task.state_type(self))
         """Memory of the run, of the class that :attr:`Task.state_type` names."""
@@ -170,7 +176,9 @@ class Environment(Generic[TaskT, StateT]):
         """What each environment is told to do: ``env.commands["goal"]``, (N, K)."""
         self._rewards = RewardManager(self)
         self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
+        """Reward terms by name, and their sums (rewards, N) over the present episodes."""
         self.observer = ObservationManager(self)
+        """Manager of the observation groups."""
         self.observation = self.observer.layouts
         """What each group of the observation is like, by name."""
         self._checks = check_finite or self.device.type == "cpu"

@@ -33,6 +33,7 @@ class MultiAgentView:
     def __init__(self, env: Environment, layout: GroupLayout) -> None:
         task = env.task
         self.agents = task.agents
+        """Names of the robots that act, in the order of the action."""
         self._actions = env.actions.slices
         self._task, self._step_dt = task, env.step_dt
         owners = {name: term.agent for name, term in terms_of_group(groups_of(task)[POLICY]).items()}

@@ -25,8 +25,11 @@ class TermLayout:
     shape: tuple[int, ...]
     """Shape of one environment's value."""
     dtype: torch.dtype
+    """Type of the numbers."""
     low: float
+    """Least value; minus infinity if unbounded."""
     high: float
+    """Greatest value; infinity if unbounded."""
     camera: str | None = None
     """Camera whose picture the term is."""
 
@@ -36,8 +39,11 @@ class GroupLayout:
     """One group of an observation, its terms in order."""
 
     name: str
+    """Name of the group, such as ``policy``."""
     concatenated: bool
+    """True for one tensor (N, K), False for a dictionary of terms."""
     terms: Mapping[str, TermLayout]
+    """Layouts of the terms by name, in order."""
 
     @property
     def size(self) -> int:

@@ -27,6 +27,7 @@ class PpoSettings:
     initial_std: float = 0.5
     """Standard deviation of the actions at first; their range is [-1, 1]."""
     learning_rate: float = 1e-3
+    """Step size of Adam, at first where a library adapts it."""
     target_kl: float = 0.01
     """Kullback-Leibler divergence from the last iteration's policy that the learning rate is adapted to."""
     epochs: int = 5
@@ -40,6 +41,7 @@ class PpoSettings:
     clip: float = 0.2
     """Largest deviation from 1 of the ratio of probabilities."""
     entropy_weight: float = 0.002
+    """Weight of the entropy bonus, which keeps exploration alive."""
     normalize_observations: bool = True
     """Whether observations are shifted and scaled to mean 0 and deviation 1 by their own statistics."""
     imitation_steps: int = 0

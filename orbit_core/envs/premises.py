@@ -31,10 +31,13 @@ class PremiseCheck:
     """Result of a premise in the starts that were sampled at build."""
 
     name: str
+    """Name of the premise in the task."""
     reason: str
     """What a start is in which it does not hold, as the task says it."""
     starts: int
+    """Number of starts that were sampled."""
     failed: int
+    """Number of those in which it did not hold."""
 
 
 class PremiseManager:
@@ -53,6 +56,7 @@ class PremiseManager:
         world, task = env.world, env.task
         self._env, self._world, self._task = env, world, task
         self.terms = terms_of(task.premises, PremiseTerm)
+        """Premise terms by name."""
         steps = _steps(task, "settle_time"), _steps(task, "premise_time")
         self.settle_steps, self._sampled_steps = steps if simulated else (0, 0)
         """Physics steps that pass before an episode's first observation."""

@@ -22,7 +22,9 @@ class TaskEntry:
     """A task by name. ``factory`` is ``"module:Class"``, imported when the task is made."""
 
     name: str
+    """Name for commands, such as ``Lift``."""
     description: str
+    """One line for ``orbit list tasks``."""
     factory: str
 
     def task_type(self) -> type[Task]:
@@ -41,6 +43,7 @@ class TaskRegistry:
 
     def __init__(self) -> None:
         self.registry = Registry[TaskEntry]("task", "orbit.tasks", lambda register: register(self))
+        """Entries of all installed distributions, loaded on first use."""
 
     def add(self, name: str, description: str, factory: str) -> None:
         """Add a task.

@@ -26,6 +26,7 @@ class RewardManager:
     def __init__(self, env: Environment) -> None:
         self._env = env
         self.terms = terms_of(env.task.rewards, RewardTerm)
+        """Reward terms by name."""
         self._weights = torch.tensor(self._scaled(), device=env.device)
         self._column = self._weights[:, None]
         self._shape = torch.Size((env.num_envs,))

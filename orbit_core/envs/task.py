@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # Name of the robot that acts, where a task has one.
 ROBOT = "robot"
 
-# Name of the action space of a task that has action terms of its own.
+# Name of the action space of a task that brings its own action terms.
 COMPOSED = "composed"
 
 # Methods that tasks had, and what takes their place.
@@ -86,6 +86,7 @@ class TaskException:
     """
 
     check: TaskCheck
+    """Check that the task does not meet."""
     reason: str
     """A sentence for the table of checked tasks."""
 
@@ -107,7 +108,10 @@ class TaskMetadata:
     ppo: PpoSettings = PpoSettings()
     """Settings that ``orbit train`` learns it with."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
-    """Pose of the camera that takes pictures and videos, in the environment's frame."""
+    """Direction from which pictures and videos are taken, in the environment's frame. The camera stands where what the
+    task moves fills the picture; here, if nothing moves."""
+    follow: str = ""
+    """Entity that the camera of pictures and videos moves with; empty leaves it where it is."""
     expert_success: float = 0.8
     """Success rate that conformance requires of the expert, where there is one, on every engine."""
     exceptions: tuple[TaskException, ...] = ()
@@ -234,6 +238,9 @@ class Task(ABC):
     @abstractmethod
     def scene(self) -> Scene:
         """Return the scene to simulate."""
+
+    def mark(self, env: Environment) -> None:
+        """Place markers that people look at. Called before a spectator's picture is drawn, and never within a step."""
 
     def bound(self, **limits: tuple[float, float]) -> None:
         """Check that fields are within the least and the most that they may be.

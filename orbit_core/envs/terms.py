@@ -110,6 +110,7 @@ class ObservationGroup:
     """
 
     concatenate: bool = True
+    """True for one tensor, False for a dictionary."""
     history: int = 1
     """Steps that each term shows, where it does not say itself: (N, k, ...), or flattened if concatenated."""
 
@@ -163,6 +164,7 @@ class EventTerm(Term):
     arguments: ClassVar[tuple[str, ...]] = ("env", "env_ids")
     function: EventFunction
     time: EventTime = EventTime.RESET
+    """Occasion of the event; each reset by default."""
     interval: tuple[float, float] = (0.0, 0.0)
 
 
@@ -189,6 +191,7 @@ class ModifyTerm(Term):
     address: str
     """Path of the value in the task: ``"rewards.lift.weight"``, ``"events.push.interval"``, ``"max_forward"``."""
     function: Callable[[int, Any], Any]
+    """``(steps, value)`` to the next value; returns ``value`` itself for no change."""
 
 
 @dataclass(unsafe_hash=True, kw_only=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 # Version of the contract between the core and plugins -----------------------------------------------------------------
-# A plugin states the version that it was written for, as numbers of its own: ``contract = (1, 0)``. The core checks it
+# A plugin states the version that it was written for, as plain numbers: ``contract = (1, 0)``. The core checks it
 # when the plugin is loaded, before any engine is built.
 
 CONTRACT = (1, 0)
@@ -38,6 +38,7 @@ class Backend(ABC):
     """A physics engine, a renderer, or both. Importing and making one must not import the engine itself."""
 
     name: ClassVar[str]
+    """Name in commands, settings and entry points."""
     contract: ClassVar[tuple[int, int]]
     """Version of the contract (:data:`~orbit_core.interfaces.CONTRACT`) that the plugin was written for, as numbers of
     its own: ``contract = (1, 0)``. Checked when the plugin is loaded."""

@@ -11,8 +11,11 @@ class Level(Enum):
     """Levels of support for a capability."""
 
     EXACT = "exact"
+    """As the contract defines it, to the accuracy of the engine's arithmetic."""
     APPROXIMATE = "approximate"
+    """Present, and different from the contract by what the reason says."""
     UNSUPPORTED = "unsupported"
+    """Absent: a scene that needs it is refused."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,9 @@ class Support:
     """A level and, for anything but exact, the reason."""
 
     level: Level
+    """Degree of support."""
     reason: str = ""
+    """Difference or cause, for the report; empty for exact support."""
 
     def __post_init__(self) -> None:
         # Reports and refusals show the reason; without it a user could not choose another engine.
@@ -66,6 +71,7 @@ class Capability(Enum):
     TORSIONAL_FRICTION = "torsional friction"
     ROLLING_FRICTION = "rolling friction"
     RESTITUTION = "restitution"
+    """Bounce by the coefficient of the pair."""
     COMPLIANT_CONTACT = "contact stiffness and damping"
     CONVEX_MESHES = "convex mesh collision"
     TRIANGLE_MESHES = "static triangle mesh collision"
@@ -92,6 +98,8 @@ class Capability(Enum):
     LIGHTING = "colour images lit by the scene's lights"
     SHADOWS = "shadows of the scene's lights"
     COLORS_PER_ENVIRONMENT = "colours of links per environment, in images"
+    LIGHTS_PER_ENVIRONMENT = "lights per environment, in images"
+    TEXTURES = "textures and highlights of surfaces, in images"
     DEPTH = "depth images"
     NORMALS = "surface normal images"
     ALBEDO = "albedo images"
@@ -99,9 +107,12 @@ class Capability(Enum):
     RAY_TRACED_RGB = "ray-traced colour images"
     GPU = "simulation on a GPU"
     CLOTH = "cloth"
+    """Thin elastic sheets, :class:`orbit_core.scene.Cloth`."""
     ROPES = "ropes"
+    """Thin elastic rods, :class:`orbit_core.scene.Rope`."""
     SOFT_BODIES = "soft bodies"
     FLUIDS = "fluids"
+    """Liquids, :class:`orbit_core.scene.Fluid`."""
 
     @property
     def key(self) -> str:
@@ -112,6 +123,7 @@ class Capability(Enum):
 IMAGES = (
     Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION,
     Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS, Capability.COLORS_PER_ENVIRONMENT,
+    Capability.LIGHTS_PER_ENVIRONMENT, Capability.TEXTURES,
 )  # fmt: skip
 """Capabilities that a scene needs of its renderer; it needs all others of the engine."""
 
@@ -133,6 +145,7 @@ class Capabilities:
     """Declared capabilities of a backend. Everything else is unsupported."""
 
     declared: Mapping[Capability, Support]
+    """Support by capability; what is missing is unsupported."""
 
     def __getitem__(self, capability: Capability) -> Support:
         # Undeclared means unsupported, so that a new capability never becomes a false promise of an old plugin.
@@ -152,7 +165,9 @@ class Gap:
     """
 
     scenario: str
+    """Name of the scenario, or of a check of robots."""
     metric: str
+    """Name of the metric in it."""
     limit: float
     """The largest error that the backend admits to, in the metric's unit: what was measured, with a margin.
 

@@ -1,7 +1,7 @@
-"""What an engine, or a renderer, does for a step that is captured: watched once, then repeated without its Python.
+"""Interface of engines and renderers to a captured step, which is traced once and then repeated without its Python.
 
-The interface's methods say themselves what they are to such a step: a *read* of the state, or a *call* that changes or
-measures something. While a :class:`CallTracer` watches they go through it, whatever class overrides them.
+Marks on the interface's methods declare their role in such a step: a *read* of the state, or a *call* that changes or
+measures something. While a :class:`CallTracer` watches they go through it, also where a subclass overrides them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MARK = "_use_in_a_captured_step"
 
 
 class CaptureFacet:
-    """What one engine or renderer does for captured steps; this one does nothing special, which is always right."""
+    """Part of an engine or renderer for captured steps; this one does nothing special, which is always right."""
 
     takes_masks: ClassVar[frozenset[str]] = frozenset()
     """Names of the methods whose ``env_ids`` may also be a mask (N,) bool; n is then N, and rows outside of the mask
@@ -52,7 +52,7 @@ class CaptureFacet:
 
 @dataclass(frozen=True)
 class Call:
-    """What a method is to a captured step: a change, or a measurement that gives tensors."""
+    """Role of a method in a captured step: a change, or a measurement that gives tensors."""
 
     rows: tuple[str, ...] = ()
     """Names of the arguments with a row for each environment of ``env_ids``."""
@@ -62,11 +62,14 @@ class Call:
 
 @dataclass(frozen=True)
 class EngineCall:
-    """One call, as a watcher is told of it."""
+    """One call, as a watcher gets it."""
 
     owner: Traceable
+    """Engine or renderer that was called."""
     name: str
+    """Name of the method."""
     kind: Call
+    """Declaration of the method: a change or a measurement."""
     function: Callable[..., Any]
     """Bound to its owner, and watched no more."""
     arguments: Mapping[str, Any]
@@ -74,7 +77,7 @@ class EngineCall:
 
 
 class CallTracer(Protocol):
-    """Is told of reads and calls, and makes them."""
+    """Watcher that gets reads and calls, and makes them."""
 
     incomplete: bool
     """True if the step made memory that later steps use."""
@@ -84,7 +87,7 @@ class CallTracer(Protocol):
         ...
 
     def call(self, call: EngineCall) -> Any:
-        """What the call gives."""
+        """Make the call, and return its result."""
         ...
 
 
@@ -141,7 +144,7 @@ def report_new_memory() -> None:
 
 @contextmanager
 def traced_by(watcher: CallTracer) -> Iterator[None]:
-    """Tell the watcher of every read and call in this thread."""
+    """Report every read and call in this thread to the watcher."""
     # Nested traces give the thread back to the outer one.
     before, _watching.watcher = _watching.watcher, watcher
     try:
@@ -162,12 +165,12 @@ def changes(*rows: str) -> Callable[[_Function], _Function]:
 
 
 def measures(*rows: str) -> Callable[[_Function], _Function]:
-    """As :func:`changes`, for a method that gives tensors with such rows."""
+    """Mark a method like :func:`changes` that gives tensors with such rows."""
     return _marking(Call(rows, measures=True))
 
 
 class Traceable:
-    """A class whose marked methods, and what overrides them, tell the watcher of their use."""
+    """A class whose marked methods, and their overrides, report their use to the watcher."""
 
     capture: CaptureFacet = CaptureFacet()
     """What the engine does for captured steps."""
@@ -175,8 +178,8 @@ class Traceable:
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         for name, member in list(vars(cls).items()):
-            # Marks stand in the contract's classes; what overrides a marked method in a plugin is wrapped without a
-            # mark of its own.
+            # Marks stand in the contract's classes; what overrides a marked method in a plugin is wrapped
+            # without a new mark.
             marks = [mark for kind in cls.__mro__ if (mark := _mark_of(vars(kind).get(name))) is not None]
             if not marks:
                 continue

@@ -43,8 +43,11 @@ class Object(ABC):
     """
 
     name: str
+    """Name in the scene."""
     link_names: tuple[str, ...]
+    """Names of the links, in the order of all tensors."""
     joint_names: tuple[str, ...]
+    """Names of the movable joints, in the order of all tensors."""
 
     @property
     @abstractmethod
@@ -171,7 +174,7 @@ class Object(ABC):
         Raises:
             UnsupportedCapabilityError: as all parameters do where there are none to set.
         """
-        # Recorded and real worlds have no masses to change, hence an error in place of an abstract method.
+        # An error and no abstract method, as recorded and real worlds have no masses to change.
         raise self._unsupported("nominal masses")
 
     @cached_property
@@ -255,8 +258,11 @@ class JointTarget(StrEnum):
     """Quantity that is commanded to a joint; the value names the port that carries it, (N, k) for k joints."""
 
     POSITION = "position_targets"
+    """rad or m."""
     VELOCITY = "velocity_targets"
+    """rad/s or m/s."""
     EFFORT = "effort_targets"
+    """N m or N."""
 
 
 class Robot(Object):
@@ -316,7 +322,9 @@ class Deformable(ABC):
     """
 
     name: str
+    """Name in the scene."""
     spec: DeformableSpec
+    """Description in the scene."""
 
     @property
     @abstractmethod
@@ -417,6 +425,7 @@ class Marker(ABC):
     """Something drawn for people, with no physics."""
 
     spec: MarkerSpec
+    """Description in the scene."""
 
     @property
     @abstractmethod

@@ -36,7 +36,9 @@ class UnknownNameError(OrbitError):
         known_names = f"known: {', '.join(known) or 'none'}"
         super().__init__(f"unknown {kind} '{name}'{place}: {hint}{known_names}{'; ' if note else ''}{note}")
         self.name = name
+        """Name that was not found."""
         self.near = near
+        """Known names that resemble it, at most three."""
 
 
 class BackendNotInstalledError(OrbitError):

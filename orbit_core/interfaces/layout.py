@@ -42,9 +42,13 @@ class EntityLayout:
     """One entity's place: its index and its ranges of links and movable joints."""
 
     index: int
+    """Number of the entity: robots first, then objects."""
     spec: Entity
+    """Description in the scene."""
     links: slice
+    """Columns of its links in (N, L, ...) tensors."""
     joints: slice
+    """Columns of its movable joints in (N, J) tensors."""
 
     @property
     def root_link(self) -> int:
@@ -74,12 +78,19 @@ class JointParameters:
     """Per movable joint (J,), after the actuator groups' overrides. Infinite means unlimited."""
 
     lower_limit: npt.NDArray[np.float64]
+    """rad or m."""
     upper_limit: npt.NDArray[np.float64]
+    """rad or m."""
     effort_limit: npt.NDArray[np.float64]
+    """N m or N."""
     velocity_limit: npt.NDArray[np.float64]
+    """rad/s or m/s."""
     damping: npt.NDArray[np.float64]
+    """Viscous damping of the mechanism, N m s/rad or N s/m."""
     friction: npt.NDArray[np.float64]
+    """Coulomb friction of the mechanism, N m or N."""
     armature: npt.NDArray[np.float64]
+    """Reflected inertia of the motor, kg m^2 or kg."""
     spring_stiffness: npt.NDArray[np.float64]
     """Stiffness of the mechanism's own spring, N/m or N m/rad."""
     spring_rest: npt.NDArray[np.float64]
@@ -87,6 +98,7 @@ class JointParameters:
     drive_stiffness: npt.NDArray[np.float64]
     """Gain of the engine's own drive; zero where the core computes the effort."""
     drive_damping: npt.NDArray[np.float64]
+    """The same for velocities, N m s/rad or N s/m."""
     home: npt.NDArray[np.float64]
     """Position at reset."""
 
@@ -96,11 +108,15 @@ class SceneLayout:
     """Numbering of one scene, and the measurements that the engine must take in it."""
 
     scene: Scene
+    """Scene that is numbered."""
     entities: tuple[EntityLayout, ...]
+    """Robots, then objects, each with its ranges."""
     contact_queries: tuple[ContactQuery, ...]
+    """Contact forces that sensors need."""
     wrench_links: tuple[int, ...]
     """Links whose incoming joint wrench is measured."""
     joint_parameters: JointParameters
+    """Parameters of all movable joints."""
 
     @staticmethod
     def of(scene: Scene) -> SceneLayout:
@@ -352,9 +368,13 @@ class Approximation:
     """A line of the build report: what the scene asked for, what the engine got, and why they differ."""
 
     subject: str
+    """Part of the scene, for the report."""
     asked: str
+    """Quantity or behaviour that the scene specifies."""
     got: str
+    """Value or behaviour in the engine."""
     why: str
+    """Reason for the difference, and what would avoid it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

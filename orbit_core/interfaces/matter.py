@@ -169,6 +169,7 @@ class MatterSolver(ABC):
     """A plugin that makes :class:`Matter`. Importing and making one must not import the solver's libraries."""
 
     name: ClassVar[str]
+    """Name in commands, settings and entry points."""
     contract: ClassVar[tuple[int, int]]
     """Version of the contract that the plugin was written for, as of a :class:`~orbit_core.interfaces.Backend`."""
     config_type: ClassVar[type]

@@ -14,6 +14,7 @@ class Port:
     """A named input or output; ``shape`` leaves out the leading num_envs."""
 
     name: str
+    """Name within its node."""
     shape: tuple[int, ...]
 
 
@@ -25,8 +26,11 @@ class Node(ABC):
     """
 
     name: str
+    """Name within the agent."""
     inputs: tuple[Port, ...] = ()
+    """Ports of the values that it needs."""
     outputs: tuple[Port, ...] = ()
+    """Ports of the values that it gives."""
     # None and not a number, because a node does not know the rate of its agent.
     rate: float | None = None
 

@@ -15,14 +15,15 @@ from orbit_core.interfaces.engine import Engine
 from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import Approximation, SceneLayout
-from orbit_core.interfaces.renderer import Renderer
-from orbit_core.scene import CameraSpec, Scene, SensorSpec
+from orbit_core.interfaces.renderer import LightTable, Renderer
+from orbit_core.scene import CameraSpec, Scene, SensorSpec, Studio
 
 
 class Sensor(ABC):
     """One sensor of all environments. A subclass adds typed properties for its values."""
 
     spec: SensorSpec
+    """Description in the scene."""
 
     def begin_step(self) -> None:
         """Start a control step: averages over it begin here."""
@@ -134,16 +135,27 @@ class World(ABC):
     matter: str = ""
     """Name of the matter solver that simulates deformables; empty where the engine does, or there are none."""
     num_envs: int
+    """Number N of environments."""
     device: torch.device
+    """Device of all tensors."""
     physics_dt: float
+    """Seconds of a physics step."""
     robots: Mapping[str, Robot]
+    """Robots by name."""
     objects: Mapping[str, Object]
+    """Objects by name."""
     deformables: Mapping[str, Deformable]
+    """Cloth, ropes, soft bodies and liquids by name."""
     sensors: Mapping[str, Sensor]
+    """Sensors by name."""
     markers: Mapping[str, Marker]
+    """Markers by name."""
     clock: WorldClock
+    """Counter of steps and changes."""
     random: WorldRandom
+    """Random streams, one per environment."""
     selector: WorldSelector
+    """Mask of environments that calls are for."""
 
     # Time
 
@@ -231,10 +243,15 @@ class World(ABC):
         """Draws the scene's cameras."""
         raise self._unsupported("renderer")
 
-    def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
+    def create_renderer(
+        self, cameras: tuple[CameraSpec, ...], frames: bool = False, studio: Studio | None = None
+    ) -> Renderer:
         """Return another renderer of this scene, for cameras that are no sensors. The caller closes it.
 
-        ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels.
+        Args:
+            cameras: all that it will be used with.
+            frames: draw axes at the robots' bases, end effectors, finger tips, feet and wheels.
+            studio: look of the pictures; None draws them as the scene's own cameras see it.
         """
         raise self._unsupported("renderer")
 
@@ -247,6 +264,20 @@ class World(ABC):
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
         """Set friction (n,), static and dynamic alike, of all terrain shapes."""
         raise self._unsupported("friction to set")
+
+    # Pictures of environments
+
+    def set_lights(self, lights: LightTable, env_ids: Tensor | None = None) -> None:
+        """Light some environments (n, ...) otherwise, in colour images; it outlasts resets.
+
+        There are as many directional lights as the scene has: a radiance of zero switches one off.
+        """
+        raise self._unsupported("lights to set")
+
+    @property
+    def nominal_lights(self) -> LightTable:
+        """The scene's own lights, a row for each environment."""
+        raise self._unsupported("lights")
 
     # Lower layers
 

@@ -78,7 +78,7 @@ class HeadingVelocityCommand(CommandTerm):
         return torch.cat((drawn[:, :2], rate[:, None], drawn[:, 2:]), dim=1)
 
     def follow(self, env: Environment, command: Tensor) -> bool:
-        # The heading is the fourth component, so that it needs no memory of its own; policies see the first three.
+        # The heading is the fourth component, so that it needs no further memory; policies see the first three.
         command[:, 2] = self._yaw_rate(command[:, 3], common.robot_of(env.world).root_pose)
         return True
 
@@ -94,8 +94,11 @@ class UniformPositionCommand(CommandTerm):
 
     live: ClassVar[frozenset[str]] = frozenset({"x", "y", "z"})
     x: Bounds | None = None
+    """Least and most, m."""
     y: Bounds | None = None
+    """Least and most, m."""
     z: Bounds | None = None
+    """Least and most, m."""
     marker: str | None = None
     """Name of the marker that shows it; None: nothing does."""
     robot: str = ROBOT
@@ -162,6 +165,7 @@ class UniformScalarCommand(CommandTerm):
 
     live: ClassVar[frozenset[str]] = frozenset({"value"})
     value: Bounds
+    """Least and most, in the unit of the command."""
 
     def ranges(self, env: Environment) -> dict[str, Bounds]:
         return {"value": self.value}

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Image, Renderer
-from orbit_core.scene import CameraSpec, Channel, DeformableSpec, Fluid, Rope
+from orbit_core.scene import CameraSpec, Channel, DeformableSpec, Fluid, Rope, Scene
 
 # Sides of the prism that shows a piece of rope
 _SIDES = 8
@@ -96,6 +96,7 @@ class Wanted:
     """Fields of an image that serve the channels of a call."""
 
     channels: frozenset[Channel]
+    """Channels of the camera that are requested."""
 
     def __contains__(self, kind: Kind) -> bool:
         # Instance and semantic images are made of the same field.
@@ -112,14 +113,17 @@ class Request:
     """The arguments of :meth:`Renderer.render`."""
 
     camera: CameraSpec
+    """Camera that is rendered."""
     camera_poses: Tensor
     """(n, 7)"""
     link_poses: Tensor
     """(n, L, 7)"""
     wanted: Wanted
+    """Fields of the image that it needs."""
     marker_poses: Tensor | None
     """(n, M, 7)"""
     env_ids: Tensor | None
+    """(n,) environment of each row; None: all, in order."""
 
 
 class KitRenderer(Renderer):
@@ -156,20 +160,46 @@ class KitRenderer(Renderer):
         """Give back what the renderer holds; called once."""
 
 
+@dataclass(frozen=True, eq=False)
+class HostLights:
+    """Lights of n rows, as of :class:`LightTable`."""
+
+    ambient: npt.NDArray[np.float64]
+    """(n, 3)"""
+    directions: npt.NDArray[np.float64]
+    """(n, K, 3) unit vectors."""
+    radiance: npt.NDArray[np.float64]
+    """(n, K, 3)"""
+
+    @staticmethod
+    def of_scene(scene: Scene, rows: int) -> HostLights:
+        """Return the scene's own lights for each row."""
+        lamps = scene.directional_lights
+        directions = np.array([lamp.unit_direction for lamp in lamps], np.float64).reshape(-1, 3)
+        radiance = np.array([lamp.radiance for lamp in lamps], np.float64).reshape(-1, 3)
+        shape = (rows, len(lamps), 3)
+        ambient = np.broadcast_to(np.asarray(scene.ambient, np.float64), (rows, 3))
+        return HostLights(ambient, np.broadcast_to(directions, shape), np.broadcast_to(radiance, shape))
+
+
 @dataclass(frozen=True)
 class HostRequest:
     """A request with its poses in double precision on the host."""
 
     camera: CameraSpec
+    """Camera that is rendered."""
     cameras: npt.NDArray[np.float64]
     """(n, 7)"""
     links: npt.NDArray[np.float64]
     """(n, L, 7)"""
     wanted: Wanted
+    """Fields of the image that it needs."""
     markers: npt.NDArray[np.float64] | None
     """(n, M, 7)"""
     environments: npt.NDArray[np.int64]
     """(n,) which environment each row is of."""
+    lights: HostLights | None = None
+    """Lights of each row; None: the scene's."""
     colors: npt.NDArray[np.float32] | None = None
     """(n, L, 4) of links, as :attr:`Renderer.link_colors` has them; None: all have their own."""
 
@@ -186,10 +216,15 @@ class Pictures:
     """Fields of an :class:`Image` on the host; fields that are not wanted may be set too."""
 
     rgb: npt.NDArray[np.uint8] | None = None
+    """(n, H, W, 3), lit."""
     depth: npt.NDArray[np.float32] | None = None
+    """Metres along the optical axis; infinite beyond everything."""
     normals: npt.NDArray[np.floating] | None = None
+    """Unit normals in world axes; zero beyond everything."""
     links: npt.NDArray[np.int32] | None = None
+    """Link index, TERRAIN or BACKGROUND."""
     albedo: npt.NDArray[np.uint8] | None = None
+    """(n, H, W, 3) colours of the shapes, unlit."""
 
 
 class HostRenderer(KitRenderer):
@@ -209,12 +244,19 @@ class HostRenderer(KitRenderer):
                 request.wanted,
                 None if request.marker_poses is None else _on_host(request.marker_poses),
                 np.arange(count) if ids is None else ids.cpu().numpy(),
+                self._lights_of(count, ids),
                 self._colors_of(count, ids),
             )
         )
         # Pictures return to the device that the poses came from.
         device = request.link_poses.device
         return Image(**{kind: _tensor(getattr(pictures, kind), device) for kind in _CHANNELS if kind in request.wanted})
+
+    def _lights_of(self, count: int, ids: Tensor | None) -> HostLights | None:
+        if self.lights is None:
+            return None
+        rows = self.lights.rows(torch.arange(count, device=self.lights.ambient.device) if ids is None else ids)
+        return HostLights(_on_host(rows.ambient), _on_host(rows.directions), _on_host(rows.radiance))
 
     def _colors_of(self, count: int, ids: Tensor | None) -> npt.NDArray[np.float32] | None:
         if self.link_colors is None:

@@ -32,6 +32,7 @@ class ScratchFolder:
         sweep(parent)
         while True:
             self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+            """Path of the folder."""
             lock = _lock(self.path, "x")
             if lock is not None:
                 break  # else another process has swept it before it was locked

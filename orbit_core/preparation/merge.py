@@ -20,8 +20,11 @@ class MassProperties:
     """Mass in kg, centre of mass in a frame, and inertia (3, 3) in kg m^2 about it in the frame's axes."""
 
     mass: float
+    """kg."""
     center_of_mass: Vector3
+    """m, in the frame."""
     inertia: FloatArray
+    """(3, 3) kg m^2 about the centre of mass."""
 
     def placed(self, pose: Pose) -> MassProperties:
         """Return the same body seen from the frame in which its own frame has ``pose``."""

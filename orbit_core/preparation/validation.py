@@ -105,7 +105,7 @@ def _check_independent(articulation: Articulation, joints: list[Joint]) -> None:
     free = [joint.armature == 0 for joint in joints]
     if not any(free):
         return
-    # Armature gives a joint inertia of its own, so that it may depend on others.
+    # Armature gives a joint its own inertia, so that it may depend on others.
     motions = _unit_motions(joints)[:, free]
     values = np.linalg.svd(motions, compute_uv=False)
     if motions.shape[1] > 6 or values[-1] < _DEPENDENT * values[0]:
@@ -146,7 +146,7 @@ def validate(articulation: Articulation) -> Articulation:
             a mimic is, a drive or home position is of no movable joint, or a body's mass or inertia is impossible.
     """
     try:
-        # An articulation comes from a file more often than from a caller, hence the other class of error.
+        # Another class of error, as an articulation comes from a file more often than from a caller.
         check_data(articulation, f"'{articulation.name}'")
     except ArgumentError as error:
         raise AssetError(str(error)) from None

@@ -17,8 +17,11 @@ class Estimate:
     """A value, and the interval that holds the true one with a confidence of 95 %."""
 
     value: float
+    """Estimate from the sample."""
     low: float
+    """Lower end of the interval."""
     high: float
+    """Upper end of the interval."""
 
     def percent(self) -> str:
         """Return the value and its interval in percent, for people."""
@@ -56,7 +59,9 @@ class Statistic:
     """Mean and standard deviation of a sample (population formula, not Bessel-corrected)."""
 
     mean: float
+    """Mean of the sample."""
     deviation: float
+    """Standard deviation of the sample."""
 
 
 def statistic(values: Sequence[float]) -> Statistic:

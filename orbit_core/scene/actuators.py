@@ -186,12 +186,17 @@ class ActuatorConfig:
 
     joints: tuple[str, ...]
     stiffness: float = 0.0
+    """N m/rad, or N/m of joints that slide."""
     damping: float = 0.0
+    """N m s/rad, or N s/m of joints that slide."""
     # None takes the value of the joint, so that one group may drive joints of different size.
     effort_limit: float | None = None
     velocity_limit: float | None = None
+    """rad/s or m/s; None takes each joint's."""
     armature: float | None = None
+    """Reflected inertia of the motor, kg m^2 or kg; None takes each joint's."""
     friction: float | None = None
+    """Coulomb friction, N m or N; None takes each joint's."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,6 +80,7 @@ class JointType(Enum):
     """Kinds of joints, by the motion of the child link."""
 
     FIXED = "fixed"
+    """No motion: the child is welded to the parent."""
     REVOLUTE = "revolute"
     """Rotation about the axis within limits, in radians."""
     CONTINUOUS = "continuous"
@@ -98,7 +99,9 @@ class Mimic:
 
     joint: str
     multiplier: float = 1.0
+    """Position of this joint for a unit of the leader's."""
     offset: float = 0.0
+    """Position of this joint where the leader's is zero, rad or m."""
     higher_powers: tuple[float, ...] = ()
 
     @property
@@ -144,7 +147,9 @@ class Joint:
     """
 
     name: str
+    """Unique among the articulation's joints."""
     type: JointType
+    """Motion of the child link."""
     parent: str
     child: str
     # Two poses, as in USD, so that neither link frame has to be at the joint.
@@ -153,14 +158,19 @@ class Joint:
     axis: Vector3 = (0.0, 0.0, 1.0)
     # Infinite means unlimited; readers never invent a limit that the file does not state.
     lower_limit: float = -np.inf
+    """rad or m; positions stop there."""
     upper_limit: float = np.inf
+    """rad or m."""
     effort_limit: float = np.inf
+    """N m or N of actuators, either way."""
     velocity_limit: float = np.inf
+    """rad/s or m/s, either way."""
     damping: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
     # Fields that not every file format has come last, with the value that has no effect.
     mimic: Mimic | None = None
+    """Law by which the joint follows another; None for a joint that moves freely."""
     stiffness: float = 0.0
     rest_position: float = 0.0
 
@@ -189,11 +199,17 @@ class LoopJoint:
     """
 
     name: str
+    """Unique among the articulation's joints and loops."""
     first: str
+    """Link that the second is held to."""
     second: str
+    """Link that is held."""
     first_point: Vector3 = (0.0, 0.0, 0.0)
+    """m, in the first link's frame."""
     second_point: Vector3 = (0.0, 0.0, 0.0)
+    """m, in the second link's frame."""
     type: LoopType = LoopType.BALL
+    """Freedom that the closure leaves: a ball joint turns freely."""
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -208,7 +224,9 @@ class DriveGains:
 
     joint: str
     stiffness: float = 0.0
+    """N m/rad or N/m."""
     damping: float = 0.0
+    """N m s/rad or N s/m."""
     effort_limit: float = np.inf
 
 
@@ -223,12 +241,16 @@ class Link:
     """
 
     name: str
+    """Unique among the articulation's links."""
     mass: float = 0.0
+    """kg."""
     center_of_mass: Vector3 = (0.0, 0.0, 0.0)
     # An array as default would be shared between instances, which a factory avoids.
     inertia: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
     collisions: tuple[Shape, ...] = ()
+    """Shapes that collide, in the link's frame."""
     visuals: tuple[Shape, ...] = ()
+    """Shapes that cameras and viewers draw, in the link's frame."""
     semantic_label: str = ""
 
 
@@ -237,8 +259,11 @@ class Frame:
     """A named frame fixed to a link: a tool centre point, a sensor's mount, a link merged away."""
 
     name: str
+    """Unique among the articulation's links and frames."""
     link: str
+    """Link that carries it."""
     pose: Pose = field(default_factory=Pose)
+    """Pose in the link's frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,9 +275,13 @@ class Articulation:
     """
 
     name: str
+    """Name of the model."""
     links: tuple[Link, ...]
+    """Bodies, the root first."""
     joints: tuple[Joint, ...] = ()
+    """One for each link but the root."""
     frames: tuple[Frame, ...] = ()
+    """Named frames on links."""
     self_collisions: bool = False
     """Whether links that no joint connects (:attr:`joined_links`) may collide with each other."""
     collision_exclusions: tuple[tuple[str, str], ...] = ()
@@ -260,6 +289,7 @@ class Articulation:
     notes: tuple[str, ...] = ()
     """What a reader or the catalogue changed against the source, for the build report."""
     loops: tuple[LoopJoint, ...] = ()
+    """Closures of kinematic loops, in addition to the tree's joints."""
     drives: tuple[DriveGains, ...] = ()
     """What the file says of the motors; :mod:`orbit_assets.scene_files` makes actuators of it when asked."""
     home: tuple[tuple[str, float], ...] = ()

@@ -23,7 +23,9 @@ class KeyPoint:
     """
 
     name: str
+    """Unique among the deformable's key points."""
     particles: tuple[int, ...]
+    """Indices of the particles."""
     weights: tuple[float, ...] = ()
     """Barycentric, whose sum is 1; equal ones if empty."""
 
@@ -40,8 +42,11 @@ class Attachment:
     """Particles held where a reset puts them: to a link of a robot or an object, or to the world without one."""
 
     particles: tuple[int, ...]
+    """Indices of the particles."""
     entity: str | None = None
+    """Name of the robot or object; None for the world."""
     link: str | None = None
+    """Link of that entity."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +54,11 @@ class Region:
     """A box, fixed to a frame of an entity or standing in the environment, in which matter is counted."""
 
     half_extents: Vector3
+    """m, half of the box's edges."""
     pose: Pose = field(default_factory=Pose)
     """Of the box's middle, in the frame."""
     entity: str | None = None
+    """Name of the robot or object that carries it; None for the environment."""
     frame: str | None = None
     """Link or frame of ``entity``."""
 
@@ -61,14 +68,17 @@ class Cloth:
     """A thin elastic sheet of triangles; ``mesh`` is its flat shape at rest, one particle a vertex."""
 
     name: str
+    """Unique in the scene."""
     mesh: Mesh
     # Densities are per area, per length and per volume, so that a finer mesh has the same mass.
     area_density: float
     """kg/m^2; cotton has 0.1 to 0.3."""
     pose: Pose = field(default_factory=Pose)
+    """Pose of the mesh in the environment's frame at a reset."""
     membrane_stiffness: float = 2000.0
     """Young's modulus times thickness, N/m."""
     poissons_ratio: float = 0.3
+    """Contraction across a pull, as a part of the stretch along it."""
     bending_stiffness: float = 2e-5
     """Moment per width and curvature, N m: Peirce's flexural rigidity. Cotton has 1e-6 to 1e-4."""
     damping: float = 0.2
@@ -76,12 +86,18 @@ class Cloth:
     thickness: float = 0.004
     """Metres between surfaces that touch it from both sides."""
     friction: float = 0.5
+    """Coefficient with everything; the larger one of a pair counts."""
     self_collisions: bool = True
+    """True if it keeps itself apart."""
     color: Color = (0.8, 0.3, 0.3, 1.0)
+    """RGBA in [0, 1]."""
     semantic_label: str = "cloth"
+    """Kind of thing in segmentation images."""
     attachments: tuple[Attachment, ...] = ()
+    """Particles that are held from the start."""
     # Tasks refer to particles by key point, because indices change with the resolution of the mesh.
     key_points: tuple[KeyPoint, ...] = ()
+    """Points that tasks refer to by name."""
 
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:
@@ -101,13 +117,16 @@ class Rope:
     """A thin elastic rod, straight at rest, that does not resist twist; ``points`` (P, 3) are its particles."""
 
     name: str
+    """Unique in the scene."""
     # An array, because ropes have hundreds of particles; equality by identity (eq=False) follows from it.
     points: npt.NDArray[np.floating]
     """In metres and the frame of ``pose``: where a reset puts it. Their distances are its lengths at rest."""
     linear_density: float
     """kg/m"""
     pose: Pose = field(default_factory=Pose)
+    """Pose of the points in the environment's frame at a reset."""
     radius: float = 0.005
+    """m."""
     axial_stiffness: float = 2000.0
     """Young's modulus times section, N."""
     bending_stiffness: float = 1e-4
@@ -115,11 +134,17 @@ class Rope:
     damping: float = 0.2
     """Rate at which still air slows it, 1/s."""
     friction: float = 0.5
+    """Coefficient with everything; the larger one of a pair counts."""
     self_collisions: bool = True
+    """True if it keeps itself apart."""
     color: Color = (0.85, 0.7, 0.35, 1.0)
+    """RGBA in [0, 1]."""
     semantic_label: str = "rope"
+    """Kind of thing in segmentation images."""
     attachments: tuple[Attachment, ...] = ()
+    """Particles that are held from the start."""
     key_points: tuple[KeyPoint, ...] = ()
+    """Points that tasks refer to by name."""
 
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:
@@ -137,23 +162,31 @@ class SoftBody:
     """An elastic solid; ``mesh`` is its closed surface at rest."""
 
     name: str
+    """Unique in the scene."""
     mesh: Mesh
     density: float
     """kg/m^3."""
     pose: Pose = field(default_factory=Pose)
+    """Pose of the mesh in the environment's frame at a reset."""
     youngs_modulus: float = 1e5
     """Pa."""
     poissons_ratio: float = 0.4
+    """Contraction across a pull, as a part of the stretch along it; below 0.5, which keeps the volume."""
     damping: float = 0.002
     """Seconds by which its strain lags behind its stress: of a material that resists strain ``e`` and its rate with
     ``E (e + damping de/dt)``."""
     friction: float = 0.5
+    """Coefficient with everything; the larger one of a pair counts."""
     resolution: float | None = None
     """Metres of the largest element that a solver may compute it with; None takes what the solver thinks fit."""
     color: Color = (0.3, 0.8, 0.4, 1.0)
+    """RGBA in [0, 1]."""
     semantic_label: str = "soft"
+    """Kind of thing in segmentation images."""
     attachments: tuple[Attachment, ...] = ()
+    """Vertices that are held from the start."""
     key_points: tuple[KeyPoint, ...] = ()
+    """Points that tasks refer to by name."""
 
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:
@@ -178,18 +211,25 @@ class Fluid:
     """A liquid that fills a box at rest, as particles on a grid."""
 
     name: str
+    """Unique in the scene."""
     half_extents: Vector3
+    """m, half of the box's edges."""
     density: float = 1000.0
     """kg/m^3"""
     pose: Pose = field(default_factory=Pose)
+    """Pose of the box's middle in the environment's frame at a reset."""
     viscosity: float = 1e-3
     """Pa s"""
     spacing: float = 0.01
     """Metres between particles at rest."""
     color: Color = (0.3, 0.5, 0.9, 0.6)
+    """RGBA in [0, 1]."""
     semantic_label: str = "fluid"
+    """Kind of thing in segmentation images."""
     attachments: tuple[Attachment, ...] = ()
+    """Empty: nothing holds a liquid but its vessel."""
     key_points: tuple[KeyPoint, ...] = ()
+    """Points that tasks refer to by name: means of particles, which flow apart."""
 
     @property
     def rest_positions(self) -> npt.NDArray[np.float64]:

@@ -29,6 +29,7 @@ class MagneticSeal(ActiveModel):
     """
 
     joint: str
+    """Name of the joint that it holds."""
     force: float
     """Newtons at the seal where there is no gap."""
     decay: float = 0.004
@@ -55,7 +56,9 @@ class Gripper:
     joints: tuple[str, ...]
     """Regular expressions over joint names (full match)."""
     open_position: float | tuple[float, ...]
+    """rad or m at which the fingers are farthest apart."""
     closed_position: float | tuple[float, ...]
+    """rad or m at which they meet."""
 
     # A missing position would shift those of all later joints.
     def __post_init__(self) -> None:
@@ -80,7 +83,9 @@ class Workspace:
     """
 
     low: Vector3 = (0.4, -0.25, 0.15)
+    """Least x, y and z, m."""
     high: Vector3 = (0.65, 0.25, 0.5)
+    """Greatest x, y and z, m."""
     tilt: float = 0.3
     """rad; zero for an arm of five joints, which cannot tilt its hand sideways."""
     yaw: float = 1.0
@@ -105,6 +110,7 @@ class EndEffector:
     arm_joints: tuple[str, ...]
     """Regular expressions over joint names (full match); none where a hand stands by itself."""
     gripper: Gripper | None = None
+    """Fingers that open and close; None for a bare flange or a hand of fingers."""
     finger_tips: tuple[str, ...] = ()
     """Links or frames at the ends of a hand's fingers."""
     # Optional, because it depends on the whole robot: the same arm reaches elsewhere on another base.
@@ -177,13 +183,18 @@ class Entity:
     """
 
     name: str
+    """Unique in the scene."""
     articulation: Articulation
+    """Links and joints."""
     pose: Pose = field(default_factory=Pose)
     fixed_base: bool = False
+    """True if the root link cannot move."""
     # By pattern and not by index: articulations are edited and merged after an entity is described.
     home: Mapping[str, float] = field(default_factory=dict)
     actuators: tuple[ActuatorConfig, ...] = ()
+    """Drives by joint; joints without one move freely."""
     semantic_label: str = ""
+    """Kind of thing in segmentation images; empty takes ``name``."""
     gravity_compensation: bool = False
     """Whether the controller of the thing cancels gravity on its links, as those of most robot arms do."""
 
@@ -220,6 +231,7 @@ class RobotSpec(Entity):
     """An embodiment: an articulation with actuator groups."""
 
     end_effectors: tuple[EndEffector, ...] = ()
+    """Hands; the first is the default of actions and tasks."""
     feet: tuple[str, ...] = ()
     """Frames of a legged robot where it is meant to touch the ground."""
     # Policies that walk need softer drives than those that hold a pose.
@@ -228,10 +240,13 @@ class RobotSpec(Entity):
     joint_commands: JointCommands | None = None
     """None: as :func:`orbit_core.actions.joint_commands` makes it of the end effectors and feet."""
     planar_base: PlanarBase | None = None
+    """Base of three joints over the floor; None without one."""
     differential_base: DifferentialBase | None = None
+    """Base of two driven wheels; None without one."""
     wheels: tuple[str, ...] = ()
     """Links or frames of a mobile robot that roll on the ground."""
     licence: str = ""
+    """Licence of the model, as its source states it."""
     source: str = ""
     """The package that the model comes from."""
 

@@ -18,7 +18,9 @@ class Pose:
     """Position (3,) in metres and unit quaternion ``(w, x, y, z)`` of one frame in another."""
 
     position: Vector3 = (0.0, 0.0, 0.0)
+    """m."""
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """Unit quaternion (w, x, y, z)."""
 
     def __post_init__(self) -> None:
         # NumPy's scalars and arrays become Python's numbers: arrays neither compare nor hash, and USD takes no float32.

@@ -13,7 +13,7 @@ linear light: half the light is half the number.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from orbit_core.scene.deformables import DeformableSpec
@@ -34,6 +34,7 @@ class AmbientLight:
     """Light that reaches every surface alike, from all around."""
 
     color: Rgb = (0.42, 0.42, 0.45)
+    """Linear RGB; a surface's colour is multiplied by it."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,11 @@ class DirectionalLight:
 
     direction: Vector3 = (-0.35, 0.45, -1.0)
     color: Rgb = (1.0, 0.97, 0.92)
+    """Linear RGB, in proportion."""
     intensity: float = 0.58
+    """Factor of ``color``."""
     shadows: bool = True
+    """True if things in its way darken what is behind them."""
 
     @property
     def unit_direction(self) -> Vector3:
@@ -77,14 +81,18 @@ class Sky:
 
     above: Rgb = (0.55, 0.68, 0.82)
     below: Rgb = (0.88, 0.91, 0.94)
+    """Colour straight below."""
 
 
 class MarkerShape(Enum):
     """Appearance of a marker."""
 
     FRAME = "frame"
+    """Three axes: x red, y green, z blue."""
     SPHERE = "sphere"
+    """Ball, of ``size`` as diameter."""
     BOX = "box"
+    """Cube, of ``size`` as edge."""
     ARROW = "arrow"
     """Along the marker's x axis."""
 
@@ -94,9 +102,28 @@ class MarkerSpec:
     """A marker in each environment; its pose is set at run time. ``size`` is its length in metres."""
 
     name: str
+    """Unique among the scene's markers."""
     shape: MarkerShape = MarkerShape.FRAME
+    """Appearance."""
     size: float = 0.1
     color: Color = (0.1, 0.8, 0.1, 0.6)
+    """RGBA in [0, 1]; axes of a frame keep their own colours."""
+    shapes: tuple[Shape, ...] = ()
+    """More shapes to draw; with a ``size`` of zero they are all. :func:`ghost` makes some."""
+
+
+def ghost(name: str, entity: Entity, axes: float = 0.0, opacity: float = 0.4) -> MarkerSpec:
+    """Return a marker that looks like the root link of an entity, seen through: the pose that it shall reach.
+
+    Args:
+        name: of the marker.
+        entity: whose root link is drawn.
+        axes: metres of the axes that are drawn with it; zero draws none.
+        opacity: of the link's shapes.
+    """
+    root = entity.articulation.root
+    shapes = (replace(shape, color=(*shape.color[:3], opacity)) for shape in root.visuals or root.collisions)
+    return MarkerSpec(name, size=axes, color=(0.0, 0.0, 0.0, 1.0), shapes=tuple(shapes))
 
 
 @dataclass(frozen=True)
@@ -110,16 +137,22 @@ class Scene:
     """
 
     robots: tuple[RobotSpec, ...] = ()
+    """Articulations with actuators, which actions may move."""
     objects: tuple[ObjectSpec, ...] = ()
+    """All other things that move, or are fixed with joints."""
     deformables: tuple[DeformableSpec, ...] = ()
+    """Cloth, ropes, soft bodies and liquids."""
     # Ground by default: a scene without any lets everything fall forever, which is seldom meant.
     terrain: tuple[Shape, ...] = (Shape(Plane(), color=(0.35, 0.38, 0.42, 1.0), name="ground"),)
     sensors: tuple[SensorSpec, ...] = ()
+    """Measurements; a sensor that nobody reads costs nothing unless it has a rate."""
     markers: tuple[MarkerSpec, ...] = ()
+    """Things drawn for people, without physics."""
     # One shadow-casting light by default: renderers must not invent lights, or pictures would differ.
     lights: tuple[Light, ...] = (AmbientLight(), DirectionalLight())
     sky: Sky = field(default_factory=Sky)
     gravity: Vector3 = (0.0, 0.0, -9.81)
+    """m/s^2, in the environment's frame."""
     physics_dt: float = 0.005
     firm_friction: bool = False
 

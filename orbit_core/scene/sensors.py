@@ -24,10 +24,12 @@ class SensorSpec:
     """
 
     name: str
+    """Unique among the scene's sensors."""
     # None is lazy: the sensor measures at the first read after a step, and costs nothing unread.
     rate: float | None = None
     delay: float = 0.0
     noise: Noise = field(default_factory=Noise)
+    """White noise and a bias that each episode draws."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +37,10 @@ class JointSensorSpec(SensorSpec):
     """Joint positions and velocities of an entity."""
 
     entity: str
+    """Name of the robot or object."""
     # All joints by default, as encoders usually cover a whole robot.
     joints: tuple[str, ...] = (".*",)
+    """Regular expressions over joint names (full match)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +48,9 @@ class FrameSensorSpec(SensorSpec):
     """Pose and velocity of a link or named frame, in the environment's frame or in that of ``relative_to``."""
 
     entity: str
+    """Name of the robot or object."""
     frame: str
+    """Link or named frame that is measured."""
     relative_to: str | None = None
     """A link or frame of the same entity."""
 
@@ -57,9 +63,49 @@ class ContactSensorSpec(SensorSpec):
     """
 
     entity: str
+    """Name of the robot or object."""
     links: tuple[str, ...] = (".*",)
     # Without filters an engine measures net forces only, which all of them have at no cost per pair.
     filters: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TactileSpec(ContactSensorSpec):
+    """A rectangular pad of taxels on a link, as soft as a gel.
+
+    It feels the contact force on the link that carries ``frame``, or the part of it that the entities in ``filters``
+    exert. The pad is flat, its middle at ``pose`` in the frame, z outwards. Columns of taxels run along x, rows along
+    y.
+
+    Raises:
+        ValueError: a size, a number of taxels or a constant is out of its range.
+    """
+
+    frame: str
+    pose: Pose = field(default_factory=Pose)
+    """Pose of the pad's middle in the frame."""
+    size: tuple[float, float] = (0.02, 0.02)
+    """Full extent along x and y, m."""
+    taxels: tuple[int, int] = (16, 16)
+    """Columns along x and rows along y."""
+    young: float = 2.0e5
+    """Modulus of elasticity of the gel, Pa; the default is a soft silicone's."""
+    poisson: float = 0.48
+    """Poisson's ratio of the gel."""
+    friction: float = 0.8
+    """Coefficient of friction by which shear is shared between taxels that stick and those that slip."""
+    reach: float = 0.004
+    """Metres in front of the pad and behind it within which a surface counts as touching."""
+
+    def __post_init__(self) -> None:
+        lengths = (*self.size, self.young, self.friction, self.reach)
+        # A ratio of 0.5 is a gel that keeps its volume; negative ones are no gel.
+        if min(lengths) <= 0.0 or not 0.0 <= self.poisson <= 0.5 or min(self.taxels) < 2 or max(self.taxels) > 64:
+            raise ValueError(
+                f"tactile sensor '{self.name}' has size {self.size} m, taxels {self.taxels}, young {self.young} Pa, "
+                f"poisson {self.poisson}, friction {self.friction} and reach {self.reach} m: give numbers above zero, "
+                "2 to 64 taxels a side, and poisson from 0 to 0.5"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +113,9 @@ class ImuSpec(SensorSpec):
     """Angular velocity and proper acceleration of a frame, in its own axes."""
 
     entity: str
+    """Name of the robot or object."""
     frame: str
+    """Link or named frame that carries it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +128,9 @@ class ForceTorqueSpec(SensorSpec):
     """
 
     entity: str
+    """Name of the robot or object."""
     link: str
+    """Link whose incoming joint is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,12 +142,15 @@ class RayCasterSpec(SensorSpec):
     """
 
     entity: str
+    """Name of the robot or object."""
     frame: str
+    """Link or named frame that carries it."""
     directions: tuple[Vector3, ...]
     origins: tuple[Vector3, ...] = ()
     pose: Pose = field(default_factory=Pose)
     """Pose of the sensor in the frame."""
     max_distance: float = 10.0
+    """m; a ray that meets nothing nearer shows it."""
     yaw_only: bool = False
 
 
@@ -128,13 +181,18 @@ class CameraSpec(SensorSpec):
     """
 
     width: int = 128
+    """Columns, pixels."""
     height: int = 128
+    """Rows, pixels."""
     vertical_fov: float = 0.9
     """Radians."""
     channels: tuple[Channel, ...] = (Channel.RGB,)
+    """Images that are taken; colour only by default."""
     pose: Pose = field(default_factory=Pose)
     entity: str | None = None
     frame: str | None = None
     # The near plane sets the depth resolution of rasterisers: with 24 bits, 1 cm resolves 6 micrometres at 1 m.
     near: float = 0.01
+    """m along the optical axis; nearer surfaces are not drawn."""
     far: float = 100.0
+    """m along the optical axis; farther surfaces are not drawn."""

@@ -89,6 +89,7 @@ class ContactTimer:
 
     def __init__(self, num_envs: int, links: int, threshold: float, device: torch.device) -> None:
         self.threshold = threshold
+        """N of net force above which a link counts as touching."""
         self.times = torch.zeros(4, num_envs, links, device=device)
         """Seconds: contact, air, last contact, last air; a reset starts all at zero."""
 

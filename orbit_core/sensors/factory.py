@@ -21,11 +21,13 @@ from orbit_core.scene import (
     JointSensorSpec,
     RayCasterSpec,
     SensorSpec,
+    TactileSpec,
 )
 from orbit_core.sensors.camera import CameraSensor
 from orbit_core.sensors.contact import ContactSensor
 from orbit_core.sensors.proprioception import ForceTorqueSensor, FrameSensor, ImuSensor, JointSensor
 from orbit_core.sensors.rays import RayCaster
+from orbit_core.sensors.tactile import TactileSensor
 from orbit_core.sensors.timed import SensorContext, TimedSensor
 
 GROUP = "orbit.sensors"
@@ -34,6 +36,7 @@ _OWN: dict[type[SensorSpec], type[TimedSensor]] = {
     JointSensorSpec: JointSensor,
     FrameSensorSpec: FrameSensor,
     ContactSensorSpec: ContactSensor,
+    TactileSpec: TactileSensor,
     ImuSpec: ImuSensor,
     ForceTorqueSpec: ForceTorqueSensor,
     RayCasterSpec: RayCaster,

@@ -42,9 +42,11 @@ class Mount:
             UnknownNameError: the scene has no such entity, or the entity no such link or frame.
         """
         self.entity = find_entity(layout, entity, sensor)
+        """Entity that carries the sensor."""
         found = _find_frame(self.entity, frame, sensor)
         offset = found.pose if pose is None else found.pose @ pose
         self.link = self.entity.links.start + self.entity.spec.articulation.link_names.index(found.link)
+        """Index of the link in (N, L, ...) tensors."""
         self._engine = engine
         # Sensors at the link's own frame, the common case, skip one product per read.
         self._offset = None if offset == Pose() else pose_tensor(offset, engine.device)
@@ -86,7 +88,7 @@ def pose_tensor(pose: Pose, device: torch.device) -> Tensor:
 
 def _find_frame(entity: EntityLayout, name: str, sensor: str) -> Frame:
     articulation = entity.spec.articulation
-    # A scene may be built before its robot is known, hence the placeholder.
+    # The placeholder is for scenes that are built before their robot is known.
     if name == END_EFFECTOR and isinstance(entity.spec, RobotSpec) and entity.spec.end_effectors:
         name = entity.spec.end_effector.frame
     try:

@@ -23,9 +23,13 @@ class SensorContext:
     """``renderer`` is called on first use only, so that a scene whose cameras nobody reads makes none."""
 
     engine: Engine
+    """Engine that is measured."""
     layout: SceneLayout
+    """Numbers of the scene's links and joints."""
     physics_dt: float
+    """Seconds of a physics step."""
     random: RandomStreams
+    """Streams that noise is drawn from."""
     renderer: Callable[[], Renderer]
     gravity: Tensor = field(init=False)
     """(N, 3) m/s^2; whoever changes the engine's gravity writes it here too, for IMUs."""
@@ -119,10 +123,15 @@ class TimedSensor(Sensor):
             ConfigurationError: the rate does not divide the physics rate, or the delay is no multiple of the period.
         """
         self.spec = spec
+        """Description in the scene."""
         self.engine = context.engine
+        """Engine that is measured."""
         self.num_envs = context.engine.num_envs
+        """Number N of environments."""
         self.device = context.engine.device
+        """Device of all tensors."""
         self.physics_dt = context.physics_dt
+        """Seconds of a physics step."""
         self.period = period_in_steps(spec, context.physics_dt)
         """Physics steps between measurements; None measures whenever the world steps."""
         self._random = context.random
@@ -130,7 +139,7 @@ class TimedSensor(Sensor):
         self._delay = _delay_in_periods(spec)
         self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
         # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt
-        # Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt.
+        # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt.
         self._fleeting = self._lazy and not self._noisy and not self.costly
         # True while the value of a fleeting sensor is that of the present state.
         self._measured = False

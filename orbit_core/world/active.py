@@ -19,6 +19,7 @@ class ActiveState:
     """A snapshot of what laws remember, their parameters, and the wrenches that callers set on links they push."""
 
     tensors: tuple[Tensor, ...]
+    """Copies, in the order of the laws."""
 
 
 class ActiveModels:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from orbit_core.backends import matter_names, matter_solver
-from orbit_core.dynamics.indexing import take_rows, write_columns
+from orbit_core.dynamics.indexing import take_rows, write_columns, write_rows
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.installing import install_extra
-from orbit_core.interfaces import Engine, Image, Renderer, SceneLayout, UnsupportedCapabilityError
+from orbit_core.interfaces import Engine, Image, LightTable, Renderer, SceneLayout, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import MatterPainter, MatterSolver
 from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_core.plugin_kit.rendering import DeformableSurface
@@ -28,10 +28,15 @@ class OuterRenderer(Renderer):
     def __init__(self, inner: Renderer) -> None:
         self._inner = inner
         self.capture = inner.capture
+        self.most_samples = inner.most_samples
 
     def set_link_colors(self, colors: Tensor | None) -> None:
         super().set_link_colors(colors)
         self._inner.set_link_colors(colors)
+
+    def set_lights(self, lights: LightTable | None) -> None:
+        super().set_lights(lights)
+        self._inner.set_lights(lights)
 
     def close(self) -> None:
         self._inner.close()
@@ -168,14 +173,43 @@ class Painting:
         """What renderers paint; None while nothing has a texture."""
         # Weak, because a camera that nobody holds any more must not keep its renderer alive.
         self._renderers: weakref.WeakSet[TexturedRenderer] = weakref.WeakSet()
+        self._lit: weakref.WeakSet[Renderer] = weakref.WeakSet()
+        self._lights: LightTable | None = None
 
-    def add(self, renderer: Renderer) -> Renderer:
-        """A renderer that draws what this one draws, with the colours and textures."""
+    def add(self, renderer: Renderer, wrap: Callable[[Renderer], Renderer] | None = None) -> Renderer:
+        """Return a renderer that draws what this one draws, with the colours, textures and lights.
+
+        Args:
+            renderer: draws.
+            wrap: makes another renderer of the one that has the colours and textures; lights go to it.
+        """
         textured = TexturedRenderer(renderer)
         self._renderers.add(textured)
         textured.set_link_colors(self._colors)
         textured.set_link_textures(self.textures)
-        return textured
+        outer = textured if wrap is None else wrap(textured)
+        self._lit.add(outer)
+        outer.set_lights(self._lights)
+        return outer
+
+    def light(self, own: LightTable, lights: LightTable, env_ids: Tensor | None) -> None:
+        """Give some environments lights of their own.
+
+        Args:
+            own: the scene's lights, for environments that were given none yet.
+            lights: of the environments (n, ...), at most as many directional ones as the scene has.
+            env_ids: which ones.
+        """
+        if self._lights is None:
+            self._lights = own
+            for renderer in self._lit:
+                renderer.set_lights(own)
+        for table, values in (
+            (self._lights.ambient, lights.ambient),
+            (self._lights.directions, lights.directions),
+            (self._lights.radiance, lights.radiance),
+        ):
+            write_rows(table, values, env_ids)
 
     def paint(self, links: Tensor, colors: Tensor, env_ids: Tensor | None) -> None:
         """Give links (k,) colours (n, k, 3) in some environments."""

@@ -366,6 +366,7 @@ class SimulatedMarker(Marker):
 
     def __init__(self, spec: MarkerSpec, poses: Tensor, selector: RowSelector) -> None:
         self.spec = spec
+        """Description in the scene."""
         self._poses = poses
         self._selector = selector
 

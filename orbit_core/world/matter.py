@@ -95,8 +95,11 @@ class CoupledState:
     """A snapshot of both."""
 
     engine: Any
+    """Snapshot of the engine."""
     matter: Any
+    """Snapshot of the matter solver."""
     own: tuple[Tensor, ...]
+    """Copies of the tensors that couple both."""
 
 
 class CoupledCapture(CaptureFacet):
@@ -413,6 +416,7 @@ class SimulatedDeformable(Deformable):
         entities: Mapping[str, Object],
     ) -> None:
         self.name, self.spec = spec.name, spec
+        """Name and description in the scene."""
         self._entities = entities
         self._index = index
         engine = self._engine = parts.engine

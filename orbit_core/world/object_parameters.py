@@ -37,9 +37,13 @@ class ObjectParameters(Object):
     def __init__(self, layout: EntityLayout, parts: WorldParts) -> None:
         engine = parts.engine
         self.layout = layout
+        """Numbers of the entity's links and joints."""
         self.name = layout.name
+        """Name in the scene."""
         self.link_names = layout.spec.articulation.link_names
+        """Names of the links, in the order of all tensors."""
         self.joint_names = layout.spec.articulation.joint_names
+        """Names of the movable joints, in the order of all tensors."""
         self._engine = engine
         self._actuators, self._clock, self._selector = parts.actuators, parts.clock, parts.selector
         self._all_columns = tuple(range(len(self.joint_names)))

@@ -37,12 +37,19 @@ class WorldState:
     """A snapshot of everything that the continuation depends on."""
 
     engine: Any
+    """Snapshot of the engine, and of the matter solver."""
     actuators: Any
+    """Gains, targets, delays and memory of the actuators."""
     active: Any
+    """State of the objects' active models."""
     sensors: dict[str, Any]
+    """Held and delayed values of the sensors, by name."""
     random: Any
+    """Counters of the random streams."""
     markers: Tensor
+    """(N, M, 7) poses of the markers."""
     steps: int
+    """Physics steps so far."""
     made_by: tuple[str, int, tuple[str, ...]]
     """Backend, number of environments and names of all things of the world that it is of."""
 
@@ -151,9 +158,13 @@ class WorldParts:
     """Parts of a simulated world that its entities read and write."""
 
     engine: Engine
+    """Engine that is stepped."""
     actuators: Actuators
+    """Actuators of all joints."""
     clock: Clock
+    """Counter of steps and changes."""
     selector: RowSelector
+    """Mask of environments that calls are for."""
 
 
 class DivergenceGuard:

@@ -78,6 +78,7 @@ def cup(pose: Pose, density: float = 1000.0) -> ObjectSpec:
 def region_of(name: str, inner: Vector3) -> Region:
     """Return the inside of a container whose frame is in the middle of its floor, and 1 cm more at its rim."""
     x, y, z = inner
+    # The walls count as inside: particles that lean on them press a little into them.
     half = (0.5 * x + WALL, 0.5 * y + WALL, 0.5 * z + 0.005)
     return Region(half, Pose((0.0, 0.0, 0.5 * z + 0.005)), name, name)
 
@@ -96,6 +97,7 @@ def amount_in(name: str, inner: Vector3) -> TermFunction:
 
     @once_per_state
     def observe(env: Environment) -> Tensor:
+        """Return (N,) in [0, 1], the part of the liquid that is inside."""
         return env.world.deformables[LIQUID].share_inside(region)
 
     return observe
@@ -124,6 +126,7 @@ def at(point: Vector3) -> TermFunction:
     @measured_in("m")
     @once_per_state
     def observe(env: Environment) -> Tensor:
+        """Return (N, 3) m, the point in the environment's frame."""
         pose = cup_pose(env)
         place = torch.tensor(point, device=env.device).expand(len(pose), 3)
         return pose[:, :3] + quat_rotate(pose[:, 3:], place)
@@ -171,6 +174,7 @@ def place_cup(spread: tuple[float, float]) -> EventFunction:
 
 def holding(position: Tensor, tilt: float = 0.0) -> Tensor:
     """(N, 7) the hand at positions (N, 3) that holds the bar of a cup whose mouth is tilted to +y by ``tilt`` rad."""
+    # A negative turn about x tips the cup's z axis towards +y.
     half = -0.5 * tilt
     turn = torch.tensor([math.cos(half), math.sin(half), 0.0, 0.0], device=position.device)
     down = common.pointing_down(position)
@@ -178,7 +182,7 @@ def holding(position: Tensor, tilt: float = 0.0) -> Tensor:
 
 
 def at_handle(env: Environment) -> Tensor:
-    """(N, 7) the hand around the handle of a cup on its stand, wherever the cup has been pushed to."""
+    """(N, 7) the hand around the handle of a cup on its stand, even if the cup has been pushed away."""
     # Of the stand and not of the cup, which a hand that closes on it pushes: led by it, the hand would follow.
     stand = env.world.objects[STAND].root_pose[:, :3]
     return holding(stand + torch.tensor((GRIP[0], GRIP[1], 0.5 * RAISED + WALL + GRIP[2]), device=stand.device))
@@ -195,6 +199,7 @@ def carrying(place: TermFunction, tilt: float = 0.0) -> TermFunction:
     def target(env: Environment) -> Tensor:
         now = middle(env)
         way = place(env) - now
+        # At most SLOW ahead, and the rest of the way where less is left.
         ahead = way * (SLOW / vector_norm(way, dim=1, keepdim=True).clamp_min(SLOW))
         return holding(now + ahead, tilt)
 

@@ -21,6 +21,7 @@ from orbit_motion.full_ik import FullIk, IkSolution
 def with_tool(robot: RobotSpec, tool: Articulation, frame: str) -> RobotSpec:
     """The robot with a tool fixed in its hand, whose ``frame`` is what it moves; a gripper stays closed around it."""
     effector = robot.end_effector
+    # The gripper stays closed around the tool and is no longer part of the action.
     gripper = effector.gripper
     home = gripper_posture(robot, gripper, gripper.closed_position) if gripper else robot.home
     own = replace(effector, frame=frame, gripper=None, finger_tips=())
@@ -72,6 +73,7 @@ def _postures(robot: RobotSpec, poses: Tensor) -> tuple[IkSolution, Tensor]:
     joints = match_names(effector.arm_joints, articulation.joint_names, "joint", f"arm of robot '{robot.name}'")
     root = torch.tensor([(*robot.pose.position, *robot.pose.orientation)]).expand(len(poses), 7)
     solver = FullIk(KinematicTree(articulation), effector.frame, joints, limits, home[0])
+    # On the CPU: a scene is made before there is a device.
     solution = solver.solve(pose_multiply(pose_inverse(root), poses.cpu()), home)
     home[:, joints] = solution.positions
     return solution, home

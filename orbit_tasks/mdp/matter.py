@@ -95,6 +95,7 @@ def place_deformable(
 
     def place(env: Environment, env_ids: Tensor) -> None:
         thing = env.world.deformables[name]
+        # From the positions at rest, so that every episode begins with the same shape.
         rest = torch.tensor(thing.spec.pose.transform(thing.spec.rest_positions), dtype=torch.float32)
         rest = rest.to(env.device)
         low, high = (-spread[0], -spread[1], -turn), (*spread, turn)

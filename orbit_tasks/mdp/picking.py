@@ -59,6 +59,7 @@ def least_turn(before: Tensor, after: Tensor) -> Tensor:
         after: (N, K) rad of its turns when it leaves it.
     """
     before = common.wrapped(before)
+    # The larger of both turns decides, as a joint limit at either end stops the hand.
     most = torch.maximum(before.abs(), common.wrapped(after).abs())
     return before.gather(1, most.argmin(1, keepdim=True)).squeeze(1)
 
@@ -136,6 +137,7 @@ def put(
         over: metres within which it is there before it goes down: less than what is free next to the place.
         came: what to do where the thing did not come along on the way up.
     """
+    # The turn on the way up does not matter: any tolerance is met.
     up = Phase(straight_up(height), position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0)
     return (
         replace(up, gripper_open=False, retry=came),

@@ -30,6 +30,7 @@ def moving(hand: Tensor, grasp: Tensor, place: Tensor, way: Tensor, closed: Tens
     """
     aside, height = way[:, :2].norm(dim=1), -way[:, 2]
     turn = rotation_error(hand[:, 3:], place[:, 3:]).norm(dim=1)
+    # Wider once it is low: a stage that has begun is not left again for a few millimetres.
     over = (aside < torch.where(height < 0.03, 0.015, 0.008)) & (turn < 0.1)
     carried = torch.where(over, 5, torch.where((height < 0.06) & (aside > 0.03), 3, 4))
     carried = torch.where((aside < 0.006) & (height < 0.006), 6, carried)
@@ -78,6 +79,7 @@ def following(phases: Sequence[Tensor], done: Tensor, count: int) -> Tensor:
         done: (N, M) where things are where they belong.
         count: of a thing's phases.
     """
+    # Counts the leading ones: things are dealt with in their order, even if a later one is done.
     number = (done > 0).long().cumprod(dim=1).sum(dim=1).clamp(max=len(phases) - 1)
     return torch.stack(tuple(phases), dim=1).gather(1, number[:, None])[:, 0] + count * number
 

@@ -38,6 +38,7 @@ class TabletopMemory(TaskState):
 
     def start(self, env: Environment) -> None:
         robot = env.world.robots[env.task.agents[0]]
+        # Indices and not names, which a captured step could not look up.
         self.arm_joints = torch.tensor(robot.find_joints(*robot.spec.end_effector.arm_joints), device=env.device)
 
 
@@ -105,7 +106,7 @@ class GraspState(ArmState):
 
 @dataclass
 class StateObservations:
-    """Policy and critic see the state, unless the policy sees less."""
+    """State for ``policy`` and ``critic``, or for ``critic`` and ``teacher`` where the policy sees less."""
 
     policy: ObservationGroup
     critic: ObservationGroup | None = None
@@ -139,7 +140,9 @@ class ArmEvents:
 
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     friction: EventTerm | None = None
+    """Friction of the pieces; set by domain randomisation (:meth:`TabletopTask.vary`)."""
     gains: EventTerm | None = None
+    """Scales of the arm's stiffness and damping; set by domain randomisation."""
 
 
 @dataclass(kw_only=True)

@@ -35,8 +35,11 @@ class OnTerrain:
     """
 
     curriculum_enabled: bool = False
+    """Whether the curriculum moves robots between levels; else each episode draws its level."""
     episode_length: float = 20.0
+    """Seconds; the next level depends on the way walked in them."""
     terrain: TerrainGrid = field(default_factory=lambda: TerrainGrid(border=20.0))
+    """Levels and kinds of terrain; 20 m of plane around them, for robots that walk off."""
 
 
 class TerrainMemory(TaskState):

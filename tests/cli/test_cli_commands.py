@@ -268,8 +268,10 @@ def test_debugging_shows_where_a_mistake_was_found(words: list[str], variable: s
         main(["run", "Lft", *words])
 
 
-def test_help_names_every_command_and_option(printed: Printed):
-    assert "view" in printed("--help")
+def test_help_says_what_every_command_and_option_does(printed: Printed):
+    shown = printed("--help")
+    assert "view" in shown
+    assert "entry point" not in shown  # stands for a command that nobody has described
     text = orbit("run", "--help").stdout
     for option in ("--num-envs", "--episodes", "--config", "--setting"):
         assert option in text

@@ -108,7 +108,7 @@ def test_the_page_of_backends_tells_measures_and_what_is_no_longer_declared(monk
     plugin = backends.backend(name)
     assert record.scenario is not None
     measured = f"{record.scenario.errors[gap.metric]:.2g}"
-    page = declarations_of([name], REPORT)
+    page = declarations_of([backends.backend(name)], REPORT)
     (row,) = (line for line in page.splitlines() if line.startswith(f"| {gap.scenario} | {gap.metric} |"))
     assert row.split(" | ")[3] == measured
     assert gap.reason in row
@@ -116,7 +116,7 @@ def test_the_page_of_backends_tells_measures_and_what_is_no_longer_declared(monk
     assert apart not in page
     kept = tuple(other for other in plugin.gaps() if other != gap)
     monkeypatch.setattr(type(plugin), "gaps", lambda self: kept)
-    assert apart in declarations_of([name], REPORT)
+    assert apart in declarations_of([backends.backend(name)], REPORT)
 
 
 def test_a_run_tells_of_it_before_it_begins(

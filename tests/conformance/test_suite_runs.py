@@ -64,6 +64,17 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path) -> None:
     assert not journal.exists()
 
 
+def test_a_ray_cluster_does_the_jobs_and_one_that_is_gone_is_told(tmp_path: Path) -> None:
+    pytest.importorskip("ray", reason="capability 'ray' is not installed: pip install 'orbit-conformance[ray]'")
+    words = ("--scenario", "free_fall", "--quick", "--backend", BACKEND, "--output", str(tmp_path), "--ray")
+    gone = conformance(*words, "127.0.0.1:1")
+    assert (gone.returncode, "no Ray cluster answers at '127.0.0.1:1'" in gone.stderr) == (2, True)
+    done = conformance(*words, "local")
+    assert done.returncode == 0, done.stderr
+    (record,) = load(tmp_path).records
+    assert record.status is Status.PASS
+
+
 def _until(condition: object, seconds: float = 120.0) -> None:
     end = time.monotonic() + seconds
     while not condition():  # type: ignore[operator]

@@ -303,6 +303,27 @@ def test_the_command_line_trains_plays_and_exports(tmp_path: Path, capsys: pytes
     capsys.readouterr()
 
 
+def test_weights_and_biases_take_the_curve_offline_or_say_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("wandb", reason="capability 'wandb' is not installed: pip install 'orbit-learn[wandb]'")
+    words = ["train", "Reach", "--backend", BACKEND, "--num-envs", "2", "--library", "sb3", "--iterations", "2"]
+    words += ["--set", "episode_length=0.1", "--ppo", "steps_per_iteration=8", "--wandb", "orbit"]
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    assert main([*words, "--output", str(tmp_path / "kept")]) == 0
+    (kept,) = tmp_path.glob("kept/wandb/offline-run-*/run-*.wandb")
+    assert kept.read_bytes().count(b"episode/return") >= 2  # a record for each iteration
+    # A process of its own, because the package keeps its first mode.
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("WANDB_")}
+    environment |= {"HOME": str(tmp_path), "WANDB_MODE": "online"}
+    command = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())", *words]
+    command += ["--output", str(tmp_path / "sent")]
+    refused = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
+    assert refused.returncode == 2
+    assert "Weights & Biases takes no run (No API key configured" in refused.stderr
+    assert not (tmp_path / "sent" / "curve.jsonl").exists()
+
+
 def test_several_processes_need_gpus_and_a_library_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"RANK": "1", "LOCAL_RANK": "1", "WORLD_SIZE": "2"}.items():
         monkeypatch.setenv(name, value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import socket
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +89,12 @@ def test_a_robot_of_ros_follows_our_commands(address: str, command: str) -> None
     finally:
         link.close()
     time.sleep(0.6)  # until the robot lets the next client command
+
+
+def test_ros_leaves_the_programs_own_log_alone(address: str) -> None:
+    root = logging.getLogger()
+    assert root.level == logging.WARNING
+    assert not any(isinstance(handler, RotatingFileHandler) for handler in root.handlers)
 
 
 def test_limits_are_held_before_a_command_leaves(address: str) -> None:

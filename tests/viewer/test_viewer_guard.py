@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import importlib.metadata
+import logging
 import socket
 import tracemalloc
 import urllib.error
@@ -104,7 +105,8 @@ def test_a_malformed_request_is_refused_without_a_traceback(
         client.sendall(b"GET " + lines + b"\r\n\r\n")
         assert client.recv(100).startswith(b"HTTP/1.1 400 Bad Request")
     assert capfd.readouterr() == ("", "")
-    assert not caplog.records
+    # A line of information is written where the program that imports ORBIT asks for those.
+    assert not [record for record in caplog.records if record.levelno > logging.INFO]
 
 
 def test_an_address_that_others_reach_asks_for_the_token_once(reachable: Viewer) -> None:

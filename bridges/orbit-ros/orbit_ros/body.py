@@ -45,6 +45,7 @@ def odometry(body: list[float], header: Header, child: str) -> Odometry:
         header: with the world's frame.
         child: the body's frame.
     """
+    # ROS states twists in the child's frame, ORBIT in the world's.
     turn = rotation(np.array(body[3:7])).T
     linear, angular = (turn @ np.array(part) for part in (body[7:10], body[10:13]))
     pose = Pose(Point(*map(float, body[:3])), quaternion_of(body[3:7]))
@@ -77,6 +78,7 @@ class Accelerometer:
     def update(self, body: list[float], stamp: int) -> FloatArray:
         """Return the specific force (3,) after a measurement at a time, ns."""
         velocity = np.array(body[7:10])
+        # A repeated stamp, as of a state that is sent twice, would divide by zero.
         if self._last is not None and stamp > self._last[0]:
             acceleration = (velocity - self._last[1]) / (1e-9 * (stamp - self._last[0]))
             self.force = rotation(np.array(body[3:7])).T @ (acceleration + GRAVITY)

@@ -26,10 +26,13 @@ class RosAddress:
     """Parts of an address ``scheme://host:port/prefix?option=value``."""
 
     host: str
+    """Host name or address; 127.0.0.1 where the address names none."""
     port: int | None
+    """Port; None for the scheme's default."""
     path: str
     """Prefix of topics, or a robot's name; without slashes at its ends."""
     options: dict[str, str] = field(default_factory=dict)
+    """Options after the question mark, by name."""
 
     @property
     def prefix(self) -> str:
@@ -60,6 +63,7 @@ class RosAddress:
             known = ", ".join((*options, "trusted"))
             raise ConfigurationError(f"'{address}' has unknown options {', '.join(unknown)}: known are {known}")
         host = parts.hostname or "127.0.0.1"
+        # A robot on an open network obeys anyone who publishes, so that the user has to say that it is not open.
         if host not in _LOOPBACK and found.get("trusted") != "yes":
             raise ConfigurationError(
                 f"ROS neither authenticates nor encrypts, and {host} is another machine: on a network of your own, "
@@ -82,6 +86,7 @@ class RosBridge:
         self, address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC
     ) -> RobotLink:
         """Connect to a robot of ROS (:meth:`orbit_deploy.link.Bridge.connect`)."""
+        # Imported on use: addresses of other schemes must not need Cyclone DDS or rospy.
         from orbit_ros.hardware import CommandKind, RosHardware, served_description
         from orbit_ros.hosted import HostedLink
 
@@ -94,6 +99,7 @@ class RosBridge:
         try:
             if (name := parts.options.get("robot")) is not None:
                 description = _catalogued(name)
+            # A computer of ORBIT publishes its limits; of other robots the catalogue gives them.
             elif (description := served_description(node, parts.prefix)) is None:
                 raise RobotLinkError(
                     f"no robot at {address} publishes 'orbit/description': say which robot it is with ?robot=NAME "
@@ -118,12 +124,14 @@ class RosBridge:
 def _ros1(parts: RosAddress) -> RosNode:
     from orbit_ros.ros1 import Ros1Node
 
+    # The master's usual port.
     return Ros1Node(parts.host, parts.port or 11311)
 
 
 def _ros2(parts: RosAddress) -> RosNode:
     from orbit_ros.dds import Ros2Node
 
+    # ROS 2 has domains in the place of ports, and 0 is the usual one.
     return Ros2Node(parts.port or 0, parts.host)
 
 

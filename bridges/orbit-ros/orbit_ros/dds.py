@@ -79,7 +79,7 @@ class Ros2Node(RosNode):
         reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
         qos = Qos(*_LATCHED) if latched else Qos(reliable, *_STREAM)
         writer = DataWriter(self._participant, Topic(self._participant, self._prefix + topic, kind), qos=qos)
-        # A latched message is gone with its writer, whatever the caller keeps.
+        # A latched message is gone with its writer, even if the caller keeps the function.
         self._writers.append(writer)
         return writer.write
 

@@ -41,7 +41,9 @@ class CommandKind(StrEnum):
     POSITIONS = "positions"
     """``Float64MultiArray`` of positions, for forward_command_controller; the other two likewise."""
     VELOCITIES = "velocities"
+    """The same of velocities, rad/s or m/s."""
     EFFORTS = "efforts"
+    """The same of efforts, N m or N."""
 
 
 def served_description(node: RosNode, prefix: str) -> RobotDescription | None:
@@ -100,6 +102,7 @@ class RosHardware(RobotHardware):
         node.subscribe(prefix + topics.JOINT_STATES, JointState, self._take)
         for name in description.objects:
             topic = prefix + topics.body_topic(name, description)
+            # The default binds the name now; a closure would see the last one of the loop.
             node.subscribe(topic, Odometry, lambda message, _, name=name: self._track(name, message))
         end = time.monotonic() + _FOUND
         while self._state is None or len(self._objects) < len(description.objects):
@@ -110,6 +113,7 @@ class RosHardware(RobotHardware):
     def read(self) -> Measurement:
         state, age = self._state, time.monotonic() - self._arrived
         assert state is not None  # waited for when this was made
+        # Old positions would look like a robot at rest.
         if age > _LOST:
             raise RobotLinkError(f"no joint states on '{self._prefix}{topics.JOINT_STATES}' for {age:.2f} s")
         return Measurement(
@@ -121,6 +125,7 @@ class RosHardware(RobotHardware):
             values.tolist() for values in (targets.positions, targets.velocities, targets.efforts)
         )
         if self._kind is CommandKind.TRAJECTORY:
+            # To be reached when the next command is due, so that the controller interpolates between both.
             point = JointTrajectoryPoint(positions, velocities, [], [], duration_of(1.0 / self.description.rate))
             self._publish(JointTrajectory(joint_names=self.description.joints, points=[point]))
             return
@@ -135,6 +140,7 @@ class RosHardware(RobotHardware):
         self._missing = [name for name in self.description.joints if name not in places]
         if self._missing:
             return
+        # Publishers order joints as they like, and may add others.
         order = [places[name] for name in self.description.joints]
         now, stamp = time.monotonic(), seconds_of(message.header.stamp)
         positions = np.array(message.position, np.float64)[order]
@@ -142,6 +148,7 @@ class RosHardware(RobotHardware):
         if len(message.velocity) == len(message.name):
             velocities = np.array(message.velocity, np.float64)[order]
         elif last is not None and stamp > self._stamp:
+            # By the publisher's stamps, as arrival times jitter.
             velocities = (positions - last.positions) / (stamp - self._stamp)
         else:
             velocities = np.zeros(len(order))

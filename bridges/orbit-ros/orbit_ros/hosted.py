@@ -34,6 +34,7 @@ class HostedLink(RobotLink):
 
     def __init__(self, hardware: RobotHardware, address: str, period: float, path: PathKind = PathKind.QUINTIC) -> None:
         self.address, self.description = address, hardware.description
+        """Robot as its hardware describes it."""
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
         self._hardware, self._error, self._sequence = hardware, "", 0
         self._faults: list[Fault] = []
@@ -42,6 +43,7 @@ class HostedLink(RobotLink):
         # The threads of ROS and of the policy share Python's lock with the loop: a late command is no lost link.
         watchdog = max(0.1, 3.0 * period)
         self.computer = RobotComputer(hardware, FollowerSettings(watchdog=watchdog), settings)
+        """Computer that a thread of this process runs."""
         self.computer.on_state.append(self._take)
         self.computer.on_fault.append(self._note)
         self._state = self.computer.open(_CLIENT, period, path)

@@ -1,4 +1,8 @@
-"""Messages of ROS as data, with ROS 2's type names; ROS 1 has the same fields (:mod:`orbit_ros.ros1`)."""
+"""Messages of ROS as data, with ROS 2's type names; ROS 1 has the same fields (:mod:`orbit_ros.ros1`).
+
+Members and their units are those of ROS's interface definitions: https://docs.ros.org/en/rolling/p/sensor_msgs/ and its
+neighbours.
+"""
 
 # Types are read when the classes are made, so that their annotations are no strings.
 import struct
@@ -229,6 +233,7 @@ def _put_text(body: bytearray, text: str) -> None:
 def _text(body: memoryview, at: int, order: str, align: int = 4) -> tuple[str, int]:
     """Return a text and the place of what follows it."""
     (length,) = struct.unpack_from(order + "I", body, at)
+    # The length counts the zero at the text's end.
     end = at + 4 + length
     return bytes(body[at + 4 : end - 1]).decode(), end + -end % align
 
@@ -254,6 +259,7 @@ class Image(IdlStruct, typename="sensor_msgs.msg.dds_.Image_"):
         body += struct.pack("<II", self.height, self.width)
         encoding = self.encoding.encode() + b"\0"
         body += struct.pack("<I", len(encoding)) + encoding + bytes((self.is_bigendian,))
+        # CDR aligns a number to its size, from the beginning of the body.
         body += bytes(-len(body) % 4) + struct.pack("<II", self.step, len(self.data))
         return (_CDR2 if use_version_2 else _CDR) + bytes(body) + bytes(self.data)
 

@@ -1,4 +1,4 @@
-"""Node of ROS, whatever its version: topics to publish to and to hear from."""
+"""Node of any version of ROS: topics to publish to and to subscribe to."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
+import logging
 import os
 import sys
 import threading
@@ -70,6 +71,7 @@ def from_ros1(message: Any) -> Any:
         kind = Time if isinstance(message, genpy.Time) else Duration
         return kind(message.secs, message.nsecs)
     kind = BY_NAME[message._type]
+    # Members that ROS 1 has beyond ROS 2's, such as 'seq', are dropped.
     names = {each.name for each in dataclasses.fields(kind)}  # pyright: ignore[reportArgumentType]
     values = {name: getattr(message, name) for name in message.__slots__ if name in names}
     own = (genpy.Message, genpy.TVal)
@@ -112,7 +114,17 @@ class Ros1Node(RosNode):
                 os.environ.setdefault("ROS_IP", "127.0.0.1" if host in ("127.0.0.1", "localhost") else "")
                 if not os.environ["ROS_IP"]:
                     del os.environ["ROS_IP"]
-                ros.init_node("orbit", anonymous=True, disable_signals=True, disable_rostime=True)
+                # rospy puts a file and the level INFO into the root logger, which is the program's own.
+                root = logging.getLogger()
+                level, handlers = root.level, root.handlers[:]
+                try:
+                    # Signals and time stay the process's own: rospy would take Ctrl-C, and wait for a simulated clock.
+                    ros.init_node("orbit", anonymous=True, disable_signals=True, disable_rostime=True)
+                finally:
+                    root.setLevel(level)
+                    for handler in set(root.handlers) - set(handlers):
+                        handler.close()
+                    root.handlers[:] = handlers
                 Ros1Node._master = uri
             elif Ros1Node._master != uri:
                 raise RobotLinkError(f"this process is a node of the ROS master at {Ros1Node._master}, not {uri}")

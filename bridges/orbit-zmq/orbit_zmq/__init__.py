@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from orbit_deploy.computer import RobotComputer
     from orbit_zmq.client import ZmqLink
     from orbit_zmq.server import ZmqServer
@@ -33,3 +34,7 @@ def make_keys(folder: Path) -> None:
     from orbit_zmq.keys import make_keys as make
 
     make(folder)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

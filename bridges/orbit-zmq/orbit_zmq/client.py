@@ -91,6 +91,7 @@ class ZmqLink(RobotLink):
             self.close()
             raise
         self.description = offer.description
+        """Robot as its computer offered it."""
 
     # Called by the client's thread
 

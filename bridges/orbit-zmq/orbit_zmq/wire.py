@@ -22,6 +22,7 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag="hello"):
     """First message of a client."""
 
     version: int
+    """Version of the messages that the client speaks."""
     client: str
     """Name of the client, for those who find the robot busy."""
     period: float
@@ -41,6 +42,7 @@ class MoveTo(msgspec.Struct, frozen=True, array_like=True, tag="move"):
     """Request for a slow motion."""
 
     positions: list[float]
+    """Positions (J) to move to, rad or m."""
 
 
 class Order(msgspec.Struct, frozen=True, array_like=True, tag="order"):
@@ -54,13 +56,16 @@ class Offer(msgspec.Struct, frozen=True, tag="offer"):
     """Answer to a hello: the session has begun."""
 
     description: RobotDescription
+    """Robot of the session."""
     state: RobotState
+    """Newest state of the robot."""
 
 
 class Pong(msgspec.Struct, frozen=True, array_like=True, tag="pong"):
     """Answer to a ping."""
 
     sent: int
+    """Client's time in the ping, ns, returned as it came."""
     clock: int
     """Robot's time, ns."""
 
@@ -69,6 +74,7 @@ class Answer(msgspec.Struct, frozen=True, array_like=True, tag="answer"):
     """State after a request."""
 
     state: RobotState
+    """State of the robot after the request was met."""
 
 
 class Refusal(msgspec.Struct, frozen=True, array_like=True, tag="refusal"):
@@ -77,6 +83,7 @@ class Refusal(msgspec.Struct, frozen=True, array_like=True, tag="refusal"):
     code: str
     """``version``, ``busy``, ``message`` or ``request``."""
     text: str
+    """Reason in words."""
 
 
 FromClient = Hello | Ping | JointCommand | MoveTo | Arrangement | Order

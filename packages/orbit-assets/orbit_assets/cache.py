@@ -41,9 +41,11 @@ class Model:
     """
 
     name: str
+    """Name of the cached copy."""
     build: Callable[[], Articulation]
     packages: tuple[str, ...]
     licence: str
+    """Licence of the model, as its source states it."""
     parts: tuple[Callable[..., Articulation], ...] = ()
 
     def fingerprint(self) -> str:

@@ -105,5 +105,5 @@ def _drive(joint: Joint, design: DriveDesign, inertia: float) -> ImplicitPd:
 
 
 def _rounded(value: float) -> float:
-    """To three significant digits: gains are chosen, not measured."""
+    """Round to three significant digits: gains are chosen, not measured."""
     return float(f"{value:.3g}")

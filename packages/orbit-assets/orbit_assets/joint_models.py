@@ -29,9 +29,13 @@ class Freedom:
 
     suffix: str
     type: JointType
+    """Rotation or translation."""
     axis: Vector3
+    """Unit vector in the joint's frame."""
     lower_limit: float = -math.inf
+    """rad or m."""
     upper_limit: float = math.inf
+    """rad or m."""
 
 
 BALL = (
@@ -144,14 +148,21 @@ class ActuatorLaw:
     """``gear * (gain * command + bias)`` on one joint, in the words of MJCF's ``<general>``."""
 
     gain_type: str
+    """``gaintype`` in MJCF: ``fixed``, ``affine`` and so on."""
     bias_type: str
+    """``biastype`` in MJCF: ``none``, ``affine`` and so on."""
     dynamics: str
+    """``dyntype`` in MJCF: ``none``, ``integrator`` and so on."""
     gain: tuple[float, ...]
+    """Parameters of the gain, ``gainprm``."""
     bias: tuple[float, ...]
+    """Parameters of the bias, ``biasprm``."""
     gear: float
+    """Joint effort by the actuator's force."""
     force_range: Range | None = None
     """Of the actuator itself, before the gear; none if unlimited."""
     command_range: Range | None = None
+    """Least and most of the command; none if unlimited."""
     damping: float = 0.0
     """N m s/rad or N s/m of the actuator, before the gear."""
 

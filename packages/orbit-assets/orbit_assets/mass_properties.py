@@ -19,7 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def mass_properties(geometry: Geometry, *, mass: float | None = None, density: float | None = None) -> MassProperties:
-    """Those of a solid of uniform density, in the geometry's own frame, from its mass (kg) or its density (kg/m^3).
+    """Return the mass properties of a uniform solid in the geometry's frame, from its mass (kg) or density (kg/m^3).
 
     A mesh that does not enclose a volume counts as its convex hull.
 
@@ -37,7 +37,7 @@ def mass_properties(geometry: Geometry, *, mass: float | None = None, density: f
 
 
 def shapes_mass_properties(shapes: Iterable[Shape], density: float) -> MassProperties:
-    """Those of a body made of shapes of one density, in the body's frame. Where shapes overlap, mass counts twice.
+    """Return the mass properties of shapes of one density, in the body's frame. Overlaps count twice.
 
     Raises:
         AssetError: there is no shape, or one without volume.

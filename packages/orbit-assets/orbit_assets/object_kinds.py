@@ -38,8 +38,11 @@ class SolidConfig(ObjectConfig):
     density: float = DENSITY
     """kg/m^3, where there is no ``mass``."""
     color: Color = GRAY
+    """RGBA in [0, 1]."""
     material: PhysicsMaterial = field(default_factory=PhysicsMaterial)
+    """Friction, restitution and compliance."""
     fixed_base: bool = False
+    """True for a thing that does not move."""
     label: str = ""
     """Semantic label; the object's name where it is empty."""
 
@@ -157,8 +160,11 @@ class TableConfig(ObjectConfig):
     size: Vector3 = (0.8, 1.2, 0.7)
     """Depth (x), width (y) and height in metres."""
     color: Color = WOOD
+    """RGBA in [0, 1]."""
     material: PhysicsMaterial = field(default_factory=PhysicsMaterial)
+    """Friction, restitution and compliance."""
     label: str = "table"
+    """Semantic label."""
 
     def build(self, name: str, pose: Pose | None = None) -> ObjectSpec:
         return table(name, self.size, color=self.color, material=self.material, pose=pose, label=self.label)
@@ -192,7 +198,9 @@ class KeyedBlockConfig(ObjectConfig):
     mass: float = 0.08
     """kg"""
     color: Color = GRAY
+    """RGBA in [0, 1] of the cube."""
     key_color: Color = (0.75, 0.15, 0.1, 1.0)
+    """RGBA in [0, 1] of the ridge."""
 
     def build(self, name: str, pose: Pose | None = None) -> ObjectSpec:
         return keyed_block(

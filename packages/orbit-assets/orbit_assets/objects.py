@@ -85,10 +85,13 @@ class SolidOptions(TypedDict, total=False):
     density: float
     """kg/m^3; :data:`DENSITY` where it is left out."""
     color: Color
+    """RGBA in [0, 1]."""
     material: PhysicsMaterial
+    """Friction, restitution and compliance."""
     pose: Pose
     """Pose of the object at reset, in the environment's frame."""
     fixed_base: bool
+    """True for a thing that does not move."""
     label: str
     """Semantic label; the object's name where it is left out."""
 

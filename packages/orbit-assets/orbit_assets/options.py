@@ -66,9 +66,12 @@ class ReadOptions:
     allow_outside: bool | tuple[Path, ...] = False
     environment: tuple[str, ...] = ()
     limits: ReadLimits = field(default_factory=ReadLimits)
+    """Largest sizes and counts that a file may have."""
     articulation: str | None = None
     unsupported: Unsupported = Unsupported.REFUSE
+    """Treatment of elements that the description cannot hold: an error, or a note."""
     repair: Repair = Repair.NONE
+    """Repairs of meshes and inertias that are allowed; none by default."""
 
     def __post_init__(self) -> None:
         """Check all fields: readers would blame the file, or would not notice.

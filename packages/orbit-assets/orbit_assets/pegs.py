@@ -45,7 +45,9 @@ class Course:
     """Points (K, 3) in metres, equally far apart along a curve, and the curve's unit tangents (K, 3) there."""
 
     points: npt.NDArray[np.float64]
+    """(K, 3) m."""
     tangents: npt.NDArray[np.float64]
+    """(K, 3) unit vectors."""
     spacing: float
     """Metres along the curve from a point to the next."""
 
@@ -183,6 +185,7 @@ class Section:
     """
 
     outline: Polygon
+    """Corners (K, 2) in metres."""
     turns: int
     radius: float = 0.0
 

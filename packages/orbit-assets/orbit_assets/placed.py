@@ -15,7 +15,9 @@ class PlacedArticulation:
     """An articulation of a file, and the pose of its root link in the file's world, z up."""
 
     articulation: Articulation
+    """Links and joints."""
     pose: Pose = field(default_factory=Pose)
+    """Pose of the root link in the file's world."""
     fixed_base: bool = False
     """True if its root does not move."""
     path: str = ""
@@ -27,9 +29,11 @@ class SceneParts:
     """All contents of a file: articulations, ground, light and gravity as far as the file describes them."""
 
     placed: tuple[PlacedArticulation, ...]
+    """Articulations with their poses."""
     terrain: tuple[Shape, ...] = ()
     """Static shapes in the world's frame."""
     lights: tuple[Light, ...] | None = None
+    """Lights of the file; None if it has none."""
     gravity: Vector3 | None = None
     """Gravity in m/s^2."""
     physics_dt: float | None = None

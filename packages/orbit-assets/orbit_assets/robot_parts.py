@@ -43,7 +43,9 @@ class PartKind(Enum):
     """Role of a part in a robot: a base carries an arm, and an arm an end effector."""
 
     BASE = "base"
+    """Carries an arm: a trolley, a trunk on legs, or a whole humanoid."""
     ARM = "arm"
+    """Carries an end effector."""
     END_EFFECTOR = "end effector"
 
 
@@ -60,11 +62,15 @@ class RobotPart:
     """
 
     name: str
+    """Name for :func:`orbit_assets.catalogue.robot` and compositions."""
     kind: PartKind
+    """Role in a robot."""
     model: Model
+    """Recipe of its links and joints."""
     home: Mapping[str, float] = field(default_factory=dict)
     """Joint positions by regular expression over joint names."""
     drives: tuple[ActuatorConfig, ...] = ()
+    """Drives with known gains."""
     designs: tuple[DriveDesign, ...] = ()
     """Designs of drives for joints without gains of their own: these are computed for the whole robot."""
     mount: str = ""
@@ -74,18 +80,23 @@ class RobotPart:
     joints: tuple[str, ...] = ()
     """Joints of an arm, by regular expression."""
     gripper: Gripper | None = None
+    """Fingers of an end effector that open and close."""
     finger_tips: tuple[str, ...] = ()
+    """Links or frames at the ends of a hand's fingers."""
     workspace: Workspace | None = None
     """Workspace of an arm, in its root link; None: a task computes it."""
     end_effector: str = ""
     """Name of an arm's default end effector, mounted where a composition names none."""
     feet: tuple[str, ...] = ()
+    """Frames of a base where it is meant to touch the ground."""
     walking_drives: tuple[ActuatorConfig, ...] = ()
     """Drives of a base for learning to walk (:attr:`orbit_core.scene.RobotSpec.walking_drives`)."""
     wheels: tuple[str, ...] = ()
     """Links or frames of a base that roll on the ground."""
     planar_base: PlanarBase | None = None
+    """Base of three joints over the floor."""
     differential_base: DifferentialBase | None = None
+    """Base of two driven wheels."""
     end_effectors: tuple[EndEffector, ...] = ()
     """End effectors that a base has already, such as a humanoid's hands; one that is mounted on it comes first."""
     pose: Pose = field(default_factory=Pose)

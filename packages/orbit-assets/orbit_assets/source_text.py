@@ -280,6 +280,7 @@ class Fields:
 
     def __init__(self, findings: Findings) -> None:
         self.findings = findings
+        """Errors and notes so far."""
 
     def attribute(self, element: Element, key: str, where: str) -> str:
         """Return the attribute's text.

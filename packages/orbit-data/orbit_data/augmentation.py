@@ -65,9 +65,11 @@ class Augmented:
     """Outcome of an augmentation."""
 
     kept: int
+    """Episodes that were written."""
     successes: int
     """Successful attempts: more than are kept if the last ones gave more than were requested."""
     attempts: int
+    """Episodes that were tried."""
 
     @property
     def share(self) -> Estimate:

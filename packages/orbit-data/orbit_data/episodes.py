@@ -42,6 +42,7 @@ class EpisodeInfo:
     seed: int | None = None
     """Seed of the environment's random stream; together with the next two it determines the initial state."""
     env_id: int | None = None
+    """Row of the environment in the recording world; None if unknown."""
     episode: int | None = None
     """Number of the episode among the environment's own."""
     backend: str = ""
@@ -57,7 +58,9 @@ class Episode:
     """One episode: arrays (T, ...) by name, and ``initial/`` ones without time; row t is before action t."""
 
     info: EpisodeInfo
+    """Length, success, seed and origin."""
     arrays: Mapping[str, Array]
+    """Arrays by name, NumPy's dtypes as they were recorded."""
 
     def named(self, prefix: str) -> dict[str, Array]:
         """Return the arrays whose names begin with ``prefix``, by the rest of their names."""
@@ -68,9 +71,11 @@ class Dataset(ABC):
     """Recorded episodes, in any format. Reading never executes code that a file contains."""
 
     path: Path
+    """File or folder that it was read from."""
     manifest: Manifest | None
     """Manifest of the environment of the recording; None in files of other programs."""
     episodes: Sequence[EpisodeInfo]
+    """Facts of all episodes, read without their arrays."""
     masks: Mapping[str, Sequence[int]]
     """Subsets by name, as positions in ``episodes``: training and validation."""
 

@@ -216,6 +216,7 @@ class LeRobotWriter:
     robot: str
     joint_terms: frozenset[str] | None = None
     features: dict[str, Any] = field(init=False, default_factory=dict)
+    """Dtype, shape and names of each column, by its name in LeRobot's layout; known after the first episode."""
     left_out: set[str] = field(init=False, default_factory=set)
     """Names of arrays that the layout cannot store."""
 

@@ -438,6 +438,7 @@ class RecordingFile:
         self.left_out: set[str] = set()
         """Names of arrays that the dataset's format could not store when it was gathered."""
         self.parts = PartFolder(path.with_name(f"{path.name}.parts"))
+        """Folder of episodes that are not in the file yet."""
 
     def check_begun(self, resume: bool, overwrite: bool) -> None:
         """Check that a recording can begin here.

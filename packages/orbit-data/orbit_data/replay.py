@@ -33,11 +33,15 @@ class ReplayResult:
     """Result of a replay."""
 
     backend: str
+    """Engine of the replay."""
     recorded_on: tuple[str, ...]
+    """Engines that recorded the episodes."""
     mode: Mode
+    """Source of the replayed motion: actions or states."""
     success: Estimate
     """Success rate of the replayed episodes, at the step at which the recorded ones ended."""
     recorded_success: Estimate
+    """Success rate of the same episodes as they were recorded."""
     times: Array
     """Times (T,) in s since the episode began."""
     distances: Mapping[str, Array]

@@ -25,9 +25,11 @@ class StatePart:
     """Part of a state's row, read from a world and set in it."""
 
     name: str
+    """Path of the value, such as entity and quantity."""
     shape: tuple[int, ...]
     """Shape of one environment's value."""
     read: Callable[[], Tensor]
+    """Function that returns the present value (N, *shape)."""
 
     @property
     def size(self) -> int:
@@ -52,6 +54,7 @@ class WorldStates:
         self.parts = tuple(self._parts())
         """Parts in the order of the row."""
         self.size = sum(part.size for part in self.parts)
+        """Numbers S of a row."""
 
     def read(self) -> Tensor:
         """Return the states (N, S) in a new tensor."""

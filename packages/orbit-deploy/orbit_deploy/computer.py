@@ -17,7 +17,7 @@ import numpy as np
 
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_deploy.clocks import RobotClock
-from orbit_deploy.follower import FollowerSettings, JointFollower, PathKind
+from orbit_deploy.follower import FollowerSettings, JointFollower, JointTargets, PathKind
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.log import RobotLog
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
@@ -71,10 +71,13 @@ class RobotComputer:
     ) -> None:
         self.hardware, self.settings = hardware, settings or ComputerSettings()
         self.description = hardware.description
+        """Robot that the loop drives."""
         self.description.check()
         self.clock, self._log = clock or RobotClock(), log
         self.follower = JointFollower(self.description, motion or FollowerSettings())
+        """Motion of the joints: path, limits and watchdog."""
         self.loop = RealtimeLoop(self.description.rate)
+        """Clocked loop, at the robot's rate."""
         self._every = max(1, round(self.description.rate / self.settings.state_rate))
         self.on_state: list[Callable[[RobotState], None]] = []
         """Called with each state that is published."""
@@ -92,6 +95,8 @@ class RobotComputer:
         self._skipped_before = 0
         self._random = random.Random(0)
         self.follower.rest_at(hardware.read().positions)
+        zero = np.zeros(len(self.description.joints))
+        self._given = JointTargets(self.follower.target, zero, zero)
 
     # Called by a bridge
 
@@ -205,7 +210,7 @@ class RobotComputer:
             self._report(Fault(now, "overrun", f"the robot's loop was held up for {held} cycles: it begins from rest"))
         if self._client and now - self._heard > SESSION_TIMEOUT * 1e9:
             self._forget_client(now)
-        targets = self.follower.sample(now)
+        targets = self._given = self.follower.sample(now)
         stops = self.follower.stops
         try:
             self.hardware.drive(targets)
@@ -279,6 +284,8 @@ class RobotComputer:
             velocities=measured.velocities.tolist(),
             efforts=measured.efforts.tolist(),
             targets=follower.target.tolist(),
+            target_velocities=self._given.velocities.tolist(),
+            target_efforts=self._given.efforts.tolist(),
             objects=measured.objects,
             clamped=follower.clamped,
             limited=follower.limited,

@@ -32,8 +32,11 @@ class JointKind(StrEnum):
     """Quantity that the drive of a joint follows."""
 
     POSITION = "position"
+    """rad or m."""
     VELOCITY = "velocity"
+    """rad/s or m/s."""
     EFFORT = "effort"
+    """N m or N."""
 
 
 class RobotDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,10 +45,13 @@ class RobotDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     model: str
     """Name of the robot's articulation."""
     joints: list[str]
+    """Names of the joints, which give all other lists their order."""
     kinds: list[JointKind]
+    """Quantity that each joint's drive follows."""
     lower: list[float]
     """Least positions; minus infinity if unlimited."""
     upper: list[float]
+    """Greatest positions; infinity if unlimited."""
     velocity: list[float]
     """Greatest speeds, rad/s or m/s."""
     acceleration: list[float]
@@ -57,6 +63,7 @@ class RobotDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     stiffness: list[float]
     """Stiffness of the drives; 0 for those that follow no position."""
     damping: list[float]
+    """Damping of the drives, N m s/rad or N s/m."""
     home: list[float]
     """Positions of rest."""
     rate: float = 1000.0
@@ -135,11 +142,17 @@ class MotionLimits(msgspec.Struct, frozen=True):
     """Limits (J,) of the joints of a robot."""
 
     lower: FloatArray
+    """Least positions, rad or m."""
     upper: FloatArray
+    """Greatest positions, rad or m."""
     velocity: FloatArray
+    """Greatest speeds, rad/s or m/s."""
     acceleration: FloatArray
+    """Greatest accelerations, rad/s^2 or m/s^2."""
     jerk: FloatArray
+    """Greatest jerks, rad/s^3 or m/s^3."""
     effort: FloatArray
+    """Greatest efforts, N m or N."""
 
     @property
     def effort_rate(self) -> FloatArray:

@@ -83,15 +83,19 @@ class JointFollower:
 
     def __init__(self, description: RobotDescription, settings: FollowerSettings) -> None:
         self.description, self.settings, self.limits = description, settings, description.limits
+        """The description's limits as arrays (J,)."""
         self.period = 1.0 / description.rate
+        """Seconds of a cycle."""
         kinds = np.array(description.kinds)
         self._driven, self._efforts_only = kinds == JointKind.VELOCITY, kinds == JointKind.EFFORT
         self.limiter = MotionLimiter(self.limits, self.period, self._driven)
+        """Limiter that turns the commanded path into targets within all limits."""
         self._range = np.maximum(self.limits.upper - self.limits.lower, 0.0)
         home = np.array(description.home)
         self._path_kind = PathKind.QUINTIC
         self._path: CommandPath = QuinticPlayout(home, settings.jitter, 0.0, self.limits.acceleration)
         self.mode = Mode.HOLDING
+        """Present activity of the robot."""
         self.accepted = -1
         """Sequence number of the newest command that was accepted; -1 before the first of a session."""
         self.clamped = 0

@@ -29,6 +29,7 @@ class RobotHardware(ABC):
     """One robot. All methods are called by the thread of the robot's loop."""
 
     description: RobotDescription
+    """Joints, limits and rate; fixed before the loop begins."""
 
     @abstractmethod
     def read(self) -> Measurement:

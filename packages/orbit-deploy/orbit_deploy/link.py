@@ -40,6 +40,7 @@ class RobotLink(ABC):
     address: str
     """Address, for messages."""
     description: RobotDescription
+    """Robot as its computer offered it."""
     offset: ClockOffset
     """Estimate of the robot's clock."""
     round_trips: Latencies

@@ -52,8 +52,10 @@ class LocalLink(RobotLink):
     ) -> None:
         self._clock = LockstepClock()
         self.computer = RobotComputer(hardware, motion, settings, self._clock)
+        """Computer that each step of the link runs for one period."""
         self.address = "local"
         self.description = self.computer.description
+        """Robot as the computer describes it."""
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
         self._faults: list[Fault] = []
         self.computer.on_state.append(self._take)

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import msgspec
 
-VERSION = 1
+VERSION = 2
 """Version of these messages; a robot's computer refuses clients of another one."""
 
 
@@ -48,15 +48,23 @@ class RobotState(msgspec.Struct, frozen=True, array_like=True, tag="state"):
     stamp: int
     """Time of the measurement on the robot's clock, ns."""
     mode: Mode
+    """Activity of the robot in this cycle."""
     command: int
     """Number of the newest command that was accepted; -1 before the first."""
     age: float
     """Seconds since that command arrived."""
     positions: list[float]
+    """Measured positions (J), rad or m."""
     velocities: list[float]
+    """Measured velocities (J), rad/s or m/s."""
     efforts: list[float]
+    """Measured or estimated efforts (J), N m or N."""
     targets: list[float]
     """Positions that the drives were given, within limits."""
+    target_velocities: list[float]
+    """Velocities that the drives were given, rad/s or m/s."""
+    target_efforts: list[float]
+    """Efforts that were added to the drives', N m or N."""
     objects: list[list[float]]
     """Pose (7) and velocity (6) of each tracked object, in the order of the description."""
     clamped: int
@@ -73,9 +81,11 @@ class Fault(msgspec.Struct, frozen=True, array_like=True, tag="fault"):
     """Reason why the robot stopped. After ``watchdog`` and ``overrun`` the next command continues."""
 
     stamp: int
+    """Time on the robot's clock, ns."""
     code: str
     """Kind: ``limit``, ``jump``, ``nan``, ``time``, ``shape``, ``watchdog``, ``robot``, ``overrun``."""
     text: str
+    """Reason in words, with the numbers that led to it."""
 
 
 PASSING = ("watchdog", "overrun")
@@ -92,3 +102,4 @@ class Arrangement(msgspec.Struct, frozen=True, array_like=True, tag="arrange"):
     object: str = ""
     """Name of the object that is put at ``pose``."""
     pose: list[float] | None = None
+    """Position (m) and quaternion (w, x, y, z) in the environment's frame."""

@@ -49,6 +49,7 @@ class CycleTimes:
     """Lateness of a loop's cycles."""
 
     cycles: int
+    """Number of cycles that were measured."""
     within_half_ms: float
     """Share of cycles that began within 0.5 ms of their time, in [0, 1]."""
     percentiles: tuple[float, float, float]

@@ -89,6 +89,7 @@ class SimulatedHardware(RobotHardware):
             direct=direct,
             simulated=backend,
         )
+        """Robot of the scene, with the tracked objects."""
         self._random = np.random.default_rng(self.imperfections.seed)
         self._waiting: deque[JointTargets] = deque()
         self._delay = round(self.imperfections.delay * rate)

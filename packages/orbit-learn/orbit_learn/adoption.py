@@ -36,10 +36,13 @@ class Shown:
     """Numbers of an observation term, as a model sees them."""
 
     term: str
+    """Name of the term in the observation group."""
     begin: int = 0
+    """First component."""
     end: int | None = None
     """One past the last component; None for all."""
     scale: float = 1.0
+    """Factor that the model's input has over the environment's value."""
 
     @staticmethod
     def of_text(text: str) -> tuple[Shown, ...]:
@@ -71,7 +74,9 @@ class Signature:
     """Inputs and outputs of a model, with the numbers that each has for an environment."""
 
     inputs: dict[str, int]
+    """Numbers of each input, by name."""
     outputs: dict[str, int]
+    """Numbers of each output, by name."""
 
 
 def signature_of(path: Path | str) -> Signature:
@@ -149,7 +154,7 @@ def adopt(
     helper.set_model_props(model, {KEY: json.dumps({**description.document(), **manifest_document(manifest)})})
     with written_whole(target) as written:
         onnx.save(model, str(written))
-        # A file that is not read again is no policy, whatever its description says.
+        # A file that cannot be read again is no policy, even if its description is complete.
         read_onnx(written)
 
 

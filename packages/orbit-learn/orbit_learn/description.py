@@ -33,6 +33,7 @@ class Part:
     """Term of the observation, or part of the action."""
 
     name: str
+    """Name of the term or generator."""
     size: int
     """Number of components of one environment."""
     shape: tuple[int, ...] | None = None
@@ -78,7 +79,9 @@ class PolicyDescription:
     """Description of a policy: the observation that it needs, and the meaning of its output."""
 
     task: str
+    """Name of the task that it was learned on."""
     robot: str
+    """Name of the robot in the catalogue."""
     action: str
     """Name of the action space."""
     observation_parts: tuple[Part, ...]
@@ -92,6 +95,7 @@ class PolicyDescription:
     library: str
     """Library that learned the policy."""
     iteration: int
+    """Iterations of training before the file was written."""
     versions: dict[str, str] = field(default_factory=dict)
     """Versions of the distributions that took part in learning."""
     group: str = "policy"

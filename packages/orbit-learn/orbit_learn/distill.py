@@ -88,6 +88,7 @@ class ReplayBuffer:
         self._dtypes = {name: value.dtype for name, value in terms.items()}
         self._actions = torch.zeros(rows, action_size, device=self._device)
         self._rows, self._next, self.size = rows, 0, 0
+        """Steps held so far, at most the capacity."""
 
     def add(self, observation: Tensor | Mapping[str, Tensor], action: Tensor) -> None:
         """Copy one step of all environments."""
@@ -147,7 +148,9 @@ class RunningMoments:
 
     def __init__(self, size: int, device: torch.device) -> None:
         self.count = torch.zeros((), device=device)
+        """() number of rows so far."""
         self.mean = torch.zeros(size, device=device)
+        """(size,) of all rows so far."""
         # Sum (size,) of squared deviations from the mean.
         self._squares = torch.zeros(size, device=device)
 

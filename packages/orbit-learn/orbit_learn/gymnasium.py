@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -19,7 +20,8 @@ from orbit_core.envs.making import make
 from orbit_core.envs.observation_layout import Observation, map_leaves
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
-from orbit_core.rollout.pictures import OverviewCamera
+from orbit_core.rollout.pictures import Spectator as FilmCamera
+from orbit_core.scene import STUDIO
 from orbit_core.world.lifetime import mark_closed
 from orbit_learn.ends import all_ends
 from orbit_learn.spaces import action_space, observation_space
@@ -44,6 +46,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
+    """Render modes and rate, and the autoreset mode, as Gymnasium reads them."""
 
     def __init__(
         self,
@@ -54,15 +57,20 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
         **keywords: Any,
     ) -> None:
         self.environment = make(task, num_envs=num_envs, **keywords)
+        """ORBIT's environment, for what Gymnasium's interface lacks."""
         self._numpy = numpy
         # An attribute of the instance, because the frame rate depends on the task.
         self.metadata = _metadata(self.environment, AutoresetMode.SAME_STEP)
         self.render_mode = checked_mode(render_mode)
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.environment)
+        """Space of one environment's observation."""
         self.single_action_space = action_space(self.environment)
+        """Space of one environment's action, in [-1, 1]."""
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        """Space of all observations, (N, ...)."""
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        """Space of all actions, (N, A)."""
         self._spectator = Spectator(self.environment, self.render_mode)
 
     @property
@@ -114,14 +122,19 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
+    """Render modes and rate, and the autoreset mode, as Gymnasium reads them."""
 
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
         # Gymnasium's single environments are reset by their user, unlike its vector environments here.
         self.environment = make(task, num_envs=1, autoreset=False, **keywords)
+        """ORBIT's environment, for what Gymnasium's interface lacks."""
         self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
         self.render_mode = checked_mode(render_mode)
+        """``"rgb_array"``, or None without pictures."""
         self.observation_space: spaces.Space[Arrays] = observation_space(self.environment)  # pyright: ignore
+        """Space of an observation."""
         self.action_space = action_space(self.environment)
+        """Space of an action, in [-1, 1]."""
         self._spectator = Spectator(self.environment, self.render_mode)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
@@ -152,17 +165,17 @@ class Spectator:
     def __init__(self, environment: Environment, render_mode: str | None) -> None:
         self._environment = environment
         self._render_mode = render_mode
-        self._camera: OverviewCamera | None = None
+        self._camera: FilmCamera | None = None
 
     def pictures(self) -> npt.NDArray[np.uint8] | None:
         """Draw pictures (N, 480, 640, 3) of all environments; None without a render mode."""
         if self._render_mode is None:
             return None
         # On first use, because a renderer takes memory that environments without pictures do not need.
-        self._camera = self._camera or OverviewCamera(
-            self._environment.world, 640, 480, self._environment.task.metadata.view
-        )
-        return self._camera.pictures().numpy()
+        if self._camera is None:
+            # One sample: render() is called at each step of a training that films itself.
+            self._camera = FilmCamera(self._environment, 640, 480, studio=replace(STUDIO, samples=1))
+        return self._camera.pictures(seconds=self._environment.step_dt).numpy()
 
     def close(self) -> None:
         """Close the camera; the environment stays open."""

@@ -15,26 +15,45 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from orbit_core.installing import install_extra
-from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry
 
 if TYPE_CHECKING:
     from orbit_learn.trainer import Trainer
 
 GROUP = "orbit.learners"
-# Modules in this package. Each but the last two is also the name of the extra that installs it.
+# Modules in this package. Each but the last three is also the name of the extra that installs it.
 _LIBRARIES = {
     "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several GPUs"),
     "sb3": ("sb3:Sb3Trainer", "PPO, pictures"),
     "skrl": ("skrl:SkrlTrainer", "PPO, asymmetric critics, pictures"),
     "rl-games": ("rl_games:RlGamesTrainer", "PPO, asymmetric critics"),
     "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
+    "orbit": ("off_policy:OffPolicyTrainer", "SAC and TD3 with large batches, asymmetric critics; part of ORBIT"),
     "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
     "imitation": (
         "cloning.trainer:ImitationTrainer",
         "clones demonstrations (BC, BC-RNN, mixtures, ACT, diffusion); part of ORBIT",
     ),
 }
+
+# Library that is used where an algorithm is named and no library.
+_ALGORITHMS = {
+    "ppo": "rsl-rl", "sac": "orbit", "td3": "orbit",
+    **dict.fromkeys(("bc", "bc-gmm", "bc-rnn", "bc-rnn-gmm", "act", "diffusion"), "imitation"),
+}  # fmt: skip
+
+
+def library_for(algorithm: str | None) -> str:
+    """Return the library that has an algorithm; that of PPO if none is named.
+
+    Raises:
+        UnknownNameError: no library of ORBIT has the algorithm; the message gives the nearest name.
+    """
+    algorithm = algorithm or "ppo"
+    if algorithm not in _ALGORITHMS:
+        raise UnknownNameError("algorithm", algorithm, _ALGORITHMS)
+    return _ALGORITHMS[algorithm]
 
 
 @cache

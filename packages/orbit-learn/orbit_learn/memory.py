@@ -17,12 +17,12 @@ Seen = Tensor | Mapping[str, Tensor]
 
 
 def map_seen(function: Callable[[Tensor], Tensor], seen: Seen) -> Tensor | dict[str, Tensor]:
-    """Return what a function makes of an observation group, tensor by tensor."""
+    """Apply a function to each tensor of an observation group."""
     return function(seen) if isinstance(seen, Tensor) else {name: function(value) for name, value in seen.items()}
 
 
 class MemoryModule(nn.Module):
-    """Module with memory. Whoever runs it keeps the memory and hands it back at the next step.
+    """Module with memory. Its caller keeps the memory and hands it back at the next step.
 
     :meth:`forward` is the first step of an episode, so that a module with memory is also a module without one.
     """

@@ -55,7 +55,9 @@ class ActorNetwork(NamedTuple):
     """Network with the module that it built."""
 
     network: Network
+    """Settings that built the module."""
     module: nn.Module
+    """Module from an observation to an action."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +65,15 @@ class Perceptron:
     """Network of linear layers that see the observation in standard deviations from its mean."""
 
     name: ClassVar[str] = "perceptron"
+    """Word for this kind in policy files."""
     hidden_sizes: tuple[int, ...]
     """Units of the hidden layers."""
     activation: str = "elu"
     """Activation between layers: elu, relu or tanh."""
     observation_limit: float | None = None
     """Limit of the observation in standard deviations from the mean; unlimited if None."""
+    squashed: bool = False
+    """Whether the hyperbolic tangent bounds the action, as off-policy algorithms learn it; else it is clipped."""
 
     def __post_init__(self) -> None:
         activation_type(self.activation)
@@ -80,16 +85,17 @@ class Perceptron:
     def build(self, observation_size: int, action_size: int) -> nn.Module:
         """Return the actor; the observation's mean and deviation are zero and one until they are loaded."""
         layers = perceptron(observation_size, self.hidden_sizes, action_size, activation_type(self.activation))
-        return NormalizedActor(layers, observation_size, self.observation_limit)
+        return NormalizedActor(layers, observation_size, self.observation_limit, self.squashed)
 
 
 class NormalizedActor(nn.Module):
-    """Actor of :class:`Perceptron`, from an observation (N, O) to an action (N, A), clipped to [-1, 1].
+    """Actor of :class:`Perceptron`, from an observation (N, O) to an action (N, A) in [-1, 1].
 
     Args:
         layers: layers from a normalised observation (N, O) to an action (N, A).
         observation_size: number O of the observation's components.
         limit: limit of the normalised observation's components; unlimited if None.
+        squashed: whether tanh bounds the action; else it is clipped.
     """
 
     mean: Tensor
@@ -97,22 +103,25 @@ class NormalizedActor(nn.Module):
     std: Tensor
     """Standard deviations (O,) of the same."""
 
-    def __init__(self, layers: nn.Sequential, observation_size: int, limit: float | None) -> None:
+    def __init__(
+        self, layers: nn.Sequential, observation_size: int, limit: float | None, squashed: bool = False
+    ) -> None:
         super().__init__()
         self.register_buffer("mean", torch.zeros(observation_size))
         self.register_buffer("std", torch.ones(observation_size))
-        self.limit = limit
+        self.limit, self.squashed = limit, squashed
         self.layers = layers
 
     def forward(self, observation: Tensor) -> Tensor:
-        return self.unclipped(observation).clamp(-1.0, 1.0)
+        unbounded = self.unclipped(observation)
+        return torch.tanh(unbounded) if self.squashed else unbounded.clamp(-1.0, 1.0)
 
     def vectors(self, observation: Tensor) -> Tensor:
         """Return the observation (N, O), of which ``mean`` and ``std`` are."""
         return observation
 
     def unclipped(self, observation: Tensor) -> Tensor:
-        """Compute the action (N, A) before clipping, for learning."""
+        """Compute the action (N, A) before it is bounded, for learning."""
         return self.layers(self.encode(observation))
 
     def encode(self, observation: Tensor) -> Tensor:
@@ -177,6 +186,7 @@ class PictureFeatures(nn.Module):
         self.network = network
         self.normalize = nn.Identity() if normalize is None else normalize
         self.encoders = network.build_encoders()
+        """Convolutions of each set of pictures."""
 
     @property
     def size(self) -> int:
@@ -214,6 +224,7 @@ class Picture:
     """Term that is a picture (N, H, W, C)."""
 
     term: str
+    """Name of the observation term."""
     channels: int
     """Number C of channels."""
     far: float | None = None
@@ -235,7 +246,9 @@ class PictureEncoder:
     pictures: tuple[Picture, ...]
     """Pictures of equal height and width, which become the channels of one picture."""
     height: int
+    """Rows of the pictures."""
     width: int
+    """Columns of the pictures."""
     filters: tuple[int, ...] = (32, 64, 64)
     """Channels of each convolution: the first is 5 x 5 pixels wide, the others are 3 x 3."""
     features: int = 128
@@ -266,7 +279,9 @@ class Convolutional:
     """Network of a dictionary of terms: pictures pass encoders, vectors are normalised by mean and deviation."""
 
     name: ClassVar[str] = "convolutional"
+    """Word for this kind in policy files."""
     encoders: tuple[PictureEncoder, ...]
+    """One encoder for each size of pictures."""
     vectors: tuple[Part, ...]
     """Terms that are not pictures, flattened and concatenated."""
     hidden_sizes: tuple[int, ...]
@@ -313,10 +328,13 @@ class PictureActor(nn.Module):
         activation = activation_type(network.activation)
         size = network.vector_size
         self.network = network
+        """Settings that built the module."""
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("std", torch.ones(size))
         self.encoders = network.build_encoders()
+        """Convolutions of each set of pictures."""
         self.layers = perceptron(size + network.features, network.hidden_sizes, action_size, activation)
+        """Linear layers from features and vectors to the action."""
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
         return self.unclipped(observation).clamp(-1.0, 1.0)  # the range of every action

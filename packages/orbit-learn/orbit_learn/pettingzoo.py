@@ -38,10 +38,13 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - PettingZoo looks at the class's own
+    """Name, render modes and rate, as PettingZoo reads them."""
 
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
         self.render_mode = checked_mode(render_mode)
+        """``"rgb_array"``, or None without pictures."""
         self.environment = make(task, num_envs=1, autoreset=False, **keywords)
+        """ORBIT's environment, for what PettingZoo's interface lacks."""
         name = type(self.environment.task).__name__
         if self.environment.multi_agent is None:
             self.environment.close()
@@ -50,12 +53,17 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         fps = round(1.0 / self.environment.step_dt)
         self.metadata = {**ParallelEnvironment.metadata, "name": f"orbit/{name}", "render_fps": fps}
         self.possible_agents = list(shares.agents)
+        """Names of all robots that act."""
         self.agents: list[str] = []
+        """The same during an episode; empty before the first and after its end."""
         self.observation_spaces = {agent: group_space(layout) for agent, layout in shares.layouts.items()}
+        """Space of each agent's observation."""
         self.action_spaces = {
             agent: spaces.Box(-1.0, 1.0, (size,), np.float32) for agent, size in shares.action_sizes.items()
         }
+        """Space of each agent's part of the action, in [-1, 1]."""
         self.state_space = group_space(self.environment.observation["policy"])
+        """Space of the whole observation."""
         self._state: Any = None
         self._spectator = Spectator(self.environment, self.render_mode)
 

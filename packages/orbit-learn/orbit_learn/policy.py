@@ -36,6 +36,7 @@ class Policy:
     network: Network | None
     """Settings that built the module; None if it was read from ONNX, which contains a graph instead."""
     description: PolicyDescription
+    """Observation that it needs, and meaning of its output."""
     manifest: Manifest | None = None
     """Manifest of the environment that it was learned in; None if its file has none."""
 
@@ -126,6 +127,7 @@ class PolicyNode(Node):
         self._group = group or description.group
         self.inputs = self._own_inputs() if inputs is None else inputs
         self.outputs = (Port("action", (policy.description.action_size,)),)
+        """Port of the action, (A,)."""
         self._module = policy.module
         # Made at the first turn, when the number of environments is known.
         self._acting: Remembering | None = None

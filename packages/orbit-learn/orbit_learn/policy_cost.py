@@ -19,6 +19,7 @@ class Watched(Protocol):
     """Module that reports the shape of each result, and the number of multiplications for each of its numbers."""
 
     watch: Callable[[Sequence[int], int], None] | None
+    """Function that is given each result's shape and multiplications for a number; None: nobody counts."""
 
 
 @contextmanager

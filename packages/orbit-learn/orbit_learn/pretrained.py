@@ -69,7 +69,9 @@ class PretrainedPolicy:
     """Learned policy of a package, and the success rate that it must reach."""
 
     name: str
+    """Name for ``orbit run --policy``."""
     folder: Path
+    """Folder of the policy's files."""
     description: str
     """Description in one line."""
     least_success: float
@@ -77,6 +79,7 @@ class PretrainedPolicy:
     fields: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the task that differed from their defaults in learning, except robot and action."""
     gaps: tuple[TransferGap, ...] = ()
+    """Backends and renderers on which it is known to succeed less often."""
 
     def __post_init__(self) -> None:
         _check_rate(self.least_success)

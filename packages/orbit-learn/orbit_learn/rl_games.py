@@ -29,6 +29,7 @@ class RlGamesEnvironment(IVecEnv):
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         self.environment = environment
+        """ORBIT's environment behind the interface."""
         self._seed = seed
 
     def reset(self) -> dict[str, Tensor]:

@@ -76,6 +76,7 @@ class PictureModel(MLPModel):
         self._prefix = obs_groups[obs_set][0].partition("/")[0] + "/"
         super().__init__(obs, obs_groups, obs_set, output_dim, **settings)
         self.encoders = network.build_encoders()
+        """Convolutions of each set of pictures."""
 
     def get_latent(self, obs: TensorDict, masks: Tensor | None = None, hidden_state: Any = None) -> Tensor:
         terms = self._terms(obs)
@@ -114,6 +115,7 @@ class PartlyKnown(EmpiricalNormalization):
     """
 
     count: Tensor
+    """() observations so far, those at first included."""
     _mean: Tensor
     _var: Tensor
     _std: Tensor
@@ -142,8 +144,7 @@ _LEAST_STD = 0.2
 
 
 def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
-    """Return a network that acts in the environment as the policy acts, whatever is shown there beside what the policy
-    saw.
+    """Return a network that acts in the environment as the policy acts, and may learn from further observations.
 
     Terms of the observation are matched by their names. What is new weighs nothing, and is normalised by what the
     environment shows now, on which a training that goes on improves. Where joints' targets are
@@ -157,6 +158,10 @@ def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
     description, layout, module = policy.description, environment.observation[POLICY], policy.module
     if not isinstance(policy.network, Perceptron) or not isinstance(module, NormalizedActor) or not layout.concatenated:
         raise ConfigurationError("a training begins with a policy whose network is a perceptron that sees one tensor")
+    if policy.network.squashed:
+        raise ConfigurationError(
+            "a training by PPO clips its actions, and begins with no policy of SAC or TD3, whose actions tanh bounds"
+        )
     description.check_action(environment)
     columns = columns_seen(policy, layout)
     shown = one_tensor(environment.observe(), POLICY)
@@ -178,7 +183,7 @@ def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
 
 
 def columns_seen(policy: Policy, layout: GroupLayout) -> list[int]:
-    """Where the environment shows the components that the policy saw, in their order.
+    """Return the columns at which the environment shows the components that the policy saw, in their order.
 
     Raises:
         ConfigurationError: the policy saw what the environment does not show.
@@ -271,15 +276,21 @@ _START_WEIGHT = 5
 
 
 class RslRlEnvironment(VecEnv):
-    """An environment as RSL-RL expects it. Time-outs are told apart in ``extras``, for bootstrapping."""
+    """An environment as RSL-RL expects it. ``extras`` marks time-outs, for bootstrapping."""
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         self.environment = environment
+        """ORBIT's environment behind the interface."""
         self.num_envs = environment.num_envs
+        """Number N of environments."""
         self.num_actions = environment.action_size
+        """Components A of an action."""
         self.max_episode_length = environment.max_episode_steps
+        """Steps until the time limit."""
         self.device = environment.device
+        """Device of all tensors."""
         self.cfg = {"task": type(environment.task).__name__}
+        """Name of the task, for RSL-RL's loggers."""
         self._observation, _ = environment.reset(seed)  # the runner never resets
 
     @property
@@ -301,7 +312,7 @@ class RslRlEnvironment(VecEnv):
             extras: dict[str, Any] = {"time_outs": truncated}
             if "final" in info:
                 end = info["final"]
-                # Those that began on the expert's way tell little of how far learning has come.
+                # Those that began on the expert's way say little about the progress of learning.
                 extras["log"] = {"success": end.success.float()[end.usual], **end.metrics}
             return self._dict(self._observation), reward, (terminated | truncated).long(), extras
 
@@ -431,7 +442,7 @@ class _Runner(OnPolicyRunner):
     """Leaves checkpoints to the training."""
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
-        """Nothing."""
+        """No-op: checkpoints are written by the training."""
 
 
 def _model(settings: PpoSettings, environment: Environment, group: str) -> dict[str, Any]:
@@ -457,7 +468,7 @@ def _configuration(settings: PpoSettings, environment: Environment) -> dict[str,
         "obs_groups": {"actor": tensor_names(environment, ACTOR), "critic": tensor_names(environment, critic)},
         "actor": {**_model(settings, environment, ACTOR), "distribution_cfg": distribution},
         "critic": _model(settings, environment, critic),
-        "check_for_nan": False,  # it would wait for the device at every step; the engine tells of divergence
+        "check_for_nan": False,  # it would wait for the device at every step; the engine reports divergence
         "logger": "tensorboard",
         "algorithm": {
             "class_name": "PPO",

@@ -59,6 +59,7 @@ class PictureExtractor(BaseFeaturesExtractor):
         features = PictureFeatures(network)  # before the base class, which needs its size; kept as a module after it
         super().__init__(observation_space, features.size)
         self.features = features
+        """Encoder of the group's terms."""
 
     def forward(self, terms: dict[str, Tensor]) -> Tensor:
         return self.features(terms)
@@ -107,6 +108,7 @@ class Sb3Environment(VecEnv):
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         self.environment = environment
+        """ORBIT's environment behind the interface."""
         # Stable-Baselines3 handles one environment per row; ORBIT steps all rows at once.
         super().__init__(
             environment.num_envs,

@@ -60,9 +60,11 @@ class GroupModel(Model):
         Model.__init__(self, **spaces)
         self._space = group_space(layout)
         self.features = None
+        """Encoders of a dictionary of terms; None for a concatenated group."""
         if not layout.concatenated:
             self.features = PictureFeatures(convolutional(group_parts(layout), hidden))
         self.layers = perceptron(layout.size if self.features is None else self.features.size, hidden, outputs)
+        """Linear layers from the features to the outputs."""
 
     def output(self, seen: Tensor) -> Tensor:
         """Compute the outputs (N, outputs) of a group as skrl flattens it, (N, K)."""
@@ -79,6 +81,7 @@ class Actor(GaussianMixin, GroupModel):
         GroupModel.__init__(self, layout, hidden, actions, **spaces)
         GaussianMixin.__init__(self)
         self.log_std = nn.Parameter(torch.full((actions,), math.log(initial_std)))
+        """(A,) logarithms of the deviations."""
 
     def compute(  # pyright: ignore[reportIncompatibleMethodOverride] - its mixins give the role by position
         self, inputs: dict[str, Any], role: str = ""
@@ -111,6 +114,7 @@ class VectorScaler(RunningStandardScaler):
     """
 
     columns: Tensor
+    """(V,) columns of the flattened dictionary that are no pictures."""
 
     def __init__(self, size: GroupLayout, *, device: torch.device) -> None:
         parts = group_parts(size)
@@ -152,6 +156,7 @@ class SkrlEnvironment(Wrapper):
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         super().__init__(environment)
         self.environment = environment
+        """ORBIT's environment behind the interface."""
         self._seed = seed
 
     @property

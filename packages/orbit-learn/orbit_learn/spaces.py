@@ -27,7 +27,7 @@ ACTOR = "policy"
 CRITIC = "critic"
 # Libraries whose adapters here build encoders of pictures, and those that give the critic its own observation.
 _TAKE_PICTURES = ("rsl-rl", "sb3", "skrl", "torchrl", "distill")
-_TAKE_CRITICS = ("rsl-rl", "rl-games", "skrl", "torchrl")
+_TAKE_CRITICS = ("rsl-rl", "rl-games", "skrl", "torchrl", "orbit")
 
 
 def critic_group(environment: Environment) -> str:

@@ -153,11 +153,15 @@ class TorchRlEnvironment(EnvBase):
             for name in dict.fromkeys((ACTOR, critic_group(environment)))
         }
         self.observation_spec = Composite(groups, shape=batch, device=device)
+        """Specification of each group, (N, ...)."""
         self.action_spec = Bounded(-1.0, 1.0, commanded, device=device)
+        """Specification of the actions (N, A), in [-1, 1]."""
         self.reward_spec = Unbounded(single, device=device)
+        """Specification of the rewards, (N, 1)."""
         flag = Binary(1, single, dtype=torch.bool, device=device)
         flags = {name: flag.clone() for name in ("done", "terminated", "truncated")}
         self.full_done_spec = Composite(flags, shape=batch, device=device)
+        """Specification of the flags done, terminated and truncated, (N, 1) each."""
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDict:
         # The environment has begun the next episodes already, except those that the caller ends early.
@@ -202,7 +206,9 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
         }
         self._layers = self._groups[ACTOR].network(environment.action_size)
         self.policy = _actor(self._layers, self._groups[ACTOR].keys, environment, settings)
+        """Actor, with its distribution of actions."""
         self.critic = ValueOperator(self._groups[critic].network(1), in_keys=self._groups[critic].keys)
+        """Value of an observation."""
         self._advantages = GAE(
             gamma=settings.discount, lmbda=settings.gae_lambda, value_network=self.critic, deactivate_vmap=True
         )

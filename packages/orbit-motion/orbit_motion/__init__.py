@@ -1,6 +1,6 @@
 """Motion generators beyond the basic ones: impedance, operational space, prioritised IK, RMPflow, planning, MPC."""
 
-from orbit_core.moved import moved_name
+from orbit_core.moved import moved_name as _moved_name
 from orbit_motion.admittance import Admittance, AdmittanceConfig
 from orbit_motion.cartesian_impedance import CartesianImpedance, CartesianImpedanceConfig
 from orbit_motion.gains import GainCommand, GainRange
@@ -20,4 +20,4 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    return moved_name(__name__, name)
+    return _moved_name(__name__, name)

@@ -143,6 +143,7 @@ class Admittance(PoseFollower):
             name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION, JointTarget.VELOCITY)
         )
         self.config = config
+        """Settings, as the action term gives them."""
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
         if config.mode is CommandMode.RELATIVE:

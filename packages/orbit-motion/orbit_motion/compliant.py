@@ -60,7 +60,9 @@ class Servo(MotionGenerator):
     """
 
     dynamics: ArmDynamics
+    """Equation of motion of the joints."""
     physics_dt: float
+    """Seconds of a physics step."""
     law: Fused
     """Efforts from the robot's state and the aims."""
 
@@ -177,8 +179,11 @@ class PlacedRobot(Protocol):
     """Interface of a robot that planning reads."""
 
     name: str
+    """Name in the scene."""
     joint_names: tuple[str, ...]
+    """Names of the movable joints."""
     link_names: tuple[str, ...]
+    """Names of the links."""
 
     @property
     def spec(self) -> RobotSpec:
@@ -210,8 +215,11 @@ class PlacedWorld(Protocol):
     """Interface of a world that planning reads."""
 
     scene: Scene
+    """Scene that robots and objects are from."""
     num_envs: int
+    """Number N of environments."""
     device: torch.device
+    """Device of all tensors."""
 
     @property
     def objects(self) -> Mapping[str, PlacedObject]:
@@ -224,8 +232,11 @@ class StillObject:
     """A :class:`PlacedObject` in one environment."""
 
     spec: Entity
+    """Description in the scene."""
     root_pose: Tensor
+    """(1, 7) in the environment's frame."""
     link_poses: Tensor
+    """(1, L, 7) in the environment's frame."""
 
 
 @dataclass(eq=False)
@@ -233,13 +244,21 @@ class StillRobot:
     """A :class:`PlacedRobot` in one environment."""
 
     name: str
+    """Name in the scene."""
     joint_names: tuple[str, ...]
+    """Names of the movable joints."""
     link_names: tuple[str, ...]
+    """Names of the links."""
     spec: RobotSpec
+    """Description in the scene."""
     root_pose: Tensor
+    """(1, 7) in the environment's frame."""
     joint_positions: Tensor
+    """(1, J) rad or m."""
     home_positions: Tensor
+    """(J,) rad or m."""
     position_limits: Tensor
+    """(J, 2) rad or m."""
 
 
 @dataclass(eq=False)
@@ -247,10 +266,15 @@ class StillWorld:
     """A :class:`PlacedWorld` of one environment, and one of its robots."""
 
     scene: Scene
+    """Scene that robot and objects are from."""
     num_envs: int
+    """1."""
     device: torch.device
+    """Device of all tensors."""
     objects: Mapping[str, PlacedObject]
+    """Objects by name."""
     robot: StillRobot
+    """Robot that is planned for."""
 
     @staticmethod
     def of(world: World, robot: Robot, env: int = 0) -> StillWorld:
@@ -293,7 +317,9 @@ class CompliantConfig(PoseTermConfig):
     rotational_stiffness: float = 150.0
     """Stiffness of the hand's rotation."""
     damping_ratio: float = 1.0
+    """1 is critical: the hand comes to its goal without overshoot."""
     gains: GainCommand = GainCommand.FIXED
+    """Gains that the command sets, besides the pose."""
     stiffness_factor: GainRange = GainRange(low=0.1, high=4.0)
     """Factor of the stiffnesses, from the command's -1 to its 1."""
     ratio_range: GainRange = GainRange(low=0.5, high=2.0)
@@ -310,7 +336,9 @@ class HandState:
     """The frame's motion: measured pose (N, 7), velocity (N, 6), and its response to efforts."""
 
     pose: Tensor
+    """(N, 7) in the environment's frame."""
     velocity: Tensor
+    """(N, 6) m/s and rad/s, world axes."""
     jacobian: Tensor
     """Jacobian of the frame, (N, 6, k)."""
     response: Tensor
@@ -342,6 +370,7 @@ class Compliant(PoseFollower, Servo):
             config.gains, [config.stiffness] * 3 + [config.rotational_stiffness] * 3, config.damping_ratio,
             config.stiffness_factor, config.ratio_range, self.num_envs, self.device,
         )  # fmt: skip
+        """Stiffnesses and damping ratios, fixed or commanded."""
         self._pose = config.pose_command(robot)
         self._goal = LastTargets(self.num_envs, (7,), self.device)
         self._home = robot.home_positions[joints]

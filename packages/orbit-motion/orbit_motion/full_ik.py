@@ -35,6 +35,7 @@ class FullIkConfig:
     seeds: int = 16
     """Starts for each environment: the positions given, home, and others drawn evenly within the limits."""
     iterations: int = 60
+    """Most steps from each start."""
     position_tolerance: float = 1e-4
     """m"""
     rotation_tolerance: float = 1e-3
@@ -149,6 +150,7 @@ class FullIkTermConfig(PoseTermConfig):
     seeds: int = 4
     """Starts: the measured positions, home, and others within the limits."""
     iterations: int = 20
+    """Most steps from each start."""
     limit_speed: bool = True
     """Keep targets within :func:`orbit_core.actions.base.speed_limited_lead` of the measured positions."""
 
@@ -162,6 +164,7 @@ class FullIkTerm(PoseFollower):
     def __init__(self, name: str, robot: Robot, config: FullIkTermConfig) -> None:
         super().__init__(name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION,))
         self.config = config
+        """Settings, as the action term gives them."""
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
         tree = KinematicTree(robot.spec.articulation, self.device)

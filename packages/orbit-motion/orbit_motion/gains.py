@@ -33,7 +33,9 @@ class GainRange:
     """Values that commands of -1 and 1 mean; in between gains grow by equal factors."""
 
     low: float
+    """Value of a command of -1."""
     high: float
+    """Value of a command of 1."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.low <= self.high < math.inf:

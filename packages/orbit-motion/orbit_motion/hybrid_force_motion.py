@@ -78,6 +78,7 @@ class HybridForceMotion(OperationalSpace):
     def __init__(self, name: str, robot: Robot, config: HybridForceMotionConfig) -> None:
         super().__init__(name, robot, config)
         self.config = config
+        """Settings, as the action term gives them."""
         if config.force_gain >= 1.0:
             raise ConfigurationError(
                 f"action term '{name}': a force_gain of {config.force_gain:g} is unstable: take less than 1"

@@ -39,15 +39,19 @@ class JointImpedanceConfig(ActionTerm):
     scale: float = 2.0
     """rad or m from home (absolute), or for one command (otherwise)."""
     mode: CommandMode = CommandMode.ABSOLUTE
+    """Reference that a command counts from."""
     stiffness: float = 150.0
     """1/s^2 with inertia compensation, else N m/rad or N/m."""
     damping_ratio: float = 1.0
+    """zeta; 1 is critical."""
     gains: GainCommand = GainCommand.FIXED
+    """Gains that the command sets, besides the positions."""
     stiffness_factor: GainRange = GainRange(low=0.1, high=4.0)
     """Factor of ``stiffness``, from the command's -1 to its 1."""
     ratio_range: GainRange = GainRange(low=0.5, high=2.0)
     """Damping ratio, from the command's -1 to its 1."""
     inertia_compensation: bool = True
+    """True to multiply accelerations by the whole mass matrix, so that joints do not disturb each other."""
     gravity_compensation: bool = True
 
     def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
@@ -66,10 +70,12 @@ class JointImpedance(Servo):
         count = len(joints)
         super().__init__(name, robot, joints, len(config.components(robot.spec, name)))
         self.config = config
+        """Settings, as the action term gives them."""
         self.gains = CommandedGains(
             config.gains, [config.stiffness] * count, config.damping_ratio, config.stiffness_factor,
             config.ratio_range, self.num_envs, self.device,
         )  # fmt: skip
+        """Stiffnesses and damping ratios, fixed or commanded."""
         self._home = robot.home_positions[joints]
         self._last = LastTargets(self.num_envs, (count,), self.device)
 

@@ -209,8 +209,11 @@ class CollisionSpheres:
     """Balls (S,) that cover the collision shapes: their links' indices, centres (S, 3) in those, and radii, m."""
 
     links: npt.NDArray[np.int64]
+    """(S,) index of the link that carries each."""
     centers: _Array
+    """(S, 3) m, in the link's frame."""
     radii: _Array
+    """(S,) m."""
 
 
 def collision_spheres(articulation: Articulation) -> CollisionSpheres:

@@ -109,7 +109,9 @@ class Priority(Enum):
     NONE = "none"
     """None: all six components share the error, by their weights."""
     POSITION = "position"
+    """The position is kept, and the rotation as far as it can be."""
     ROTATION = "rotation"
+    """The rotation is kept, and the position as far as it can be."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +134,7 @@ class PrioritizedIkConfig(PoseTermConfig):
     weights: tuple[float, ...] = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)
     """Weights of x, y, z (1/m) and of the rotation vector's components (1/rad)."""
     priority: Priority = Priority.NONE
+    """Part of the pose that is solved for first."""
     damping: float = 0.05
     """Damping lambda."""
     posture_gain: float = 0.1
@@ -157,6 +160,7 @@ class PrioritizedIk(PoseFollower):
         if config.speed > 1.0:
             raise ConfigurationError(f"action term '{name}': speed is {config.speed:g}: give a share of at most 1")
         self.config = config
+        """Settings, as the action term gives them."""
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
         self._weights = torch.tensor(config.weights, device=self.device)

@@ -50,10 +50,14 @@ class Barrier:
     """
 
     weight: float
+    """Factor of the metric."""
     range: float
+    """m or rad within which the barrier acts."""
     speed: float
+    """m/s or rad/s at which ``u`` is 1."""
     margin: float
     push: float
+    """Force at half the margin, in units of the metric times m/s^2."""
 
     def __call__(self, distance: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Inertia M and force f (...) at distances x (...), with their speeds x' (...)."""
@@ -120,6 +124,7 @@ class RmpFlowConfig(PoseTermConfig):
     posture_gain: float = 1.0
     """1/s^2 that draws joints home."""
     posture_weight: float = 0.01
+    """Metric of the pull towards home, where the goal's is one."""
     limit_weight: float = 0.01
     """As ``obstacle_weight``, of the last 0.2 rad or m before a joint's limit, at 1 rad/s or m/s."""
     substeps: int = 4
@@ -143,6 +148,7 @@ class RmpFlow(PoseFollower):
                 "the margin"
             )
         self.config = config
+        """Settings, as the action term gives them."""
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
         self._tree = KinematicTree(robot.spec.articulation, self.device)

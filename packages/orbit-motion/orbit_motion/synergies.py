@@ -27,7 +27,9 @@ class Synergies:
     """
 
     mean: _Array
+    """(k,) rad or m, mean posture of the joints."""
     directions: _Array
+    """(n, k) unit directions, the widest first."""
     low: _Array
     high: _Array
 

@@ -1,1 +1,1 @@
-"""Kept policies of ORBIT's tasks, a folder each; :mod:`orbit_learn.pretrained` finds them."""
+"""Kept policies of ORBIT's tasks, a folder each; `orbit list policies` and :mod:`orbit_learn.pretrained` find them."""

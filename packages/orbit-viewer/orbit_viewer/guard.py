@@ -40,6 +40,7 @@ class Page:
     path: str
     """Path of the page: ``/name``."""
     html: bytes
+    """Content of the page."""
     listen: Listener
     """Function that serves a websocket opened at the path, until it is closed."""
 

@@ -227,6 +227,11 @@ class SceneView:
         """Number of environments that are drawn."""
         return len(self._offsets)
 
+    @property
+    def offset(self) -> FloatArray:
+        """Offset (3,) in metres at which the first environment is drawn."""
+        return self._offsets[0] if self.count else np.zeros(3, np.float32)
+
     def update(self, frame: Frame) -> None:
         """Move everything to the poses of a frame."""
         # Environments look the same unless the scene has variants, so that otherwise others are shown by moving links.

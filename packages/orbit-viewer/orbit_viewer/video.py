@@ -16,7 +16,7 @@ import torch
 from orbit_core.files import Replacement, as_path, storage_faults
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, StorageError
-from orbit_core.rollout.pictures import OverviewCamera, Recorder
+from orbit_core.rollout.pictures import Recorder, Spectator
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -147,11 +147,11 @@ class VideoRecorder(Recorder):
         self._length = self._left = environment.max_episode_steps
         # Fast control rates would make videos of hundreds of frames a second.
         self._stride = max(1, round(1.0 / (environment.step_dt * _FRAMES_PER_SECOND)))
-        rate = 1.0 / (environment.step_dt * self._stride)
-        self._file = VideoFile(path, self._columns * width, lines * height, rate)
+        self._period = environment.step_dt * self._stride
+        self._file = VideoFile(path, self._columns * width, lines * height, 1.0 / self._period)
         with contextlib.ExitStack() as stack:
             stack.callback(self._file.discard)
-            self._camera = OverviewCamera(environment.world, width, height, environment.task.metadata.view, frames)
+            self._camera = Spectator(environment, width, height, frames)
             stack.pop_all()
 
     @property
@@ -169,7 +169,8 @@ class VideoRecorder(Recorder):
         if self.full:
             return
         if (self._length - self._left) % self._stride == 0:
-            self._file.add(tile(self._camera.pictures(self._rows).numpy(), self._columns))
+            pictures = self._camera.pictures(self._rows, self._period)
+            self._file.add(tile(pictures.numpy(), self._columns))
         self._left -= 1
 
     def close(self) -> None:

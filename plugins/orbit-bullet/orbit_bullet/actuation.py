@@ -28,7 +28,9 @@ class Actuation:
         own = np.array([joint.mimic is None for joint in layout.joints], dtype=bool)
         self._own = own
         self.stiffness = np.tile(np.where(own, parameters.drive_stiffness, 0.0), (stage.count, 1)).reshape(shape)
+        """(K, J) gains of the drives that wheels realise, N m/rad or N/m."""
         self.damping = np.tile(np.where(own, parameters.drive_damping, 0.0), (stage.count, 1)).reshape(shape)
+        """(K, J) N m s/rad or N s/m."""
         self._limit = parameters.effort_limit
         # Light links of fingers, each between its gear and its wheel, would be solved slowly, and the fingers
         # be bent by what they hold: leaders bear it all.

@@ -19,17 +19,29 @@ class Buffers:
     """Commands, then what the engine measures. Particles of all deformables stand one after another."""
 
     position_targets: FloatArray
+    """(N, J) rad or m."""
     velocity_targets: FloatArray
+    """(N, J) rad/s or m/s."""
     efforts: FloatArray
+    """(N, J) commanded, N m or N."""
     joint_positions: FloatArray
+    """(N, J) rad or m."""
     joint_velocities: FloatArray
+    """(N, J) rad/s or m/s."""
     joint_efforts: FloatArray
+    """(N, J) applied in the last step, N m or N."""
     link_poses: FloatArray
+    """(N, L, 7) in the environment's frame."""
     link_velocities: FloatArray
+    """(N, L, 6) m/s and rad/s, world axes."""
     contact_forces: FloatArray
+    """(N, Q, 3) N of each contact query."""
     joint_wrenches: FloatArray
+    """(N, W, 6) N and N m of each wrench link."""
     particle_positions: FloatArray
+    """(N, P, 3) m."""
     particle_velocities: FloatArray
+    """(N, P, 3) m/s."""
 
     def rows(self, start: int, stop: int) -> Buffers:
         """Views of some environments."""

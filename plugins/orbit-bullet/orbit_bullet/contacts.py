@@ -21,6 +21,7 @@ class ContactMeter:
     ) -> None:
         """``places`` maps body and Bullet link to slot and layout link; ``out`` (K, Q, 3) takes the mean forces."""
         self.active = bool(queries)
+        """False without queries: contact points are then not read."""
         self._client = client
         self._queries = queries
         self._places = places

@@ -36,6 +36,7 @@ class Wheels:
         self._count = len(joints)
         flags = client.URDF_USE_INERTIA_FROM_FILE
         self.body = client.loadURDF(str(file), useFixedBase=True, flags=flags)
+        """Bullet's number of the body."""
         self._numbers = list(range(self._count))
         for link in range(-1, self._count):  # Bullet gives links without shapes a place in the collision search
             client.setCollisionFilterGroupMask(self.body, link, 0, 0)

@@ -79,7 +79,9 @@ class Snapshot:
     """The worlds' own snapshots, which live where the worlds do, and the commands."""
 
     worlds: tuple[Any, ...]
+    """Snapshots of the shards, as each returns them."""
     commands: tuple[npt.NDArray[np.float32], ...]
+    """Targets and efforts."""
 
 
 class BulletEngine(Engine):

@@ -23,9 +23,13 @@ class Loads:
         count, links = stage.count, len(layout.links)
         scene_gravity = np.array(layout.scene.gravity, dtype=np.float64)
         self.gravity = np.tile(scene_gravity, (count, 1))
+        """(K, 3) m/s^2."""
         self.nominal_masses = np.array([link.mass for link in layout.links], dtype=np.float64)
+        """(L,) kg, of the scene."""
         self.masses = np.tile(self.nominal_masses, (count, 1)).reshape(count, links)
+        """(K, L) kg, as they are randomised."""
         self.wrenches = np.zeros((count, links, 6))
+        """(K, L, 6) N and N m that users have set."""
         held = {entity.root_link for entity in layout.entities if entity.spec.fixed_base}
         self._free = np.array([number not in held for number in range(links)], dtype=float)
         compensated = [layout.entities[entity].spec.gravity_compensation for entity in layout.entity_of_link]

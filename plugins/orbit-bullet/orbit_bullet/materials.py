@@ -35,6 +35,7 @@ class PairProducts:
 
     def __init__(self, layout: SceneLayout) -> None:
         self.subjects = _subjects(layout)
+        """Materials of links and terrain shapes, by which factors are found."""
         self._pairs = np.array(sorted(_touching(layout)), dtype=np.int64).reshape(-1, 2)
         count = len(self.subjects)
         system = np.zeros((len(self._pairs), count))

@@ -39,6 +39,7 @@ class OpenGl:
     def __init__(self, client: Client, egl: ctypes.CDLL) -> None:
         """Take over the context that is current, which Bullet has just made."""
         self.client = client
+        """Bullet's client that owns the context."""
         self._egl = egl
         self._own = _current(egl)
 

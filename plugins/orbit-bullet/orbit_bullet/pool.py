@@ -41,6 +41,7 @@ class Pool(ABC):
     """Shards and the buffers that they fill."""
 
     buffers: Buffers
+    """State and commands of all environments."""
     ranges: list[tuple[int, int]]
     """The environments of each shard."""
 
@@ -72,8 +73,10 @@ class LocalPool(Pool):
         self, layout: SceneLayout, files: SceneFiles, num_envs: int, config: BulletConfig, progress: BuildProgress
     ) -> None:
         self.buffers = private_buffers(shapes_of(layout, num_envs))
+        """State and commands of all environments, in this process."""
         self.ranges = [(0, num_envs)]
         self.shard = Shard(layout, files, self.buffers, config, progress.add)
+        """Shard of all environments."""
 
     def call(self, method: str, *arguments: Any, numbers: list[int] | None = None) -> list[Any]:
         return [getattr(self.shard, method)(*arguments)]
@@ -115,6 +118,7 @@ class ProcessPool(Pool):
             with ScratchFolder(f"orbit-bullet-{os.getpid()}-", parent) as folder:
                 memory = folder / "state"
                 self.buffers = shared_buffers(shapes, memory)
+                """State and commands of all environments, in memory that workers share."""
                 # In a separate thread: an exception that a signal raises here would cut a start short, and the
                 # worker would complain of half a message.
                 with ThreadPoolExecutor(1) as starter:

@@ -24,8 +24,11 @@ class Written:
     """A call for some environments: ``rowwise`` arguments have a row for each, None stays None."""
 
     method: str
+    """Name of the simulation's method."""
     rows: Rows
+    """Environments that the call is for."""
     fixed: tuple[Any, ...] = ()
+    """Arguments that are the same for all of them."""
     rowwise: tuple[npt.NDArray[Any] | None, ...] = ()
 
     def parts(self, ranges: Iterable[tuple[int, int]]) -> Iterator[tuple[int, Written]]:
@@ -54,6 +57,7 @@ class Shard:
         self._readings = Readings.of(layout, count)
         self._ranges = client_ranges(count, envs_per_client(layout, config))
         self.simulations: list[Simulation] = []
+        """Simulations, each with a client of Bullet's."""
         for start, stop in self._ranges:
             rows = buffers.rows(start, stop), self._readings.rows(start, stop)
             self.simulations.append(Simulation(layout, files, *rows, config))

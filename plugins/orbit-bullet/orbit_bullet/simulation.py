@@ -43,9 +43,11 @@ class SavedSimulation:
     """A world's own snapshot and what stands outside it."""
 
     state: int
+    """Bullet's number of the saved state."""
     generation: int
     """Generation of the wheels that the world had."""
     arrays: tuple[npt.NDArray[Any], ...]
+    """Copies of what Bullet does not save: gains, loads and wheels."""
 
 
 class Simulation:
@@ -55,18 +57,25 @@ class Simulation:
         self, layout: SceneLayout, files: SceneFiles, buffers: Buffers, readings: Readings, config: BulletConfig
     ) -> None:
         self.layout = layout
+        """Numbers of the scene's links and joints."""
         self.buffers = buffers
         self.count = len(buffers.link_poses)
+        """K, environments in one client."""
         self.client = Client()
+        """Connection to Bullet."""
         with silence(), refusals("Bullet cannot build the scene", SimulationError):
             if layout.scene.deformables:
                 # Before anything is added: it empties the world.
                 self.client.resetSimulation(self.client.RESET_USE_DEFORMABLE_WORLD)
             self._set_options(config)
             self.stage = Stage(self.client, layout, files, self.count, config)
+            """Bodies and links of all environments."""
             self.actuation = Actuation(self.stage, buffers)
+            """Drives, by wheels where they have gains."""
             self.deformables = Deformables(self.stage, buffers) if layout.scene.deformables else None
+            """Cloth and soft bodies; None where the scene has none."""
         self.loads = Loads(self.stage)
+        """Gravity, masses and wrenches."""
         self._gyroscopes = Gyroscopes(self.client, self.stage.free_bodies(), layout.scene.physics_dt)
         self._surfaces = Surfaces(self.client, self.stage, layout, self.count)
         self._contacts = ContactMeter(self.client, layout.contact_queries, self.stage.places, buffers.contact_forces)

@@ -56,7 +56,9 @@ class SceneFiles:
     """Files that every world of a scene is loaded from."""
 
     folder: Path
+    """Temporary folder that holds them."""
     entities: tuple[Path, ...]
+    """URDF of each entity."""
     terrain: tuple[Path | None, ...]
     """The mesh of each terrain shape, if it is one."""
 
@@ -96,11 +98,13 @@ class ClosedLoop:
     """A ball joint that closes a loop in one environment."""
 
     slot: int
+    """Environment of the client, 0 to K - 1."""
     constraint: int
     """Number of Bullet's constraint, whose force is that on the second link."""
     first: int
+    """Link of the layout that has the point."""
     second: int
-    """Links of the layout."""
+    """Link of the layout that is held to it."""
     point: npt.NDArray[np.float64]
     """Its place in the first link's frame."""
 
@@ -110,14 +114,21 @@ class Stage:
 
     def __init__(self, client: Any, layout: SceneLayout, files: SceneFiles, count: int, config: BulletConfig) -> None:
         self.client = client
+        """Connection to Bullet."""
         self.layout = layout
+        """Numbers of the scene's links and joints."""
         self.files = files
+        """Files that bodies are loaded from."""
         self.config = config
+        """Settings of the backend."""
         self.count = count
+        """K, environments in this client."""
         self.origins = np.outer(SPACING * np.arange(count), (1.0, 0.0, 0.0))
+        """(K, 3) m of the environments in Bullet's world, far apart so that they do not meet."""
         self.bodies: list[list[int]] = [[] for _ in range(count)]
         """Bullet's body number of each entity in each slot."""
         self.terrain: list[list[int]] = [[] for _ in range(count)]
+        """Bodies of each environment's terrain."""
         self.links: list[list[int]] = [[] for _ in layout.entities]
         """Bullet's number of each link of each entity; -1 is the base."""
         self.joints: list[list[int]] = [[] for _ in layout.entities]
@@ -125,6 +136,7 @@ class Stage:
         self.places: dict[tuple[int, int], tuple[int, int]] = {}
         """Slot and layout link (or TERRAIN) of each body and Bullet link."""
         self.loops: list[ClosedLoop] = []
+        """Constraints that close loops."""
         self.root_inertials = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.entities), 1))
         """For each entity the base's centre of mass and principal axes in the root link's frame (E, 7)."""
         self.ray_stretch = math.inf

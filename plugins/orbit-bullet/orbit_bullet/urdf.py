@@ -50,6 +50,7 @@ class MeshFiles:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        """Folder that gets them."""
         self._names: dict[tuple[Mesh, bool], Path] = {}
 
     def hull(self, mesh: Mesh) -> Path:

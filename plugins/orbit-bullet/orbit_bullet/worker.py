@@ -23,12 +23,19 @@ class Assignment:
     """The environments that one worker simulates, and the memory in which it shares their state."""
 
     layout: SceneLayout
+    """Numbers of the scene's links and joints."""
     files: SceneFiles
+    """Files that bodies are loaded from."""
     config: BulletConfig
+    """Settings of the backend."""
     start: int
+    """First environment."""
     stop: int
+    """One past the last environment."""
     shapes: Shapes
+    """Shapes of the shared arrays."""
     memory: Path
+    """File that is mapped into both processes."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,7 @@ class Failure:
     """An exception of the worker's, for the process that asked."""
 
     error: Exception
+    """Exception, raised again in the process that asked."""
 
 
 def work(connection: Connection) -> None:

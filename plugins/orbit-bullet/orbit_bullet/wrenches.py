@@ -24,6 +24,7 @@ class WrenchMeter:
     def __init__(self, stage: Stage, loads: Loads, out: npt.NDArray[np.float32]) -> None:
         layout = stage.layout
         self.active = bool(layout.wrench_links)
+        """False without wrench links: joint reactions are then not read."""
         self._stage = stage
         self._loads = loads
         self._out = out

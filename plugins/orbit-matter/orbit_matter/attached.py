@@ -55,8 +55,11 @@ class Attached:
     x: wp.array2d[wp.vec3]
     """(N, B) m of the centre of mass, its orientation, and their velocities: as the matter has solved them."""
     q: wp.array2d[wp.quat]
+    """(N, B) orientation."""
     v: wp.array2d[wp.vec3]
+    """(N, B) m/s of the centre of mass."""
     w: wp.array2d[wp.vec3]
+    """(N, B) rad/s, in world axes."""
     seen: wp.array3d[float]
     """(N, B, 13) centre of mass, orientation and velocities that the engine had after its last step."""
     asked: wp.array3d[float]
@@ -74,24 +77,31 @@ class Attached:
     pull: wp.array2d[wp.vec3]
     """(N, B) m/s^2 and rad/s^2 of all but this step's matter."""
     twist: wp.array2d[wp.vec3]
+    """(N, B) rad/s^2: the angular part of ``pull``."""
     had_pull: wp.array2d[wp.vec3]
     """(N, B) m/s^2 and rad/s^2 of the engine's body in its last step."""
     had_twist: wp.array2d[wp.vec3]
+    """(N, B) rad/s^2: the angular part of ``had_pull``."""
     odd_pull: wp.array2d[wp.vec3]
     """(N, B) the part of it that neither gravity nor a known wrench explains."""
     odd_twist: wp.array2d[wp.vec3]
+    """(N, B) rad/s^2: the angular part of ``odd_pull``."""
     begin_v: wp.array2d[wp.vec3]
     """(N, B) velocities at the beginning of the physics step."""
     begin_w: wp.array2d[wp.vec3]
+    """(N, B) rad/s at the beginning of the physics step."""
     drift: wp.array2d[wp.vec3]
     """(N, B) m/s and rad/s that take the body back to the engine's, where this holds it; no part of its momentum."""
     spin: wp.array2d[wp.vec3]
+    """(N, B) rad/s: the angular part of ``drift``."""
     force: wp.array2d[wp.vec3]
     """(N, B) mean of the matter's wrench about the centre of mass so far."""
     torque: wp.array2d[wp.vec3]
+    """(N, B) N m: the angular part of ``force``."""
     felt_force: wp.array2d[wp.vec3]
     """(N, B) what of :class:`Felt` is in it, torques about the link frame's origin."""
     felt_torque: wp.array2d[wp.vec3]
+    """(N, B) N m: the angular part of ``felt_force``."""
 
 
 @wp.kernel(enable_backward=False)
@@ -101,6 +111,7 @@ def find_attached(p: Particles, a: Attached):
     for b in range(a.count.shape[1]):
         a.count[env, b] = 0
         a.first[env, b] = -1
+    # Backwards, so that each list runs through particles in ascending order: sums are the same in every run.
     for k in range(p.x.shape[1]):
         i = p.x.shape[1] - 1 - k
         p.solved[env, i] = 0
@@ -119,6 +130,7 @@ def turn_vector(q: wp.quat) -> wp.vec3:
     """Return the rotation vector of a quaternion, rad."""
     v = wp.vec3(q[0], q[1], q[2])
     s = wp.length(v)
+    # Near no turn the ratio of angle and sine is 2; the quotient below would be 0 / 0.
     if s < 1.0e-9:
         return 2.0 * v * wp.sign(q[3])
     return v * (2.0 * wp.atan2(s * wp.sign(q[3]), wp.abs(q[3])) / s)
@@ -159,6 +171,7 @@ def begin(a: Attached, b: Bodies, links: Links, p: Particles, gravity: wp.array[
     x0, x1 = three(links.start, env, link, 0) + arm0, three(links.end, env, link, 0) + arm1
     w0, w1 = three(b.before, env, i, 3), three(b.after, env, i, 3)
     v0, v1 = three(b.before, env, i, 0) + wp.cross(w0, arm0), three(b.after, env, i, 0) + wp.cross(w1, arm1)
+    # A state that a user has set replaces the matter's own, which would else pull the body back to where it was.
     known = 1
     if a.known[env, i] == 0 or was_written(a, env, i, x0, q0, v0, w0):
         known = 2
@@ -187,6 +200,7 @@ def begin(a: Attached, b: Bodies, links: Links, p: Particles, gravity: wp.array[
     a.odd_twist[env, i] = twist - expected_twist
     held = wp.max(missing(pull, expected, STILL), missing(twist, expected_twist, 10.0 * STILL / gyration))
     a.held[env, i] = held
+    # A held body goes the engine's way, a free one the matter's; in between they are blended.
     x, q = a.x[env, i], a.q[env, i]
     v, w = a.v[env, i] * (1.0 - held) + v0 * held, a.w[env, i] * (1.0 - held) + w0 * held
     # The particles that are attached to it are a part of it, whose weight and inertia the engine does not know.
@@ -201,7 +215,9 @@ def begin(a: Attached, b: Bodies, links: Links, p: Particles, gravity: wp.array[
         own_force += f
         own_torque += wp.cross(r, f)
         c = a.following[env, c]
+    # A held body resists with HELD times its mass, as a particle does that a link holds.
     share = 1.0 - held + held / HELD
+    # Mass and inertia scale alike, so that the point of attachment gives way evenly in all directions.
     a.inertia[env, i] = combined / share
     a.mobility[env, i] = share / loose
     axes = wp.quat_to_matrix(q)
@@ -231,6 +247,7 @@ def begin(a: Attached, b: Bodies, links: Links, p: Particles, gravity: wp.array[
 def absorb(a: Attached, b: Bodies, felt: Felt, dt: float, env: int, i: int):
     """Give a body the impulses of contacts with the matter since it was last looked at."""
     link = b.link[env, i]
+    # Forces on links only grow within a step: what was felt before is taken off, and the difference is new.
     force = -a.felt_force[env, i]
     for d in range(felt.forces.shape[1]):
         force += felt.forces[env, d, link]
@@ -258,6 +275,7 @@ def weight(p: Particles, a: Attached, env: int, i: int, c: int, r: wp.vec3) -> f
     Across cloth, whose direction is not known, the most that it is in any.
     """
     found, turning = float(0.0), a.turning[env, i]
+    # Only the pull along the rope matters; across it the body may turn as freely as it likes.
     for side in range(2):
         mate = a.mates[c, side]
         if mate >= 0 and p.anchor[env, mate] != p.anchor[env, c]:
@@ -275,7 +293,7 @@ def weight(p: Particles, a: Attached, env: int, i: int, c: int, r: wp.vec3) -> f
 
 @wp.kernel(enable_backward=False)
 def predict(a: Attached, b: Bodies, links: Links, p: Particles, felt: Felt, dt: float, h: float):
-    """Where bodies go in a substep without what is attached to them."""
+    """Move bodies through a substep as if nothing were attached to them."""
     env, i = wp.tid()
     if a.count[env, i] == 0:
         return
@@ -312,6 +330,7 @@ def correct(
         f = (p.d[env, c] - (target(p, links, env, c) - p.x[env, c])) / p.w[env, c]
         impulse += f
         turn += wp.cross(r, f)
+        # The particles' own weight and inertia, which the engine's body lacks.
         own = (gravity[env] - a.had_pull[env, i] - wp.cross(a.had_twist[env, i], r)) * mass_of(p, env, c)
         f = (f / (h * h) + own) * share
         felt.forces[env, p.owner[c], link] = felt.forces[env, p.owner[c], link] + f

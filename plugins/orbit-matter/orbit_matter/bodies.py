@@ -1,7 +1,7 @@
 """Free bodies that touch matter and are not attached to it, within a physics step.
 
 Of other links the matter knows the way that the engine has taken them, and what it does to them they feel a step later.
-That is too late for a body that lies on cloth: it would bounce on its contacts, ever higher. So the matter goes on
+That is too late for a body that rests on cloth: it would bounce on its contacts, ever higher. So the matter goes on
 with free bodies by itself, most of a step ahead of the engine, from the state where this left them: in each substep by
 what cloth and rope did to them so far, and by what else moved them in the engine's last step. The engine then takes
 them the same way, under the mean of these wrenches.
@@ -36,6 +36,7 @@ class Bodies:
     link: wp.array2d[int]
     """(N, B) of each, the only one that it has."""
     mass: wp.array2d[float]
+    """(N, B) kg."""
     inertia: wp.array2d[wp.mat33]
     """(N, B) kg m^2 about the centre of mass, in the link's axes."""
     center: wp.array2d[wp.vec3]
@@ -43,22 +44,25 @@ class Bodies:
     before: wp.array3d[float]
     """(N, B, 6) velocities, linear and angular, of the frame's origin before the engine's last step, and after it."""
     after: wp.array3d[float]
+    """(N, B, 6) the same velocities after the step."""
     wrenches: wp.array3d[float]
     """(N, L, 6) that the matter had done to links in it, about their frames' origins."""
     pull: wp.array2d[wp.vec3]
     """(N, B) m/s^2 and rad/s^2 that what else there is gives it."""
     twist: wp.array2d[wp.vec3]
+    """(N, B) rad/s^2: the angular part of ``pull``."""
     turning: wp.array2d[wp.mat33]
     """(N, B) inverse of the inertia, in world axes."""
     shift: wp.array2d[wp.vec3]
     """(N, B) how far it is from where its velocity alone would have taken it: metres of its centre, and radians."""
     turned: wp.array2d[wp.vec3]
+    """(N, B) rad: the angular part of ``shift``."""
 
 
 def free_links(layout: SceneLayout) -> list[int]:
     """Indices of the links of free bodies that matter moves: of what is neither fixed nor has joints.
 
-    Beside liquids alone there are none. A liquid gives way to what presses on it, so that a step's delay does no harm,
+    With liquids only there are none. A liquid gives way to what presses on it, so that a step's delay does no harm,
     and what it presses with in one step says too little of the next: a light cup went up and down in its water.
     """
     if all(isinstance(spec, Fluid) for spec in layout.scene.deformables):
@@ -117,7 +121,7 @@ def write_pose(to: wp.array3d[float], env: int, link: int, x: wp.vec3, q: wp.qua
 
 @wp.kernel(enable_backward=False)
 def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.array[wp.vec3], dt: float):
-    """The way that each body's velocity takes it in the step to come, and what pulls it beside the matter.
+    """Extrapolate each body's pose over the step to come, and note what other than the matter accelerates it.
 
     That is what it was in the last step: gravity, and what other bodies did. Of a blow, which does not go on, no more
     is taken than what carries the body and the matter's own wrench.
@@ -144,6 +148,7 @@ def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.a
     b.turning[env, i] = turning
     b.shift[env, i] = wp.vec3()
     b.turned[env, i] = wp.vec3()
+    # A window as long as the step, which begins before the engine's state and ends AHEAD of it.
     x, c, begin, end = position + arm, b.center[env, i], (AHEAD - 1.0) * dt, AHEAD * dt
     write_pose(links.start, env, link, x + v * begin, turn_by(w * begin) * q, c)
     write_pose(links.end, env, link, x + v * end, turn_by(w * end) * q, c)

@@ -47,11 +47,15 @@ class Colliders:
         kinds = [_shapes_of(variant) for variant in layout.variants]
         self._free = set(free_links(layout))
         self.count = max(1, *(len(shapes) for shapes in kinds))
+        """S, the most shapes that any kind of environment has; at least 1, as kernels need an array."""
         self.kinds = len(kinds)
+        """K, the number of kinds of environment, which differ in their objects' variants."""
         self.links = np.full((self.kinds, self.count), TERRAIN, np.int64)
         """(K, S) link of each shape, or TERRAIN."""
         self.friction = np.zeros((self.kinds, self.count), np.float32)
+        """(K, S) coefficient of dynamic friction of each shape's material."""
         self.shapes = self._assembled(kinds, len(layout.links))
+        """:class:`~orbit_matter.surfaces.Shapes` for kernels."""
 
     def _assembled(self, kinds: list[list[tuple[Shape, int]]], terrain: int) -> Any:
         shape = (self.kinds, self.count)
@@ -94,6 +98,7 @@ class Colliders:
             case Plane():
                 return int(PLANE), (0.0, 0.0, 0.0), _ENDLESS, 0, (0, 0, 0)
             case HeightField(heights=heights, size=(x, y)):
+                # All height fields share one array, whose first number is a filler that keeps it from being empty.
                 start = 1 + sum(len(each) for each in self._heights)
                 self._heights.append(np.asarray(heights, np.float32).ravel())
                 return int(HEIGHT_FIELD), (x, y, 0.0), _ENDLESS, 0, (start, *heights.shape)
@@ -104,6 +109,7 @@ class Colliders:
     def _mesh(self, mesh: Mesh) -> int:
         vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
         if mesh.collision is MeshCollision.CONVEX_HULL:
+            # As the engines collide with it: a concave mesh would be met inside its own hull.
             hull = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).convex_hull
             vertices, faces = np.asarray(hull.vertices, np.float32), np.asarray(hull.faces, np.int32)
         with wp.ScopedDevice(self._device):

@@ -12,7 +12,7 @@ SHORTEST_SUBSTEP = 1e-6
 
 @dataclass(frozen=True)
 class MatterConfig:
-    """How finely matter is computed.
+    """Settings of the matter solver.
 
     Raises:
         ConfigurationError: a number is not positive, or a substep so short that a step would never end.
@@ -25,11 +25,12 @@ class MatterConfig:
     contact_stiffness: float = 1000.0
     """N/m with which one particle resists being pressed into a surface."""
     solid_iterations: int = 6
-    """Of conjugate gradients in a step of solids; more of them where solids are much stiffer in some environments."""
+    """Iterations of conjugate gradients in a step of solids; take more where some environments have much stiffer
+    solids."""
     threads: int = 0
-    """Of a CPU, each with some of the environments; 0 takes every core."""
+    """CPU threads, each with some of the environments; 0 takes every core."""
     capture: bool = True
-    """Whether launches are recorded once and replayed as a graph."""
+    """True to record launches once and replay them as a graph."""
 
     def __post_init__(self) -> None:
         for name in ("substep", "contact_stiffness"):

@@ -33,10 +33,10 @@ Depths = wp.types.vector(length=6, dtype=float)
 
 @wp.struct
 class Felt:
-    """What links feel, mean over the substeps of a physics step."""
+    """Forces and torques on links, mean over the substeps of a physics step, and the shapes near each particle."""
 
     forces: wp.array3d[wp.vec3]
-    """(N, D, L)"""
+    """(N, D, L) N on each link by each deformable."""
     torques: wp.array2d[wp.vec3]
     """(N, L) about the link frame's origin."""
     friction: wp.array2d[float]
@@ -49,7 +49,7 @@ class Felt:
 
 @wp.kernel(enable_backward=False)
 def bound(links: Links, shapes: Shapes):
-    """How far each shape reaches, with what it moves and turns in the physics step, of which ``links.way`` are."""
+    """Write each shape's reach, grown by what it moves and turns in the physics step, which ``links.way`` holds."""
     env, s = wp.tid()
     own, turn = shapes.reach[env % shapes.kind.shape[0], s], links.turn[env, s]
     turned = 2.0 * own * wp.length(wp.vec3(turn[0], turn[1], turn[2]))
@@ -72,14 +72,16 @@ def deepest(radius: float) -> float:
 def is_near(
     shapes: Shapes, kind: int, s: int, pose: wp.transform, reach: float, x: wp.vec3, radius: float, moved: float
 ) -> bool:
-    """Whether what is at x and may move that far may meet a shape, at its pose at the step's end."""
+    """Return True if a ball at x that moves up to ``moved`` metres may meet a shape, at its pose at the step's end."""
     reach += moved
     close = reach > 0.0 and wp.length_sq(x - wp.transform_get_translation(pose)) < reach * reach
     if close:
         local = wp.transform_point(wp.transform_inverse(pose), x)
         if shapes.kind[kind, s] == PLANE:
             close = local[2] < moved
+        # A height field is near everything: its reach would have to be searched, and its distance costs little.
         elif shapes.kind[kind, s] != HEIGHT_FIELD:
+            # Meshes are searched only within reach: the farther a query may look, the more of the tree it visits.
             gap = reach - shapes.reach[kind, s]  # what both move, and a margin
             close = distance(shapes, kind, s, local, wp.max(gap, deepest(radius)))[3] < gap
     return close
@@ -91,6 +93,7 @@ def find_holders(p: Particles, felt: Felt, chosen: wp.array[bool]):
     env, d = wp.tid()
     if not chosen[env]:
         return
+    # Deformables share no row, so that the threads of one environment do not write the same numbers.
     for link in range(felt.holds.shape[2]):
         felt.holds[env, d, link] = 0
     for i in range(p.x.shape[1]):
@@ -118,7 +121,7 @@ def exempt_inside(p: Particles, links: Links, shapes: Shapes, felt: Felt, chosen
 
 @wp.kernel(enable_backward=False)
 def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: float):
-    """Which shapes each particle may meet."""
+    """List the shapes that each particle may meet."""
     env, i = wp.tid()
     count, kind, moved = int(0), env % shapes.kind.shape[0], range_of(p, step, env, i)
     for s in range(shapes.kind.shape[1]):
@@ -148,9 +151,10 @@ def end_substep(
     p: Particles, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], stiffness: float, h: float,
     share: float, env: int, i: int,
 ) -> int:  # fmt: skip
-    """What is held goes back, contact with one surface is solved, displacements become velocities.
+    """Put held particles back, solve contact with one surface, and turn displacements into velocities.
 
-    Returns how many surfaces the particle is in; where they are several nothing was done yet.
+    Returns:
+        Number of surfaces that the particle is in; if several, nothing was done yet.
     """
     link, kind = p.anchor[env, i], env % shapes.kind.shape[0]
     count, k, depth = int(0), int(0), float(0.0)
@@ -197,7 +201,7 @@ def end_substep(
 def is_in_other(
     p: Particles, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, only: int, x: wp.vec3
 ) -> bool:
-    """Whether a particle that one surface has pushed to x is in another: it would leap from one to the other."""
+    """Return True if a particle that one surface has pushed to x is in another, from which it would leap back."""
     inside, k = bool(False), int(0)
     while k < NEAREST and not inside:
         s = felt.near[env, i, k]
@@ -211,7 +215,7 @@ def is_in_other(
 
 @wp.func
 def settle(p: Particles, env: int, i: int, d: wp.vec3, h: float):
-    """Where a particle is at the end of the substep, d metres from its beginning."""
+    """Put a particle to the end of the substep, d metres from its beginning."""
     p.d[env, i] = d
     p.v[env, i] = d / h
     p.x[env, i] = p.x[env, i] + d
@@ -239,7 +243,7 @@ def surface(links: Links, shapes: Shapes, env: int, kind: int, shape: int, x: wp
 
 @wp.func
 def held_back(slid: wp.vec3, n: wp.vec3, most: float) -> wp.vec3:
-    """What friction takes, at ``most`` metres, from a way along a surface of normal n."""
+    """Return the sliding displacement that friction undoes, at ``most`` metres, along a surface of normal n."""
     along = slid - n * wp.dot(n, slid)
     length = wp.length(along)
     if length > most:
@@ -265,6 +269,7 @@ def end_between(
     moved = wp.vec3()
     for _attempt in range(2):
         before = moved
+        # Inertia and the springs of all touched surfaces in one 3 x 3 system: solved one by one they would take turns.
         matrix = wp.identity(n=3, dtype=float) * inertia
         pushes = wp.vec3()
         for k in range(looked):
@@ -299,6 +304,8 @@ def end_between(
             rubbed = rubbed - n * wp.dot(n, rubbed)
             length = wp.length(rubbed)
             if length > STILL * h:
+                # Below this speed friction grows in proportion: full friction would reverse slow bodies within one
+                # substep.
                 still = wp.max(shapes.still[kind, s], shapes.still[kind, felt.near[env, i, best]])
                 part = wp.min(1.0, length / (still * h))
                 rub = rubbed * (limits[k] * part / length)
@@ -323,13 +330,13 @@ def end_between(
 
 @wp.func
 def normal_of(normals: Normals, k: int) -> wp.vec3:
-    """Of the k-th surface."""
+    """Return the normal of the k-th surface."""
     return wp.vec3(normals[k, 0], normals[k, 1], normals[k, 2])
 
 
 @wp.func
 def carried(links: Links, env: int, shape: int, x: wp.vec3) -> wp.vec3:
-    """How far the point of a shape that is now at x went in the substep."""
+    """Return the displacement in this substep of the point of a shape that is now at x, m."""
     turn = links.turn[env, shape]
     v = wp.vec3(turn[0], turn[1], turn[2])
     across = wp.cross(v, x - wp.transform_get_translation(links.shape[env, shape])) * 2.0

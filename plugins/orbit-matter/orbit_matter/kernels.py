@@ -3,8 +3,8 @@
 Macklin et al., "XPBD: position-based simulation of compliant constrained dynamics" (2016) and "Small steps in physics
 simulation" (2019): one sweep over all constraints in each of many substeps, and some more over those of membranes;
 multipliers start from zero in each substep.
-Positions stand still during a substep and displacements gather beside them, so that velocities keep their digits
-wherever in the world a particle is.
+Positions stand still during a substep and displacements are summed apart from them, so that velocities keep their
+digits however far from the origin a particle is.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
@@ -54,9 +54,11 @@ class Particles:
     """State of (N, P) particles, and what does not differ between environments."""
 
     x: wp.array2d[wp.vec3]
+    """(N, P) m at the beginning of the substep."""
     d: wp.array2d[wp.vec3]
     """Displacement in this substep."""
     v: wp.array2d[wp.vec3]
+    """(N, P) m/s."""
     anchor: wp.array2d[int]
     """Link that holds it, WORLD or FREE."""
     place: wp.array2d[wp.vec3]
@@ -66,30 +68,35 @@ class Particles:
     exempt: wp.array2d[int]
     """(N, P) link with which a particle does not collide: it was inside of it when its matter was attached there."""
     mass: wp.array[float]
+    """(P,) kg, before the environment's scale in ``parameters``."""
     held: wp.array[float]
     """(P,) times its mass that it counts in constraints where a link holds it."""
     w: wp.array2d[float]
     """(N, P) inverse masses as constraints take them, of this physics step."""
     radius: wp.array[float]
+    """(P,) m within which surfaces touch a particle."""
     kept: wp.array[float]
     """Part of its velocity that the air leaves it in a substep."""
     owner: wp.array[int]
+    """(P,) index of the deformable in the scene."""
     parameters: wp.array3d[float]
     """(N, D, 4) scales of mass, stiffness and bending stiffness, and friction."""
 
 
 @wp.struct
 class Links:
-    """Where links and shapes are, at both ends of the substep. Link L is the terrain."""
+    """Poses of links and shapes at both ends of the substep. Link L is the terrain."""
 
     start: wp.array3d[float]
     """(N, L, 7) at the beginning of the physics step."""
     end: wp.array3d[float]
+    """(N, L, 7) at the end of the physics step; of free bodies, where they are expected then."""
     link: wp.array2d[wp.transform]
     """(N, L + 1) at the end of the substep."""
     shape: wp.array2d[wp.transform]
-    """(N, S)"""
+    """(N, S) at the end of the substep."""
     shape_before: wp.array2d[wp.transform]
+    """(N, S) at the beginning of the substep."""
     axes: wp.array2d[wp.mat33]
     """(N, S) turn vectors of a shape's frame into the world's."""
     way: wp.array2d[wp.vec3]
@@ -112,6 +119,7 @@ def weigh(p: Particles):
     env, i = wp.tid()
     w = 1.0 / mass_of(p, env, i)
     if p.anchor[env, i] == WORLD:
+        # Infinite mass: what is pinned to the world gives way to nothing.
         w = float(0.0)
     elif p.anchor[env, i] != FREE:
         w = w / p.held[i]
@@ -126,6 +134,7 @@ def pose_between(start: wp.array3d[float], end: wp.array3d[float], env: int, lin
     p1 = wp.vec3(b[env, link, 0], b[env, link, 1], b[env, link, 2])
     q0 = wp.quat(a[env, link, 4], a[env, link, 5], a[env, link, 6], a[env, link, 3])
     q1 = wp.quat(b[env, link, 4], b[env, link, 5], b[env, link, 6], b[env, link, 3])
+    # Both signs are the same orientation: the nearer one, or the link would turn the long way round.
     if wp.dot(q0, q1) < 0.0:
         q1 = -q1
     return wp.transform(p0 + (p1 - p0) * share, wp.normalize(q0 * (1.0 - share) + q1 * share))
@@ -135,6 +144,7 @@ def pose_between(start: wp.array3d[float], end: wp.array3d[float], env: int, lin
 def place_links(links: Links, count: int, share: float):
     env, link = wp.tid()
     pose = wp.transform_identity()
+    # The last row is the terrain, which no engine link carries.
     if link < count:
         pose = pose_between(links.start, links.end, env, link, share)
     links.link[env, link] = pose
@@ -145,6 +155,7 @@ def turn_between(before: wp.quat, after: wp.quat) -> wp.quat:
     """``after`` times the inverse of ``before``, exactly no turn where they are the same."""
     a, b = wp.vec3(after[0], after[1], after[2]), wp.vec3(before[0], before[1], before[2])
     v = (b * -after[3]) + a * before[3] - wp.cross(a, b)
+    # Products of equal quaternions round to tiny turns, which would rub on what rests on a fixed shape.
     if after == before:
         v = wp.vec3()
     return wp.quat(v, after[3] * before[3] + wp.dot(a, b))
@@ -154,6 +165,7 @@ def turn_between(before: wp.quat, after: wp.quat) -> wp.quat:
 def place_shapes(links: Links, shapes: Shapes, first: int):
     env, shape = wp.tid()
     kind = env % shapes.kind.shape[0]
+    # On the first call of a step there is no earlier pose: shapes then count as unmoved.
     if first == 0:
         links.shape_before[env, shape] = links.shape[env, shape]
     pose = links.link[env, shapes.link[kind, shape]] * shapes.pose[kind, shape]
@@ -168,7 +180,7 @@ def place_shapes(links: Links, shapes: Shapes, first: int):
 
 @wp.func
 def go_on(p: Particles, links: Links, gravity: wp.array[wp.vec3], h: float, env: int, i: int):
-    """Where a particle would go without forces between them; what is held goes with what holds it."""
+    """Predict a particle's displacement without forces between particles; a held one goes with its link."""
     link = p.anchor[env, i]
     if link == FREE:
         v = (p.v[env, i] + gravity[env] * h) * p.kept[i]
@@ -185,7 +197,7 @@ def predict(p: Particles, links: Links, gravity: wp.array[wp.vec3], h: float):
 
 @wp.kernel(enable_backward=False)
 def hold(p: Particles, links: Links, chosen: wp.array[bool]):
-    """What is held is held where it is, by links at their poses ``links.end``."""
+    """Note the places of held particles in the frames of the links that hold them, at their poses ``links.end``."""
     env, i = wp.tid()
     link = p.anchor[env, i]
     if chosen[env] and link != FREE:
@@ -198,7 +210,7 @@ def hold(p: Particles, links: Links, chosen: wp.array[bool]):
 
 @wp.func
 def target(p: Particles, links: Links, env: int, i: int) -> wp.vec3:
-    """Where a held particle is to be at the end of the substep."""
+    """Return the position that a held particle has at the end of the substep."""
     link = p.anchor[env, i]
     if link == WORLD:
         return p.place[env, i]
@@ -207,7 +219,7 @@ def target(p: Particles, links: Links, env: int, i: int) -> wp.vec3:
 
 @wp.func
 def at(p: Particles, env: int, i: int) -> wp.vec3:
-    """Where a particle is now."""
+    """Return the position of a particle now: its displacement added."""
     return p.x[env, i] + p.d[env, i]
 
 
@@ -225,8 +237,11 @@ class Triangles:
     """Saint Venant-Kirchhoff membranes: three strains of each triangle."""
 
     particles: wp.array2d[int]
+    """(C, 3) corners."""
     weights: wp.array2d[float]
+    """(C, 6) inverse of the 2 x 2 matrix of edges at rest, row by row; ``1 / (E t A)``, 1/J; Poisson's ratio."""
     owner: wp.array[int]
+    """(C,) index of the deformable."""
     multiplier: wp.array2d[wp.vec3]
     """(N, C) of this substep's sweeps so far."""
 
@@ -236,11 +251,17 @@ class Stretch:
     """Deformed axes of a triangle, and how its particles move them."""
 
     f0: wp.vec3
+    """Image of the first material axis: the first column of the deformation gradient."""
     f1: wp.vec3
+    """Image of the second material axis."""
     a0: float
+    """1/m, share of the second particle in ``f0``; the first particle's is minus the sum of the others'."""
     a1: float
+    """1/m, share of the second particle in ``f1``."""
     b0: float
+    """1/m, share of the third particle in ``f0``."""
     b1: float
+    """1/m, share of the third particle in ``f1``."""
 
 
 @wp.func
@@ -271,7 +292,7 @@ def pull_triangle(p: Particles, t: Triangles, env: int, c: int, s: Stretch, chan
 
 @wp.func
 def solve_symmetric(a: float, b: float, c: float, d: float, e: float, f: float, r: wp.vec3) -> wp.vec3:
-    """Of the matrix with rows (a, b, c), (b, d, e), (c, e, f), by its cofactors."""
+    """Solve the system of matrix rows (a, b, c), (b, d, e), (c, e, f) for the right side r, by cofactors."""
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
     bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
     x = wp.vec3(aa * r[0] + ab * r[1] + ac * r[2], ab * r[0] + bb * r[1] + bc * r[2], ac * r[0] + bc * r[1] + cc * r[2])
@@ -297,6 +318,7 @@ def solve_triangle(p: Particles, t: Triangles, h: float, sweep: int, sweeps: int
     k00, k11, k22 = m00 * l0 + c00, m11 * l1 + c11, m00 * l1 + 2.0 * m01 * x + m11 * l0 + c22
     k01, k02, k12 = m01 * x + c01, m00 * x + m01 * l0, m01 * l1 + m11 * x
     residual = wp.vec3(0.5 * (l0 - 1.0), 0.5 * (l1 - 1.0), x)
+    # Only later sweeps have multipliers; in the first they are zero, and reading them would cost memory traffic.
     if sweep > 0:
         a = t.multiplier[env, c]
         residual += wp.vec3(c00 * a[0] + c01 * a[1], c01 * a[0] + c11 * a[1], c22 * a[2])
@@ -304,6 +326,7 @@ def solve_triangle(p: Particles, t: Triangles, h: float, sweep: int, sweeps: int
     pull_triangle(p, t, env, c, s, change)
     if sweep == 0 and sweeps > 1:
         t.multiplier[env, c] = change
+    # The last sweep's multipliers are read by nobody.
     elif sweep + 1 < sweeps:
         t.multiplier[env, c] = t.multiplier[env, c] + change
 
@@ -322,18 +345,23 @@ class Edges:
     """Distances between a rope's particles, in a row."""
 
     particles: wp.array2d[int]
+    """(E, 2) ends."""
     weights: wp.array2d[float]
+    """(E, 2) length at rest, m; compliance ``l / (E A)``, m/N."""
     owner: wp.array[int]
+    """(E,) index of the deformable."""
     ranges: wp.array2d[int]
     """(R, 2) first edge, and one past the last, of each rope."""
     upper: wp.array2d[float]
     """(N, E) scratch of the elimination, and the multipliers."""
     value: wp.array2d[float]
+    """(N, E) right side of the elimination, then the change of each multiplier."""
     total: wp.array2d[float]
     """(N, E) multipliers of the substep."""
     spread: wp.array2d[float]
     """(N, P) scratch of the elimination for taut ropes."""
     moved: wp.array2d[wp.vec3]
+    """(N, P) scratch for displacements: those without forces, then those of the elimination for taut ropes."""
 
 
 @wp.struct
@@ -341,10 +369,13 @@ class Edge:
     """An edge in a substep: its direction at the beginning, with which it pulls, and the one that it has now."""
 
     n: wp.vec3
+    """Unit direction at the beginning of the substep, unless the edge has turned too far since: then the one now."""
     now: wp.vec3
+    """Unit direction now."""
     length: float
-    """Metres, now and at the beginning of the substep."""
+    """Metres, now."""
     was: float
+    """Metres at the beginning of the substep."""
 
 
 @wp.func
@@ -356,6 +387,7 @@ def edge_of(p: Particles, e: Edges, env: int, c: int) -> Edge:
     arm = p.x[env, j] - p.x[env, i]
     found.was = wp.length(arm)
     found.n = arm / found.was
+    # An edge that has turned further would be stretched by a pull along its old direction, and not shortened.
     if wp.dot(found.n, found.now) < TURNED:
         found.n = found.now
     return found
@@ -378,6 +410,7 @@ def soften(p: Particles, e: Edges, env: int, first: int, stop: int):
     k_behind = float(0.0)
     for c in range(first, stop + 1):
         i, k = int(0), float(0.0)  # noqa: RUF046
+        # Past the last edge stands the rope's last particle, with no edge ahead of it.
         if c < stop:
             i = int(e.particles[c, 0])
             k = lateness(p, e, env, c) * wp.max(-e.total[env, c], 0.0) / e.weights[c, 0]
@@ -456,6 +489,7 @@ def pull_edges(p: Particles, e: Edges, h: float, env: int, first: int, stop: int
     for c in range(first, stop):
         edge = edge_of(p, e, env, c)
         found = unmet(p, e, env, c, edge.length, edge.was, softness(p, e, env, c, h))
+        # A rope far from the origin cannot be solved more finely than its positions are stored.
         noise = ROUNDING * wp.length(p.x[env, e.particles[c, 0]])
         left = wp.max(left, (wp.abs(found) - noise) / e.weights[c, 0])
     return left
@@ -471,6 +505,7 @@ def project_edges(p: Particles, e: Edges, env: int, first: int, stop: int):
     for sweep in range(SWEEPS):
         for k in range(first, stop):
             c = k
+            # Forth and back: sweeps in one direction would push all slack to one end.
             if sweep % 2 == 1:
                 c = first + stop - 1 - k
             i, j = e.particles[c, 0], e.particles[c, 1]
@@ -500,6 +535,7 @@ def solve_edges(p: Particles, e: Edges, h: float):
     while attempt < ATTEMPTS and left > PRECISE:
         left = pull_edges(p, e, h, env, first, stop)
         attempt += 1
+    # Also where the rest is NaN, which no comparison holds for.
     if not left < LOOSE:
         project_edges(p, e, env, first, stop)
     for c in range(first, stop):
@@ -516,14 +552,18 @@ class Bends:
     """Curvatures, linear in the positions of four particles."""
 
     particles: wp.array2d[int]
+    """(C, 4) particles; of a rope three, and the first again with a weight of 0."""
     weights: wp.array2d[float]
+    """(C, 5) four coefficients of the curvature; compliance, which is proportional to 1 / stiffness."""
     owner: wp.array[int]
+    """(C,) index of the deformable."""
 
 
 @wp.func
 def pull_bend(p: Particles, b: Bends, env: int, c: int, change: wp.vec3):
     for k in range(4):
         i = b.particles[c, k]
+        # A rope's fourth particle only fills the row: it has no part in the curvature.
         if b.weights[c, k] != 0.0:
             push(p, env, i, change * (b.weights[c, k] * p.w[env, i]))
 

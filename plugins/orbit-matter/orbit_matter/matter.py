@@ -45,6 +45,7 @@ class MatterState:
     """Everything that the continuation depends on, by name."""
 
     tensors: dict[str, Tensor]
+    """Copies of the state tensors, (N, ...) each."""
 
 
 class ParticleMatter(Matter):
@@ -58,6 +59,7 @@ class ParticleMatter(Matter):
         longest, sweeps = substeps.chosen(layout.scene, config.substep)
         count = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))
         solid = substeps.of_solids(layout.scene, config.substep)
+        # Substeps are a multiple of the steps of solids, so that both end together.
         count = max(1, math.ceil(count / solid)) * solid if len(self._model.rest) else solid
         self._fluids = Fluids(layout.scene, num_envs, device)
         if self._fluids.model is not None:
@@ -69,6 +71,7 @@ class ParticleMatter(Matter):
         limits.check_stiffness(layout, solid)
         self._solids = Solids(layout, num_envs, device, layout.scene.physics_dt / solid)
         self._graphs = Graphs(device, config.capture)
+        # Kernels that loop over all particles of an environment run on CPUs only; elsewhere they cost compile time.
         by_rows = (rows,) if device.type == "cpu" else ()
         load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
         if self._solids.model.deformables:
@@ -93,6 +96,7 @@ class ParticleMatter(Matter):
         rest = torch.as_tensor(model.rest, **make)
         frictions = torch.tensor([getattr(spec, "friction", 0.0) for spec in scene.deformables], **make)
         parameters = torch.ones(n, len(scene.deformables), len(PARAMETERS), **make)
+        # Scales start at 1; friction is a coefficient and no scale.
         parameters[..., PARAMETERS.index("friction")] = frictions
         kinds = torch.arange(n) % self._colliders.kinds
         mass, inertia, center = bodies.masses(self._layout)
@@ -117,6 +121,7 @@ class ParticleMatter(Matter):
         self._tensors |= self._solids.tensors | self._fluids.tensors
         for name, width in (("seen", 13), ("given", 6), ("body_x", 3), ("body_q", 4), ("body_v", 3), ("body_w", 3)):
             self._tensors[name] = torch.zeros(n, mass.shape[1], width, **make)
+        # At least one row, as kernels take no empty arrays.
         self._start = torch.zeros(n, max(links, 1), 7, **make)
         self._end = torch.zeros(n, max(links, 1), 7, **make)
         self._wrenches, self._asked = torch.zeros(n, links, 6, **make), torch.zeros(n, links, 6, **make)
@@ -124,7 +129,7 @@ class ParticleMatter(Matter):
         self._velocities = torch.zeros(2, n, len(self._free), 6, **make)
         """Of free bodies, before the engine's last step and after it."""
         self._shape_links = torch.as_tensor(self._colliders.links, device=self._device)[kinds]
-        """(N, S)"""
+        """(N, S) link of each shape."""
         for index, spec in enumerate(scene.deformables):
             for attachment in spec.attachments:
                 self._attach(index, attachment)
@@ -230,7 +235,7 @@ class ParticleMatter(Matter):
         write_columns(self._tensors["anchor"], columns, links, env_ids)
 
     def _hold(self, link_poses: Tensor, env_ids: Tensor | None) -> None:
-        """What is held is from now on held where it is."""
+        """Fix held particles to where they are now in the frames of their links."""
         chosen = self._chosen(env_ids)
         self._end[:, : link_poses.shape[1]].copy_(link_poses)
         with self._graphs.stream():
@@ -282,6 +287,7 @@ class ParticleMatter(Matter):
         body, of = self._bodies(links)
         old = take_rows(self._tensors["mass"], env_ids)[:, body]
         scale = (masses[:, of] / old)[..., None, None]
+        # The shape of the body stays: its inertia scales with its mass.
         inertia = take_rows(self._tensors["inertia"], env_ids)[:, body] * scale
         write_columns(self._tensors["inertia"], body, inertia, env_ids)
         write_columns(self._tensors["mass"], body, masses[:, of], env_ids)
@@ -291,7 +297,7 @@ class ParticleMatter(Matter):
         write_columns(self._tensors["center"], body, centers[:, of], env_ids)
 
     def _bodies(self, links: Tensor) -> tuple[Tensor, Tensor]:
-        """Which free bodies are among links (k,), and which of these each is."""
+        """Return the indices of the free bodies among links (k,), and the position of each in ``links``."""
         body, of = (self._free[:, None] == links[None]).nonzero(as_tuple=True)
         return body, of
 
@@ -314,7 +320,7 @@ class ParticleMatter(Matter):
         return self._tensors["forces"]
 
     def diverged(self) -> Tensor:
-        # A comparison with NaN is false, so what is not within the bounds is found, whatever it is.
+        # A comparison with NaN is false, so everything outside the bounds is found, NaN too.
         near = (self._tensors["x"].abs() <= MAX_DISTANCE).all(-1)
         slow = (self._tensors["v"].abs() <= MAX_SPEED).all(-1)
         sound = near & slow
@@ -334,8 +340,10 @@ class ParticleMatter(Matter):
 
     def load_state(self, state: MatterState) -> None:
         for name, tensor in self._tensors.items():
+            # In place: kernels and recorded graphs keep the addresses.
             tensor.copy_(state.tensors[name])
         self._wrenches.copy_(state.tensors["wrenches"])
         with self._graphs.stream():
             for part in self._parts:
+                # Lists of neighbours are no part of a snapshot: searched from the same places they are the same.
                 part.search_again()

@@ -66,7 +66,7 @@ class Model:
 
     @property
     def meets(self) -> bool:
-        """Whether any two particles may touch."""
+        """True if any two particles may touch."""
         return bool(self.touches.any()) or len(set(self.owners.tolist())) > 1
 
 
@@ -111,11 +111,12 @@ def _particles_of(spec: DeformableSpec, owner: int) -> Model:
 
 
 def _joined(parts: list[Constraints], starts: npt.NDArray[np.int64], columns: int, width: int) -> Constraints:
-    """Of all deformables, coloured together."""
+    """Join the constraints of all deformables and colour them together."""
     particles = [part.particles + np.int32(start) for part, start in zip(parts, starts[:-1], strict=True)]
     joined = np.concatenate([np.zeros((0, columns), np.int32), *particles])
     weights = np.concatenate([np.zeros((0, width), np.float32), *(part.weights for part in parts)])
     owners = np.concatenate([np.zeros(0, np.int32), *(part.owners for part in parts)])
+    # Edges are solved rope by rope and in their order, so that a rope is its own colour.
     colors = owners.astype(np.int64) if columns == 2 else _colors(joined)
     order = np.argsort(colors, kind="stable")
     bounds = np.searchsorted(colors[order], np.arange(colors.max(initial=-1) + 2))
@@ -140,6 +141,7 @@ def _colors(particles: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
 
 def _constraints(particles: npt.ArrayLike, weights: npt.ArrayLike, owner: int, columns: int, width: int) -> Constraints:
     rows = np.asarray(particles, dtype=np.int32).reshape(-1, columns)
+    # Empty lists keep their number of columns, which kernels index.
     numbers = np.asarray(weights, dtype=np.float32).reshape(-1, width)
     return Constraints(rows, numbers, np.full(len(rows), owner, np.int32), ())
 
@@ -193,6 +195,7 @@ def _cloth(spec: Cloth, owner: int) -> Model:
     weights = np.column_stack((np.linalg.inv(edges).reshape(-1, 4), compliance, ratio))
     triangles = _constraints(faces, weights, owner, 3, 6)
     bends = _constraints(*_hinges(flat, faces, spec.bending_stiffness), owner, 4, 5)
+    # Layers of cloth keep apart by the mesh's fineness, not only by the thickness: points between them could pass.
     sides = np.linalg.norm(flat[faces] - flat[np.roll(faces, 1, axis=1)], axis=-1)
     own = max(0.5 * spec.thickness, _LAYER * float(sides.min(axis=1).mean()))
     return _part(spec, owner, masses, 0.5 * spec.thickness, own, triangles=triangles, bends=bends)
@@ -250,6 +253,7 @@ def _rope(spec: Rope, owner: int) -> Model:
     points = spec.rest_positions
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     masses = np.zeros(len(points))
+    # Half of each edge's mass to either end.
     masses[:-1] += 0.5 * spec.linear_density * lengths
     masses[1:] += 0.5 * spec.linear_density * lengths
     numbers = np.arange(len(points))

@@ -37,10 +37,15 @@ class Lens:
     """A pinhole camera in pixels."""
 
     focal: float
+    """Focal length in pixels; pixels are square."""
     width: int
+    """Columns of the picture."""
     height: int
+    """Rows of the picture."""
     near: float
+    """Metres of depth; triangles that come nearer are left out whole."""
     far: float
+    """Metres of depth beyond which nothing is painted."""
 
 
 @wp.func
@@ -62,6 +67,7 @@ def pixel_of(lens: Lens, p: wp.vec3) -> wp.vec2:
 def shares(a: wp.vec2, b: wp.vec2, c: wp.vec2, p: wp.vec2) -> wp.vec3:
     """Barycentric coordinates in the picture."""
     area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    # Seen edge-on, a triangle covers no pixel.
     if wp.abs(area) < 1.0e-9:
         return wp.vec3(-1.0, -1.0, -1.0)
     u = ((b[0] - p[0]) * (c[1] - p[1]) - (b[1] - p[1]) * (c[0] - p[0])) / area
@@ -82,6 +88,7 @@ def rasterise(
     a = seen(poses, env, points[env, faces[face, 0]])
     b = seen(poses, env, points[env, faces[face, 1]])
     c = seen(poses, env, points[env, faces[face, 2]])
+    # A triangle across the near plane would have to be clipped; it is left out whole.
     if wp.min(a[2], wp.min(b[2], c[2])) < lens.near:
         return
     pa, pb, pc = pixel_of(lens, a), pixel_of(lens, b), pixel_of(lens, c)
@@ -95,6 +102,8 @@ def rasterise(
             if s[0] >= 0.0 and s[1] >= 0.0 and s[2] >= 0.0:
                 depth = 1.0 / (s[0] / a[2] + s[1] / b[2] + s[2] / c[2])
                 if depth < lens.far:
+                    # Depth first, then the number: one atomic minimum finds the nearest triangle, the same in every
+                    # run.
                     key = wp.int64(depth * TICKS) * SHIFT + wp.int64(face)
                     wp.atomic_min(keys, env, row, column, key)
 
@@ -124,6 +133,7 @@ def resolve(
     n = normals[env, i] * weights[0] + normals[env, j] * weights[1] + normals[env, k] * weights[2]
     eye = wp.vec3(poses[env, 0], poses[env, 1], poses[env, 2])
     n = wp.normalize(n)
+    # Cloth has two sides, and both are lit.
     if wp.dot(n, points[env, i] - eye) > 0.0:
         n = -n
     depths[env, row, column] = depth
@@ -154,7 +164,7 @@ class Painter(MatterPainter):
         return image
 
     def _draw(self, camera: CameraSpec, poses: Tensor, points: Tensor, index: int) -> tuple[Tensor, Tensor]:
-        """Depth (n, H, W, 1), infinite beside it, and normals (n, H, W, 3) of one deformable."""
+        """Depth (n, H, W, 1), infinite where it is not, and normals (n, H, W, 3) of one deformable."""
         shape = (len(points), camera.height, camera.width)
         lens = Lens()
         lens.focal = 0.5 * camera.height / math.tan(0.5 * camera.vertical_fov)
@@ -177,6 +187,7 @@ class Painter(MatterPainter):
         """(n, V, 3) mean of the triangles at each vertex, by their areas."""
         corners = self._corners[index]
         a, b, c = (points[:, corners[:, k]] for k in range(3))
+        # Not normalised: large triangles count more, so that slivers do not bend the shading.
         across = torch.linalg.cross(b - a, c - a)
         normals = torch.zeros_like(points)
         for k in range(3):

@@ -27,11 +27,12 @@ MARGIN = 0.004
 
 @dataclass(frozen=True)
 class Stepping:
-    """How a physics step is divided."""
+    """Division of a physics step into substeps, sweeps and steps of solids."""
 
     physics_dt: float
     """Seconds."""
     substeps: int
+    """Number of substeps in a physics step."""
     sweeps: int
     """Over the triangles of cloth in each."""
     contact_stiffness: float
@@ -81,6 +82,7 @@ class Part:
         felt.forces, felt.torques = wp.from_torch(memory["forces"], wp.vec3), wp.from_torch(memory["torques"], wp.vec3)
         felt.friction = wp.from_torch(memory["friction"])
         felt.holds = wp.zeros((self._n, len(model.slices), self._count), dtype=int)
+        # Solids and liquids have a list of near shapes each, for points of their own, and share the forces.
         felt.near = wp.full((self._n, self._p, int(contact.NEAREST)), -1, dtype=int)
         self._bodies, self._attached = self._make_bodies(memory), self._make_attached(memory)
         self._edges = self._make_edges()
@@ -108,6 +110,7 @@ class Part:
         ropes = (self._model.mates >= 0).any(1)
         made.held = wp.array(np.where(ropes, float(kernels.HELD) ** 2, float(kernels.HELD)), dtype=float)
         made.mass, made.radius = wp.array(model.masses), wp.array(model.radii)
+        # Exact for any damping; ``1 - h damping`` would turn velocities round where damping is strong.
         made.kept = wp.array(np.exp(-self._stepping.h * model.damping))
         made.owner = wp.array(model.owners, dtype=int)
         made.parameters = wp.from_torch(memory["parameters"])
@@ -152,6 +155,7 @@ class Part:
 
     def _body_of(self, memory: Mapping[str, Tensor]) -> np.ndarray:
         """(L,) index of the free body that each link is, or -1."""
+        # Kernels take no empty arrays, even where a scene has no links.
         found = np.full(max(self._count, 1), -1, np.int32)
         found[memory["free"][0].cpu().numpy()] = np.arange(self._free)
         return found
@@ -169,6 +173,7 @@ class Part:
     def _make_neighbours(self, memory: Mapping[str, Tensor]) -> Any:
         n, p, model = self._n, self._p, self._model
         made = self_contact.Neighbours()
+        # A power of two, so that the hash is a mask, and at least twice the particles, so that few share a bucket.
         made.head = wp.zeros((n, 1 << (2 * p - 1).bit_length()), dtype=int)
         made.following = wp.zeros((n, p), dtype=int)
         made.found = wp.full((n, p, int(self_contact.NEIGHBOURS)), -1, dtype=int)
@@ -181,11 +186,11 @@ class Part:
 
     @property
     def takes_rows(self) -> bool:
-        """Whether one launch thread takes an environment, and not a particle or a constraint."""
+        """True if one launch thread takes an environment, and not a particle or a constraint."""
         return bool(self._particles.x.device.is_cpu)
 
     def hold(self, chosen: Tensor) -> None:
-        """What is held in chosen environments, of all (N,) bool, is from now on held where it is."""
+        """Fix held particles to where they are now, in chosen environments of all (N,) bool."""
         mine, shape = wp.from_torch(chosen[self._rows]), (self._n, self._p)
         wp.launch(kernels.hold, shape, inputs=[self._particles, self._links, mine])
         wp.launch(contact.find_holders, (self._n, len(self._model.slices)), inputs=[self._particles, self._felt, mine])
@@ -216,10 +221,12 @@ class Part:
             wp.launch(attached.begin, (self._n, self._free), inputs=inputs)
             inputs = [self._bodies, self._attached.count, links, self._gravity, dt]
             wp.launch(bodies.look_ahead, (self._n, self._free), inputs=inputs)
+        # Forces gather over the substeps of one physics step.
         self._felt.forces.zero_()
         self._felt.torques.zero_()
         wp.launch(kernels.weigh, (self._n, self._p), inputs=[self._particles])
         self._place(0.0, 1)
+        # Both ends of the whole step once: the difference bounds how far each shape moves while near pairs hold.
         self._place(1.0, 0)
         wp.launch(contact.bound, (self._n, self._colliders.count), inputs=[self._links, self._colliders.shapes])
         near = [self._particles, self._links, self._colliders.shapes, self._felt, self._stepping.physics_dt]
@@ -270,6 +277,7 @@ class Part:
 
     def _launch_substep(self, number: int) -> None:
         steps = self._stepping.solid_steps
+        # Solids step less often than particles: their implicit step stays stable and costs more.
         due = number * steps % self._stepping.substeps == 0
         self._place(number / self._stepping.substeps, 0, moving=True, pushed=due)
         if self._solids is not None and due:

@@ -1,4 +1,4 @@
-"""What the entry point names."""
+"""Matter solver registered under the ``orbit.matter`` entry point."""
 
 from __future__ import annotations
 
@@ -57,6 +57,7 @@ class OrbitMatter(MatterSolver):
     """Cloth and rope by small-step XPBD, elastic solids by implicit finite elements, liquids by particles."""
 
     name = "orbit-matter"
+    """Name in ``orbit list``, in settings and in the ``orbit.matter`` entry points."""
     contract = (1, 0)
     config_type = MatterConfig
 
@@ -73,6 +74,7 @@ class OrbitMatter(MatterSolver):
         return {"warp-lang": version("warp-lang")}
 
     def create_painter(self, layout: SceneLayout, device: torch.device) -> MatterPainter:
+        # Imported here: Warp starts when a world is made, not when plugins are listed.
         from orbit_matter.painting import Painter
 
         return Painter(layout, device)

@@ -1,6 +1,6 @@
 """Particles of matter against each other: cloth on itself, on other cloth, and ropes.
 
-A hash of cells finds the pairs that may come near, anew whenever a particle may have left the margin in which the last
+A hash of cells finds the pairs that may come near, again whenever a particle may have left the margin in which the last
 search holds (the lists of Verlet, "Computer 'experiments' on classical fluids", 1967). In each substep two particles
 nearer than the sum of their radii are moved apart, in shares that keep their momentum, and rub by Coulomb's law. A
 particle gathers the moves of all its pairs, at half of their length, so that the order of pairs does not matter and
@@ -55,8 +55,10 @@ class Neighbours:
 
 @wp.func
 def bucket_of(x: int, y: int, z: int, count: int) -> int:
-    """Of ``count``, a power of two. Teschner et al., "Optimized spatial hashing for collision detection of deformable
-    objects" (2003)."""
+    """Return the bucket of a cell, one of ``count``, a power of two.
+
+    Teschner et al., "Optimized spatial hashing for collision detection of deformable objects" (2003).
+    """
     return ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (count - 1)
 
 
@@ -95,10 +97,11 @@ def insert(p: Particles, n: Neighbours, renewed: int):
 
 @wp.func
 def noted(p: Particles, n: Neighbours, env: int, i: int, j: int, count: int) -> int:
-    """How many others are found with this one, which is not of the own body's near ones and was not found before."""
+    """Note particle j as a neighbour unless it is near in the own body or noted already; return the new count."""
     if count == NEIGHBOURS:
         return count
     if p.owner[i] == p.owner[j]:
+        # Particles that overlap at rest, such as neighbours in a mesh, would be pushed apart for ever.
         apart = 1.01 * (n.radius[i] + n.radius[j])
         if n.touches[i] == 0 or wp.length_sq(n.rest[i] - n.rest[j]) <= apart * apart:
             return count
@@ -111,7 +114,7 @@ def noted(p: Particles, n: Neighbours, env: int, i: int, j: int, count: int) -> 
 
 @wp.kernel(enable_backward=False)
 def find(p: Particles, n: Neighbours, margin: float):
-    """Who may be met: all within the sum of radii and a margin that were further apart at rest."""
+    """Find the particles within the sum of radii and a margin that were further apart at rest."""
     env, i = wp.tid()
     if n.stale[env] == 0:
         return
@@ -135,7 +138,7 @@ def find(p: Particles, n: Neighbours, margin: float):
 
 @wp.func
 def gather(p: Particles, n: Neighbours, step: float, env: int, i: int):
-    """The move of a particle that its pairs ask for."""
+    """Sum the moves that a particle's pairs request."""
     total = wp.vec3()
     x = at(p, env, i)
     k = int(0)
@@ -149,6 +152,7 @@ def gather(p: Particles, n: Neighbours, step: float, env: int, i: int):
             depth = n.radius[i] + n.radius[j] - away
             if depth > 0.0 and away > 1.0e-9:
                 normal = arm / away
+                # The lighter one moves more, so that the pair keeps its momentum.
                 share = mass_of(p, env, j) / (mass_of(p, env, i) + mass_of(p, env, j))
                 if p.anchor[env, j] != FREE:
                     share = float(1.0)
@@ -161,6 +165,7 @@ def gather(p: Particles, n: Neighbours, step: float, env: int, i: int):
                     slid = slid * (friction * depth / way)
                 total += (normal * wp.min(depth, met + FASTEST * step) - slid) * share
         k += 1
+    # What a link holds gives way to no particle; the other one takes the whole move.
     if p.anchor[env, i] != FREE:
         total = wp.vec3()
     n.moves[env, i] = total * RELAXED

@@ -73,7 +73,7 @@ def folding(layout: SceneLayout) -> tuple[Approximation, ...]:
 
 
 def sinking(layout: SceneLayout, contact_stiffness: float) -> tuple[Approximation, ...]:
-    """What sinks deeper into what it lies on than it is thick, by its own weight on its particles' contacts."""
+    """Report cloths and ropes whose own weight presses them deeper into a support than they are thick."""
     gravity = float(np.linalg.norm(layout.scene.gravity))
     found: list[Approximation] = []
     for spec in layout.scene.deformables:
@@ -90,11 +90,13 @@ def sinking(layout: SceneLayout, contact_stiffness: float) -> tuple[Approximatio
 def _late_link(layout: SceneLayout, spec: Cloth | Rope, attachment: Attachment) -> list[Approximation]:
     entity = layout.entity(attachment.entity or "").spec
     articulation = entity.articulation
+    # A fixed base does not move, so that nothing is late.
     if entity.fixed_base and attachment.link == articulation.root.name:
         return []
     link = next(link for link in articulation.links if link.name == attachment.link)
     mass = _felt_mass(entity, spec, attachment) if entity.is_free_body else link.mass
     strip, step = _impedance(spec, attachment), layout.scene.physics_dt
+    # A short strip is set in motion whole within the step: its own mass bounds what the link feels.
     if mass >= _SAFE_SHARE * min(strip * step, spec.mass):
         return []
     held = "while the engine holds it, between fingers or on a floor" if entity.is_free_body else "in motion"
@@ -114,6 +116,7 @@ def _felt_mass(entity: Entity, spec: Cloth | Rope, attachment: Attachment) -> fl
         arm = points.mean(0) - entity.pose.transform(np.array([link.center_of_mass]))[0]
         inertia = float(np.linalg.eigvalsh(link.inertia).min())
         found.append(1.0 / (1.0 / link.mass + float(arm @ arm) / inertia))
+    # The variant that resists least decides, as one description serves all environments.
     return min(found)
 
 

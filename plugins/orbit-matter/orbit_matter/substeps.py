@@ -1,4 +1,4 @@
-"""How long a substep may be for what a scene's matter is made of.
+"""Length of a substep that suits the materials and meshes of a scene.
 
 One sweep of a substep carries forces over one edge or so, which makes what hangs too long and what bends too soft: by
 ``0.42 g h^2 L / (n l^2)`` of the length for cloth of extent L and edges l in n sweeps over its membrane (measured at 9
@@ -20,7 +20,7 @@ from orbit_core.plugin_kit.bodies import hanging_weight
 from orbit_core.scene import Cloth, Rope, Scene, SoftBody
 
 LONGEST, SHORTEST = 1.25e-3, 0.25e-3
-"""Seconds."""
+"""Seconds, bounds of a substep that is chosen."""
 SHORTEST_OF_WHIPS = 0.125e-3
 """Seconds, for ropes with free bodies, which cost little."""
 _GATHERED = 0.84e-3
@@ -54,7 +54,9 @@ def chosen(scene: Scene, longest: float | None = None) -> tuple[float, int]:
     most = _GATHERED if any(isinstance(spec, Cloth) for spec in scene.deformables) else LONGEST
     taut = min((_taut(spec, scene) for spec in scene.deformables), default=math.inf)
     whip = min((_whip(spec, scene) for spec in scene.deformables), default=math.inf)
+    # Whips come last: they may go below SHORTEST, as ropes cost little.
     begin = longest or min(max(SHORTEST, min(most, bending, taut)), whip)
+    # Stretch falls with the square of the substep and with the first power of the sweeps; 1e-6 absorbs rounding.
     sweeps = max(1, min(MOST_SWEEPS, math.ceil((begin / hanging) ** 2 - 1e-6)))
     return longest or min(begin, max(SHORTEST, hanging * math.sqrt(sweeps))), sweeps
 
@@ -72,7 +74,7 @@ def of_solids(scene: Scene, longest: float | None = None) -> int:
 
 
 def report(scene: Scene, substep: float, sweeps: int) -> tuple[Approximation, ...]:
-    """What is too long or too soft at a substep, in seconds."""
+    """Report what is too long or too soft at a substep of ``substep`` seconds with ``sweeps`` over membranes."""
     found: list[Approximation] = []
     for spec in scene.deformables:
         bounds = {
@@ -82,6 +84,7 @@ def report(scene: Scene, substep: float, sweeps: int) -> tuple[Approximation, ..
             **{f"bearing '{name}', should it lie on it": b * math.sqrt(sweeps) for name, b in _laden(spec, scene)},
         }
         for asked, bound in bounds.items():
+            # One per cent of tolerance, so that substeps chosen from the same bounds are not reported.
             if bound < 0.99 * substep:
                 why = f"a substep of {bound * 1e3:.2g} ms would do, and {substep * 1e3:.2g} ms is used"
                 got = "another speed" if "waves" in asked else "more than it gives way"
@@ -127,9 +130,9 @@ def _whip(spec: object, scene: Scene) -> float:
 
 
 def _laden(spec: object, scene: Scene) -> list[tuple[str, float]]:
-    """Free bodies that may lie on cloth that is held, and the seconds with which it bears each with one sweep.
+    """Free bodies that may rest on cloth that is held, and the seconds with which it bears each with one sweep.
 
-    Half a body's weight pulls at each side of what lies between two rows of held particles.
+    Half a body's weight pulls at each side of the cloth between two rows of held particles.
     """
     if not isinstance(spec, Cloth):
         return []

@@ -24,6 +24,7 @@ class Shapes:
     """S collision shapes of each kind of environment; those of kind k are in row k."""
 
     kind: wp.array2d[int]
+    """(K, S) BOX, SPHERE, CAPSULE, CYLINDER, PLANE, HEIGHT_FIELD or MESH."""
     link: wp.array2d[int]
     """Index of the link; L, of a link that stands still at the origin, for the terrain."""
     pose: wp.array2d[wp.transform]
@@ -35,6 +36,7 @@ class Shapes:
     still: wp.array2d[float]
     """m/s of another surface along it from which on that rubs with all of its friction, and in proportion below."""
     mesh: wp.array2d[wp.uint64]
+    """(K, S) Warp's number of a mesh; 0 for other shapes."""
     heights: wp.array[float]
     """Of all height fields, row by row."""
     rows: wp.array2d[wp.vec3i]
@@ -74,6 +76,7 @@ def _cylinder(p: wp.vec3, radius: float, half: float) -> wp.vec4:
     if across > 1.0e-9:
         ex = p[0] / across
         ey = p[1] / across
+    # In the half-plane through its axis a cylinder is a rectangle; the endless third side is never the nearest.
     flat = _box(wp.vec3(across, 0.0, p[2]), wp.vec3(radius, 1.0e6, half))
     return wp.vec4(flat[0] * ex, flat[0] * ey, flat[2], flat[3])
 

@@ -31,9 +31,13 @@ class ContactParameters:
     """The contact parameters of a geom."""
 
     friction: tuple[float, float, float]
+    """Sliding, torsional (m) and rolling (m)."""
     condim: int
+    """Dimension of the contact: 1, 3, 4 or 6 with rolling friction."""
     solref: tuple[float, float]
+    """Time constant and damping ratio, or minus stiffness and damping."""
     solimp: tuple[float, float, float, float, float]
+    """Impedance: ``dmin``, ``dmax``, ``width``, ``midpoint``, ``power``."""
     solmix: float = 1.0
     """Weight of ``solimp`` against the other shape's."""
 

@@ -72,6 +72,7 @@ class MatterAddresses:
     """Addresses of one deformable in MuJoCo's arrays; each is a range, in the order of its particles or pieces."""
 
     spec: Cloth | Rope
+    """Description in the scene."""
     particles: slice
     """Among the particles of all deformables."""
     bodies: slice

@@ -64,9 +64,13 @@ class Collider:
     """A geom of a shape that is the same in all kinds of environments."""
 
     geom: mujoco.MjsGeom
+    """Geom of the specification."""
     body: str
+    """Name of its body."""
     movable: bool
+    """True if the body can move."""
     material: PhysicsMaterial
+    """Material of the shape."""
 
 
 def rebounds_in_one_step(integrator: str, cone: str) -> bool:
@@ -117,8 +121,11 @@ class Slot:
     """The place of one geom in one kind of environment."""
 
     part: Part
+    """Geometry and place of the geom."""
     contact: ContactParameters
+    """Contact parameters of the geom."""
     absent: bool = False
+    """True where this kind has no such shape."""
 
 
 def slots(own: Sequence[Slot], kinds: Iterable[Sequence[Slot]]) -> Iterator[Slot]:
@@ -161,8 +168,11 @@ class BuiltModel:
     """A compiled model, where the layout's things stand in it, and what it does not honour."""
 
     model: mujoco.MjModel
+    """Compiled model of one environment."""
     addresses: Addresses
+    """Numbers of links, joints and sensors in it."""
     report: tuple[Approximation, ...]
+    """Differences from the scene."""
     absent: npt.NDArray[np.int64]
     """Geoms that only other kinds of environments have; here grains."""
     matter: tuple[MatterAddresses, ...]

@@ -22,14 +22,23 @@ class Fields(Protocol):
     """A ``mjModel``, or those fields of what was made from one."""
 
     body_mass: npt.NDArray
+    """(bodies,) kg."""
     body_ipos: npt.NDArray
+    """(bodies, 3) m, centre of mass in the body's frame."""
     body_iquat: npt.NDArray
+    """(bodies, 4) principal axes in the body's frame."""
     body_inertia: npt.NDArray
+    """(bodies, 3) principal moments, kg m^2."""
     jnt_limited: npt.NDArray
+    """(joints,) True if limits hold."""
     jnt_range: npt.NDArray
+    """(joints, 2) rad or m."""
     dof_armature: npt.NDArray
+    """(degrees of freedom,) kg m^2 or kg."""
     actuator_forcelimited: npt.NDArray
+    """(actuators,) True if a limit holds."""
     actuator_forcerange: npt.NDArray
+    """(actuators, 2) N m or N."""
 
 
 def read_back(fields: Fields, addresses: Addresses) -> BuiltModel:

@@ -56,7 +56,9 @@ class Snapshot:
     """Everything that the continuation depends on."""
 
     rows: npt.NDArray[np.float64]
+    """(N, size) state of each environment, in MuJoCo's order of its parts."""
     parameters: dict[str, npt.NDArray]
+    """Randomised parameters by name."""
     tensors: tuple[Tensor, ...]
     """Commands, then what the last step measured."""
 

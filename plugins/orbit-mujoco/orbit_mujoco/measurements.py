@@ -99,6 +99,7 @@ class ContactMeter:
     def __init__(self, layout: SceneLayout, sensordata: npt.NDArray[np.float64]) -> None:
         starts = contact_sensor_starts(layout)
         self.queries, sensors = len(layout.contact_queries), int(starts[-1])
+        """Number of contact queries."""
         self._starts = starts[:-1]
         self._sensordata = sensordata[:, : 3 * sensors]
         self._sum = np.zeros((len(sensordata), sensors, 3))

@@ -22,7 +22,9 @@ class NewtonBackend(Backend):
 
     contract: ClassVar[tuple[int, int]] = (1, 0)
     solver_capabilities: ClassVar[Capabilities]
+    """Declared capabilities of the solver."""
     solver_gaps: ClassVar[tuple[Gap, ...]]
+    """Declared gaps of the solver."""
 
     def capabilities(self) -> Capabilities:
         return self.solver_capabilities

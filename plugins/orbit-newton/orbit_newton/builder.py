@@ -34,6 +34,7 @@ class BuiltModel:
     """A model of all environments, and where the layout's things stand in it."""
 
     model: newton.Model
+    """Newton's model."""
     joints: Indices
     """(J,) joint number of each of the layout's joints, in one environment."""
     positions: Indices

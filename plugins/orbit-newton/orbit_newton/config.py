@@ -70,8 +70,9 @@ class XpbdConfig(NewtonConfig):
     iterations: int = 24
     """Sweeps over the constraints in a solver step."""
     joint_linear_relaxation: float = 0.7
+    """Share of a joint's error in position that a sweep corrects."""
     joint_angular_relaxation: float = 0.4
-    """Shares of a joint's error that a sweep corrects."""
+    """Share of its error in rotation that a sweep corrects."""
     contact_relaxation: float = 0.8
     """Share of a contact's error that a sweep corrects."""
     contact_weighting: bool = True

@@ -22,10 +22,12 @@ class ContactFinder:
     def __init__(self, built: BuiltModel, num_envs: int, config: NewtonConfig, interval: float) -> None:
         """``interval`` is the time from one search to the next, in seconds."""
         self.any = built.model.shape_contact_pair_count > 0
+        """True if any two shapes may touch."""
         self._interval = interval
         capacity = config.contacts_per_env * num_envs
         self._pipeline = _pipeline(built.model, capacity, config.speculative_gap) if self.any else None
         self.contacts = self._pipeline.contacts() if self._pipeline else newton.Contacts(0, 0)
+        """Newton's arrays of contacts."""
         self.capacity = self.contacts.rigid_contact_max
         """Number of contacts that the buffers of all environments together hold."""
         with wp.ScopedDevice(built.model.device):
@@ -79,6 +81,7 @@ class ContactMeter(ForceMeter):
         super().__init__(layout, built.link_of_shape, num_envs, built.model.device)
         self._finder = finder
         self.needed = self.queries > 0 and finder.any
+        """False without queries or contacts: forces are then not computed."""
 
     def add(self) -> None:
         """Launch what takes in the forces of a solver step."""

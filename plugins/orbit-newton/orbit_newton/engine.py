@@ -43,9 +43,13 @@ class Native:
     """Newton's own objects."""
 
     model: newton.Model
+    """Model of all environments."""
     state: newton.State
+    """Positions and velocities."""
     control: newton.Control
+    """Targets and efforts."""
     contacts: newton.Contacts
+    """Contacts of the last step."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,9 @@ class Snapshot:
     """Everything that the continuation depends on."""
 
     tensors: tuple[Tensor, ...]
+    """State and commands."""
     parameters: tuple[Tensor, ...]
+    """Randomised parameters."""
 
 
 class NewtonEngine(PartedEngine[State, Parameters]):

@@ -97,6 +97,7 @@ class Mobilities:
             self._inertias = wp.zeros(model.body_count, dtype=wp.spatial_matrix)
             self._subspaces = wp.zeros(model.joint_dof_count, dtype=wp.spatial_vector)
             self.matrices = wp.zeros(model.body_count, dtype=wp.spatial_matrix)
+            """(bodies,) inverse spatial inertias."""
 
     def find(self) -> None:
         """Launch what finds them in the plant's state."""

@@ -19,8 +19,11 @@ from orbit_newton.joints import JointTable
 @wp.struct
 class JointSettings:
     friction_speed: float
+    """rad/s or m/s at which friction is fully developed."""
     limit_stiffness: float
+    """N m/rad or N/m beyond a limit."""
     limit_damping: float
+    """N m s/rad or N s/m beyond a limit."""
 
 
 @wp.kernel(enable_backward=False)
@@ -68,10 +71,15 @@ class Bodies:
     """Newton's arrays of bodies, and what moves them."""
 
     q: wp.array[wp.transform]
+    """Poses in the world."""
     qd: wp.array[wp.spatial_vector]
+    """Velocities, m/s and rad/s, world axes."""
     com: wp.array[wp.vec3]
+    """m, centres of mass in the bodies' frames."""
     mobility: wp.array[wp.spatial_matrix]
+    """Inverse spatial inertias in world axes."""
     flags: wp.array[int]
+    """Newton's flags, such as that of a kinematic body."""
 
 
 @wp.struct
@@ -79,14 +87,19 @@ class Surfaces:
     """Per shape."""
 
     body: wp.array[int]
+    """Body that carries the shape; -1 for the world."""
     friction: wp.array[float]
+    """Coefficient of sliding friction."""
     torsional: wp.array[float]
+    """m, coefficient of torsional friction."""
     rolling: wp.array[float]
+    """m, coefficient of rolling friction."""
     damping_ratio: wp.array[float]
     """Damping ratio of the rebound, negative where the material asks for none."""
     stiffness: wp.array[float]
     """Stiffness of a compliant material, zero for others."""
     damping: wp.array[float]
+    """N s/m of a compliant material."""
 
 
 @wp.struct
@@ -94,13 +107,21 @@ class Found:
     """Newton's arrays of contacts."""
 
     count: wp.array[int]
+    """Contacts so far, in one number."""
     shape0: wp.array[int]
+    """First shape of each contact."""
     shape1: wp.array[int]
+    """Second shape."""
     point0: wp.array[wp.vec3]
+    """Point on the first shape, in its body's frame."""
     point1: wp.array[wp.vec3]
+    """Point on the second shape, in its body's frame."""
     margin0: wp.array[float]
+    """m by which the first shape is thicker than its geometry."""
     margin1: wp.array[float]
+    """m by which the second shape is thicker."""
     normal: wp.array[wp.vec3]
+    """Unit normal from the first shape to the second."""
 
 
 @wp.struct
@@ -108,6 +129,7 @@ class ContactSettings:
     stiffness: float
     """``k h^2 / m``"""
     damping_ratio: float
+    """Damping ratio of contacts without a compliant material."""
     friction_slope: float
     """``c h / m``"""
 

@@ -25,11 +25,17 @@ class JointTable:
     zeros: wp.array[float]
     """The contract's position where Newton's coordinate is zero."""
     lower: wp.array[float]
+    """rad or m."""
     upper: wp.array[float]
+    """rad or m."""
     effort_limit: wp.array[float]
+    """N m or N."""
     damping: wp.array[float]
+    """N m s/rad or N s/m of the mechanism."""
     friction: wp.array[float]
+    """N m or N of the mechanism."""
     armature: wp.array[float]
+    """kg m^2 or kg."""
 
 
 def joint_table(plant: Plant) -> JointTable:

@@ -24,14 +24,23 @@ class Plant:
     """Everything that a solver reads and writes. Tensors share their memory with the arrays that kernels take."""
 
     layout: SceneLayout
+    """Numbers of the scene's links and joints."""
     built: BuiltModel
+    """Newton's model and the numbers in it."""
     num_envs: int
+    """Number N of environments."""
     config: Any
+    """Settings of the backend."""
     finder: ContactFinder
+    """Collision detection."""
     meter: ContactMeter
+    """Sums of contact forces."""
     position_targets: Tensor
+    """(N, J) rad or m."""
     velocity_targets: Tensor
+    """(N, J) rad/s or m/s."""
     efforts: Tensor
+    """(N, J) commanded, N m or N."""
 
     def __post_init__(self) -> None:
         device, parameters = self.position_targets.device, self.layout.joint_parameters

@@ -33,10 +33,13 @@ class ShapeBuilder:
     """Adds shapes to a world; a mesh that several shapes share is stored once."""
 
     world: newton.ModelBuilder
+    """Builder that gets the shapes."""
     gap: float
+    """m between shapes within which contacts are made."""
     links: list[int] = field(default_factory=list)
     """Link of each shape so far."""
     materials: list[PhysicsMaterial] = field(default_factory=list)
+    """Material of each shape so far."""
     _meshes: dict[Mesh, newton.Mesh] = field(default_factory=dict)
 
     def add(self, body: int, link: int, shape: Shape, subject: str) -> None:

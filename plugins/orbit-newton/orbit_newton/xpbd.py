@@ -25,10 +25,15 @@ class Drives:
     """Newton's arrays of drives, with a row per environment."""
 
     target_q: wp.array2d[float]
+    """rad or m."""
     target_qd: wp.array2d[float]
+    """rad/s or m/s."""
     stiffness: wp.array2d[float]
+    """N m/rad or N/m."""
     damping: wp.array2d[float]
+    """N m s/rad or N s/m."""
     force: wp.array2d[float]
+    """Commanded efforts, N m or N."""
 
 
 @wp.kernel(enable_backward=False)
@@ -79,10 +84,15 @@ class Coefficients:
     """Newton's arrays of surfaces, with room for one of each contact behind those of the shapes."""
 
     body: wp.array[int]
+    """Body that carries the surface; -1 for the world."""
     friction: wp.array[float]
+    """Coefficient of sliding friction."""
     torsional: wp.array[float]
+    """m, coefficient of torsional friction."""
     rolling: wp.array[float]
+    """m, coefficient of rolling friction."""
     restitution: wp.array[float]
+    """Coefficient of restitution."""
 
 
 @wp.func

@@ -35,6 +35,11 @@ _IMAGES = {
     Capability.RGB: EXACT,
     Capability.COLORS_PER_ENVIRONMENT: EXACT,
     Capability.LIGHTING: EXACT,
+    Capability.LIGHTS_PER_ENVIRONMENT: EXACT,
+    Capability.TEXTURES: approximate(
+        "no highlights in the tier 'fast'; a colour that a link is given in one environment does not show on its "
+        "textured surfaces"
+    ),
     Capability.SHADOWS: approximate(_SHADOW_MAP),
     Capability.DEPTH: EXACT,
     Capability.NORMALS: EXACT,
@@ -348,12 +353,14 @@ class SapienFast(_Tier):
     """Rasterised, by Lambert's law, with shadows."""
 
     name, tier = "sapien-fast", "fast"
+    """Name of the shaders that draw."""
 
 
 class SapienPbr(_Tier):
     """Rasterised with physically based materials."""
 
     name, tier = "sapien-pbr", "pbr"
+    """Name of the shaders that draw."""
 
     def capabilities(self) -> Capabilities:
         return PBR_IMAGES
@@ -363,6 +370,7 @@ class SapienRt(_Tier):
     """Traced paths."""
 
     name, tier = "sapien-rt", "rt"
+    """Name of the shaders that draw."""
     config_type: ClassVar[type] = PathConfig
 
     def capabilities(self) -> Capabilities:

@@ -34,7 +34,9 @@ class JointState:
     """Positions and velocities (N, J) of all joints at one instant."""
 
     positions: Tensor
+    """rad or m."""
     velocities: Tensor
+    """rad/s or m/s."""
 
 
 class Drives:
@@ -69,6 +71,7 @@ class Drives:
         self.joints = [
             [joint for entity in environment.entities for joint in entity.joints] for environment in world.environments
         ]
+        """PhysX's joints of each environment, in the layout's order."""
         self.sent = np.full((3, *shape), np.nan, np.float32)
         """(3, N, J) drive targets, velocity targets and forces that PhysX was last told; NaN for unknown."""
         # NaN differs from every number, so that the first settling sends everything.

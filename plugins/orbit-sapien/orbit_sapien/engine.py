@@ -36,13 +36,19 @@ class Snapshot:
     """Everything that the continuation depends on."""
 
     packed: bytes
+    """State of PhysX's scene."""
     fixed_poses: Tensor
+    """Poses of bodies that do not move, which ``packed`` leaves out."""
     before: Tensor
+    """State ``packed`` before the last step, by which velocities are differences."""
     moved: Tensor
-    """The buffer from which :class:`State` takes velocities, beside ``packed``."""
+    """The buffer from which :class:`State` takes velocities, in addition to ``packed``."""
     parameters: dict[str, npt.NDArray]
+    """Randomised parameters by name."""
     gains: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    """Stiffness and damping of the drives."""
     joints: tuple[npt.NDArray[np.float64], ...]
+    """Randomised parameters of joints."""
     tensors: tuple[Tensor, ...]
     """Commands, then what the last step measured."""
 
@@ -53,6 +59,7 @@ class SapienEngine(PartedEngine[State, Parameters]):
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> None:
         super().__init__(layout, num_envs, device)
         self.config = config
+        """Settings of the backend."""
         configure_physx(layout, config, enable_enhanced_determinism=True)
         self._system = physx.PhysxCpuSystem()
         self._system.timestep = self._dt = layout.scene.physics_dt

@@ -49,7 +49,9 @@ class GpuSnapshot:
     """PhysX's buffers, and the commands with what the last step measured."""
 
     buffers: tuple[Tensor, ...]
+    """Copies of PhysX's buffers."""
     commands: tuple[Tensor, ...]
+    """Commands, then what the last step measured."""
 
 
 @dataclass(frozen=True)

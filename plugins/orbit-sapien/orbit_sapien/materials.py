@@ -32,10 +32,15 @@ class Group:
     """Shapes of one link, or of the terrain, that share their coefficients."""
 
     link: int
+    """Number of the link, or TERRAIN."""
     static: float
+    """Coefficient of static friction."""
     dynamic: float
+    """Coefficient of dynamic friction."""
     restitution: float
+    """Coefficient of restitution."""
     torsional: float
+    """m, coefficient of torsional friction."""
 
     @staticmethod
     def of(link: int, material: PhysicsMaterial) -> Group:
@@ -51,6 +56,7 @@ class PairRule:
         shapes: list[tuple[int, Shape]] = [(TERRAIN, shape) for shape in layout.scene.terrain]
         shapes += [(number, shape) for number, link in enumerate(layout.links) for shape in link.collisions]
         self.groups = tuple(dict.fromkeys(Group.of(link, shape.material) for link, shape in shapes))
+        """All groups of the scene."""
         self._pairs = np.array(
             [pair for pair in combinations(range(len(self.groups)), 2) if self._meet(layout, *pair)], dtype=np.int64
         ).reshape(-1, 2)

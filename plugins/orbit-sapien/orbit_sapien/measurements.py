@@ -29,6 +29,7 @@ class ContactMeter:
         self._queries = (*layout.contact_queries, *(ContactQuery(link) for link in held))
         self._own = len(layout.contact_queries)
         self.active = bool(self._queries)
+        """False without queries: contacts are then not read."""
         self._system, self._dt = system, layout.scene.physics_dt
         self._place: dict[object, tuple[int, int]] = {}
         for row, environment in enumerate(world.environments):

@@ -48,6 +48,7 @@ class NativeEntity:
     bodies: tuple[physx.PhysxRigidBaseComponent, ...]
     """One body for each link, in the layout's order."""
     articulation: physx.PhysxArticulation | None = None
+    """PhysX's articulation; None for a single body."""
     joints: tuple[physx.PhysxArticulationJoint, ...] = ()
     """Movable joints, in the layout's order."""
     dof_order: tuple[int, ...] = ()
@@ -64,11 +65,15 @@ class NativeEnvironment:
     """The entities of one environment."""
 
     scene: sapien.Scene
+    """SAPIEN's scene of the environment."""
     offset: npt.NDArray[np.float64]
+    """(3,) m of the environment in PhysX's world."""
     entities: list[NativeEntity] = field(default_factory=list)
+    """Bodies and joints of each entity, in the layout's order."""
     shapes: dict[int, list[tuple[int, physx.PhysxCollisionShape]]] = field(default_factory=dict)
     """Per link, or TERRAIN: each shape with its material group."""
     terrain: list[physx.PhysxRigidBaseComponent] = field(default_factory=list)
+    """Bodies of the terrain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +81,13 @@ class BuiltWorld:
     """All environments, and the approximations in them."""
 
     environments: tuple[NativeEnvironment, ...]
+    """Environments in order."""
     rule: PairRule
+    """Coefficients of pairs of groups."""
     report: tuple[Approximation, ...]
+    """Differences from the scene."""
     shared_ground: bool
+    """True if all environments stand on one plane."""
     reach: float
     """Metres that bodies may go from their origin, over a shared ground, before they could meet other environments'."""
 

@@ -25,13 +25,19 @@ class Parameters:
         num_envs, links = len(world.environments), len(layout.links)
         self._nominal_masses = np.array([link.mass for link in layout.links])
         self.masses = np.tile(self._nominal_masses, (num_envs, 1))
+        """(N, L) kg."""
         self.centers = np.tile(
             np.array([link.center_of_mass for link in layout.links]).reshape(-1, 3), (num_envs, 1, 1)
         )
+        """(N, L, 3) m, centres of mass in the links' frames."""
         self.static = np.tile(world.rule.asked("static"), (num_envs, 1))
+        """(N, G) coefficients of static friction of each group."""
         self.dynamic = np.tile(world.rule.asked("dynamic"), (num_envs, 1))
+        """(N, G) coefficients of dynamic friction."""
         self.gravity = np.tile(np.asarray(layout.scene.gravity, np.float64), (num_envs, 1))
+        """(N, 3) m/s^2."""
         self.wrenches = np.zeros((num_envs, links, 6), np.float32)
+        """(N, L, 6) N and N m that users have set."""
         self.bodies = [[body for entity in e.entities for body in entity.bodies] for e in world.environments]
         """Per environment and link."""
         movable = [not isinstance(body, physx.PhysxRigidStaticComponent) for body in self.bodies[0]]

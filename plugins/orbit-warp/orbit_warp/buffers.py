@@ -35,7 +35,9 @@ class BufferSizes:
     """Contacts per environment (on average) and constraint rows in any one environment."""
 
     nconmax: int
+    """Contacts per environment, on average."""
     njmax: int
+    """Constraint rows of any one environment."""
 
 
 def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpConfig) -> BufferSizes:

@@ -42,7 +42,9 @@ class Snapshot:
     """Everything that the continuation depends on."""
 
     tensors: tuple[Tensor, ...]
+    """State and commands."""
     parameters: dict[str, Tensor]
+    """Randomised parameters by name."""
 
 
 class WarpEngine(PartedEngine[State, Parameters]):
@@ -64,6 +66,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
         with self._graphs.stream():
             self._model = on_device(kinds, config)
             self.buffer_sizes = sizes = buffer_sizes(built.model, self._model, config)
+            """Sizes of MuJoCo-Warp's buffers of contacts and constraints."""
             self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
             # After the data, whose buffers its kernels fill in the place of MuJoCo-Warp's own.
             FieldContacts.replace(self._model, self._data)

@@ -29,16 +29,27 @@ class Scene:
     """Shapes and height fields of a MuJoCo model and its state."""
 
     types: wp.array[int]
+    """(geoms,) kind of geom."""
     data_ids: wp.array2d[int]
+    """(K, geoms) number of the mesh or height field."""
     sizes: wp.array2d[wp.vec3]
+    """(K, geoms) m."""
     boxes: wp.array3d[wp.vec3]
+    """(K, geoms, 2) middle and half extents of the bounding box, in the geom's frame."""
     positions: wp.array2d[wp.vec3]
+    """(N, geoms) m in the world."""
     rotations: wp.array2d[wp.mat33]
+    """(N, geoms) in the world."""
     field_sizes: wp.array[wp.vec4]
+    """(fields,) half extents along x and y, height and depth of the base, m."""
     field_rows: wp.array[int]
+    """(fields,) points along y."""
     field_columns: wp.array[int]
+    """(fields,) points along x."""
     field_starts: wp.array[int]
+    """(fields,) first number in ``heights``."""
     heights: wp.array[float]
+    """Heights of all fields in [0, 1], row by row."""
 
 
 @wp.struct
@@ -46,22 +57,39 @@ class Materials:
     """Contact parameters of a MuJoCo model."""
 
     condim: wp.array[int]
+    """(geoms,) dimension of contacts."""
     priority: wp.array[int]
+    """(geoms,) higher one decides for the pair."""
     solmix: wp.array2d[float]
+    """(K, geoms) weight in the mix of a pair."""
     solref: wp.array2d[wp.vec2]
+    """(K, geoms) time constant and damping ratio, or minus stiffness and damping."""
     solimp: wp.array2d[vec5]
+    """(K, geoms) impedance."""
     friction: wp.array2d[wp.vec3]
+    """(K, geoms) sliding, torsional and rolling."""
     margin: wp.array2d[float]
+    """(K, geoms) m of distance from which contacts are made."""
     gap: wp.array2d[float]
+    """(K, geoms) m of that within which they do nothing."""
     adhesion: wp.array2d[float]
+    """(K, geoms) N of pull."""
     pair_dim: wp.array[int]
+    """(pairs,) dimension of contacts of an explicit pair."""
     pair_solref: wp.array2d[wp.vec2]
+    """(K, pairs) as ``solref``."""
     pair_solreffriction: wp.array2d[wp.vec2]
+    """(K, pairs) the same for friction."""
     pair_solimp: wp.array2d[vec5]
+    """(K, pairs) as ``solimp``."""
     pair_margin: wp.array2d[float]
+    """(K, pairs) m."""
     pair_gap: wp.array2d[float]
+    """(K, pairs) m."""
     pair_adhesion: wp.array2d[float]
+    """(K, pairs) N."""
     pair_friction: wp.array2d[vec5]
+    """(K, pairs) two of sliding, one of torsional, two of rolling friction."""
 
 
 @wp.struct
@@ -69,22 +97,39 @@ class Contacts:
     """MuJoCo-Warp's contacts of all environments, and how many there are."""
 
     most: int
+    """Contacts that there is room for."""
     dist: wp.array[float]
+    """m between the surfaces, negative inside."""
     pos: wp.array[wp.vec3]
+    """m, point in the world."""
     frame: wp.array[wp.mat33]
+    """Rows: normal and two tangents."""
     includemargin: wp.array[float]
+    """m of distance from which the contact acts."""
     friction: wp.array[vec5]
+    """Two of sliding, one of torsional, two of rolling friction."""
     solref: wp.array[wp.vec2]
+    """Reference of the normal."""
     solreffriction: wp.array[wp.vec2]
+    """Reference of friction."""
     solimp: wp.array[vec5]
+    """Impedance."""
     dim: wp.array[int]
+    """Dimension of the contact."""
     geom: wp.array[wp.vec2i]
+    """Both geoms."""
     efc_address: wp.array2d[int]
+    """Rows of the constraints."""
     worldid: wp.array[int]
+    """Environment."""
     type: wp.array[int]
+    """Flags of MuJoCo-Warp's, such as that of a constraint."""
     geomcollisionid: wp.array[int]
+    """Number of the contact within its pair."""
     adhesion: wp.array[float]
+    """N of pull."""
     count: wp.array[int]
+    """Contacts so far, in one number."""
 
 
 @wp.struct
@@ -92,7 +137,9 @@ class Pairs:
     """Pairs of a field and a shape: their geoms, and MuJoCo-Warp's numbers of explicit pairs."""
 
     geoms: wp.array[wp.vec2i]
+    """Field and shape of each pair."""
     ids: wp.array[wp.vec2i]
+    """Numbers of explicit pairs; -1 for none."""
 
 
 @wp.struct
@@ -100,19 +147,27 @@ class Near:
     """Pairs whose shapes are near triangles of the field, in any environment; each has some of these in a row."""
 
     geoms: wp.array[wp.vec2i]
+    """Field and shape of each pair."""
     ids: wp.array[wp.vec2i]
+    """Numbers of explicit pairs; -1 for none."""
     envs: wp.array[int]
+    """Environment of each pair."""
     starts: wp.array[int]
+    """First triangle of each pair."""
     ends: wp.array[int]
+    """One past the last triangle."""
     count: wp.array[int]
+    """Pairs so far, in one number."""
     pairs: wp.array[int]
     """Of each triangle: whose it is."""
     cells: wp.array[int]
     """Of each triangle: twice the cell's number, and which half of it."""
     triangle_count: wp.array[int]
+    """Triangles so far, in one number."""
     distances: wp.array[float]
     """Of each triangle, once searched: the distance to the shape, negative inside, or 1e10 where they do not touch."""
     points: wp.array[wp.vec3]
+    """m, nearest point of each triangle."""
     normals: wp.array[wp.vec3]
     """From the field to the shape, in the field's frame, as the points."""
 
@@ -122,17 +177,29 @@ class Field:
     """A height field as seen from a shape in its frame, and the cells that the shape's box covers."""
 
     start: int
+    """First number of the field in ``heights``."""
     columns: int
+    """Points along x."""
     left: float
+    """m from the middle of the box to the least x."""
     front: float
+    """m from there to the least y."""
     below: float
+    """m from there to a height of 0."""
     width: float
+    """m of a cell along x."""
     depth: float
+    """m of a cell along y."""
     scale: float
+    """m of a height of 1."""
     first_row: int
+    """First row of the cells that the box covers."""
     end_row: int
+    """One past the last row."""
     first_column: int
+    """First column of these cells."""
     end_column: int
+    """One past the last column."""
 
 
 @wp.func

@@ -30,10 +30,15 @@ class Meshes:
     """Vertices of a MuJoCo model's meshes, and the edges of their hulls."""
 
     starts: wp.array[int]
+    """First vertex of each mesh."""
     counts: wp.array[int]
+    """Vertices of each mesh."""
     graph_starts: wp.array[int]
+    """First number of each mesh in ``graph``; -1 without one."""
     vertices: wp.array[wp.vec3]
+    """m, in the mesh's frame."""
     graph: wp.array[int]
+    """Edges of the convex hulls, as MuJoCo stores them."""
 
 
 @wp.struct
@@ -41,11 +46,17 @@ class Polytopes:
     """Buffers that a search writes, one set for each thread that runs at a time."""
 
     vertices: wp.array2d[wp.vec3]
+    """(threads, vertices) points of the difference of both shapes."""
     indices: wp.array2d[int]
+    """(threads, vertices) numbers that lead from each back to vertices of the shapes."""
     faces: wp.array2d[int]
+    """(threads, faces) three vertices, packed into one number."""
     projections: wp.array2d[wp.vec3]
+    """(threads, faces) point of the face nearest to the origin."""
     squares: wp.array2d[float]
+    """(threads, faces) squared distance of that point."""
     horizon: wp.array2d[int]
+    """(threads, edges) border of the faces that a new vertex sees."""
 
 
 @wp.func

@@ -35,16 +35,27 @@ class Tree:
     """The bodies' part of a MuJoCo model."""
 
     mocaps: wp.array[int]
+    """(bodies,) number among bodies that a program moves; -1 for others."""
     joint_counts: wp.array[int]
+    """(bodies,) joints of each."""
     first_joints: wp.array[int]
+    """(bodies,) first joint of each."""
     positions: wp.array2d[wp.vec3]
+    """(K, bodies) m in the parent's frame."""
     orientations: wp.array2d[wp.quat]
+    """(K, bodies) in the parent's frame."""
     types: wp.array[int]
+    """(joints,) free, ball, slide or hinge."""
     position_addresses: wp.array[int]
+    """(joints,) first number in ``qpos``."""
     velocity_addresses: wp.array[int]
+    """(joints,) first number in ``qvel``."""
     anchors: wp.array2d[wp.vec3]
+    """(K, joints) m in the body's frame."""
     axes: wp.array2d[wp.vec3]
+    """(K, joints) unit vectors in the body's frame."""
     zeros: wp.array2d[float]
+    """(K, coordinates) ``qpos0``: coordinates at which the bodies are at their poses."""
 
 
 @wp.struct
@@ -54,6 +65,7 @@ class Branches:
     starts: wp.array[int]
     """Offsets of the branches, one more than there are branches."""
     bodies: wp.array[int]
+    """Bodies of all branches, each from its root on."""
     links: wp.array[int]
     """What link each of the bodies is; -1 where it is none, or a branch before has it."""
 

@@ -91,6 +91,7 @@ def write_root(
     """A free root's angular velocity is in its own axes, so that a new pose alone must turn it."""
     row = wp.tid()
     env = int(env_ids[row])
+    # A mask comes as indices that are -1 where it is False: their number must not depend on its values.
     if env < 0:
         return
     orientation = wp.quat(0.0, 0.0, 0.0, 0.0)
@@ -142,6 +143,7 @@ def reset_state(
         qpos[env, i] = home_qpos[i]
     for i in range(qvel.shape[1]):
         qvel[env, i] = 0.0
+        # The solver's warm start is a part of the state: kept, an episode would depend on the one before.
         warm_start[env, i] = 0.0
     for i in range(mocap_pos.shape[1]):
         mocap_pos[env, i] = home_mocap_pos[i]
@@ -173,6 +175,7 @@ def note_faults(
             fault = fault | _DIVERGED
     faults[env] = fault
     if fault != 0:
+        # One number for all environments, so that the host reads a single one.
         wp.atomic_or(summary, 0, fault)
 
 

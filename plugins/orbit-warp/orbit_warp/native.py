@@ -15,5 +15,8 @@ class Native:
     """MuJoCo-Warp's own objects."""
 
     host_model: mujoco.MjModel
+    """MuJoCo's model on the host."""
     model: mjw.Model
+    """Its copy on the device, with rows where parameters are randomised."""
     data: mjw.Data
+    """State of all environments."""

@@ -31,6 +31,7 @@ class Graphs:
         if device.type == "cuda" and device.index is None:
             device = torch.device("cuda", torch.cuda.current_device())
         self.device = wp.device_from_torch(device)
+        """Warp's device of the recordings."""
         self._torch_device = device
         self._capture = capture
         # Kept by key and not by function: the launches of one key are closures that differ in each call.

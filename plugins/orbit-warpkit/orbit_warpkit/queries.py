@@ -18,9 +18,11 @@ class Queries:
     """Links of one environment; the terrain is the last."""
 
     link_of_shape: wp.array[int]
+    """Link of each shape; the number after all links for the terrain."""
     starts: wp.array[int]
     """Offsets in ``numbers`` at which the queries of each link begin."""
     numbers: wp.array[int]
+    """Queries of all links, one link after another."""
     answers: wp.array2d[bool]
     """Whether contact with a link counts for a query."""
 
@@ -47,6 +49,7 @@ class ForceMeter:
 
     def __init__(self, layout: SceneLayout, link_of_shape: npt.NDArray, num_envs: int, device: wp.Device) -> None:
         self.queries = len(layout.contact_queries)
+        """Number of contact queries."""
         with wp.ScopedDevice(device):
             self._queries = _queries(layout, link_of_shape)
             self.forces = wp.zeros((num_envs, self.queries), dtype=wp.vec3)

@@ -1,4 +1,4 @@
-"""How right and how fast each backend is, from physics with known answers up to whole tasks."""
+"""Measurements of accuracy and speed of each backend, from physics with known answers up to whole tasks."""
 
 from __future__ import annotations
 

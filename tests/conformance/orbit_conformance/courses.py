@@ -17,7 +17,9 @@ class Course:
     """The first environment's first episode of a task's expert on one backend."""
 
     task: str
+    """Name of the task."""
     backend: str
+    """Name of the backend."""
     times: list[float]
     """Seconds since the episode began."""
     points: dict[str, list[list[float]]]
@@ -25,6 +27,7 @@ class Course:
     metric: str
     """The task's leading metric."""
     values: list[float]
+    """Values of the metric at these times."""
 
 
 def course_of(recording: Recording) -> Course | None:

@@ -23,16 +23,21 @@ class TaskResult:
     """The success rate and the metrics of one episode in each environment."""
 
     task: str
+    """Name of the task."""
     backend: str
+    """Name of the backend."""
     seed: int
+    """Seed of the random streams."""
     fields: Mapping[str, Any]
     """Fields of the task that differ from its defaults."""
     num_envs: int
+    """Number of environments, one episode in each."""
     success: Estimate
     """Success rate in [0, 1]."""
     metrics: dict[str, Estimate]
     """Mean of each metric by name; the first is the leading metric."""
     episode_return: Estimate
+    """Mean sum of an episode's rewards."""
     seconds_to_success: Estimate | None
     """Time until the goal is reached for good, over the episodes that succeed; None if none does."""
     premises: tuple[PremiseCheck, ...] = ()
@@ -85,6 +90,7 @@ class FirstEpisodes:
         self._task, self._seed, self._fields = task, seed, dict(fields)
         common = (num_envs, backend, device, seed, renderer, settings)
         self.environment = environment = make(task, *common, **fields)
+        """Environment whose episodes are run."""
         self._counter = EpisodeCounter(num_envs, num_envs, environment.device)
         self._times = _SuccessTimes(environment, self._counter)
 

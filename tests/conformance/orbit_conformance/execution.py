@@ -47,6 +47,7 @@ class Outcome:
     """A job's record and its files: all that comes back from a worker."""
 
     record: Record
+    """Record of the job."""
     files: Mapping[str, bytes] = field(default_factory=dict)
     """Contents of the files by name."""
 

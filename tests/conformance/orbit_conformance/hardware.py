@@ -17,11 +17,15 @@ class Hardware:
     """The processor, cores and memory of a machine."""
 
     processor: str
+    """Model of the processor."""
     cores: int
     """The number of cores that this process may use."""
     memory_gib: float
+    """GiB of memory."""
     gpus: tuple[str, ...]
+    """Models of the GPUs."""
     system: str
+    """Operating system and its version."""
 
     @staticmethod
     def here() -> Hardware:

@@ -20,12 +20,19 @@ class Kind(Enum):
     """The kinds of work that a job does."""
 
     SCENARIO = "scenario"
+    """A scenario against its closed form, at one time step."""
     ROBOT = "robot"
+    """All checks of a robot."""
     TASK = "task"
+    """Episodes of a task's expert."""
     VIDEO = "video"
+    """Film of a task's expert."""
     REPLAY = "replay"
+    """Actions recorded on one backend, repeated on another."""
     TRANSFER = "transfer"
+    """Episodes of a kept policy."""
     THROUGHPUT = "throughput"
+    """Stepping rate of a task."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +40,11 @@ class Job:
     """One scenario at one time step, one robot, one task or one learned policy, on one backend."""
 
     kind: Kind
+    """Kind of work."""
     name: str
     """The name of the scenario, the robot, the task or the policy."""
     backend: str
+    """Name of the backend, or of the matter solver."""
     time_step: float = 0.0
     """Time step of a scenario in seconds."""
     source: str = ""
@@ -65,6 +74,7 @@ class Phase:
     """Jobs that may run at the same time. A phase begins when the one before it is done."""
 
     jobs: tuple[Job, ...]
+    """Jobs in the order in which they are started."""
     alone: bool = False
     """One job at a time, each in a process of its own, since it measures time and memory."""
 

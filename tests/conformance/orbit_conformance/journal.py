@@ -48,6 +48,7 @@ class Journal:
         self.folder = folder
         self.header = header
         self.records: dict[str, Record] = {}
+        """Records so far by the job's key."""
         self.dropped = ""
         """What has changed, and how many records were dropped for it, in words; empty if none was."""
         self._path = folder / JOURNAL

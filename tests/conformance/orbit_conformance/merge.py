@@ -52,12 +52,17 @@ class Change:
     """One difference between two results."""
 
     job: Job
+    """Job whose results differ."""
     what: str
     """A status, a metric with its unit, or a speed."""
     before: str
+    """Value in the first result, for readers."""
     after: str
+    """Value in the second result."""
     better: bool
+    """True if the second is better."""
     of_status: bool = False
+    """True if a status changed, and not a number alone."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,9 @@ class Comparison:
     """All changes, and what could not be compared."""
 
     changes: tuple[Change, ...]
+    """Differences beyond noise."""
     notes: tuple[str, ...]
+    """Sentences on what could not be compared."""
 
     @property
     def worse_status(self) -> bool:

@@ -6,7 +6,6 @@ A worker serves one backend and dies alone: an engine that crashes or hangs cost
 from __future__ import annotations
 
 import faulthandler
-import logging
 import multiprocessing
 import os
 import signal
@@ -21,8 +20,7 @@ from orbit_conformance.execution import Outcome, execute
 from orbit_conformance.jobs import Job
 from orbit_conformance.results import Ending, Record
 from orbit_conformance.settings import Settings
-from orbit_core.installing import install_extra
-from orbit_core.interfaces import ConfigurationError
+from orbit_learn.sweep.cluster import connected
 
 Work = tuple[Job, Settings, Mapping[str, bytes]]
 """The arguments of :func:`execute`."""
@@ -91,15 +89,7 @@ class RayPool(Pool):
     """
 
     def __init__(self, address: str, time_limit: float) -> None:
-        try:
-            import ray  # pyright: ignore[reportMissingImports]
-        except ImportError as error:
-            raise ConfigurationError(f"spreading over machines needs Ray: {install_extra('ray')}") from error
-        try:
-            ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
-        except (ConnectionError, ValueError) as error:
-            raise ConfigurationError(f"no Ray cluster answers at '{address}': {error}") from error
-        self._ray: Any = ray
+        self._ray: Any = connected(address)
         self._time_limit = time_limit
 
     def run(self, work: Sequence[Work], alone: bool) -> Iterator[Outcome]:

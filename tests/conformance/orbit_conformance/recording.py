@@ -36,8 +36,11 @@ class Recording:
     """The first episode of every environment of a task on one backend."""
 
     task: str
+    """Name of the task."""
     backend: str
+    """Name of the backend that recorded."""
     seed: int
+    """Seed of the random streams, by which a replay starts alike."""
     fields: Mapping[str, Any]
     """Fields of the task that differ from its defaults."""
     step_dt: float

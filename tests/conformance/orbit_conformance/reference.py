@@ -97,13 +97,17 @@ class PlanarChain:
     """
 
     links: int
+    """Number of links."""
     length: float
+    """m of a link."""
     mass: float = 1.0
+    """kg of a link."""
     inertia: float = 0.01
     """Moment of inertia of a link about its centre, at half its length."""
     armature: float = 0.0
     """Armature of each joint."""
     gravity: float = 9.81
+    """m/s^2, downwards."""
 
     @property
     def _levers(self) -> FloatArray:
@@ -156,13 +160,17 @@ class RotaryPendulum:
     """
 
     arm: float
+    """L, m from the vertical axis to the pendulum's."""
     lever: float
+    """l, m from the pendulum's axis to its centre."""
     arm_inertia: float
     """The arm's moment of inertia J about its axis, in kg m^2."""
     mass: float = 1.0
+    """m, kg of the pendulum."""
     inertia: float = 0.01
     """Moment of inertia of the pendulum about its centre."""
     gravity: float = 9.81
+    """g, m/s^2."""
 
     def derivative(self, state: FloatArray) -> FloatArray:
         """The time derivative of the state."""

@@ -17,7 +17,9 @@ class ReplayResult:
     """The outcome of actions recorded on one backend and repeated open loop on another."""
 
     recorded_on: str
+    """Name of the backend that recorded the actions."""
     result: TaskResult
+    """Success and metrics of the repeated episodes."""
     divergence: list[Divergence]
     """Divergence from the recorded trajectories."""
 

@@ -39,6 +39,7 @@ class Ending(Enum):
     """Ways in which a job ends."""
 
     DONE = "done"
+    """It has a result."""
     UNSUPPORTED = "unsupported"
     """The backend declares that it lacks what is needed."""
     ERROR = "error"
@@ -61,6 +62,7 @@ class ScenarioResult:
     status: Status | None
     """Status at the nominal time step; None at the others, where no tolerance holds."""
     reason: str
+    """Reason for anything but a pass."""
     errors: dict[str, float]
     """Errors by metric."""
     simulated_seconds: float
@@ -79,20 +81,29 @@ class Record:
     """A job with its ending and its results."""
 
     job: Job
+    """Job of the run."""
     ending: Ending
+    """Way in which it ended."""
     reason: str = ""
     """The reason for any ending but a good one."""
     seconds: float = 0.0
     """Wall time of the job, building included."""
     device: str = "cpu"
+    """Torch device of the backend."""
     files: tuple[str, ...] = ()
     """Paths of the files below the job's folder in the result's."""
     scenario: ScenarioResult | None = None
+    """Result of a scenario; None for other jobs."""
     robot: RobotResult | None = None
+    """Result of a robot; None for other jobs."""
     task: TaskResult | None = None
+    """Result of a task; None for other jobs."""
     replay: ReplayResult | None = None
+    """Result of a replay; None for other jobs."""
     transfer: TransferResult | None = None
+    """Result of a policy; None for other jobs."""
     throughput: Throughput | None = None
+    """Result of a measurement of speed; None for other jobs."""
 
     @property
     def played(self) -> TaskResult | None:
@@ -122,12 +133,19 @@ class ScenarioInfo:
     """A scenario as reports show it."""
 
     name: str
+    """Name in snake case."""
     group: str
+    """Heading under which reports show it."""
     question: str
+    """Question to an engine, in one sentence."""
     truth: str
+    """Closed form or converged reference."""
     source: str
+    """Origin of the truth: a textbook or a paper."""
     time_step: float
+    """Nominal time step, s."""
     metrics: tuple[Metric, ...]
+    """Errors with their tolerances."""
 
     @staticmethod
     def of(scenario: Scenario) -> ScenarioInfo:
@@ -140,8 +158,11 @@ class BackendInfo:
     """A backend, or a matter solver, as it declared itself when the run began."""
 
     name: str
+    """Name in commands."""
     versions: dict[str, str]
+    """Versions of the distributions that it depends on."""
     gaps: tuple[Gap, ...]
+    """Declared misses."""
 
 
 @dataclass(frozen=True)
@@ -149,15 +170,21 @@ class PolicyInfo:
     """A kept policy as it was when the run began."""
 
     name: str
+    """Name of the kept policy."""
     description: str
+    """One line."""
     task: str
+    """Name of the task that it was learned on."""
     learned_on: str
     """The backend that the policy was learned on."""
     library: str
+    """Library that learned it."""
     iteration: int
+    """Iterations of training."""
     least_success: float
     """The success rate required of the policy where no gap declares less."""
     gaps: tuple[TransferGap, ...]
+    """Backends and renderers on which it is known to succeed less often."""
 
     @staticmethod
     def of(name: str) -> PolicyInfo:
@@ -174,11 +201,15 @@ class Origin:
     jobs: dict[str, int]
     """Numbers of jobs by their kind and backend, as in ``"task on <backend>"``."""
     hardware: Hardware
+    """Machine of these jobs."""
     versions: dict[str, str]
+    """Versions of ORBIT, engines, torch and Python."""
     core: str
     """The digest of the core's source."""
     started: str
+    """Time in UTC (ISO 8601)."""
     finished: str
+    """Time in UTC (ISO 8601)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,20 +217,27 @@ class Header:
     """Head of a run's result, written before its first record."""
 
     settings: Settings
+    """Settings of the run."""
     versions: dict[str, str]
+    """Versions of ORBIT, engines, torch and Python."""
     hardware: Hardware
+    """Machine of the run."""
     started: str
     """Time in UTC (ISO 8601)."""
     scenarios: tuple[ScenarioInfo, ...]
+    """Scenarios that were run."""
     backends: tuple[BackendInfo, ...]
+    """Backends that were measured."""
     matters: tuple[BackendInfo, ...] = ()
     """The matter solvers."""
     policies: tuple[PolicyInfo, ...] = ()
+    """Kept policies that were run."""
     sources: dict[str, str] = field(default_factory=dict)
     """Digests of the code that the records come from, as :func:`sources.source_digests` names it."""
     origins: tuple[Origin, ...] = ()
     """Of a merged result, whose own machine and versions are those of the first run."""
     schema: int = SCHEMA
+    """Version of the result's layout; other versions are not read."""
 
 
 @dataclass(frozen=True)
@@ -207,9 +245,13 @@ class Parting:
     """Distance over time between one task's trajectories on two backends."""
 
     task: str
+    """Name of the task."""
     backend: str
+    """Name of the backend."""
     reference: str
+    """Backend that it is compared with."""
     things: list[Divergence]
+    """Distance over time of each tracked thing."""
 
 
 @dataclass(frozen=True)
@@ -217,8 +259,11 @@ class Archive:
     """File that holds the whole of a condensed result: all time steps, curves, plots and videos."""
 
     name: str
+    """Name of the file in a release."""
     sha256: str
+    """Digest of the file."""
     mebibytes: float
+    """Size of the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,8 +271,11 @@ class Result:
     """A finished run."""
 
     header: Header
+    """Settings, versions and machine."""
     records: tuple[Record, ...]
+    """Records of all jobs."""
     partings: tuple[Parting, ...] = ()
+    """Distances between trajectories of tasks on different backends."""
     courses: tuple[Course, ...] = ()
     """Of tasks with deformables."""
     finished: str = ""

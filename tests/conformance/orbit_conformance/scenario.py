@@ -27,6 +27,7 @@ class Metric:
     """One error of a scenario, zero for a perfect engine."""
 
     name: str
+    """Name in snake case, unique in the scenario."""
     unit: str
     """SI unit; empty for a ratio."""
     tolerance: float
@@ -56,6 +57,7 @@ class Scenario:
     source: str
     """Where the truth comes from: a textbook with its section, a paper."""
     metrics: tuple[Metric, ...]
+    """Errors that ``run`` returns, with their tolerances."""
     run: Callable[[Trial], Mapping[str, float]]
     needs: tuple[Capability, ...] = ()
     judges: tuple[Capability, ...] = ()
@@ -87,11 +89,15 @@ class Trace:
     """Measured curve with its truth, for the report's plots."""
 
     name: str
+    """Title of the plot."""
     unit: str
+    """SI unit of both curves."""
     times: list[float]
     """Seconds."""
     measured: list[float]
+    """Values of the engine."""
     truth: list[float]
+    """Values of the closed form or the reference."""
 
 
 @dataclass
@@ -99,16 +105,21 @@ class Trial:
     """One run of a scenario on one backend at one time step: makes its worlds, times them, keeps its curves."""
 
     backend: str
+    """Name of the backend."""
     time_step: float
+    """Seconds of a physics step."""
     device: str = "cpu"
+    """Torch device of the worlds."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Settings of the backend by field name."""
     seed: int = 0
+    """Seed of the worlds' random streams."""
     matter: str = NATIVE
     """What simulates deformables: the name of a matter solver, or ``"native"`` for the engine's own."""
     substep: float = 0.0
     """Seconds of the solver's steps; the solver's choice if zero."""
     traces: list[Trace] = field(default_factory=list)
+    """Curves for the report."""
     simulated_seconds: float = 0.0
     """Simulated time, summed over all environments."""
     wall_seconds: float = 0.0

@@ -129,6 +129,7 @@ class Extent:
     blocks: int
     """Number of blocks of the environment's steps and of the raw engine's, which alternate."""
     block_steps: int
+    """Steps of a block."""
     video_seconds: float
     """Longest duration of a video; an episode may last longer."""
 
@@ -170,17 +171,19 @@ class Settings:
     """Settings of a run; two runs of equal settings and versions are the same run."""
 
     backends: tuple[str, ...]
+    """Names of the backends."""
     scenarios: tuple[str, ...]
     """Names in the order of ``SCENARIOS``; empty if that part is left out."""
     tasks: tuple[str, ...]
     """Tasks of all parts but ``SCENARIOS`` and ``ROBOTS``."""
     parts: tuple[Part, ...]
+    """Parts of the suite that are run."""
     robots: tuple[str, ...] = ()
     """Robots of the part ``ROBOTS``; empty if that is left out."""
     policies: tuple[str, ...] = ()
     """Of the part ``TRANSFERS``: those that are kept for the tasks."""
     renderers: tuple[str, ...] = ()
-    """Of the part ``TRANSFERS``: those that draw for policies that see pictures, beside the backends' own."""
+    """Of the part ``TRANSFERS``: those that draw for policies that see pictures, in addition to the backends' own."""
     matters: tuple[str, ...] = (NATIVE,)
     """Who simulates what bends or flows in scenarios that have some: matter solvers, and the engines themselves."""
     quick: bool = False
@@ -191,6 +194,7 @@ class Settings:
     device: str = "cpu"
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
+    """Seed of the random streams."""
     backend_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Settings of backends that differ from their defaults, by backend and field name."""
 

@@ -37,6 +37,7 @@ class Coverage:
     """Area and angles over which one thing begins its episodes."""
 
     name: str
+    """Name of the thing."""
     area: float
     """m^2 of the grid's cells, seen from above, that hold a start."""
     yaw: float
@@ -103,7 +104,9 @@ class AgentResult:
     """Success rate and mean return of an agent's episodes."""
 
     success: Estimate
+    """Success rate in [0, 1]."""
     episode_return: Estimate
+    """Mean sum of an episode's rewards."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +123,11 @@ class Status(Enum):
     """Outcome of a check."""
 
     HOLDS = "holds"
+    """The check is met."""
     DECLARED = "declared"
     """It does not hold, as the task declares."""
     FAILS = "fails"
+    """The check is not met, and the task does not declare so."""
     STALE = "stale"
     """It holds, though the task declares that it does not."""
     ABSENT = "not applicable"
@@ -133,7 +138,9 @@ class Verdict:
     """Outcome of one check of a task."""
 
     check: TaskCheck
+    """Property that was measured."""
     status: Status
+    """Outcome."""
     figure: str
     """Measured value, for people."""
     reason: str = ""
@@ -145,17 +152,25 @@ class TaskAudit:
     """Measurements of a task on a backend, with a verdict per check."""
 
     task: str
+    """Name of the task."""
     backend: str
+    """Name of the backend."""
     episodes: int
+    """Number of episodes of each agent."""
     agents: Mapping[str, AgentResult]
+    """Results of expert, random, zero and trivial agents, by name."""
     velocity: LimitUse
+    """Use of the joints' velocity limits by the expert."""
     effort: LimitUse
+    """Use of the joints' effort limits by the expert."""
     starts: tuple[Coverage, ...]
     """Things whose place or yaw differs between starts, the widest first."""
     start_samples: int
+    """Number of starts that were sampled."""
     seconds: float
     """Wall time of the audit."""
     verdicts: tuple[Verdict, ...] = ()
+    """Verdicts of all checks."""
 
     @property
     def faults(self) -> tuple[Verdict, ...]:

@@ -39,6 +39,7 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
+        """Seconds so far by part."""
         self._running: list[str] = []
         self._mark = 0.0
 
@@ -126,10 +127,13 @@ class RawRate:
     way: str
     """The fastest of all ways of stepping."""
     env_steps_per_second: float
+    """Steps of single environments per second."""
     milliseconds_per_step: float
+    """Time of one step of all environments together."""
     ratio: float
     """The environment's rate over the raw engine's: median over the blocks."""
     ratio_quartiles: tuple[float, float]
+    """Quartiles of the ratio over the blocks."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +141,7 @@ class Throughput:
     """The speed of a task for one number of environments."""
 
     num_envs: int
+    """Number of environments."""
     env_steps_per_second: float
     """Steps of single environments per second: median over the blocks."""
     milliseconds_per_step: float
@@ -168,16 +173,21 @@ class Benchmark:
     """A stepping rate measured outside of a run, by a command of ``benchmarks/`` or of a plugin's."""
 
     task: str
+    """Name of the task."""
     robot: str = ""
     """Robot, where it is not the task's own."""
     action: str
     """Action space."""
     backend: str
+    """Name of the backend."""
     num_envs: int
+    """Number of environments."""
     env_steps_per_second: int
+    """Steps of single environments per second."""
     ratio: float | None = None
     """Rate as a share of the engine's own, stepped through the same motions; None where that was not measured."""
     hardware: str
+    """Processor or GPU."""
     command: str
     """Command that repeats the measurement."""
 

@@ -16,12 +16,17 @@ class LooseTolerance:
     """A tolerance that is looser than the best engine warrants, for no stated reason."""
 
     scenario: str
+    """Name of the scenario."""
     metric: str
+    """Name of the metric."""
     unit: str
+    """SI unit of the metric."""
     tolerance: float
+    """Largest error that passes."""
     best: float
     """The smallest error of any backend at the nominal time step."""
     best_backend: str
+    """Backend that has it."""
 
     def __str__(self) -> str:
         return (

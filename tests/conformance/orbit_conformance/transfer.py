@@ -19,9 +19,11 @@ class TransferResult:
     """The outcome of a learned policy on a backend, held against the success rate required of it."""
 
     status: Status
+    """Pass, declared gap or failure."""
     reason: str
     """The reason for anything but a pass."""
     result: TaskResult
+    """Success and metrics of the policy's episodes."""
 
 
 @cache

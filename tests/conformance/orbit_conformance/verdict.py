@@ -27,12 +27,15 @@ class Divergence:
     """Distance of one thing between two runs of a task, over environments in which both episodes still run."""
 
     thing: str
+    """End effector, object or key point that is tracked."""
     times: list[float]
     """Seconds since the episode began."""
     lower_quartile: list[float]
     """Distance in metres that a quarter of the environments stay below."""
     median: list[float]
+    """Distance in metres that half of the environments stay below."""
     upper_quartile: list[float]
+    """Distance in metres that three quarters stay below."""
 
 
 def divergence(recording: Recording, reference: Recording) -> list[Divergence]:
@@ -88,8 +91,11 @@ class Verdict:
     """A backend's standing in a scenario, the reason for anything but a pass, and the errors behind it."""
 
     status: Status
+    """Standing of the backend."""
     reason: str = ""
+    """Reason for anything but a pass."""
     errors: Mapping[str, float] = field(default_factory=dict)
+    """Errors by metric."""
 
 
 def lacking(backend: Backend, scenario: Scenario, solver: MatterSolver | None = None) -> str:

@@ -32,6 +32,7 @@ class Fixed(IdlStruct):
     @property
     def record(self) -> Record:
         """Members (1,) in C's layout."""
+        # Past the dataclass, which would count another member.
         return self.__dict__["values"]
 
     @classmethod
@@ -50,6 +51,7 @@ class Fixed(IdlStruct):
         """Return the message as CDR."""
         places, padding = _places(type(self))
         body = self.record.view(np.uint8)[places]
+        # Zeros in padding make equal messages equal in bytes.
         body[padding] = 0
         return _CDR[bool(use_version_2)] + body.tobytes()
 
@@ -62,6 +64,7 @@ class Fixed(IdlStruct):
         """
         places, padding = _places(cls)
         body = np.frombuffer(data, np.uint8, offset=4 if has_header else 0)[: len(places)]
+        # The lowest bit of the encapsulation's second byte marks little-endian numbers.
         if len(body) < len(places) or (has_header and not data[1] & 1):
             raise ConfigurationError(f"{len(data)} bytes are no {cls.__name__}, which has {len(places) + 4}")
         record = np.zeros(_layout(cls).itemsize, np.uint8)
@@ -71,6 +74,7 @@ class Fixed(IdlStruct):
 
     def checksum(self) -> int:
         """Return the checksum of the present members."""
+        # All but the checksum itself, which is the last member.
         return checksum(self.record.view(np.uint8)[:-4])
 
     def seal(self) -> Self:
@@ -106,6 +110,7 @@ def _layout(kind: type) -> np.dtype[Any]:
     for name, own, length in _members(kind):
         number = _layout(own) if isinstance(own, type) else np.dtype(get_args(own)[1])
         members.append((name, number, (length,)) if length else (name, number))
+    # Aligned as C compilers lay out the vendor's structs, over whose bytes the checksum goes.
     return np.dtype(members, align=True)
 
 

@@ -19,7 +19,9 @@ class UnitreeModel:
     robot: str
     """Name in the catalogue."""
     command: type[Fixed]
+    """Message of all motors' commands."""
     state: type[Fixed]
+    """Message of all motors' states."""
     motors: tuple[int, ...]
     """Motor of each joint, in the catalogue's order."""
     humanoid: bool

@@ -46,6 +46,7 @@ class UnitreeHardware(RobotHardware):
         self._model, self._node = unitree_model(model), node
         described = RobotDescription.of(robot(self._model.robot), RATE)
         self.description = structs.replace(described, objects=["robot"], direct=True)
+        """Robot of the catalogue, whose tracked object is its base."""
         self._motors = np.array(self._model.motors)
         self._kp, self._kd = gains(described)
         self._command = self._model.command.empty()
@@ -80,6 +81,7 @@ class UnitreeHardware(RobotHardware):
         motors["dq"][self._motors] = targets.velocities
         motors["tau"][self._motors] = targets.efforts
         if self._model.humanoid and self._state is not None:
+            # A G1 ignores commands that do not repeat the machine type that it reports.
             self._command.record["mode_machine"] = self._state.record["mode_machine"]
         self._publish(self._command.seal())
 
@@ -91,11 +93,13 @@ class UnitreeHardware(RobotHardware):
         motors = record["motor_cmd"][0]
         if not self._model.humanoid:
             record["head"], record["level_flag"] = _HEAD, _LOW_LEVEL
+            # Motors without a joint, of which Go2's message has eight, follow nothing.
             motors["mode"], motors["q"], motors["dq"] = SERVO, NO_POSITION, NO_VELOCITY
         motors["mode"][self._motors] = SERVO
         motors["kp"][self._motors], motors["kd"][self._motors] = self._kp, self._kd
 
     def _take(self, message: Fixed, _: str) -> None:
+        # A bad checksum is counted: all bad means another model, a few mean a bad link.
         if not message.sealed:
             self._bad += 1
             return

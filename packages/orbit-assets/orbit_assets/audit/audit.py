@@ -29,9 +29,13 @@ class AssetReport:
     """Result of an audit. The description is without fixed joints, as every world simulates it."""
 
     path: Path
+    """File that was audited."""
     articulation: Articulation
+    """Description that was read from it."""
     bodies: tuple[Body, ...]
+    """Mass properties and sizes of the links."""
     findings: tuple[Finding, ...]
+    """Faults, warnings and notes."""
     comparison: Comparison | None
     """With another reader of the format; ``None`` where none is installed or it refuses the file."""
 

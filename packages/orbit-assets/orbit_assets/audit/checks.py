@@ -210,9 +210,11 @@ class Finding:
     """One thing that an audit found, with its figures and, where there is one, the remedy."""
 
     severity: Severity
+    """Fault, warning or note."""
     element: str
     """The link, joint or pair, or ``"model"``."""
     text: str
+    """Sentence with figures."""
 
 
 # A sentence with more names is not read.
@@ -336,14 +338,19 @@ class Body:
     """A link's mass properties and the size of its shapes. Lengths in metres, moments in kg m^2 ascending."""
 
     name: str
+    """Name of the link."""
     mass: float
+    """kg."""
     moments: tuple[float, float, float]
+    """Principal moments about the centre of mass, kg m^2."""
     size: tuple[float, float, float] | None
     """Of the bounding box of all shapes in the link's axes."""
     density: float | None
     """kg/m^3 over the volume of the visible shapes, of the colliding ones where none is seen."""
     collision_volume: float
+    """m^3 of all colliding shapes, overlaps counted twice."""
     visual_volume: float
+    """m^3 of all visible shapes, overlaps counted twice."""
 
 
 def measure_body(link: Link) -> Body:

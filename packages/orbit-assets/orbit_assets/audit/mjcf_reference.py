@@ -24,6 +24,7 @@ class MujocoReference:
     """MuJoCo's model of an MJCF file, seen from the description's root."""
 
     reader = "MuJoCo"
+    """Name for the report."""
 
     def __init__(self, path: Path, root: str, options: ReadOptions = ReadOptions()) -> None:
         """``root`` names the description's root link.

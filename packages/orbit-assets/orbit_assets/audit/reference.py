@@ -62,6 +62,7 @@ class Comparison:
     """The largest differences between a description and another reader's model of the same file."""
 
     reader: str
+    """Name of the other reader."""
     mass: float
     """Of a link, in kg."""
     kinematics: float
@@ -140,6 +141,7 @@ class PinocchioReference:
     """Pinocchio's model of a URDF file, its root fixed and followers free."""
 
     reader = "pinocchio"
+    """Name for the report."""
 
     def __init__(self, path: Path, options: ReadOptions = ReadOptions()) -> None:
         """Raises AssetError where Pinocchio refuses the file."""

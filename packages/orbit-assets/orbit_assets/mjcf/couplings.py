@@ -39,7 +39,9 @@ class Loops:
 
     def __init__(self, compiled: Compiled, tree: Tree) -> None:
         self.compiled = compiled
+        """Compiled model."""
         self.tree = tree
+        """Tree whose loops they are."""
         self._members = set(tree.bodies)
         self._names = compiled.names_of("EQUALITY")
 
@@ -193,12 +195,19 @@ class Share:
     """Contribution of a tendon to its joint, in the joint's own units; see :class:`orbit_core.scene.Joint`."""
 
     lower_limit: float
+    """rad or m."""
     upper_limit: float
+    """rad or m."""
     stiffness: float
+    """N m/rad or N/m."""
     rest_position: float
+    """rad or m."""
     damping: float
+    """N m s/rad or N s/m."""
     friction: float
+    """N m or N."""
     armature: float
+    """kg m^2 or kg."""
 
     def added(self, joint: Joint) -> Joint:
         """Return the joint with this share: the narrower limits, and one spring that pulls as both do."""
@@ -253,7 +262,9 @@ class Couplings:
     """Couplings of one tree of a model, read from its constraints on joints and tendons and from its tendons."""
 
     compiled: Compiled
+    """Compiled model."""
     tree: Tree
+    """Tree whose couplings they are."""
     laws: dict[int, Law] = field(default_factory=dict)
     """Laws by their followers' numbers."""
     shares: dict[int, list[Share]] = field(default_factory=dict)

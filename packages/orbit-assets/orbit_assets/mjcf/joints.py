@@ -157,8 +157,11 @@ class Actuators:
 
     def __init__(self, compiled: Compiled) -> None:
         self.compiled = compiled
+        """Compiled model."""
         self.names = compiled.names_of("ACTUATOR")
+        """Names of all actuators, by number."""
         self.of_joint: dict[int, list[int]] = {}
+        """Numbers of the actuators that drive a joint, by the joint's number."""
         model, kinds = compiled.model, compiled.mujoco.mjtTrn
         for actuator in range(model.nu):
             if model.actuator_trntype[actuator] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):

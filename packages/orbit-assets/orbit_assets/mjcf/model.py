@@ -45,6 +45,7 @@ class MjcfText:
     """
 
     text: str
+    """XML of the document."""
     models: dict[str, bytes]
 
 
@@ -247,10 +248,15 @@ class Compiled:
     """A compiled model; parts that are not taken over as they are become lines of ``notes``, or an error."""
 
     model: Any
+    """MuJoCo's ``mjModel``."""
     mujoco: Any
+    """Module ``mujoco``, which is imported on use."""
     path: Path
+    """File that was read."""
     name: str
+    """Name of the model."""
     options: ReadOptions
+    """Options of the reader."""
     notes: list[str] = field(default_factory=list)
 
     def unsupported(self, what: str, remedy: str) -> None:

@@ -67,7 +67,9 @@ class Geoms:
 
     def __init__(self, compiled: Compiled, tree: Tree, *, terrain: bool = False) -> None:
         self.compiled = compiled
+        """Compiled model."""
         self.tree = tree
+        """Tree whose geoms they are."""
         self._meshes: dict[tuple[int, MeshCollision], Mesh] = {}
         model, kinds = compiled.model, compiled.mujoco.mjtGeom
         endless = np.isin(model.geom_type, (int(kinds.mjGEOM_PLANE), int(kinds.mjGEOM_HFIELD)))

@@ -18,7 +18,9 @@ class Tree:
     """Connected bodies, the root first and parents before children; root 0 is the world."""
 
     bodies: tuple[int, ...]
+    """Numbers of the bodies in MuJoCo's model."""
     floating: bool = False
+    """True if the root moves freely."""
     world_geoms: bool = False
     """True if the shapes of the world belong to it; only where the world is its root."""
 
@@ -34,24 +36,32 @@ class Trees:
     def __init__(self, compiled: Compiled) -> None:
         model = compiled.model
         self.compiled = compiled
+        """Compiled model."""
         below = np.asarray(model.body_rootid)
         # Bodies of a flex's vertices are cloth, not links.
         cloth = set(model.flex_vertbodyid.tolist()) - {-1} if model.nflex else set()
         top = [body for body in range(1, model.nbody) if model.body_parentid[body] == 0 and body not in cloth]
         # Bodies of motion capture have no dynamics.
         self.mocap = [body for body in top if model.body_mocapid[body] >= 0]
+        """Bodies that a program moves, which no physics does."""
         self.top = [body for body in top if body not in set(self.mocap)]
+        """Other bodies right below the world."""
         self.members: dict[int, list[int]] = {body: [] for body in self.top}
+        """All bodies below each of those, itself first."""
         for body, root in enumerate(below.tolist()):
             if root in self.members and body not in cloth:
                 self.members[root].append(body)
         self.floating = [body for body in self.top if self._floats(body)]
+        """Those whose root moves freely."""
         self.hanging = [body for body in self.top if not self._floats(body)]
+        """Those that the world holds."""
         solid = compiled.model.geom_bodyid == 0
         kinds = compiled.mujoco.mjtGeom
         terrain = np.isin(model.geom_type, (int(kinds.mjGEOM_PLANE), int(kinds.mjGEOM_HFIELD)))
         self.world_has_shapes = bool(np.any(solid & ~terrain))
+        """True if the world has solid shapes other than terrain."""
         self.world_has_terrain = bool(np.any(solid & terrain))
+        """True if the world has planes or height fields."""
 
     def one(self) -> Tree:
         """Return the articulation that the options name, or the only one.

@@ -104,6 +104,7 @@ class GeomWriter:
         self.folder = folder
         self.base = base
         self.affinity = "1" if self_collisions else "0"
+        """``conaffinity`` of colliding geoms: 1 if links collide with each other."""
         self._meshes: dict[int, tuple[Mesh, str]] = {}
         self._names: set[str] = set()
 
@@ -191,8 +192,11 @@ class BodyWriter:
     """Writer of one articulation's bodies below ``<worldbody>``."""
 
     articulation: Articulation
+    """Links and joints that are written."""
     geoms: GeomWriter
+    """Writer of their shapes."""
     fixed_base: bool
+    """False for a free joint at the root."""
 
     def __post_init__(self) -> None:
         self.notes: list[str] = []

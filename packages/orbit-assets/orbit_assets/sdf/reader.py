@@ -46,13 +46,19 @@ class SdfModelReader:
         self.findings = findings
         self.options = options
         self.structure = SdfStructure(findings, options, MODEL)
+        """Elements of the model, nested ones included."""
         self.structure.add_outermost(source)
         self.source = source
         self.fields = self.structure.fields
+        """Reader of values."""
         self.frames = self.structure.frames
+        """Poses of links and frames."""
         self.links = self.structure.links
+        """Elements of links by scoped name."""
         self.loops: list[LoopJoint] = []
+        """Closures of loops that have been read."""
         self.self_collisions = self.structure.self_collisions
+        """True if any link of the model may collide with others."""
 
     def read(self) -> Articulation:
         """Return the articulation.
@@ -285,9 +291,11 @@ class SdfModel:
     """A model of an SDFormat file, its pose in the file's world, and True if the file fixes it."""
 
     articulation: Articulation
+    """Links and joints."""
     pose: Pose
     """Pose of the model's frame."""
     static: bool
+    """True if the model does not move."""
     root_pose: Pose
     """Pose of the root link, as an entity of a scene needs it."""
 

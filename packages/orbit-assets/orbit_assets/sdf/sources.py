@@ -24,6 +24,7 @@ class SdfFields:
 
     def __init__(self, findings: Findings) -> None:
         self.findings = findings
+        """Errors and notes so far."""
 
     def name(self, element: Element, where: str) -> str:
         """Return the element's name.
@@ -133,13 +134,18 @@ class SdfSource:
     """
 
     element: Element
+    """Parsed element."""
     path: Path
+    """File that holds the element."""
     version: tuple[int, ...]
+    """Version of SDFormat that the file states."""
     name: str
+    """Name, as an ``<include>`` may change it."""
     pose: Pose
     relative_to: str
     placement: str
     static: bool
+    """True if the model does not move."""
     above: tuple[Path, ...]
     """The files that include ``path``, the outermost first."""
 
@@ -149,8 +155,11 @@ class SdfWorld:
     """The models and ``<frame>`` elements of one world, or of a file right below its root."""
 
     fields: SdfFields
+    """Reader of values."""
     models: list[SdfSource] = field(default_factory=list)
+    """Models, included ones too."""
     frames: list[Element] = field(default_factory=list)
+    """Frames that models may be placed in."""
 
 
 class SdfFiles:

@@ -135,6 +135,7 @@ class SdfShapes:
         self.fields = fields
         self.options = options
         self.meshes = MeshFiles(options, path)
+        """Reader of mesh files, which keeps each."""
 
     def collision(self, element: Element, pose: Pose, where: str) -> Iterator[Shape]:
         """Yield the shapes that collide, at ``pose`` in the link.
@@ -178,11 +179,10 @@ class SdfShapes:
                 self.fields.findings.leave_out(SIZELESS, where)
                 continue
             for part in self.meshes.parts(file, scale):
-                shown = color or part.color
-                if part.textured and color is None:
+                if part.textured and part.texture is None and color is None:
                     self.fields.findings.note(TEXTURES)
                 shape = Shape(part.mesh, pose, name=name)
-                yield shape if shown is None else replace(shape, color=shown)
+                yield part.shown(shape) if color is None else replace(shape, color=color)
 
     def _geometry(self, element: Element, where: str) -> Iterator[tuple[str, Element]]:
         geometry = element.find("geometry")
@@ -268,7 +268,9 @@ class SdfScope:
     prefix: str
     model: str
     version: tuple[int, ...]
+    """Version of SDFormat that the model's file states."""
     shapes: SdfShapes
+    """Reader of shapes in that file."""
 
     def named(self, name: str) -> str:
         """Return the path of a name that is used within the model."""
@@ -288,11 +290,17 @@ class SdfStructure:
         self.findings = findings
         self.options = options
         self.fields = SdfFields(findings)
+        """Reader of values."""
         self.frames = SdfFrames(findings, root)
+        """Poses of links and frames."""
         self.links: dict[str, tuple[Element, SdfScope]] = {}
+        """Elements and scopes of links by scoped name."""
         self.joints: dict[str, tuple[Element, SdfScope]] = {}
+        """Elements and scopes of joints by scoped name."""
         self.named_frames: list[str] = []
+        """Scoped names of ``<frame>`` elements."""
         self.self_collisions = False
+        """True if any model or link in it may collide with itself."""
         self._files = SdfFiles(options)
 
     def add_outermost(self, source: SdfSource) -> None:

@@ -287,7 +287,9 @@ class TerrainForm(Enum):
     """Form of the terrain in engines. Both are the same surface; a mesh is for engines without height fields."""
 
     HEIGHT_FIELD = "height_field"
+    """Heights on a grid: small, and fast to collide with."""
     MESH = "mesh"
+    """Triangles of the same surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -314,9 +316,13 @@ class TerrainGrid:
     border: float = 10.0
     """Metres: width of the level ground around the cells."""
     form: TerrainForm = TerrainForm.HEIGHT_FIELD
+    """Form in engines."""
     seed: int = 0
+    """Seed of the random kinds of terrain."""
     material: PhysicsMaterial = field(default_factory=PhysicsMaterial)
+    """Friction and restitution of the ground."""
     color: Color = (0.42, 0.4, 0.36, 1.0)
+    """RGBA in [0, 1]."""
 
     def __post_init__(self) -> None:
         """Check that the fields describe a possible grid.

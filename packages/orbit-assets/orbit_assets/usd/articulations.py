@@ -12,7 +12,7 @@ import numpy as np
 from orbit_assets.compose import sort_links
 from orbit_assets.mass_properties import MassProperties, combine, mass_properties
 from orbit_assets.placed import PlacedArticulation
-from orbit_assets.usd.contents import MASSLESS, STAGE, Contents, collect, is_frame
+from orbit_assets.usd.contents import ARTICULATION, MASSLESS, STAGE, Contents, collect, is_frame
 from orbit_assets.usd.geometry import Placement, Placements, Shapes
 from orbit_assets.usd.joints import Actuators, Joints
 from orbit_assets.usd.library import pxr, unique_names
@@ -100,8 +100,11 @@ class Links:
     """Reader of the links of one stage."""
 
     reading: Reading
+    """File, units and options."""
     contents: Contents
+    """Prims of the stage."""
     placements: Placements
+    """Poses of prims in the world."""
 
     def __post_init__(self) -> None:
         self.shapes = Shapes(self.reading, self.placements, self.contents.geometry)
@@ -187,10 +190,15 @@ class StageReader:
 
     def __init__(self, reading: Reading) -> None:
         self.reading = reading
+        """File, units and options."""
         self.contents = collect(reading)
+        """Prims of the stage."""
         self.placements = Placements(reading.units)
+        """Poses of prims in the world."""
         self.links = Links(reading, self.contents, self.placements)
+        """Reader of bodies."""
         self.actuators = Actuators(self.contents.actuators, self.contents.joints, reading)
+        """Actuators of MuJoCo's schema."""
 
     def articulations(self) -> list[PlacedArticulation]:
         """Return all articulations of the stage in its order; of a stage without bodies, one static link.
@@ -223,7 +231,7 @@ class StageReader:
     def _names(self, trees: list[Tree]) -> list[tuple[str, str]]:
         """Return path and name of each articulation: the default prim's name for the only one."""
         paths = [self._around(tree) for tree in trees]
-        if len(trees) == 1:
+        if len(trees) == 1 and not attribute(self.reading.stage.GetPrimAtPath(paths[0]), ARTICULATION, False):
             return [(paths[0], self._only_name())]
         names = unique_names({path: label(self.reading.stage.GetPrimAtPath(path)) for path in paths})
         return [(path, names[path]) for path in paths]
@@ -238,6 +246,9 @@ class StageReader:
         common = pxr().Sdf.Path(first)
         for path in bodies:
             common = common.GetCommonPrefix(pxr().Sdf.Path(path))
+        for above in common.GetPrefixes():
+            if attribute(self.reading.stage.GetPrimAtPath(above), ARTICULATION, False):
+                return str(above)
         top = self.reading.stage.GetDefaultPrim()
         alone = str(common) != STAGE and not (top and common == top.GetPath())
         return str(common) if alone else first

@@ -12,6 +12,8 @@ from orbit_core.interfaces.errors import AssetError
 
 FRAME = "orbit:frame"
 """Attribute that marks a named frame."""
+ARTICULATION = "orbit:articulation"
+"""Attribute that marks a prim whose name is that of the one articulation below it."""
 MASSLESS = "orbit:massless"
 """Attribute that marks a body without mass, where UsdPhysics would compute one from its colliders."""
 STAGE = "/"
@@ -52,9 +54,11 @@ class Contents:
     parts: dict[str, list[Any]] = field(default_factory=dict)
     """Geometry and frames by the path of the body that carries them; :data:`STAGE` for static ones."""
     joints: list[Any] = field(default_factory=list)
+    """Prims of joints."""
     actuators: list[Any] = field(default_factory=list)
     """Actuators of MuJoCo's schema."""
     lights: list[Any] = field(default_factory=list)
+    """Prims of lights."""
     scene: Any = None
     """The first physics scene, or ``None``."""
     owners: dict[str, str] = field(default_factory=dict)

@@ -34,8 +34,11 @@ class Direction:
     instance: str
     angular: bool
     axis: Vector3
+    """Unit vector in the joint's frames."""
     lower: float
+    """rad or m."""
     upper: float
+    """rad or m."""
 
     @property
     def locked(self) -> bool:

@@ -146,7 +146,9 @@ class Placement:
     """A prim's pose in its link's frame, and the stretch (3, 3) of its axes into metres."""
 
     pose: Pose
+    """Rotation and translation, m."""
     stretch: FloatArray
+    """(3, 3) scale and shear, with the unit of length."""
 
     def point(self, position: Any) -> FloatArray:
         """Return a point (3,) of the prim's own space in the link's frame."""
@@ -230,6 +232,7 @@ class Shapes:
         self._reading = reading
         self._placements = placements
         self.surfaces = Surfaces(reading, gprims)
+        """Reader of materials and colours."""
 
     def read(self, prim: Any, body: Any, *, collides: bool) -> Shape | None:
         """Return the shape of a geometric prim in its link's frame; None for a kind without a surface.

@@ -147,6 +147,7 @@ class Joints:
     """Joints of a tree, and the massless links between those that come from one prim."""
 
     reading: Reading
+    """File, units and options."""
     names: Mapping[str, str]
     """Names of links by their bodies' paths."""
     joint_names: Mapping[str, str]
@@ -156,10 +157,15 @@ class Joints:
     actuators: Actuators
     """Actuators of MuJoCo's schema in the whole stage."""
     links: list[Link] = field(default_factory=list)
+    """Massless links that were added."""
     joints: list[Joint] = field(default_factory=list)
+    """Joints that have been read."""
     drives: list[DriveGains] = field(default_factory=list)
+    """Gains of drives as the stage states them."""
     home: list[tuple[str, float]] = field(default_factory=list)
+    """Names and positions, rad or m, of joints whose state the stage gives."""
     loops: list[LoopJoint] = field(default_factory=list)
+    """Closures of loops."""
     references: dict[str, float] = field(default_factory=dict)
     """Positions of joints, rad or m, where their frames coincide; zero unless MuJoCo's schema says so."""
 

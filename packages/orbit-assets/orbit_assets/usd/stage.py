@@ -202,8 +202,11 @@ class Units:
     """
 
     length: float
+    """Metres of a unit."""
     mass: float
+    """Kilograms of a unit."""
     up: Pose
+    """Rotation from the stage's axes to z up."""
 
     @staticmethod
     def of(stage: Any) -> Units:
@@ -239,10 +242,15 @@ class Reading:
     """One file that is being read: its stage and units, the caller's options, and the notes so far."""
 
     path: Path
+    """File that is read."""
     stage: Any
+    """``Usd.Stage`` of it."""
     units: Units
+    """Units of the stage."""
     options: ReadOptions
+    """Options of the reader."""
     notes: list[str]
+    """Changes against the file so far."""
 
     def lack(self, message: str) -> None:
         """Reject or note something that the description cannot hold, as the options say.

@@ -21,8 +21,11 @@ class Edge:
     """
 
     prim: Any
+    """Prim of the joint."""
     bodies: tuple[str, str]
+    """Paths of the parent and of the child."""
     frames: tuple[Pose, Pose]
+    """Joint frame in the parent and in the child."""
     closing: bool = False
     """True if the file excludes the joint from the tree."""
     flipped: bool = False
@@ -44,10 +47,14 @@ class Tree:
     """
 
     bodies: tuple[str, ...]
+    """Paths of the bodies."""
     root: str
+    """Path of the root body."""
     parent_edges: Mapping[str, tuple[Edge, bool]]
     loops: tuple[Edge, ...]
+    """Joints that close loops."""
     fixed_base: bool
+    """True if the root does not move."""
 
 
 def stacked(edges: Iterable[Edge], adds: Callable[[Edge], bool]) -> list[Edge]:

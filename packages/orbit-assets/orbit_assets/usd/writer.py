@@ -65,11 +65,13 @@ class MeshBody:
     friction: float = 1.0
     """Static and dynamic."""
     restitution: float = 0.0
+    """Speed after an impact by speed before it, 0 to 1."""
     density: float | None = None
     """kg/m^3; 500, that of soft wood, where neither it nor the mass is given."""
     mass: float | None = None
     """kg; overrides the density."""
     collision: MeshCollision = MeshCollision.CONVEX_HULL
+    """Geometry for contacts."""
     scale: float = 1.0
     """Metres of one unit of the file, on top of a unit that the file itself names."""
     up: Literal["y", "z"] | None = None
@@ -146,10 +148,13 @@ class JointWriter:
     """Writer of the joints of one articulation, whose links have prims already."""
 
     articulation: Articulation
+    """Joints that are written."""
     stage: Any
+    """``Usd.Stage`` that they are written to."""
     links: Mapping[str, Any]
     """Prims of links by name."""
     joints: dict[str, Any] = field(default_factory=dict)
+    """Prims of joints by name."""
 
     def write(self, top: Any) -> None:
         """Write all joints below a scope ``joints`` of the prim ``top``."""
@@ -284,24 +289,55 @@ def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
         AssetError: the file's suffix is another, a shape is of a kind that USD lacks, or USD is not installed.
         StorageError: the file cannot be written.
     """
+    path = usd_path(path)
+    with pxr().Tf.DiagnosticTrap() as trap:
+        # In memory first: an error leaves the old file as it is.
+        stage = new_stage()
+        top = define(stage, None, articulation.name, "Xform")
+        stage.SetDefaultPrim(top)
+        ArticulationWriter(articulation, ShapeWriter(stage)).write(top)
+        export(stage, path)
+        trap.Clear()
+    return tuple(losses(articulation))
+
+
+def usd_path(path: str | Path) -> Path:
+    """Return the path of a USD file that is to be written.
+
+    Raises:
+        AssetError: its suffix is another.
+    """
     path = Path(path)
     if path.suffix not in (".usda", ".usdc", ".usd"):
         raise AssetError(f"{path} is to be a USD file: name it *.usda, *.usdc or *.usd")
-    with pxr().Tf.DiagnosticTrap() as trap:
-        # In memory first: an error leaves the old file as it is.
-        writer = _Writer(articulation)
-        writer.write()
-        with written_whole(path) as written:
-            try:
-                writer.stage.GetRootLayer().Export(str(written))
-            except pxr().Tf.ErrorException as error:
-                reason = _REASON.search(str(error))
-                raise StorageError(f"cannot write {path}: {reason.group(1) if reason else error}") from None
-        trap.Clear()
-    return tuple(_losses(articulation))
+    return path
 
 
-def _losses(articulation: Articulation) -> Iterator[str]:
+def new_stage() -> Any:
+    """Return an empty stage in memory, in metres and kilograms, z up."""
+    stage = pxr().Usd.Stage.CreateInMemory()
+    pxr().UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    pxr().UsdGeom.SetStageUpAxis(stage, pxr().UsdGeom.Tokens.z)
+    pxr().UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    return stage
+
+
+def export(stage: Any, path: Path) -> None:
+    """Write a stage to a file, whole or not at all.
+
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    with written_whole(path) as written:
+        try:
+            stage.GetRootLayer().Export(str(written))
+        except pxr().Tf.ErrorException as error:
+            reason = _REASON.search(str(error))
+            raise StorageError(f"cannot write {path}: {reason.group(1) if reason else error}") from None
+
+
+def losses(articulation: Articulation) -> Iterator[str]:
+    """Yield what a USD file cannot hold of an articulation, a sentence each."""
     limits = {joint.name: joint.effort_limit for joint in articulation.joints}
     for drive in articulation.drives:
         if drive.effort_limit != limits.get(drive.joint):
@@ -314,19 +350,22 @@ def _losses(articulation: Articulation) -> Iterator[str]:
             yield f"readers other than ORBIT's compute a mass of link '{link.name}', which has none, of its colliders"
 
 
-class _Writer:
-    def __init__(self, articulation: Articulation) -> None:
+class ArticulationWriter:
+    """Writer of one articulation below a prim of a stage.
+
+    Args:
+        articulation: to be written.
+        shapes: writer of the stage's shapes.
+    """
+
+    def __init__(self, articulation: Articulation, shapes: ShapeWriter) -> None:
         self.articulation = articulation
-        self.stage: Any = pxr().Usd.Stage.CreateInMemory()
-        self.materials: dict[PhysicsMaterial, Any] = {}
+        self.shapes = shapes
+        self.stage = shapes.stage
         self.links: dict[str, Any] = {}
 
-    def write(self) -> None:
-        pxr().UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
-        pxr().UsdGeom.SetStageUpAxis(self.stage, pxr().UsdGeom.Tokens.z)
-        pxr().UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
-        top = define(self.stage, None, self.articulation.name, "Xform")
-        self.stage.SetDefaultPrim(top)
+    def write(self, top: Any) -> None:
+        """Write links, frames and joints below ``top``, in its frame."""
         assign(top, "NewtonArticulationRootAPI", {"newton:selfCollisionEnabled": self.articulation.self_collisions})
         poses = _home_poses(self.articulation)
         for link in self.articulation.links:
@@ -357,12 +396,28 @@ class _Writer:
         if link.semantic_label:
             pxr().UsdSemantics.LabelsAPI.Apply(prim, "class").CreateLabelsAttr([link.semantic_label])
         for shape, collides, drawn in _interleaved(link):
-            gprim = self._shape(prim, shape)
-            if collides:
-                self._make_collider(gprim, shape)
-            if not drawn:
-                gprim.GetAttribute("purpose").Set("guide")
+            self.shapes.write(prim, shape, collides=collides, drawn=drawn)
         return prim
+
+
+@dataclass(eq=False)
+class ShapeWriter:
+    """Writer of shapes; equal materials share a prim below the stage's default prim."""
+
+    stage: Any
+    materials: dict[PhysicsMaterial, Any] = field(default_factory=dict)
+
+    def write(self, parent: Any, shape: Shape, *, collides: bool = True, drawn: bool = True) -> None:
+        """Write a shape in the frame of ``parent``.
+
+        Raises:
+            AssetError: USD has no such geometry.
+        """
+        prim = self._shape(parent, shape)
+        if collides:
+            self._make_collider(prim, shape)
+        if not drawn:
+            prim.GetAttribute("purpose").Set("guide")
 
     def _shape(self, parent: Any, shape: Shape) -> Any:
         geometry = shape.geometry

@@ -55,7 +55,9 @@ class ExpandedXml:
     """Root element of a URDF file without macros, and notes on how they were expanded; without macros, no notes."""
 
     root: Element
+    """Element ``<robot>``."""
     notes: tuple[str, ...] = ()
+    """Sentences for the build report."""
 
 
 def is_xacro(root: Element) -> bool:
@@ -175,11 +177,15 @@ class Markup:
 
     def __init__(self, order: Order) -> None:
         self.order = order
+        """File and permissions."""
         self.folders: list[str] = []
         self.unnamed: list[str] = []
+        """Variables that took their default."""
         self.characters = 0
+        """Characters of all files read so far, each inclusion counted."""
         # yaml and the decoders load here, before files of Python's library are all that may be executed.
         self.xacro, self.yaml = (importlib.import_module(name) for name in ("xacro", "yaml"))
+        """Modules ``xacro`` and ``yaml``, which are imported on use."""
         self._replace()
 
     def expanded(self) -> Expansion:

@@ -20,12 +20,15 @@ class Order:
     """One file to expand, and what it may use."""
 
     path: str
+    """File to expand."""
     packages: Mapping[str, str]
+    """Folders of packages by name."""
     outside: tuple[str, ...]
     """Folders that the caller allows; "/" for any."""
     environment: Mapping[str, str]
     """Variables that ``$(env NAME)`` may read."""
     limits: ReadLimits
+    """Largest sizes and counts that a file may have."""
     characters: int
     """Most characters of the URDF."""
     memory: int
@@ -60,6 +63,7 @@ class Expansion:
     """
 
     document: str
+    """URDF without macros."""
     unnamed: tuple[str, ...]
 
     def encoded(self) -> str:

@@ -1,1 +1,5 @@
 """Commands on demonstrations: recording, teleoperation, conversion, augmentation."""
+
+from orbit_core.exports import lazy_modules
+
+__getattr__, __dir__ = lazy_modules(__name__)

@@ -44,12 +44,15 @@ class RobotManifest:
     """Robot of the scene; all lists are in the order of its joints."""
 
     model: str
+    """Name of the robot's articulation."""
     joint_names: tuple[str, ...]
+    """Names of the movable joints."""
     home_positions: tuple[float, ...]
     """Default positions in rad or m."""
     lower_limits: Limits
     """rad or m"""
     upper_limits: Limits
+    """rad or m"""
     velocity_limits: Limits
     """rad/s or m/s"""
     effort_limits: Limits
@@ -71,14 +74,17 @@ class ObservationTermManifest:
     shape: tuple[int, ...]
     """Shape of one environment's value, including the history."""
     dtype: str
+    """Name of the dtype in torch."""
     unit: str
     """Unit before ``scale``; empty if the task does not state it."""
     scale: float
+    """Factor of the measured value."""
     history: int
     """Number of steps that are seen, the oldest first."""
     low: float | None
     """Least value; None if unbounded."""
     high: float | None
+    """Greatest value; None if unbounded."""
     formula: str = ""
     """Quantity in a sentence; the policy sees ``scale * (measured - offset)``."""
     frame: str = ""
@@ -98,6 +104,7 @@ class GroupManifest:
     concatenated: bool
     """Whether the terms are concatenated in one vector, or separate in a dictionary."""
     terms: dict[str, ObservationTermManifest]
+    """Terms by name."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,7 @@ class ActionTermManifest:
     generator: str
     """Name of the motion generator."""
     robot: str
+    """Name of the robot that the term moves."""
     joints: tuple[str, ...]
     """Joints that the term moves."""
     components: tuple[str, ...]
@@ -114,9 +122,11 @@ class ActionTermManifest:
     offset: tuple[float, ...] | None
     """Offset in rad or m if joint targets are ``offset + scale * command``; None if they are not."""
     scale: tuple[float, ...] | None
+    """rad or m for a command of 1, as in ``offset``; None if targets are not linear in commands."""
     lower_limits: Limits
     """Least position of each joint that a command can request, in rad or m."""
     upper_limits: Limits
+    """Greatest position that a command can request, in rad or m."""
     settings: dict[str, Any]
     """All fields of the term's configuration."""
     decoding: str = ""
@@ -139,27 +149,39 @@ class Manifest:
     """Description of an environment that is sufficient to use its data and policies, and to make it again."""
 
     task: str
+    """Name of the task, for :func:`orbit_core.envs.make`."""
     configuration: dict[str, Any]
     """The task's fields, as :func:`~orbit_data.manifest.plain.as_plain` writes them."""
     robots: dict[str, RobotManifest]
+    """Robots of the scene by name."""
     observations: dict[str, GroupManifest]
+    """Observation groups by name."""
     action_terms: dict[str, ActionTermManifest]
     """Action terms, in the order of the action's components."""
     step_dt: float
     """Seconds between two actions."""
     physics_dt: float
+    """Seconds of a physics step."""
     decimation: int
+    """Physics steps between two actions."""
     episode_length: float
+    """Seconds until the time limit."""
     gravity: tuple[float, float, float]
+    """m/s^2, in the environment's frame."""
     backend: str
+    """Name of the backend."""
     settings: dict[str, Any]
     """Settings of the backend."""
     matter: str
     """Matter solver; empty if there is none."""
     versions: dict[str, str]
+    """Versions of the distributions that took part, by name."""
     device: str
+    """Torch device of the environment."""
     num_envs: int
+    """Number N of environments."""
     seed: int
+    """Seed of the world's random streams."""
     assets: dict[str, str]
     """Digests of all simulated entities by name, over links, masses, shapes, joints and meshes."""
     input_device: str = ""
@@ -167,6 +189,7 @@ class Manifest:
     made_later: str = ""
     """Date and source of a manifest that was made later, for data that is older than manifests."""
     format: int = field(default=FORMAT)
+    """Version of the manifest's own layout; other versions are not read."""
 
     @staticmethod
     def of(environment: Environment, task: str, seed: int) -> Manifest:
@@ -408,6 +431,7 @@ class Difference:
     """Difference of one value."""
 
     kind: Kind
+    """Severity, by the rule for the path."""
     path: str
     """Path within the manifest."""
     recorded: Any

@@ -59,6 +59,7 @@ class Hdf5File:
         with self.faults("the file"):
             self._file = self._h5py.File(path, "r")
             self.root: Any = self._file["/"]
+            """Root group, for reading attributes and members."""
 
     def close(self) -> None:
         """Close the file."""

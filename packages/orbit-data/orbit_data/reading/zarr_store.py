@@ -45,8 +45,11 @@ class ArrayLayout:
     packing: str
     """Codec that packs the chunks; empty if none does."""
     shape: tuple[int, ...]
+    """Extent along each axis, in elements."""
     chunks: tuple[int, ...]
+    """Extent of a chunk along each axis, in elements."""
     itemsize: int
+    """Bytes of an element."""
 
     @property
     def size(self) -> int:

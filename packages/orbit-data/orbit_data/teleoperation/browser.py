@@ -38,8 +38,11 @@ class PadFrame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Frame of a pad: shares in [-1, 1] of the hand's twist and of the base's (forward, left, turn), and an event."""
 
     hand: tuple[float, float, float, float, float, float]
+    """Shares of the greatest linear and angular velocities, along and about x, y and z."""
     base: tuple[float, float, float]
+    """Shares of the base's greatest velocities: forward, left, turn."""
     event: Event | None = None
+    """Button pressed since the last frame."""
 
 
 class Pad:
@@ -58,6 +61,7 @@ class Pad:
         """State of the session, for the person."""
         html = Path(__file__).with_name("pad.html").read_bytes()
         self.page = Page(PATH, html, self._listen)
+        """Page for the viewer's web server."""
 
     @property
     def shares(self) -> tuple[tuple[float, ...], tuple[float, ...]]:

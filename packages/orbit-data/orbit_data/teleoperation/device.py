@@ -82,7 +82,9 @@ class Reading:
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Command (forward, left, turn) of a base, as shares of its limits."""
     gripper_open: bool | None = None
+    """Wanted state of the gripper; None keeps the last one."""
     events: tuple[Event, ...] = ()
+    """Buttons pressed since the last reading, oldest first."""
     moved_at: float | None = None
     """``time.perf_counter()`` of the person's oldest action in the reading."""
 

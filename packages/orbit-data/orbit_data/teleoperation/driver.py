@@ -39,12 +39,14 @@ class Hand:
     def __init__(self, robot: Robot, effector: EndEffector) -> None:
         self.robot, self.effector = robot, effector
         self.frame = effector.frame
+        """Frame of the robot that the target is for."""
         gripper = effector.gripper
         self.arm = _driven(robot, effector.arm_joints)
         """Indices of the joints that move the end effector."""
         self.fingers = _driven(robot, gripper.joints if gripper else ())
         """Indices of its gripper's joints."""
         self.gripper_open = True
+        """Wanted state of the gripper; open at first."""
         self.by_joints = False
         """True if joint values were requested, and the pose follows from them."""
         self.target = self.measured
@@ -101,6 +103,7 @@ class Body:
     def __init__(self, robot: Robot, effectors: Sequence[EndEffector], carried: bool) -> None:
         self.robot = robot
         self.hands = tuple(Hand(robot, effector) for effector in effectors)
+        """Targets of the end effectors, in their order."""
         self._tree = KinematicTree(robot.spec.articulation, robot.joint_positions.device)
         self._carried = carried
         self.hold()

@@ -28,6 +28,7 @@ class LeaderToken(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """First line: ``{"token": "..."}``."""
 
     token: str
+    """Secret that the session printed; other senders are turned away."""
 
 
 class LeaderFrame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -36,7 +37,9 @@ class LeaderFrame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     joints: dict[str, float] = {}
     """Positions in rad or m by the robot's joint names; other joints hold."""
     gripper_open: bool | None = None
+    """Wanted state of the gripper; None keeps the last one."""
     event: Event | None = None
+    """Button pressed since the last line."""
 
 
 class Leader(Device):

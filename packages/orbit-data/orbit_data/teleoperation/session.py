@@ -119,6 +119,7 @@ class Session:
         make_policy: Callable[[], Actor] | None = None,
     ) -> None:
         self.num_envs, self.step_dt, self.world = 1, environment.step_dt, environment.world
+        """Number of environments (one), seconds of a step and world, as the viewer reads them of any environment."""
         self._environment, self._driver, self._device, self._file, self._seed = environment, driver, device, file, seed
         file.take_up(replace(Manifest.of(environment, task, seed), input_device=name))
         self._name, self._instruction = name, instruction

@@ -39,6 +39,7 @@ class NetworkDescription:
     """Description of an actuator network, and of the data that it was fitted to."""
 
     kind: Literal["mlp", "lstm"]
+    """Perceptron over a few steps, or long short-term memory."""
     hidden_sizes: tuple[int, ...]
     """Units of the hidden layers; equal in all layers of an LSTM."""
     history: tuple[int, ...] = (0,)
@@ -84,6 +85,7 @@ class ActuatorModule(nn.Module, ABC):
     def __init__(self, description: NetworkDescription) -> None:
         super().__init__()
         self.description = description
+        """Layers, rate and scales of the network."""
         self._in: Tensor
         # Not among the weights of a file, whose description has the scales already.
         self.register_buffer("_in", torch.tensor(description.scales[:2]), persistent=False)
@@ -109,6 +111,7 @@ class MlpActuator(ActuatorModule):
         sizes = (_INPUTS * len(description.history), *description.hidden_sizes)
         layers = [layer for a, b in itertools.pairwise(sizes) for layer in (nn.Linear(a, b), nn.Softsign())]
         self.layers = nn.Sequential(*layers, nn.Linear(sizes[-1], 1))
+        """Linear layers from errors and velocities of the history to the effort."""
         self._depth = description.history[-1]
 
     def past(self, joints: int, device: torch.device) -> Tensor:
@@ -143,7 +146,9 @@ class LstmActuator(ActuatorModule):
         super().__init__(description)
         self._layers, self._units = len(description.hidden_sizes), description.hidden_sizes[0]
         self.memory = nn.LSTM(_INPUTS, self._units, self._layers)
+        """Recurrent layers over error and velocity."""
         self.out = nn.Linear(self._units, 1)
+        """Linear layer to the effort."""
 
     def past(self, joints: int, device: torch.device) -> Tensor:
         """Return the initial past (2 layers, B, units): hidden states, then cell states."""
@@ -282,6 +287,7 @@ class Fit:
     """Result of a fit; errors are root mean squares in N m (N) over the held-out ends."""
 
     network: ActuatorModule
+    """Fitted network."""
     error: float
     """Error of the network."""
     line_error: float

@@ -44,6 +44,7 @@ class Recording:
     """Recording of T steps of k joints."""
 
     joints: tuple[str, ...]
+    """Names of the joints."""
     rate: float
     """Rate in Hz."""
     inputs: Tensor

@@ -1,1 +1,5 @@
 """Commands that train, play and export policies."""
+
+from orbit_core.exports import lazy_modules
+
+__getattr__, __dir__ = lazy_modules(__name__)

@@ -94,6 +94,7 @@ def evaluate(settings: EvaluateSettings) -> None:
     make_folder(settings.output / _RESULTS)
     results = ResultFile(settings.output / _RESULTS, plan)
     left = results.left()
+    # A job runs all blocks of one engine and variant in one world: more jobs than those would idle.
     jobs = min(settings.jobs or os.cpu_count() or 1, max(1, len({(key.backend, key.variant) for key in left})))
     with progress_bar() as bar:
         line = bar.add_task(f"{plan.task}: blocks", total=len(list(plan.blocks())), completed=len(results.blocks))
@@ -138,7 +139,9 @@ def _filmed(
 def _settings_of(policy: str, settings: EvaluateSettings) -> EnvironmentSettings:
     """Return the settings of a policy's environment: those that it was learned with, under what the user sets."""
     common = {field.name: getattr(settings, field.name) for field in fields(EnvironmentSettings)}
+    # The plan names the engines; a policy's own engine must not replace them.
     common["backend"] = None
+    # Built-in actors and servers have no file that says how they were learned.
     if policy in ACTORS or policy.startswith(SCHEMES):
         return EnvironmentSettings(**common)
     from orbit_learn.cli.play import restored_settings

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from orbit_core.envs.ppo import PpoSettings
     from orbit_learn.trainer import Progress, Trainer
     from orbit_learn.training import Training
+    from orbit_learn.wandb_log import WandbLog
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +35,12 @@ class TrainSettings(EnvironmentSettings):
 
     num_envs: int = 64
     """Environments stepped together, on each GPU if there are several."""
-    library: Annotated[str, arg(metavar="NAME")] = "rsl-rl"
-    """Learning library ('orbit list libraries'); distill imitates a teacher, imitation clones demonstrations."""
+    library: Annotated[str | None, arg(metavar="NAME")] = None
+    """Learning library ('orbit list libraries'): rsl-rl if left out, or the one that has the algorithm; distill
+    imitates a teacher, imitation clones demonstrations."""
     algorithm: Annotated[str | None, arg(metavar="NAME")] = None
-    """Algorithm, for imitation: bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion."""
+    """Algorithm: sac or td3 for orbit; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation; other libraries
+    have ppo."""
     dataset: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
     """Demonstrations, for imitation ('orbit record' makes them); repeatable."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
@@ -51,6 +54,10 @@ class TrainSettings(EnvironmentSettings):
     """A setting of library distill, such as batch_size=1024."""
     imitation: KeyValues = ()
     """A setting of library imitation, such as chunk=16."""
+    off_policy: KeyValues = ()
+    """A setting of sac and td3, such as updates_per_step=4."""
+    wandb: Annotated[str | None, arg(metavar="PROJECT")] = None
+    """Project of Weights & Biases that takes the curve too; WANDB_MODE=offline keeps it on this machine."""
     diverged: Literal["reset", "stop"] = "reset"
     """Reaction to environments whose simulation diverges: they begin new episodes and are counted, unless one in a
     hundred does in an iteration; or the training ends."""
@@ -74,7 +81,7 @@ def train(settings: TrainSettings) -> Path:
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
-    from orbit_learn.learners import trainer_type
+    from orbit_learn.learners import library_for, trainer_type
     from orbit_learn.training import Training, check_new
 
     check_positive("num_envs", settings.num_envs)
@@ -85,17 +92,31 @@ def train(settings: TrainSettings) -> Path:
     settings, leader = _ranked(for_training(settings))
     if leader and settings.output is not None:
         check_new(settings.output)
-    make_trainer = trainer_type(settings.library)
+    library = settings.library or library_for(settings.algorithm)
+    make_trainer = trainer_type(library)
+    algorithm = settings.algorithm
+    if algorithm == "ppo" and "algorithm" not in make_trainer.options:
+        algorithm = None  # these libraries have no other
+    settings = dataclasses.replace(settings, library=library, algorithm=algorithm)
     if _processes() > 1 and not make_trainer.several_gpus:
         raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
     environment = make_environment(settings, settings.num_envs, reset_diverged=settings.diverged == "reset")
     try:
-        algorithm = _algorithm(settings, make_trainer, environment.task.metadata.ppo)
+        chosen = _algorithm(settings, make_trainer, environment.task.metadata.ppo)
         folder = settings.resume or settings.output or _new_folder(settings)
         record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
-        trainer = make_trainer(environment, algorithm, folder, settings.seed)
+        trainer = make_trainer(environment, chosen, folder, settings.seed)
         training = Training(trainer, settings.task or "", record, leader)
-        last = _run(training, algorithm.iterations, settings)
+        log = None
+        if settings.wandb is not None and leader:
+            from orbit_learn.wandb_log import WandbLog
+
+            log = WandbLog(settings.wandb, folder, record)
+        try:
+            last = _run(training, chosen.iterations, settings, log)
+        finally:
+            if log is not None:
+                log.close()
     finally:
         environment.close()
     if last is not None:
@@ -103,7 +124,7 @@ def train(settings: TrainSettings) -> Path:
     return folder
 
 
-def _run(training: Training, iterations: int, settings: TrainSettings) -> Progress | None:
+def _run(training: Training, iterations: int, settings: TrainSettings, log: WandbLog | None) -> Progress | None:
     """Train under a progress bar, and return the last progress; None in processes that do not lead."""
     last: list[Progress] = []  # a list, because the inner function assigns to it
     with progress_bar() as bar:
@@ -111,6 +132,8 @@ def _run(training: Training, iterations: int, settings: TrainSettings) -> Progre
 
         def show(progress: Progress) -> None:
             last[:] = [progress]
+            if log is not None:
+                log.add(progress)
             bar.update(line, completed=progress.iteration + 1, description=_words(settings, progress))
 
         try:
@@ -126,6 +149,7 @@ def for_training(settings: TrainSettings) -> TrainSettings:
     """Add the fields that the task sets in training; the user's own take precedence."""
     if settings.task is None:
         return settings
+    # In this order, so that the user's words win.
     fields = {**task_entry(settings.task).task_type().metadata.training, **settings.fields}
     return dataclasses.replace(settings, fields=fields)
 
@@ -153,9 +177,10 @@ def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], ppo: PpoSet
         ConfigurationError: an option is of another library.
     """
     kind = trainer.settings_type
-    for option in ("ppo", "distillation", "teacher", "imitation", "algorithm", "dataset"):
+    for option in ("ppo", "distillation", "teacher", "imitation", "off_policy", "algorithm", "dataset"):
         if getattr(settings, option) and option not in trainer.options:
             raise ConfigurationError(f"library '{settings.library}' takes no --{option}")
+    # The first option takes KEY=VALUE words, the others are fields by themselves.
     words, *single = trainer.options
     defaults = ppo if isinstance(ppo, kind) else kind()
     values: dict[str, Any] = dict(assignments(getattr(settings, words), words, "algorithm setting"))

@@ -64,7 +64,9 @@ class Restored:
     """Settings that play a policy as it was learned, and a line for each difference."""
 
     settings: PlaySettings
+    """Settings of ``orbit play``, with those of training filled in."""
     differences: tuple[str, ...]
+    """Fields that were set otherwise than in training, a line each."""
 
 
 def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Restored:

@@ -166,6 +166,7 @@ def _load(
             if part.name not in arrays:
                 arrays[part.name] = np.empty((total, *value.shape[1:]), value.dtype)
             arrays[part.name][begin:stop] = value[steps]
+        # Without the noise that was added to disturb the demonstrator, where both were recorded.
         actions[begin:stop] = episode.arrays.get(CLEAN, episode.arrays[ACTIONS])[steps]
         ends[begin:stop] = begin + _ends(steps)
         begin = stop

@@ -30,7 +30,7 @@ _LAST_ACTION = "last_action"
 
 @dataclass(frozen=True)
 class Encoding:
-    """How a cloned policy reads its observation and what its action is relative to; plain data for a policy's file."""
+    """Encoding of a cloned policy's observation, and reference of its action; plain data for a policy's file."""
 
     parts: tuple[Part, ...]
     """Terms of the observation, in order."""
@@ -68,7 +68,7 @@ class Encoding:
 
     @property
     def feature_size(self) -> int:
-        """F, numbers that the network sees beside features of pictures."""
+        """F, numbers that the network sees in addition to features of pictures."""
         count = len(self.vectors)
         pairs = count * (count - 1) // 2
         return self.vector_size - len(set(self.hidden)) + 3 * pairs + 3 * (count + pairs)
@@ -165,6 +165,7 @@ class Encoder(nn.Module):
             vectors = tuple(part for part in encoding.parts if not part.is_picture)
             self._convolutional = Convolutional(encoding.pictures, vectors, ())
             self.pictures = self._convolutional.build_encoders()
+            """Convolutions of each set of pictures."""
             self.size += self._convolutional.features
 
     def vectors(self, observation: Tensor | Mapping[str, Tensor]) -> Tensor:
@@ -251,7 +252,7 @@ class Labels(nn.Module):
     def actions(self, outputs: Tensor, vectors: Tensor) -> Tensor:
         """Return actions (N, H, A) in [-1, 1] of a network's outputs (N, H, A), whose signs are logits."""
         actions = outputs * self.std + self.mean + self.base(vectors)[:, None]
-        # A gripper that is told nothing definite stays open, as a binary gripper reads zero.
+        # A gripper without a definite command stays open, as a binary gripper reads zero.
         signs = torch.where(outputs < 0.0, -1.0, 1.0)
         return torch.where(self.signs(outputs), signs, actions).clamp(-1.0, 1.0)
 

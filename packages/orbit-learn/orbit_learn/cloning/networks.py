@@ -28,9 +28,10 @@ _LEAST_DEVIATION = 1e-2
 
 @dataclass(frozen=True, kw_only=True)
 class ClonedNetwork:
-    """What networks of cloned policies share."""
+    """Base of the networks of cloned policies."""
 
     encoding: Encoding
+    """Form in which observation and action are shown to the network."""
     chunk: int = 16
     """H, actions that are planned at a time."""
     executed: int = 8
@@ -57,7 +58,9 @@ class ClonedPerceptron(ClonedNetwork):
     """Linear layers; with several modes their plan is a mixture of Gaussians."""
 
     name: ClassVar[str] = "cloned_perceptron"
+    """Word for this kind in policy files."""
     hidden_sizes: tuple[int, ...] = (256, 256)
+    """Units of the hidden layers."""
     modes: int = 1
     """Gaussians of the mixture; 1 for a plan fitted by its absolute error."""
 
@@ -77,8 +80,11 @@ class ClonedRecurrent(ClonedNetwork):
     """Long short-term memory over the observations of an episode."""
 
     name: ClassVar[str] = "cloned_recurrent"
+    """Word for this kind in policy files."""
     hidden_size: int = 256
+    """Units of each recurrent layer."""
     layers: int = 2
+    """Recurrent layers."""
     horizon: int = 16
     """Steps after which the memory begins again, as in training (Mandlekar et al., What Matters in Learning from
     Offline Human Demonstrations for Robot Manipulation, 2021)."""
@@ -105,10 +111,15 @@ class ClonedTransformer(ClonedNetwork):
     """
 
     name: ClassVar[str] = "cloned_transformer"
+    """Word for this kind in policy files."""
     width: int = 64
+    """Numbers of a token."""
     heads: int = 4
+    """Heads of attention, which divide the width."""
     encoder_layers: int = 2
+    """Layers over the tokens of the observation."""
     decoder_layers: int = 1
+    """Layers over the tokens of the plan."""
     latent: int = 16
     """Size of the variable that explains what differs between demonstrations of one situation; zero when it acts."""
     kl_weight: float = 10.0
@@ -137,8 +148,11 @@ class ClonedDiffusion(ClonedNetwork):
     Diffusion Implicit Models (2021), and the squared cosine schedule."""  # fmt: skip
 
     name: ClassVar[str] = "cloned_diffusion"
+    """Word for this kind in policy files."""
     width: int = 512
+    """Units of the denoiser's hidden layers."""
     layers: int = 3
+    """Hidden layers of the denoiser."""
     noises: int = 100
     """Levels of noise in training."""
     samples: int = 10
@@ -167,7 +181,9 @@ class Planner(MemoryModule):
         self.network = network
         self.action_size = action_size
         self.encoder = Encoder(network.encoding)
+        """Normalised features of an observation."""
         self.labels = Labels(network.encoding, action_size)
+        """Conversion between actions and the network's outputs."""
 
     @abstractmethod
     def outputs(self, features: Tensor) -> Tensor:
@@ -243,6 +259,7 @@ class PlanHead(nn.Module):
         self._chunk, self._actions, self._modes = planner.network.chunk, planner.action_size, modes
         size = self._chunk * self._actions
         self.layer = nn.Linear(width, size if modes == 1 else modes * (2 * size + 1))
+        """Linear layer to all plans, their weights and deviations."""
 
     def plan(self, hidden: Tensor) -> Tensor:
         """Return (N, H, A); of a mixture the mean of its likeliest component."""
@@ -280,7 +297,9 @@ class PerceptronPlanner(Planner):
         super().__init__(network, action_size)
         *hidden, last = network.hidden_sizes
         self.layers = nn.Sequential(perceptron(self.encoder.size, hidden, last, nn.ReLU), nn.ReLU())
+        """Hidden layers."""
         self.head = PlanHead(last, self, network.modes)
+        """Last layer."""
 
     def outputs(self, features: Tensor) -> Tensor:
         return self.head.plan(self.layers(features))
@@ -298,7 +317,9 @@ class RecurrentPlanner(Planner):
         self._network = network
         self.sequence = network.horizon
         self.lstm = nn.LSTM(self.encoder.size, network.hidden_size, network.layers, batch_first=True)
+        """Recurrent layers over the features."""
         self.head = PlanHead(network.hidden_size, self, network.modes)
+        """Last layer."""
 
     def initial_memory(self, count: int, device: torch.device | str) -> Memory:
         size = (count, self._network.layers, self._network.hidden_size)
@@ -340,9 +361,13 @@ class TransformerPlanner(Planner):
         width, chunk = network.width, network.chunk
         kind = {"dim_feedforward": 4 * width, "dropout": 0.0, "batch_first": True}
         self.observed = nn.Linear(self.encoder.size, width)
+        """Linear layer from the features to a token."""
         self.latent = nn.Linear(network.latent, width)
+        """Linear layer from the latent variable to a token."""
         self.queries = nn.Parameter(torch.zeros(chunk, width))
+        """(H, width) learned token of each action of the plan."""
         self.places = nn.Parameter(torch.zeros(2, width))
+        """(2, width) learned offsets of the tokens of observation and latent variable."""
         nn.init.normal_(self.queries, std=0.02)
         nn.init.normal_(self.places, std=0.02)
         encoder, decoder, style = (
@@ -351,15 +376,22 @@ class TransformerPlanner(Planner):
             nn.TransformerEncoderLayer(width, network.heads, **kind),
         )
         self.reader = nn.TransformerEncoder(encoder, network.encoder_layers, enable_nested_tensor=False)
+        """Encoder over both tokens."""
         self.writer = nn.TransformerDecoder(decoder, network.decoder_layers)
+        """Decoder from the queries to the plan."""
         self.head = nn.Linear(width, action_size)
+        """Linear layer from a token to an action."""
         # Of training alone: what a demonstration has done, as a latent variable.
         # As deep as the decoder: it reads a whole chunk, which takes most of a gradient step's time.
         self.style = nn.TransformerEncoder(style, network.decoder_layers, enable_nested_tensor=False)
+        """Encoder over a demonstrated chunk; used in training only."""
         self.shown = nn.Linear(action_size, width)
+        """Linear layer from a demonstrated action to a token; used in training only."""
         self.style_places = nn.Parameter(torch.zeros(chunk + 2, width))
+        """(H + 2, width) learned offsets of the tokens of ``style``."""
         nn.init.normal_(self.style_places, std=0.02)
         self.moments = nn.Linear(width, 2 * network.latent)
+        """Linear layer to mean and logarithmic variance of the latent variable; used in training only."""
 
     def initial_memory(self, count: int, device: torch.device | str) -> Memory:
         if self._network.ensemble is None:
@@ -420,6 +452,7 @@ class DiffusionPlanner(Planner):
         self.register_buffer("noise", torch.randn(network.chunk, action_size))
         hidden = (network.width,) * network.layers
         self.layers = perceptron(self.encoder.size + size + 2 * _TIMES, hidden, size, nn.ReLU)
+        """Denoiser, from features, noisy plan and level of noise to the clean plan."""
 
     def outputs(self, features: Tensor) -> Tensor:
         plan = self.noise.expand(len(features), -1, -1)

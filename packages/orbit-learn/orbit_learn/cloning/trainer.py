@@ -58,11 +58,13 @@ class ImitationSettings:
     rounds: int = 4
     """With a teacher: how often the policy is corrected, each time in an episode of every environment."""
     iterations: int = 40
+    """Iterations of ``updates_per_iteration`` gradient steps."""
     updates_per_iteration: int = 200
     """Gradient steps in an iteration."""
     batch_size: int = 0
     """Chunks in a gradient step; 0 for the algorithm's own: 64 for act, whose steps take long, and 256 for others."""
     learning_rate: float = 1e-3
+    """Step size of AdamW at the beginning."""
     chunk: int = 16
     """Actions that are planned at a time."""
     executed: int = 8
@@ -134,6 +136,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         self._network = _network(settings, encoding)
         planner = self._network.build(encoding.vector_size, environment.action_size)  # pyright: ignore
         assert isinstance(planner, Planner)
+        # An even sample is enough for means and deviations, and fits into memory with any dataset.
         every = torch.arange(0, shown.steps, max(1, shown.steps // 65536))
         vectors = planner.encoder.vectors(shown.observed(every))
         planner.encoder.fit(vectors)
@@ -174,6 +177,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         self._demonstrations = joined([self._demonstrations, *self._corrections])
         self._optimizer.load_state_dict(state["optimizer"])
         self._iteration = iteration + 1
+        # Another seed for each iteration: a resumed training must not repeat the batches of its beginning.
         self._generator.manual_seed(self.seed + self._iteration)
 
     def actor(self) -> ActorNetwork:
@@ -217,6 +221,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
             loss.backward()
             nn.utils.clip_grad_norm_(self._planner.parameters(), _MOST_GRADIENT)
             self._optimizer.step()
+            # Summed on the device: reading each loss would wait for it.
             losses += loss.detach()
         self._planner.eval()
         self._loss = float(losses) / settings.updates_per_iteration

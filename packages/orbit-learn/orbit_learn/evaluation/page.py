@@ -11,7 +11,7 @@ from orbit_learn.evaluation.films import Film
 from orbit_learn.evaluation.results import BASE, Block, Plan
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
 
-_STYLE = """
+STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse;margin:1rem 0;display:block;overflow-x:auto}
 th,td{padding:.3rem .8rem;border-bottom:1px solid #ddd;text-align:left;white-space:nowrap}
@@ -37,23 +37,23 @@ def page(plan: Plan, blocks: Sequence[Block], films: Mapping[str, Film] | None =
         f"same starts for all. Engines: {escape(', '.join(engines))}. Intervals are of 95 % (Wilson).</p>",
         *_different_starts(blocks),
         "<h2>Success</h2>",
-        _table(("policy", "variant", *plan.backends), _success_rows(plan, blocks)),
+        table(("policy", "variant", *plan.backends), _success_rows(plan, blocks)),
         "<h2>Differences on the same starts</h2>",
         "<p>Second minus first, in percentage points; p by McNemar's test with mid-p. Many comparisons stand side by "
         "side: one in twenty is below 0.05 by chance.</p>",
-        _table(("first", "second", "difference", "only first", "only second", "p"), _difference_rows(plan, blocks)),
+        table(("first", "second", "difference", "only first", "only second", "p"), _difference_rows(plan, blocks)),
         "<h2>Where success varies</h2>",
         *_spread_of_trainings(plan, blocks),
-        _table(("source", "share of the variance"), _variance_rows(plan, blocks)),
+        table(("source", "share of the variance"), _variance_rows(plan, blocks)),
         "<h2>How episodes fail</h2>",
         "<p>Named by the first reward term that brought less than a tenth of what it brings in a success.</p>",
-        _table(("kind", "episodes", "where (policy, engine, variant, seed: starts)"), _failure_rows(blocks)),
+        table(("kind", "episodes", "where (policy, engine, variant, seed: starts)"), _failure_rows(blocks)),
         *_films(films or {}),
     ]
     title = f"Evaluation of {escape(plan.task)}"
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{title}</title><style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
+        f"<title>{title}</title><style>{STYLE}</style><body>{''.join(parts)}</body></html>\n"
     )
 
 
@@ -62,6 +62,7 @@ def _different_starts(blocks: Sequence[Block]) -> Iterable[str]:
     for seed, variant in sorted({(block.key.seed, block.key.variant) for block in blocks}):
         found: dict[str, str] = {}
         for block in (each for each in blocks if (each.key.seed, each.key.variant) == (seed, variant)):
+            # By the digest of the first observations: engines that start alike are in one group.
             found.setdefault(block.fingerprint, f"{block.key.policy} on {block.key.backend}, {block.key.variant}")
         if len(found) > 1:
             told = escape("; ".join(found.values()))
@@ -80,6 +81,7 @@ def _difference_rows(plan: Plan, blocks: Sequence[Block]) -> Iterable[Sequence[s
     base = [block for block in blocks if block.key.variant == BASE]
     for name in plan.backends:
         for one, other in combinations(plan.policies, 2):
+            # Only the base variant: pairs of all variants would fill pages.
             sets = [[b for b in base if b.key.policy == policy and b.key.backend == name] for policy in (one, other)]
             yield _difference(f"{one} on {name}", f"{other} on {name}", *sets)
     for policy in plan.policies:
@@ -92,6 +94,7 @@ def _difference(first: str, second: str, one: Sequence[Block], other: Sequence[B
     found = paired_difference(one, other)
     low, high = 100.0 * found.low, 100.0 * found.high
     told = f'{100.0 * found.difference:+.1f} <span class="interval">[{low:+.1f}, {high:+.1f}]</span>'
+    # Marked if it is unlikely to be chance, as most pairs differ a little.
     if found.p_value < _SURE:
         told = f'<span class="sure">{told}</span>'
     discordant = str(found.only_first), str(found.only_second)
@@ -150,7 +153,8 @@ def _rate(estimate: Estimate) -> str:
     )
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of HTML; cells are HTML already."""
     head = "".join(f"<th>{escape(each)}</th>" for each in heads)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

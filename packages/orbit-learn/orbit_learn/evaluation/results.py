@@ -19,18 +19,22 @@ BASE = "as it is"
 
 @dataclass(frozen=True)
 class Plan:
-    """What is evaluated; a file of results holds one plan."""
+    """Plan of an evaluation; a file of results holds one plan."""
 
     task: str
+    """Name of the task."""
     policies: tuple[str, ...]
+    """Kept policies or paths of policy files."""
     backends: tuple[str, ...]
+    """Names of the engines."""
     variants: dict[str, tuple[str, ...]]
     """Changes of the task by the variant's name, each ``key=value``; :data:`BASE` has none."""
     seeds: tuple[int, ...]
+    """Seeds of the random streams; equal seeds give equal starts."""
     episodes: int
-    """Of each policy, engine, variant and seed."""
+    """Episodes of each policy, engine, variant and seed."""
     settings: dict[str, str] = field(default_factory=dict)
-    """All else that the command line says of the environment."""
+    """Other settings of the environment from the command line."""
     disturbances: dict[str, tuple[str, int]] = field(default_factory=dict)
     """Axis and level of the variants that are levels of an axis (:mod:`orbit_learn.evaluation.disturbances`)."""
     recipes: dict[str, str] = field(default_factory=dict)
@@ -55,9 +59,13 @@ class BlockKey:
     """Episodes that are run together."""
 
     policy: str
+    """One of the plan's policies."""
     backend: str
+    """One of its engines."""
     variant: str
+    """Name of one of its variants."""
     seed: int
+    """One of its seeds."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +73,17 @@ class Block:
     """Results of a block: a value for each start, in the order of starts."""
 
     key: BlockKey
+    """Policy, engine, variant and seed."""
     engine: str
     """Names and versions of the packages that the engine depends on."""
     success: tuple[bool, ...]
+    """True for episodes that succeeded."""
     returns: tuple[float, ...]
+    """Sum of each episode's rewards."""
     steps: tuple[int, ...]
+    """Length of each episode."""
     metrics: dict[str, tuple[float, ...]]
+    """Metrics of the task at each episode's end, by name."""
     rewards: dict[str, tuple[float, ...]]
     """Each term's contribution to the return."""
     failed: tuple[bool, ...]
@@ -96,6 +109,7 @@ class ResultFile:
         self.path = as_path(path)
         self.plan = plan
         self.blocks: dict[BlockKey, Block] = {}
+        """Results so far, by key."""
         if not self.path.exists():
             append_line(self.path, json.dumps({"plan": asdict(plan)}))
             return

@@ -25,11 +25,13 @@ class PairedDifference:
     difference: float
     """Second minus first."""
     low: float
+    """Lower end of the 95 % interval of the difference."""
     high: float
-    """95 % interval of the difference."""
+    """Upper end of the same interval."""
     only_first: int
-    """Starts from which the first alone succeeds."""
+    """Starts from which only the first succeeds."""
     only_second: int
+    """Starts from which only the second succeeds."""
     p_value: float
     """Of no difference: McNemar's test with mid-p."""
 

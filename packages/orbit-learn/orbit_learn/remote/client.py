@@ -38,7 +38,7 @@ class ServerFailure(ConfigurationError):
 
 @dataclass(frozen=True)
 class ServerAddress:
-    """Where a policy server listens, and what it is sent."""
+    """Address of a policy server, and observations that it is sent."""
 
     url: str
     """Without the query."""

@@ -27,7 +27,7 @@ _PREFIXES = ("", "observation/", "policy/")
 
 
 class PolicyService:
-    """Answers observations with actions, each connection with a memory of its own.
+    """Answers observations with actions, each connection with its own memory.
 
     Args:
         policy: that acts.
@@ -42,7 +42,7 @@ class PolicyService:
     def handle(self, connection: ServerConnection) -> None:
         """Serve one client until it closes the connection.
 
-        A client that sends something else is told what is wrong, in one line, and the connection is closed.
+        A client that sends something else gets one line with the reason, and the connection is closed.
         """
         from websockets.exceptions import ConnectionClosed
 

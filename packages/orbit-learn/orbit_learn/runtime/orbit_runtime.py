@@ -40,17 +40,20 @@ class Runtime:
     def __init__(self, folder: str | Path) -> None:
         folder = Path(folder)
         self.document: dict[str, Any] = json.loads((folder / "runtime.json").read_text(encoding="utf-8"))
+        """Content of ``runtime.json``."""
         if self.document["format"] != FORMAT:
             raise ValueError(f"runtime.json has format {self.document['format']}, and {FORMAT} is the one that is read")
         self._session = onnxruntime.InferenceSession(str(folder / "policy.onnx"))
         self.terms: dict[str, Any] = self.document["observations"]
+        """Observation terms by name: shape, unit, scale, offset and meaning."""
         self.actions: list[dict[str, Any]] = self.document["actions"]
+        """Action terms in order: joints, decoding and limits."""
         self.rate = 1.0 / self.document["step_dt"]
         """Hz at which :meth:`step` is called."""
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode: the first observation stands for those before it, and nothing was asked for yet."""
+        """Begin an episode: the first observation counts as those before it, and nothing has been commanded yet."""
         self._past: dict[str, list[Array]] = {}
         self._action = np.zeros(sum(len(term["components"]) for term in self.actions), np.float32)
         self._asked: dict[str, Array] = {}

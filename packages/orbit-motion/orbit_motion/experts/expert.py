@@ -149,8 +149,11 @@ class Phase:
 
     target: TermFunction | None = None
     gripper_open: bool = True
+    """True to hold the gripper open, False to close it."""
     position_tolerance: float = 0.01
+    """m between hand and target within which the hand is there."""
     rotation_tolerance: float = 0.1
+    """rad of the same."""
     dwell: float = 0.0
     timeout: float | None = None
     free: bool = False
@@ -226,6 +229,7 @@ class Expert(Node):
         self.teaches = False
         """True if it only labels states, and another policy leads."""
         self.phase = torch.zeros(env.num_envs, dtype=torch.int64, device=env.device)
+        """(N,) int64, number of the present phase of each environment."""
         self._elapsed = torch.zeros(env.num_envs, device=env.device)
         self._tries = torch.zeros(env.num_envs, len(self._retries), dtype=torch.int64, device=env.device)
 

@@ -29,6 +29,7 @@ class MppiConfig:
     discount: float = 1.0
     """Factor of a reward per step of delay."""
     seed: int = 0
+    """Seed of the noise."""
 
 
 class Mppi(Node):
@@ -57,6 +58,7 @@ class Mppi(Node):
                 f"environment of {type(environment.task).__name__} with {environment.action_size}: make both alike"
             )
         self.samples, rest = divmod(model.num_envs, environment.num_envs)
+        """Samples for each environment."""
         if model is environment or rest or self.samples < 2:
             raise ConfigurationError(
                 f"a model of {model.num_envs} environments gives {environment.num_envs} no equal number of samples: "

@@ -29,13 +29,17 @@ class Expression:
     """
 
     builder: Builder
+    """Builder that made it, and that keeps equal ones one object."""
     operation: str
+    """Name of the operation; ``constant`` and ``element`` have no operands."""
     operands: tuple[Expression, ...] = ()
+    """Numbers that it is computed from."""
     value: Number = 0.0
     """Value of a constant."""
     place: tuple[str, int] = ("", 0)
     """Name of the row and index in it, of an element."""
     is_bool: bool = False
+    """True for a truth value."""
     number: int = 0
     """Number of expressions that were created before it."""
 

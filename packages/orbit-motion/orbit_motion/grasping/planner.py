@@ -51,7 +51,9 @@ class HandBoxes:
     """Boxes (B, 2, 3), least and largest corner in m, and the opening (m) between fingers along the frame's y."""
 
     boxes: Tensor
+    """(B, 2, 3) m, in the frame of the hand."""
     opening: float
+    """m between the open fingers."""
     points: Tensor
     """Points (P, 3) in m on the shapes themselves."""
 
@@ -105,7 +107,9 @@ class Surface:
     """Points (M, 3) in metres and unit normals (M, 3) pointing outwards, in one frame."""
 
     points: Tensor
+    """(M, 3) m."""
     normals: Tensor
+    """(M, 3), outwards."""
 
     def __post_init__(self) -> None:
         if self.points.shape != self.normals.shape or self.points.ndim != 2 or self.points.shape[1] != 3:
@@ -187,6 +191,7 @@ class GraspConfig:
     most: int = 64
     """Most candidates that are returned, the best ones."""
     seed: int = 0
+    """Seed of the sampling: equal seeds give equal candidates."""
 
     def __post_init__(self) -> None:
         for name in ("friction", "samples", "directions", "most"):
@@ -514,8 +519,11 @@ class GraspMotion:
     score: float | None
     """Score from 0 to 1; None for a pose that a person gave."""
     reach: JointTrajectory
+    """Motion from the present positions to a pose before the grasp."""
     approach: JointTrajectory
+    """Straight motion from there to the grasp."""
     lift: JointTrajectory
+    """Straight motion upwards with the thing."""
 
 
 class GraspSearch:
@@ -541,6 +549,7 @@ class GraspSearch:
         self._surface = surface_of(world.objects[thing].spec.articulation.links[0])
         up = quat_rotate_inverse(self._pose[None, 3:], self._pose.new_tensor([[0.0, 0.0, 1.0]]))[0]
         self.candidates = grasp_candidates(self._surface, self._hand, GraspConfig(most=32), up.cpu())
+        """Grasps by their score, the best first."""
         self.poses = pose_multiply(self._pose.expand(len(self.candidates), 7), self.candidates.poses.to(self._pose))
         """Poses (K, 7) of the candidates in the environment, the best first."""
         self.place = self._pose[:3]

@@ -35,11 +35,13 @@ class GraspedEnvironment:
 
     def __init__(self, environment: Environment) -> None:
         self.num_envs, self.step_dt, self.world = 1, environment.step_dt, environment.world
+        """Number of environments (one), seconds of a step and world, as the viewer reads them of any environment."""
         self._environment = environment
         if not environment.world.robots:
             raise ConfigurationError("the task has no robot that could grasp")
         robot = next(iter(environment.world.robots.values()))
         self.workflow = GraspWorkflow(environment.world, robot, environment.step_dt)
+        """State of the person's work."""
         self._zero, self._never = torch.zeros(1), torch.zeros(1, dtype=torch.bool)
 
     def reset(self) -> None:

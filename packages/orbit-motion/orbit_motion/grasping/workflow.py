@@ -53,6 +53,7 @@ class ArmDriver:
         self._hand = DifferentialIkConfig(robot=robot.name).build("hand", robot)
         self._gripper = BinaryGripperConfig(robot=robot.name).build("gripper", robot)
         self.joints = self._hand.joints
+        """Indices of the arm's joints."""
         actuators = actuator_of_joint(robot.spec)
         for joint in self.joints:
             if not actuators[joint].stiffness > 0.0:
@@ -113,6 +114,7 @@ class Stage(Enum):
     PLANNING = "looking for grasps"
     OFFERED = "accept, refuse or move the grasp"
     EXECUTING = "grasping"
+    """The arm moves through an accepted grasp."""
     STEERING = "the arm is yours"
 
 
@@ -131,6 +133,7 @@ class GraspWorkflow:
     def __init__(self, world: World, robot: Robot, step_dt: float) -> None:
         self._world, self._dt = world, step_dt
         self.driver = ArmDriver(world, robot, step_dt)
+        """Controller that each step of the workflow commands."""
         self.things = tuple(name for name, thing in world.objects.items() if not thing.spec.fixed_base)
         """Names of the objects that may be chosen."""
         if not self.things:

@@ -46,6 +46,7 @@ class HandMpc(Predictive):
     """Six commands, :class:`HandMpcConfig`."""
 
     config: HandMpcConfig
+    """Settings, as the action term gives them."""
 
     def __init__(self, name: str, robot: Robot, config: HandMpcConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
@@ -58,6 +59,7 @@ class HandMpc(Predictive):
                 f"action term '{name}': wheels that cannot roll sideways are not in its model: name the arm's joints"
             )
         self.frame = config.frame_of(robot)
+        """Name of the frame that moves."""
         self._pose = config.pose_command(robot)
         libraries()
 

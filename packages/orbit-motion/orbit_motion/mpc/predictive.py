@@ -164,10 +164,15 @@ class Limits:
     """Limits of k joints, by name."""
 
     names: Sequence[str]
+    """Names of the joints."""
     lowest: Array
+    """(k,) rad or m."""
     highest: Array
+    """(k,) rad or m."""
     velocity: Array
+    """(k,) rad/s or m/s."""
     effort: Array
+    """(k,) N m or N."""
 
     def problem(self, positions: Array, velocities: Array, efforts: Array) -> str:
         """Return the limit that a motion (T, k) exceeds most; empty if none."""
@@ -204,8 +209,11 @@ class PredictiveConfig(PoseTermConfig):
     iterations: int = 5
     """Most iterations of the solver for each plan, which begins with the last one."""
     goal_weight: float = 100.0
+    """Weight of the squared distance to the goal, m and rad."""
     posture_weight: float = 0.005
+    """Weight of the squared distance from home, rad or m."""
     velocity_weight: float = 0.05
+    """Weight of squared joint velocities, rad/s or m/s."""
     effort_weight: float = 0.01
     """Weight of efforts, as shares of their limits."""
 
@@ -228,6 +236,7 @@ class Predictive(MotionGenerator):
                 "num_envs=1, or take a generator that is batched"
             )
         self.config = config
+        """Settings, as the action term gives them."""
         self.problem = ""
         """Reason why the joints hold still; empty while they follow a plan."""
         self.plan: Plan | None = None
@@ -249,6 +258,7 @@ class Predictive(MotionGenerator):
         low, high = self.lower_limits.double().cpu().numpy(), self.upper_limits.double().cpu().numpy()
         names = [robot.joint_names[joint] for joint in self.joints]
         self.limits = Limits(names, np.maximum(low, -1e4), np.minimum(high, 1e4), speed, effort)
+        """Limits of the joints that are planned for, finite as the solver needs them."""
 
     @property
     def missing(self) -> tuple[float, float]:

@@ -28,6 +28,7 @@ class Gait:
     """
 
     phases: Sequence[tuple[float, tuple[int, ...]]] = ((1.0, ()),)
+    """Phases in order, repeated for ever; one phase without feet in the air stands."""
     step_height: float = 0.05
     """m by which a foot is lifted in the middle of its swing."""
 
@@ -80,7 +81,9 @@ class TrunkSettings(PredictiveConfig):
     node_time: float = 0.02
     iterations: int = 20
     posture_weight: float = 0.05
+    """Weight of the squared distance of the legs from home, rad or m."""
     velocity_weight: float = 0.05
+    """Weight of squared joint velocities, rad/s or m/s."""
     sway_weight: float = 1.0
     """Weight of the trunk's velocities."""
     speed: float = 0.1
@@ -299,6 +302,7 @@ class TrunkMpc(Predictive):
     """Six commands, :class:`TrunkMpcConfig`."""
 
     config: TrunkMpcConfig
+    """Settings, as the action term gives them."""
     targets: ClassVar[tuple[JointTarget, ...]] = (JointTarget.POSITION, JointTarget.VELOCITY, JointTarget.EFFORT)
 
     def __init__(self, name: str, robot: Robot, config: TrunkMpcConfig) -> None:
@@ -313,6 +317,7 @@ class TrunkMpc(Predictive):
         super().__init__(name, robot, config.joint_indices(spec, name), config)
         config.gait.check(name, len(spec.feet))
         self.frame = config.frame_of(robot)
+        """Name of the frame that moves."""
         robot.frame_pose(self.frame)  # rejects an unknown frame
         self._scale = torch.tensor([config.position_scale] * 3 + [config.rotation_scale] * 3, device=self.device)
         self._fastest = torch.tensor([config.speed] * 3 + [config.turn_speed] * 3, device=self.device) / config.rate

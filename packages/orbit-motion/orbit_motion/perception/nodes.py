@@ -218,6 +218,7 @@ class TsdfVolume:
 
     def __init__(self, config: TsdfConfig, num_envs: int, device: torch.device) -> None:
         self.config = config
+        """Grid and truncation."""
         self.distances = torch.full((num_envs, *config.shape), config.band, device=device)
         """Distances (N, X, Y, Z) in m at the voxels' centres, within the truncation; the truncation where not seen."""
         self.weights = torch.zeros(num_envs, *config.shape, device=device)
@@ -353,6 +354,7 @@ class CloudFrame(Enum):
     CAMERA = "camera"
     """Camera axes: -z forward, y up."""
     ENVIRONMENT = "environment"
+    """The environment's own frame."""
     BODY = "body"
     """Frame of a body, such as a robot's base, whose pose is an input of the node."""
 
@@ -441,6 +443,7 @@ class TsdfNode(Node):
         self.outputs = (Port("distances", config.shape), Port("weights", config.shape))
         self.rate = rate
         self.volume = TsdfVolume(config, num_envs, device)
+        """Field that images are integrated into."""
         self._intrinsics = intrinsic_matrix(camera).to(device)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:

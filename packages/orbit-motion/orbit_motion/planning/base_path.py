@@ -67,6 +67,7 @@ class BasePlanner:
             raise ConfigurationError(f"plans need the package scipy: {install_extra('planning')}") from None
         self._ndimage, self._sparse, self._csgraph = ndimage, sparse, csgraph
         self._world, self.config = world, config
+        """Grid and clearance."""
         self._obstacles = Obstacles(world, config.obstacles)
         self._axes = [np.arange(a, b, config.resolution) for a, b in zip(config.low, config.high, strict=True)]
 

@@ -30,7 +30,9 @@ class JointTrajectory:
 
     dt: float
     positions: _Array
+    """(T, k) rad or m."""
     velocities: _Array
+    """(T, k) rad/s or m/s."""
 
     @property
     def duration(self) -> float:

@@ -1,1 +1,5 @@
 """The command that shows a task live."""
+
+from orbit_core.exports import lazy_modules
+
+__getattr__, __dir__ = lazy_modules(__name__)

@@ -59,6 +59,7 @@ class FluidModel:
     viscosities: npt.NDArray[np.float32]
     """(P,) Pa s"""
     spacing: float
+    """m between particles at rest; one for all liquids of a scene."""
     sound: float
     """m/s"""
 
@@ -69,7 +70,7 @@ class FluidModel:
 
     @property
     def longest_substep(self) -> float:
-        """Seconds."""
+        """Longest stable substep in seconds: by the speed of sound, and by viscosity."""
         thickest = float((self.viscosities / self.densities).max(initial=1e-9))
         return min(COURANT * self.spacing / self.sound, DIFFUSIVE * self.length**2 / thickest)
 
@@ -95,6 +96,7 @@ def build(scene: Scene) -> FluidModel | None:
     ends = np.cumsum([0, *counts])
     pull = np.asarray(scene.gravity)
     gravity = max(float(np.linalg.norm(pull)), 1.0)
+    # Free fall through the liquid's height is the fastest flow to expect, and sound must be several times faster.
     height = max(float(np.ptp(np.concatenate(rest) @ pull)) / gravity, LEAST_HEIGHT)
     return FluidModel(
         tuple(n for n, _ in chosen),
@@ -113,6 +115,7 @@ class Fluids:
 
     def __init__(self, scene: Scene, num_envs: int, device: torch.device) -> None:
         self.model = build(scene)
+        """Particles and materials, or None if the scene has no liquid."""
         self.tensors: dict[str, Tensor] = {}
         """State; snapshots hold it, and kernels its memory."""
         self._index: dict[int, slice] = {}

@@ -3,8 +3,8 @@
 Densities follow the flow's divergence and are smoothed against noise (Antuono, Colagrossi, Marrone, "Numerical
 diffusive terms in weakly-compressible SPH schemes", 2012; without the hydrostatic part, Fourtakas et al., "Local
 uniform stencil boundary conditions for arbitrary shaped boundaries", 2019), pressures follow the densities. Walls are
-half-spaces of the liquid whose integrals over the kernel are polynomials: neither particles nor meshes stand for them,
-and a wall may be as thin as it likes.
+half-spaces of the liquid whose integrals over the kernel are polynomials: they need no particles, and a wall may be
+as thin as it likes.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
@@ -23,7 +23,7 @@ from orbit_matter.self_contact import bucket_of, cell_of
 from orbit_matter.surfaces import Shapes
 
 SHADE = wp.constant(0.05)
-"""Spacings by which the nearest point of a surface must stand out of another wall to be a wall of its own: of two boxes
+"""Spacings by which the nearest point of a surface must stand out of another wall to be a separate wall: of two boxes
 that make one floor, or that overlap, one hides the other."""
 PROBE = wp.constant(0.1)
 """Spacings below a surface where its depth tells edges from faces; walls of a fifth of a spacing have faces still."""
@@ -42,7 +42,9 @@ class Fluid:
     """State of (N, P) particles of liquid, and what does not differ between environments."""
 
     x: wp.array2d[wp.vec3]
+    """(N, P) m."""
     v: wp.array2d[wp.vec3]
+    """(N, P) m/s."""
     s: wp.array2d[float]
     """Density over density at rest."""
     pushed: wp.array2d[wp.vec3]
@@ -80,8 +82,11 @@ class Fluid:
     guarded: wp.array2d[int]
     """(N, P) 1 for particles with a wall at the last search."""
     head: wp.array2d[int]
+    """(N, B) first particle of each bucket of cells; -1 for none."""
     following: wp.array2d[int]
+    """(N, P) next particle in the bucket; -1 for none."""
     spacing: float
+    """m between particles at rest."""
     volume: float
     """m^3 of a particle at rest."""
     length: float
@@ -160,7 +165,7 @@ def find(f: Fluid):
         return
     x, count, most, guarded = f.searched[env, i], int(0), f.neighbours.shape[2], f.guarded[env, i]
     c = cell_of(x, f.cell)
-    # Cells that share a bucket would give a particle twice; each cell therefore takes those of its own only.
+    # Cells that share a bucket would give a particle twice; each cell therefore takes only particles inside it.
     for a in range(-1, 2):
         for b in range(-1, 2):
             for d in range(-1, 2):
@@ -318,7 +323,7 @@ def flow(f: Fluid, links: Links, gravity: wp.array[wp.vec3], h: float):
             # Behind the wall the flow is mirrored, as pressure is, so that what one takes from the motion the other
             # gives back.
             rate += 2.0 * s * toward * weight[0]
-    # Errors of the divergence add up; where particles stand tells the density, but for those at the surface.
+    # Errors of the divergence add up; where particles are gives the density, but for those at the surface.
     # Where a gap has opened nothing presses, though the divergence may say so.
     bare = wp.clamp((0.9 - f.packed[env, i]) * 10.0, 0.0, 1.0)
     f.rate[env, i] = rate + (wp.max(f.packed[env, i] - f.mess - s, 0.0) + bare * (1.0 - s)) * f.renewal
@@ -345,4 +350,5 @@ def move(f: Fluid, links: Links, shapes: Shapes, felt: Felt, h: float, share: fl
                 feel(felt, links, env, owner, shapes.link[kind, wall], force, x - n * plane[3])
     f.x[env, i] = x + v * h
     f.v[env, i] = v
+    # Bounds that no proper flow reaches: pressure stays finite where one particle is caught between fast walls.
     f.s[env, i] = wp.clamp(f.s[env, i] + f.rate[env, i] * h, 0.5, 2.0)

@@ -39,6 +39,7 @@ class Lattice:
 @wp.kernel(enable_backward=False)
 def _measure(mesh: wp.uint64, points: wp.array[wp.vec3], farthest: float, found: wp.array[float]):
     i = wp.tid()
+    # Winding numbers tell inside from outside at edges too, where the normals of faces disagree.
     query = wp.mesh_query_point_sign_winding_number(mesh, points[i], farthest)
     near = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
     found[i] = wp.length(points[i] - near) * query.sign

@@ -56,7 +56,9 @@ class Embedding:
     masses: FloatArray
     """(n,) kg"""
     contacts: Sites
+    """Points of the surface that meet other things."""
     vertices: Sites
+    """Vertices of the mesh, which are shown, measured and held."""
 
     def assembled(self) -> FloatArray:
         """Return the stiffness matrix of the whole solid, (3 n, 3 n), N/m."""

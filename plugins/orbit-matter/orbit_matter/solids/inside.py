@@ -35,12 +35,19 @@ class Insides:
     meets: int
     """1 if anything is to be found in them."""
     x: wp.array2d[wp.vec3]
+    """(N, n) m, nodes at the beginning of the step."""
     d: wp.array2d[wp.vec3]
+    """(N, n) m that nodes moved in the last step."""
     cells: wp.array2d[int]
+    """(C, 27) nodes."""
     cell_body: wp.array[int]
+    """(C,) solid of each cell."""
     first_cell: wp.array[int]
+    """(B + 1,) first cell of each solid."""
     first_node: wp.array[int]
+    """(B + 1,) first node of each solid."""
     size: wp.array[wp.vec3]
+    """(B,) m, edges of a cell."""
     middle: wp.array[wp.vec3]
     """(C,) m of each cell at rest, in the frame of its mesh."""
     touches: wp.array[int]
@@ -52,28 +59,35 @@ class Insides:
     low: wp.array2d[wp.vec3]
     """(N, B) corners of a box around each solid where the step is linearised."""
     high: wp.array2d[wp.vec3]
+    """(N, B) the opposite corners."""
     inner: wp.array2d[wp.mat33]
     """(N, C) local coordinates for metres from the middle of each cell; zero where it is flat."""
     begin: wp.array[wp.vec3]
     """(B,) m, first point of its lattice of distances, in the frame of its mesh."""
     spacing: wp.array[wp.vec3]
+    """(B,) m between points of the lattice, along each axis."""
     count: wp.array[wp.vec3i]
+    """(B,) points of the lattice along each axis."""
     at: wp.array[int]
     """(B,) where its distances begin."""
     distance: wp.array[float]
+    """Signed distances of all solids at rest, m, negative inside; the last axis varies fastest."""
 
 
 @wp.struct
 class Place:
-    """Where a point is in a solid."""
+    """Place of a point in a solid."""
 
     cell: int
     """Or NOWHERE."""
     local: wp.vec3
+    """Coordinates in the cell, -1 to 1 along each axis."""
     rest: wp.vec3
     """Metres, in the frame of the mesh."""
     normal: wp.vec3
+    """Outward unit normal of the surface as it is deformed."""
     depth: float
+    """m below the surface."""
 
 
 @wp.func
@@ -104,7 +118,7 @@ def blended(cells: wp.array2d[int], field: wp.array2d[wp.vec3], env: int, c: int
 
 @wp.func
 def ahead(s: Insides, env: int, c: int, u: wp.vec3, lead: float) -> wp.vec3:
-    """Where a point of a cell is: now, or with a lead of 1 where the step is linearised."""
+    """Return the position of a point of a cell: now, or with a lead of 1 where the step is linearised."""
     return blended(s.cells, s.x, env, c, u) + blended(s.cells, s.d, env, c, u) * lead
 
 
@@ -141,6 +155,7 @@ def local_of(s: Insides, env: int, c: int, x: wp.vec3, lead: float) -> wp.vec3:
     middle = s.x[env, node] + s.d[env, node] * lead
     inner = s.inner[env, c]
     u = inner * (x - middle)
+    # A cell that is crushed flat has no inside: coordinates beyond any reach.
     if wp.determinant(inner) == 0.0:
         return wp.vec3(9.0, 9.0, 9.0)
     attempt = int(0)
@@ -179,7 +194,7 @@ def distance_at(s: Insides, b: int, rest: wp.vec3) -> wp.vec4:
 
 @wp.func
 def found_in(s: Insides, env: int, b: int, x: wp.vec3, radius: float, lead: float) -> Place:
-    """Where a ball is in a solid, and how deep below its surface: now, or with a lead of 1 when the step ends."""
+    """Find the place of a ball in a solid, and its depth: now, or with a lead of 1 when the step ends."""
     place = Place()
     place.cell = NOWHERE
     margin = wp.vec3(radius, radius, radius)

@@ -46,7 +46,9 @@ class Solids:
     """State of (N, n) nodes, and what does not differ between environments."""
 
     x: wp.array2d[wp.vec3]
+    """(N, n) m at the beginning of the step."""
     v: wp.array2d[wp.vec3]
+    """(N, n) m/s."""
     before: wp.array2d[wp.vec3]
     """Velocity before the last step."""
     d: wp.array2d[wp.vec3]
@@ -58,7 +60,9 @@ class Solids:
     body_turn: wp.array2d[wp.quat]
     """(N, B) mean rotation of each solid, by which its preconditioner is turned."""
     parameters: wp.array3d[float]
+    """(N, D, 4) scales of mass, stiffness and bending stiffness, and friction, of each deformable."""
     mass: wp.array[float]
+    """(n,) kg, before the environment's scale."""
     body: wp.array[int]
     """(n,) solid of each node."""
     owner: wp.array[int]
@@ -68,6 +72,7 @@ class Solids:
     cells: wp.array2d[int]
     """(C, 27) nodes."""
     cell_body: wp.array[int]
+    """(C,) solid of each cell."""
     kind: wp.array[int]
     """(C,) row of each cell in ``stiffness``."""
     size: wp.array[wp.vec3]
@@ -89,6 +94,7 @@ class Solids:
     inverse_at: wp.array2d[int]
     """(B, 2) where each begins."""
     inside: Insides
+    """Search structure for points of matter within solids."""
     load: wp.array2d[wp.vec3]
     """(N, n) newtons of cloth and ropes on nodes, summed over the substeps since the last step."""
 
@@ -98,13 +104,19 @@ class Solve:
     """Memory of conjugate gradients."""
 
     delta: wp.array2d[wp.vec3]
+    """(N, n) m, correction of the displacements: the solution."""
     r: wp.array2d[wp.vec3]
+    """(N, n) N, residual."""
     z: wp.array2d[wp.vec3]
+    """(N, n) m, preconditioned residual."""
     p: wp.array2d[wp.vec3]
+    """(N, n) m, direction of search."""
     q: wp.array2d[wp.vec3]
+    """(N, n) N, matrix times the direction of search."""
     rows: wp.array2d[float]
     """(N, D) a vector in the axes of the mesh of each solid, and what the preconditioner makes of it."""
     out: wp.array2d[float]
+    """(N, D) product of the preconditioner and ``rows``."""
     out_lanes: wp.array2d[Lanes]
     """The same memory as ``out``."""
     rz: wp.array2d[float]
@@ -124,9 +136,13 @@ class Sites:
     """Points that follow nodes: those of contact first, then the vertices of meshes."""
 
     x: wp.array2d[wp.vec3]
+    """(N, S) m."""
     v: wp.array2d[wp.vec3]
+    """(N, S) m/s."""
     cell: wp.array[int]
+    """(S,) cell that each point is in."""
     weights: wp.array2d[float]
+    """(S, 27) shares of the cell's nodes."""
     stiffness: wp.array[wp.mat33]
     """(contacts,) N/m: ``n^T stiffness n`` along a normal n, in the axes of the mesh."""
     hold: wp.array[float]
@@ -134,7 +150,9 @@ class Sites:
     whole: wp.array2d[float]
     """(N, S) N/m of its contact or hold in this step, before anything gives way."""
     owner: wp.array[int]
+    """(S,) index of the deformable."""
     contacts: int
+    """Number of points of contact; vertices come after them."""
     link: wp.array2d[int]
     """(N, S) link that it presses on or is held by, or NONE; of the last step until it is found again. Solids have the
     numbers after all links and the terrain."""
@@ -145,6 +163,7 @@ class Sites:
     rest: wp.array[wp.vec3]
     """(contacts,) m at rest, in the frame of the mesh."""
     normal: wp.array2d[wp.vec3]
+    """(N, S) outward unit normal of the surface that it presses on."""
     firm: wp.array2d[wp.vec2]
     """N/m along the normal and across it, in this step."""
     force: wp.array2d[wp.vec3]
@@ -166,6 +185,7 @@ class Sites:
     active: wp.array2d[int]
     """(N, S) sites with a link, on a CPU; ``count`` of them."""
     count: wp.array[int]
+    """(N,) number of sites in ``active``."""
 
 
 # Rotations ---------------------------------------------------------------------------------------------------------
@@ -452,6 +472,7 @@ def touch(
         if found < 0:
             near = NEAREST
         else:
+            # Only where there is a shape near: the position of a site costs a sum over 27 nodes.
             if near == 1:
                 x = t.x[env, k] + of_nodes(s, t, s.d, env, k)
             way = surface(links, shapes, env, kind, found, x, 0.0)
@@ -488,6 +509,7 @@ def touch(
     # What presses now is not known before the solution, where points at an edge may let go; it is as in the last step.
     most, across = friction * wp.max(wp.dot(n, t.last[env, k]), 0.0), float(firm)
     if firm * wp.length(slip) >= most:
+        # Beyond Coulomb's limit the bristle has the secant's firmness, which keeps the matrix symmetric.
         across = most / wp.max(wp.length(slip), 1.0e-12)
     t.link[env, k] = link
     t.normal[env, k] = n

@@ -27,10 +27,13 @@ class Gather:
     first: wp.array[int]
     """(n + 1,) of each node in ``cell`` and ``local``."""
     cell: wp.array[int]
+    """Cells of all nodes, one node after another."""
     local: wp.array[int]
+    """Number of the node in each of these cells, 0 to 26."""
     first_site: wp.array[int]
     """(C + 1,) of each cell in ``site``."""
     site: wp.array[int]
+    """Sites of all cells, one cell after another."""
     pull: wp.array2d[wp.vec3]
     """(N, 27 C) what each cell does to each of its nodes."""
 
@@ -88,6 +91,7 @@ def bend(s: Solids, solve: Solve, g: Gather, h: float):
     axes, found, kind = wp.quat_to_matrix(s.turn[env, c]), wp.vec3(), s.kind[c]
     middle, b = solve.p[env, s.cells[c, MIDDLE]], s.cell_body[c]
     for j in range(NODES):
+        # Relative to the middle, so that rigid motion cancels exactly and not to rounding.
         moved = (solve.p[env, s.cells[c, j]] - middle) @ axes
         for row in range(3):
             for column in range(3):

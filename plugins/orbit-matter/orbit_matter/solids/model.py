@@ -31,6 +31,7 @@ class SolidModel:
     deformables: tuple[int, ...]
     """Index of each solid among the scene's deformables."""
     embeddings: tuple[Embedding, ...]
+    """Grid of each solid."""
     vertices: tuple[slice, ...]
     """Sites that are the vertices of each solid's mesh."""
     contacts: int
@@ -40,9 +41,11 @@ class SolidModel:
     first_node: IntArray
     """(B + 1,)"""
     first_cell: IntArray
+    """(B + 1,)"""
     first_row: IntArray
     """(B + 1,) rows of each solid's preconditioner, filled up to multiples of LANES."""
     masses: npt.NDArray[np.float32]
+    """(n,) kg."""
     cells: IntArray
     """(C, 27)"""
     kinds: IntArray
@@ -50,6 +53,7 @@ class SolidModel:
     stiffness: npt.NDArray[np.float32]
     """(K, 81, 81)"""
     site_cells: IntArray
+    """(S,) cell of each site."""
     weights: npt.NDArray[np.float32]
     """(S, 27)"""
     firmness: npt.NDArray[np.float32]
@@ -87,6 +91,7 @@ def build(scene: Scene, h: float) -> SolidModel:
     found = [(n, spec) for n, spec in enumerate(scene.deformables) if isinstance(spec, SoftBody)]
     parts = [_embedded(_Key(spec)) for _, spec in found]
     counts = {name: _starts([len(getattr(part, name)) for part in parts]) for name in ("nodes", "cells", "stiffness")}
+    # Rounded up to whole blocks of LANES, which a CPU multiplies at a time.
     rows = _starts([-(-3 * len(part.nodes) // LANES) * LANES for part in parts])
     sites = [part.contacts for part in parts] + [part.vertices for part in parts]
     site_starts = _starts([len(each.cells) for each in sites])
@@ -136,6 +141,7 @@ class _Key:
 
     def __init__(self, spec: SoftBody) -> None:
         self.spec = spec
+        # Pose, friction and attachments are left out: they change neither the grid nor its matrices.
         numbers = (spec.density, spec.youngs_modulus, spec.poissons_ratio, spec.resolution or 0.0)
         mesh = (np.asarray(spec.mesh.vertices, np.float64).tobytes(), np.asarray(spec.mesh.faces, np.int64).tobytes())
         self.key = (spec.name, numbers, mesh)
@@ -199,6 +205,7 @@ def _preconditioners(specs: list[SoftBody], h: float) -> tuple[npt.NDArray[np.fl
         held = sorted({particle for attachment in spec.attachments for particle in attachment.particles})
         for kind, particles in enumerate(([], held)):
             if kind and not particles:
+                # A solid that the scene attaches nowhere has one preconditioner, which serves for both.
                 places[number, 1] = places[number, 0]
                 continue
             packed = _packed(_inverse(_Key(spec), spec.damping, h, tuple(particles)))
@@ -212,6 +219,7 @@ def _preconditioners(specs: list[SoftBody], h: float) -> tuple[npt.NDArray[np.fl
 def _inverse(key: _Key, damping: float, h: float, held: tuple[int, ...]) -> FloatArray:
     """Invert the matrix of a step for a solid at rest, with some of its vertices held; once in a process."""
     spec, part = key.spec, _embedded(key)
+    # BDF2, as in the kernels: velocities are ``3 d / (2 h)``, inertias ``9 m / (4 h^2)``.
     matrix = part.assembled() * (1.0 + 1.5 * damping / h)
     matrix[np.diag_indices(len(matrix))] += np.repeat(2.25 / (h * h) * part.masses, 3)
     # Held vertices resist alike in all directions, so that the matrix may be turned with the body.

@@ -81,6 +81,7 @@ class SolidPart:
         made, model = inside.Insides(), self._model
         for name in ("x", "d", "cells", "cell_body", "first_cell", "first_node", "size"):
             setattr(made, name, getattr(solids, name))
+        # Without lattices nothing meets a solid from within, and kernels skip the search.
         made.meets = int(bool(model.lattices))
         made.low, made.high = (wp.zeros((self._n, self._bodies), dtype=wp.vec3) for _ in range(2))
         made.inner = wp.zeros((self._n, len(model.cells)), dtype=wp.mat33)
@@ -95,6 +96,7 @@ class SolidPart:
         counts = np.array([each.values.shape for each in lattices], np.int32)
         made.count = wp.array(counts.reshape(-1, 3), dtype=wp.vec3i)
         made.at = _ints(np.cumsum([0, *(each.values.size for each in lattices)])[:-1])
+        # An empty array in front: kernels need one even where there are no lattices.
         distances = [each.values.ravel() for each in lattices]
         made.distance = wp.array(np.concatenate([np.zeros(0, np.float32), *distances]), dtype=float)
         return made

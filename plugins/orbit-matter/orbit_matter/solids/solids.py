@@ -30,14 +30,17 @@ class Solids:
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, h: float) -> None:
         scene = layout.scene
         self.model: SolidModel = build(scene, h)
+        """Grids, matrices and sites of all solids, the same in every environment."""
         self.h = h
         specs = [spec for spec in scene.deformables if isinstance(spec, SoftBody)]
         self.damping = [spec.damping for spec in specs]
+        """s of each solid: stiffness-proportional damping."""
         # Tensors of state are replaced by none: kernels hold their memory, and graphs its addresses.
         self._device, self._num_envs = device, num_envs
         self._index = {deformable: number for number, deformable in enumerate(self.model.deformables)}
         make = {"dtype": torch.float32, "device": device}
         self._fits = [torch.as_tensor(fit, **make) for fit in self.model.fits]
+        # Warp's quaternions end with w, those of poses begin with it.
         turns = [(*spec.pose.orientation[1:], spec.pose.orientation[0]) for spec in specs]
         counts = torch.tensor([len(part.cells) for part in self.model.embeddings], dtype=torch.int64)
         bodies = torch.tensor(turns, **make).view(-1, 4)
@@ -59,6 +62,7 @@ class Solids:
             "site_stuck": torch.full((self.model.contacts,), _NONE, dtype=torch.int32, device=device),
         }
         self.tensors = {name: rest.repeat(n, *[1] * rest.dim()) for name, rest in self._rest.items()}
+        """State by name, (N, ...) each; snapshots hold them, and kernels their memory."""
         for name in ("site_anchor", "site_exempt"):
             self.tensors[name] = torch.full((n, sites), _FREE, dtype=torch.int32, device=device)
         self.tensors["site_held"] = torch.zeros(n, sites, 3, **make)

@@ -9,22 +9,19 @@ from pathlib import Path
 from orbit_conformance.results import Result, ScenarioInfo, load
 from orbit_conformance.scenario import Metric, Scenario
 from orbit_conformance.scenarios import SCENARIOS
-from orbit_core.backends import backend
 from orbit_core.interfaces import Backend, Capability, Gap, Level
 from orbit_core.interfaces.matter import NATIVE
 
 _LEVELS = {Level.APPROXIMATE: "approximate", Level.UNSUPPORTED: "**no**"}
 
 
-def declarations_of(names: Sequence[str], folder: Path) -> str:
-    """Markdown on the backends of these names, with the measures of the report in the folder.
+def declarations_of(plugins: Sequence[Backend], folder: Path) -> str:
+    """Return Markdown on what these backends declare, with the measures of the report in the folder.
 
     Raises:
-        BackendNotInstalledError: one is not installed.
         AssetError: the folder holds no report.
     """
     result = load(folder)
-    plugins = [backend(name) for name in names]
     sections = [_about(result, plugins), *(_section(plugin, result) for plugin in plugins)]
     return "\n\n".join(sections) + "\n"
 
@@ -35,6 +32,9 @@ def _about(result: Result, plugins: Sequence[Backend]) -> str:
     versions = (f"{name} {version}" for info in result.header.backends for name, version in info.versions.items())
     used = ", ".join(dict.fromkeys(versions))
     lines = [f"The report is of {result.finished[:10]}: {len(told)} scenarios with {used}."]
+    reported = {info.name for info in result.header.backends}
+    if absent := [plugin.name for plugin in plugins if plugin.name not in reported]:
+        lines.append(f"It has no runs of {', '.join(absent)}: figures in reasons are those of the plugin's authors.")
     if missing := [scenario.name for scenario in SCENARIOS if scenario.name not in told]:
         lines.append(f"Scenarios that are not in it yet: {', '.join(missing)}.")
     if apart := [line for plugin in plugins for line in _apart(plugin, result)]:

@@ -37,7 +37,9 @@ class Difference:
     """Difference between engines in one task, or with one policy."""
 
     name: str
+    """Name of the task or policy."""
     anchor: str
+    """Element of the page that shows it."""
     success: str
     """Lowest and highest success rate with the engines that have them."""
     metric: str
@@ -122,9 +124,13 @@ class Row:
     """One metric of a cell."""
 
     metric: str
+    """Name and unit."""
     error: str
+    """Measured error, for readers."""
     tolerance: str
+    """Largest error that passes, for readers."""
     within: bool
+    """True if the error passes."""
 
 
 @dataclass(frozen=True)
@@ -134,8 +140,11 @@ class Cell:
     status: Status | None
     """Status of the cell; None where it was not run."""
     label: str
+    """Word or figure in the cell."""
     reason: str = ""
+    """Reason for anything but a pass."""
     rows: tuple[Row, ...] = ()
+    """Metrics behind the status."""
 
     @property
     def style(self) -> str:
@@ -148,9 +157,13 @@ class Line:
     """A row of the matrix."""
 
     name: str
+    """Name of the scenario, task or policy."""
     anchor: str
+    """Element of the page that shows it."""
     question: str
+    """Question that the line answers."""
     cells: tuple[Cell, ...]
+    """Standing of each backend, in the page's order."""
 
 
 @dataclass(frozen=True)
@@ -158,8 +171,11 @@ class ScenarioSection:
     """A scenario with its plots."""
 
     info: ScenarioInfo
+    """Scenario that is shown."""
     accuracy: Markup
+    """Plot of error against time step."""
     traces: Markup
+    """Plots of curves with their truth."""
 
 
 @dataclass(frozen=True)
@@ -167,10 +183,15 @@ class GapLine:
     """A declared gap with what was measured."""
 
     scenario: str
+    """Name of the scenario or check."""
     metric: str
+    """Name and unit."""
     tolerance: str
+    """Largest error that passes, for readers."""
     limit: str
+    """Largest error that the backend admits to."""
     measured: str
+    """Measured error."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +199,11 @@ class GapGroup:
     """Declared gaps of one backend, or one matter solver, that have one reason."""
 
     backend: str
+    """Name of the backend or matter solver."""
     reason: str
+    """Reason that the gaps share."""
     gaps: tuple[GapLine, ...]
+    """Gaps with their figures."""
 
 
 @dataclass(frozen=True)
@@ -187,12 +211,15 @@ class TaskSection:
     """A task with its films, its numbers and how backends part."""
 
     name: str
+    """Name of the task."""
     videos: tuple[tuple[str, str], ...]
     """Pairs of backend and file."""
     rows: tuple[tuple[str, ...], ...]
+    """Numbers of each backend."""
     courses: Markup
     """Key points of deformables on each backend; empty without any."""
     divergence: Markup
+    """Plot of distances between backends; empty without any."""
     replays: tuple[tuple[str, tuple[str, ...]], ...]
     """Source backend, and success on each backend."""
 
@@ -206,6 +233,7 @@ class TransferCell:
     metric: str
     """The leading metric."""
     learned_here: bool
+    """True on the backend that the policy was learned on."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +241,9 @@ class TransferLine:
     """A learned policy on all backends, or on the pictures of all renderers, in their order."""
 
     info: PolicyInfo
+    """Policy that is shown."""
     cells: tuple[TransferCell, ...]
+    """Standing on each backend or renderer."""
     backend: str = ""
     """The backend that simulates what the renderers draw."""
 
@@ -223,25 +253,41 @@ class Page:
     """Everything that the template shows."""
 
     result: Result
+    """Result that the page shows."""
     rankings: tuple[Ranking, ...]
+    """Engines in order for each use."""
     rule: str
     """Rule that orders the engines of a ranking."""
     differences: tuple[Difference, ...]
+    """Tasks and policies by the difference between engines."""
     statuses: tuple[tuple[Status, str], ...]
+    """Statuses and their symbols."""
     totals: tuple[tuple[str, tuple[int, ...]], ...]
+    """Backend, and the number of scenarios of each status."""
     matrix: tuple[tuple[str, tuple[Line, ...]], ...]
+    """Groups of scenarios with their lines."""
     scenarios: tuple[ScenarioSection, ...]
+    """Scenarios with plots."""
     robots: RobotSection | None
+    """Robots on all backends; None if they were left out."""
     tasks: tuple[TaskSection, ...]
+    """Tasks with films and numbers."""
     success: Markup
+    """Plot of the success rates."""
     transfers: tuple[TransferLine, ...]
+    """Kept policies on all backends."""
     drawn: tuple[TransferLine, ...]
     """Lines of the policies that see pictures, with one cell for each of the run's renderers."""
     throughput: Markup
+    """Plot of the stepping rates."""
     rates: tuple[tuple[str, ...], ...]
+    """Rows of stepping rates."""
     benchmarks: tuple[tuple[str, ...], ...]
+    """Rows of rates measured outside of the run."""
     gaps: tuple[GapGroup, ...]
+    """Declared gaps by backend and reason."""
     loose: tuple[str, ...]
+    """Sentences on tolerances that are looser than the best engine warrants."""
     broken: tuple[Record, ...]
     """Jobs that crashed, hung or raised, at any time step."""
 

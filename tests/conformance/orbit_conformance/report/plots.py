@@ -58,10 +58,12 @@ class Plot:
         columns = self._columns = min(_COLUMNS, len(titles))
         rows = -(-len(titles) // columns)
         self.figure = Figure(figsize=(PANEL_WIDTH * columns, PANEL_HEIGHT * rows + 0.3), layout="constrained")
+        """Matplotlib's figure."""
         axes = self.figure.subplots(rows, columns, squeeze=False).ravel()
         for axis in axes[len(titles) :]:
             axis.remove()
         self.panels: dict[str, Any] = dict(zip(titles, axes, strict=False))
+        """Axes by title."""
         for title, panel in self.panels.items():
             panel.set_title(title, loc="left")
 

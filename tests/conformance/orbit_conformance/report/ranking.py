@@ -23,6 +23,7 @@ class Miss:
     """A scenario, robot or task in which an engine falls short."""
 
     name: str
+    """Name of the scenario, robot or task."""
     anchor: str
     """Element of the page that shows it."""
 
@@ -38,6 +39,7 @@ class Value:
     anchor: str = ""
     """Element of the page that shows the figure; the list of misses where empty."""
     misses: tuple[Miss, ...] = ()
+    """Things behind the figure in which the engine falls short."""
     detail: str = ""
     """Condition of the measurement, such as the machine."""
 
@@ -47,6 +49,7 @@ class Missing:
     """Reason for which a figure of an engine is not measured."""
 
     reason: str
+    """Reason, for readers."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,9 @@ class Figure:
     """A quantity that decides for or against an engine."""
 
     title: str
+    """Heading of the column."""
     meaning: str
+    """Quantity in a sentence."""
     read: Callable[[Result, str], Value | Missing]
     """The figure of a backend."""
 
@@ -64,8 +69,11 @@ class Use:
     """A use that engines are ranked for."""
 
     key: str
+    """Word for anchors."""
     title: str
+    """Heading of the ranking."""
     figures: tuple[Figure, Figure, Figure]
+    """The three figures that decide, the first one first."""
     note: str = ""
     """Condition under which the figures were taken."""
 
@@ -75,8 +83,11 @@ class Placing:
     """Place of an engine in a ranking."""
 
     place: int
+    """Place from 1 on; equal engines share one."""
     backend: str
+    """Name of the backend."""
     values: tuple[Value, ...]
+    """Figures in the use's order."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +95,9 @@ class Ranking:
     """Engines in their order for one use."""
 
     use: Use
+    """Use that engines are ranked for."""
     placings: tuple[Placing, ...]
+    """Engines, the best first."""
     unmeasured: tuple[tuple[str, str], ...]
     """Pairs of backend and reason."""
 

@@ -20,9 +20,11 @@ class RobotCell:
     status: Status | None
     """None where the robot is not put to the check."""
     reason: str
+    """Reason for anything but a pass."""
     errors: tuple[tuple[str, str, str], ...]
     """Metric, error and tolerance."""
     figures: tuple[tuple[str, str], ...]
+    """Further measured values, name and value."""
 
     @property
     def style(self) -> str:
@@ -40,8 +42,11 @@ class RobotLine:
     """One robot on one backend."""
 
     name: str
+    """Name of the robot."""
     about: str
+    """Joints and mass."""
     cells: tuple[RobotCell, ...]
+    """Standing in each check, in the page's order."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,9 @@ class RobotTable:
     """All robots on one backend."""
 
     backend: str
+    """Name of the backend."""
     lines: tuple[RobotLine, ...]
+    """Robots in order."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,9 @@ class RobotSection:
     """Everything that the report shows of robots."""
 
     checks: tuple[RobotCheck, ...]
+    """Checks in the order of columns."""
     tables: tuple[RobotTable, ...]
+    """One table for each backend."""
     gaps: tuple[tuple[str, Gap], ...]
     """Backend, or "all", and what it declares."""
 

@@ -1,4 +1,4 @@
-"""Whether a robot is the same on every engine: its mass, its links, its drives, its grip and its stand."""
+"""Checks that a robot is the same on every engine: its mass, its links, its drives, its grip and its stand."""
 
 from orbit_core.exports import lazy_modules
 

@@ -89,9 +89,11 @@ class RobotCheck:
     truth: str
     """The closed form, or the requirement, that answers it."""
     metrics: tuple[Metric, ...]
+    """Errors that ``run`` returns, with their tolerances."""
     spared: Callable[[RobotSpec], str]
     """Why a robot is not put to it, as an arm does not stand; empty where it is."""
     run: Callable[[Trial, RobotSpec], Measures]
+    """Function that measures a robot on a trial's backend."""
 
     def metric(self, name: str) -> Metric:
         """The metric of that name."""
@@ -103,12 +105,15 @@ class CheckResult:
     """The outcome of one check of a robot on a backend."""
 
     check: str
+    """Name of the check."""
     status: Status
+    """Pass, declared gap or failure."""
     reason: str
     """The reason for anything but a pass."""
     errors: dict[str, float]
     """Errors by metric."""
     figures: dict[str, float] = field(default_factory=dict)
+    """Further measured values by name."""
     seconds: float = 0.0
     """Wall time, building of the world included."""
 
@@ -122,7 +127,9 @@ class RobotResult:
     mass: float
     """Total mass of the description in kg."""
     checks: tuple[CheckResult, ...]
+    """Outcomes in order."""
     categories: tuple[str, ...] = ()
+    """Kinds of robot that it is: arm, hand, mobile, legged."""
     spared: dict[str, str] = field(default_factory=dict)
     """Reasons by check, of those that the robot is not put to."""
 

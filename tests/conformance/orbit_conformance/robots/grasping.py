@@ -40,6 +40,7 @@ class Place:
     opened: Mapping[str, float]
     """Positions of all movable joints by name."""
     closed: Mapping[str, float]
+    """The same with the hand closed on the cylinder."""
 
 
 def place_of(spec: RobotSpec, effector: EndEffector, gripper: Gripper) -> Place | None:

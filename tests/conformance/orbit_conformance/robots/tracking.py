@@ -38,8 +38,11 @@ class LinearJoints:
     damping: FloatArray
     """Of the drives."""
     spring_stiffness: FloatArray
+    """Stiffness of the mechanisms' springs."""
     joint_damping: FloatArray
+    """Damping of the mechanisms."""
     armature: FloatArray
+    """Reflected inertia of the motors."""
 
 
 def drive_response(

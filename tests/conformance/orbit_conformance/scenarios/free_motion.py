@@ -36,6 +36,7 @@ class Momenta:
     """Momenta of all links of a thing together, in double precision, about the environment's origin."""
 
     mass: float
+    """kg of all links together."""
     center: Tensor
     """Centre of mass (N, 3) in m."""
     linear: Tensor

@@ -187,6 +187,7 @@ class Bob:
     angle: float
     """rad from straight down."""
     collides: bool = False
+    """True to let bob and rope touch."""
 
 
 _TAUT = (

@@ -149,6 +149,7 @@ class HandReport:
     """Measurements of a gripper, in the axes of its end effector's frame."""
 
     frame: str
+    """Name of the end effector's frame."""
     opening: float
     """Metres along y that are free about the frame when it is open."""
     closing: float
@@ -279,12 +280,19 @@ class JointRow:
     """One movable joint as the scene has it, after its actuator's overrides. Infinite is unlimited."""
 
     name: str
+    """Name of the joint."""
     effort_limit: float
+    """N m or N."""
     velocity_limit: float
+    """rad/s or m/s."""
     armature: float
+    """kg m^2 or kg."""
     stiffness: float
+    """N m/rad or N/m of its drive."""
     damping: float
+    """N m s/rad or N s/m of its drive."""
     response: DriveResponse | None
+    """Response to a position target over the workspace; None without stiffness."""
     load: float
     """Effort (N m or N) that holds it at home against gravity; zero where that is compensated, or the base is free."""
 
@@ -445,11 +453,17 @@ class RobotReport:
     """Result of an audit of a robot."""
 
     entry: RobotEntry
+    """Entry of the catalogue."""
     spec: RobotSpec
+    """Robot as it was built."""
     findings: tuple[Finding, ...]
+    """Faults, warnings and notes."""
     joints: tuple[JointRow, ...] = ()
+    """Limits, gains and loads of the movable joints."""
     hands: tuple[HandReport, ...] = ()
+    """Measurements of the grippers."""
     stance: StanceReport | None = None
+    """Standing of a robot on feet or wheels; None for others."""
 
     @property
     def faults(self) -> tuple[Finding, ...]:

@@ -1,0 +1,1 @@
+"""Many trainings with varied settings, on the machines of a Ray cluster."""

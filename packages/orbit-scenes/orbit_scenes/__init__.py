@@ -1,0 +1,1 @@
+"""Scenes: procedural rooms and furniture, household things with grasps, importers of object sets, mesh scans."""

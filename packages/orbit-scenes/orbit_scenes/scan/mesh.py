@@ -1,0 +1,222 @@
+"""Meshes of scanned rooms: read with their unit and up axis, cleaned, put on their floor, decimated, cut."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_assets.meshes import load_mesh, merge_vertices
+from orbit_assets.options import ReadOptions
+from orbit_core.installing import install_extra
+from orbit_core.interfaces.errors import ArgumentError, AssetError, ConfigurationError
+from orbit_core.scene import Box, Mesh, MeshCollision, Pose
+from orbit_core.scene.pose import FloatArray
+
+Up = Literal["x", "y", "z"]
+# The only formats whose specification fixes metres and y up.
+_GLTF = (".glb", ".gltf")
+# Metres: bins of height in which a floor is sought, and distance from it within which triangles belong to it.
+_BIN, _NEAR = 0.02, 0.03
+# Cosine of the steepest floor; least area (m^2) of a floor, and its share of the fullest level.
+_LEVEL, _LEAST_FLOOR, _SHARE = math.cos(math.radians(15.0)), 1.0, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A scanned surface in metres, z up."""
+
+    vertices: FloatArray
+    """(V, 3)"""
+    faces: npt.NDArray[np.integer]
+    """(F, 3)"""
+    tilt: float = 0.0
+    """Angle (rad) by which :func:`on_floor` turned it to make its floor level."""
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners (F, 3, 3) of all triangles, m."""
+        return self.vertices[self.faces]
+
+    @property
+    def doubled_normals(self) -> FloatArray:
+        """Normals (F, 3) of all triangles, as long as twice their area, m^2."""
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        return np.cross(b - a, c - a)
+
+    @property
+    def size(self) -> FloatArray:
+        """Extent (3,) along the axes, m."""
+        return np.ptp(self.vertices, axis=0)
+
+    def mesh(self) -> Mesh:
+        """Return the surface as a mesh that collides as it is."""
+        vertices = np.ascontiguousarray(self.vertices, dtype=np.float32)
+        return Mesh(vertices, np.ascontiguousarray(self.faces, dtype=np.int32), MeshCollision.TRIANGLES)
+
+
+def read_scan(
+    path: str | Path, *, unit: float | None = None, up: Up | None = None, options: ReadOptions = ReadOptions()
+) -> Scan:
+    """Read a scan from an OBJ, PLY, glTF or other mesh file.
+
+    Args:
+        path: the file.
+        unit: metres of one unit of the file; glTF is in metres.
+        up: the file's axis that points up; y in glTF.
+        options: limits on size; a scan of more triangles than ``ReadLimits.vertices`` is refused before it is decoded.
+
+    Raises:
+        AssetError: the file cannot be read, is too large, or its unit or up axis is neither given nor fixed by its
+            format.
+    """
+    path = Path(path)
+    gltf = path.suffix.lower() in _GLTF
+    mesh = load_mesh(path, options=options)
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    if not gltf and (unit is None or up is None):
+        extent = " x ".join(f"{length:.4g}" for length in np.ptp(vertices, axis=0))
+        raise AssetError(
+            f"scan '{path}' does not state its {'unit' if unit is None else 'up axis'}: give the metres of one unit "
+            f"and the axis that points up, read_scan(..., unit=0.001, up='z'); it extends over {extent} units"
+        )
+    scale = 1.0 if unit is None else unit
+    if not 0.0 < scale < math.inf:
+        raise AssetError(f"the unit of scan '{path}' is {unit} m: give a number above zero")
+    return Scan(scale * _upright(vertices, up or "y"), mesh.faces)
+
+
+def _upright(vertices: FloatArray, up: Up) -> FloatArray:
+    """Return vertices with ``up`` turned to z; cyclic, so that no surface is reflected."""
+    shift = {"x": 2, "y": 1, "z": 0}[up]
+    # x up: (y, z, x); y up: (z, x, y). Both are rotations.
+    order = {0: (0, 1, 2), 1: (2, 0, 1), 2: (1, 2, 0)}[shift]
+    return vertices[:, order]
+
+
+def cleaned(scan: Scan, least_area: float = 0.02) -> Scan:
+    """Merge equal vertices, and remove flat triangles and loose bits of surface.
+
+    Args:
+        scan: as it was read.
+        least_area: area (m^2) below which a connected bit of surface is noise.
+    """
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
+    vertices, faces = merge_vertices(scan.vertices.astype(np.float32), scan.faces)
+    edges = np.concatenate((faces[:, :2], faces[:, 1:]))
+    joined = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(len(vertices),) * 2)
+    labels = csgraph.connected_components(joined, directed=False)[1]
+    whole = replace(scan, vertices=vertices.astype(np.float64), faces=faces)
+    areas = np.bincount(labels[faces[:, 0]], np.linalg.norm(whole.doubled_normals, axis=1) / 2.0)
+    kept = faces[areas[labels[faces[:, 0]]] >= least_area]
+    if not len(kept):
+        raise AssetError(f"the scan has no connected surface of {least_area} m^2: check its unit")
+    return _compact(whole, kept)
+
+
+def on_floor(scan: Scan) -> Scan:
+    """Find the floor, make it level and move it to z = 0.
+
+    The floor is the lowest level that holds at least 30 % of the area of the fullest one, of triangles that face up
+    within 15 degrees.
+
+    Raises:
+        AssetError: there is no level surface of a square metre: the up axis or the unit is wrong.
+    """
+    # Twice: triangles of a tilted floor fill several bins of height, and the second time all of them count.
+    return _levelled(_levelled(scan))
+
+
+def _levelled(scan: Scan) -> Scan:
+    """Return the scan with its floor moved to z = 0 and turned level by the plane that fits it best."""
+    normals = scan.doubled_normals
+    lengths = np.linalg.norm(normals, axis=1)
+    level = normals[:, 2] > _LEVEL * np.maximum(lengths, 1e-12)
+    middles = scan.corners.mean(1)
+    if not level.any():
+        raise AssetError("the scan has no surface that faces up: check its up axis, and that its faces look inwards")
+    heights, areas = middles[level, 2], lengths[level] / 2.0
+    first = heights.min()
+    bins = ((heights - first) / _BIN).astype(np.int64)
+    filled = np.bincount(bins, areas)
+    # A floor may straddle two bins: sums of neighbours decide.
+    sums = filled + np.concatenate((filled[1:], [0.0]))
+    if sums.max() < _LEAST_FLOOR:
+        raise AssetError(
+            f"the scan has no floor: its fullest level surface is {sums.max():.2f} m^2 of {areas.sum():.2f}: check its "
+            "unit and up axis"
+        )
+    lowest = int(np.flatnonzero(sums >= _SHARE * sums.max())[0])
+    height = first + (lowest + 1) * _BIN
+    near = np.abs(heights - height) < _NEAR
+    points, weights = middles[level][near], areas[near]
+    middle = np.average(points, axis=0, weights=weights)
+    arms = (points - middle) * np.sqrt(weights)[:, None]
+    # The direction of least spread is the plane's normal.
+    normal = np.linalg.svd(arms, full_matrices=False)[2][2] if len(points) > 2 else np.array((0.0, 0.0, 1.0))
+    normal = normal * np.sign(normal[2] or 1.0)
+    axis = np.cross(normal, (0.0, 0.0, 1.0))
+    sine = float(np.linalg.norm(axis))
+    turn = Pose()
+    if sine > 1e-9:
+        x, y, z = (float(value) for value in axis)
+        turn = Pose.from_axis_angle((x, y, z), math.asin(min(sine, 1.0)))
+    moved = turn.transform(scan.vertices - middle) + np.array((middle[0], middle[1], 0.0))
+    return replace(scan, vertices=moved, tilt=scan.tilt + math.asin(min(sine, 1.0)))
+
+
+def decimated(scan: Scan, triangles: int) -> Scan:
+    """Return the scan with about as many triangles, by quadric edge collapse (Garland and Heckbert, SIGGRAPH 1997).
+
+    Args:
+        scan: with merged vertices (:func:`cleaned`).
+        triangles: number that is wanted; a scan that has fewer is returned as it is.
+
+    Raises:
+        ArgumentError: the number is below four.
+        ConfigurationError: the package fast-simplification is not installed.
+    """
+    if triangles < 4:
+        raise ArgumentError(f"a scan cannot be decimated to {triangles} triangles: give four or more")
+    if len(scan.faces) <= triangles:
+        return scan
+    try:
+        fast_simplification = importlib.import_module("fast_simplification")
+    except ImportError:
+        raise ConfigurationError(
+            f"decimating a scan needs the package fast-simplification: {install_extra('scan')}"
+        ) from None
+    points = np.ascontiguousarray(scan.vertices, dtype=np.float32)
+    faces = np.ascontiguousarray(scan.faces, dtype=np.int32)
+    vertices, kept = fast_simplification.simplify(points, faces, target_count=triangles)
+    return _compact(replace(scan, vertices=np.asarray(vertices, dtype=np.float64)), np.asarray(kept))
+
+
+def cut_out(scan: Scan, pose: Pose, half_extents: tuple[float, float, float]) -> Scan:
+    """Remove what is within a box, where an object of one's own is to stand.
+
+    Triangles that reach into the box by a corner or their middle go as a whole: the edge is as fine as they are.
+
+    Args:
+        scan: to be cut.
+        pose: of the box's middle.
+        half_extents: of the box, m.
+    """
+    inverse, half = pose.inverse(), np.asarray(Box(half_extents).half_extents)
+    within = (np.abs(inverse.transform(scan.vertices)) <= half).all(1)
+    middles = (np.abs(inverse.transform(scan.corners.mean(1))) <= half).all(1)
+    reached = np.asarray(within)[scan.faces].any(1) | middles
+    return _compact(scan, scan.faces[~reached])
+
+
+def _compact(scan: Scan, faces: npt.NDArray[np.integer]) -> Scan:
+    """Return the scan with these faces, and the vertices that they use."""
+    used, numbers = np.unique(faces, return_inverse=True)
+    return replace(scan, vertices=scan.vertices[used], faces=numbers.reshape(-1, 3))
