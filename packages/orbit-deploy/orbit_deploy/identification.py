@@ -44,6 +44,7 @@ class IdentificationSettings:
     refinements: int = 30
     """Most evaluations of the refinement, each in twice as many worlds as there are parameters."""
     seed: int = 0
+    """Seed of CMA-ES."""
 
     def __post_init__(self) -> None:
         for name, least in (("worlds", 4), ("generations", 0), ("refinements", 1)):
@@ -56,6 +57,7 @@ class Identification:
     """Result of a search."""
 
     names: tuple[str, ...]
+    """Names of the parameters, such as ``friction:joint1`` and ``delay``."""
     values: FloatArray
     """(P,)"""
     deviations: FloatArray
@@ -63,7 +65,9 @@ class Identification:
     before: float
     """Root mean square of simulated minus recorded positions of the robot as it was, rad or m."""
     after: float
+    """The same with the fitted parameters."""
     fitted: FittedRobot
+    """Parameters by name, with their source."""
 
 
 def identify(
@@ -145,6 +149,7 @@ class _Search:
             raise ConfigurationError(
                 f"identification needs cmaes: {install_command('orbit-deploy[identify]')}"
             ) from None
+        # Zero is the likeliest value of many parameters, but a mean at the end of the range samples one side only.
         optimizer = CMA(
             np.clip(start, 0.1, 0.9),
             0.2,
@@ -158,6 +163,7 @@ class _Search:
             errors = self.errors(candidates)
             if generation == 0 and not (errors < 5.0).any():
                 raise ConfigurationError("no candidate of the first generation can be simulated: is this its log?")
+            # All candidates of a generation were simulated at once; the optimiser learns of them together.
             optimizer.tell([(each, float(value)) for each, value in zip(candidates, errors, strict=True)])
             if errors.min() < error:
                 best, error = candidates[int(errors.argmin())], float(errors.min())
@@ -190,6 +196,7 @@ class _Search:
             lambda scaled: at(scaled)[1],  # pyright: ignore[reportArgumentType] - SciPy's stubs name words only
             bounds=(0.0, 1.0),
             x_scale="jac",
+            # Single precision ends the descent long before double precision would.
             ftol=_GAIN,
             xtol=_STEP,
             gtol=None,  # pyright: ignore[reportArgumentType] - switched off
@@ -202,6 +209,7 @@ class _Search:
         """Return residuals (M,) and their derivatives (M, P) by central differences, all worlds at once."""
         shifts = _DIFFERENCE * np.eye(len(at))
         above, below = np.clip(at + shifts, 0.0, 1.0), np.clip(at - shifts, 0.0, 1.0)
+        # One run of 2 P + 1 worlds, as a world costs less than a run.
         found = self.residuals(np.concatenate((at[None], above, below)))
         count = len(at)
         way = (above - below)[range(count), range(count)]
