@@ -233,7 +233,8 @@ class _Search:
         inverse = np.where(known, 1.0 / np.where(known, weights, 1.0), np.inf)
         with np.errstate(invalid="ignore"):
             spread = np.where(vectors**2 > 1e-12, vectors**2 * inverse, 0.0).sum(1)
-        return np.sqrt(variance * spread)
+            # No residual is left where a still log fits anything, and then nothing is known.
+            return np.where(np.isinf(spread), np.inf, np.sqrt(variance * spread))
 
 
 def _correlation(rows: FloatArray) -> float:

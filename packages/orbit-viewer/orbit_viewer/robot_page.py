@@ -47,6 +47,7 @@ class RobotPage:
     ) -> None:
         from viser import uplot
 
+        # The robot alone, without what stands around it: a log does not know that.
         layout = SceneLayout.of(Scene(robots=(spec,)))
         self._tree, self._seconds, self._series = KinematicTree(spec.articulation), seconds, series
         self._joints = [joint.name for joint in spec.articulation.movable_joints]
@@ -102,6 +103,7 @@ class RobotPage:
 
     def series(self) -> Mapping[str, FloatArray]:
         """Return what the plots show of the chosen joint: ``time`` and each series, (T,)."""
+        # One joint at a time: a plot of all of them shows none.
         column = self._joints.index(self._joint.value)
         values = np.stack([row[:, column] for _, row in self._rows])
         return {"time": np.array([when for when, _ in self._rows]), **dict(zip(self._series, values.T, strict=True))}
