@@ -44,7 +44,7 @@ class IdentificationSettings:
     refinements: int = 30
     """Most evaluations of the refinement, each in twice as many worlds as there are parameters."""
     seed: int = 0
-    """Seed of CMA-ES; the refinement draws nothing."""
+    """Seed of CMA-ES."""
 
     def __post_init__(self) -> None:
         for name, least in (("worlds", 4), ("generations", 0), ("refinements", 1)):
@@ -57,7 +57,7 @@ class Identification:
     """Result of a search."""
 
     names: tuple[str, ...]
-    """Names of the P parameters, such as ``friction:joint1`` and ``delay``."""
+    """Names of the parameters, such as ``friction:joint1`` and ``delay``."""
     values: FloatArray
     """(P,)"""
     deviations: FloatArray
@@ -65,9 +65,9 @@ class Identification:
     before: float
     """Root mean square of simulated minus recorded positions of the robot as it was, rad or m."""
     after: float
-    """The same of the fitted robot."""
+    """The same with the fitted parameters."""
     fitted: FittedRobot
-    """Robot with the fitted parameters, as it is written to a file."""
+    """Parameters by name, with their source."""
 
 
 def identify(
@@ -150,7 +150,7 @@ class _Search:
             raise ConfigurationError(
                 f"identification needs cmaes: {install_command('orbit-deploy[identify]')}"
             ) from None
-        # It begins away from the ends of the range, beyond which half of the candidates would lie.
+        # Zero is the likeliest value of many parameters, but a mean at the end of the range samples one side only.
         optimizer = CMA(
             np.clip(start, 0.1, 0.9),
             0.2,
@@ -166,6 +166,7 @@ class _Search:
             # A failed simulation has 10 in all rows.
             if generation == 0 and not (errors < 5.0).any():
                 raise ConfigurationError("no candidate of the first generation can be simulated: is this its log?")
+            # All candidates of a generation were simulated at once; the optimiser learns of them together.
             optimizer.tell([(each, float(value)) for each, value in zip(candidates, errors, strict=True)])
             if errors.min() < error:
                 best, error = candidates[int(errors.argmin())], float(errors.min())
@@ -199,6 +200,7 @@ class _Search:
             bounds=(0.0, 1.0),
             # By their effect: parameters differ in it by orders of magnitude.
             x_scale="jac",
+            # Single precision ends the descent long before double precision would.
             ftol=_GAIN,
             xtol=_STEP,
             gtol=None,  # pyright: ignore[reportArgumentType] - switched off
@@ -211,6 +213,7 @@ class _Search:
         """Return residuals (M,) and their derivatives (M, P) by central differences, all worlds at once."""
         shifts = _DIFFERENCE * np.eye(len(at))
         above, below = np.clip(at + shifts, 0.0, 1.0), np.clip(at - shifts, 0.0, 1.0)
+        # One run of 2 P + 1 worlds, as a world costs less than a run.
         found = self.residuals(np.concatenate((at[None], above, below)))
         count = len(at)
         # Shorter at an end of the range, where a shift is cut off.
@@ -236,7 +239,8 @@ class _Search:
         inverse = np.where(known, 1.0 / np.where(known, weights, 1.0), np.inf)
         with np.errstate(invalid="ignore"):
             spread = np.where(vectors**2 > 1e-12, vectors**2 * inverse, 0.0).sum(1)
-        return np.sqrt(variance * spread)
+            # No residual is left where a still log fits anything, and then nothing is known.
+            return np.where(np.isinf(spread), np.inf, np.sqrt(variance * spread))
 
 
 def _correlation(rows: FloatArray) -> float:

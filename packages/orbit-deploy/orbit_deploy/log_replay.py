@@ -78,6 +78,7 @@ class LogReplay:
         # A CSV file does not say the cycle: that of ORBIT's computers is 1 ms if not set otherwise.
         rate = log.description.rate if log.description is not None else 1000.0
         self.dt = dt or 1.0 / rate
+        # A delay and a payload need no joint parameters per environment.
         self._backend, self._settings = backend, settings
         self._together = not set(names.quantities) or backend_of(backend).capabilities().has(
             Capability.RANDOMIZE_JOINTS
@@ -106,6 +107,7 @@ class LogReplay:
             return self._follow(self._shared(len(values)), values)
         found: list[FloatArray] = []
         for row in values:
+            # Built again, since these engines read joint parameters only when they load a robot.
             world = self._made(self.fitted(row).apply(self.spec), 1)
             try:
                 found.append(self._follow(world, row[None], built=True))
@@ -202,6 +204,7 @@ class LogReplay:
 
     def _at(self, place: Tensor) -> Tensor:
         """Return targets (N, 3, J) at fractional rows (N,), the first before the beginning."""
+        # Before the first target arrived the robot held its place, which is what the first target says.
         place = place.clamp_min(0.0)
         low = place.long().clamp_max(len(self._targets) - 2)
         share = (place - low)[:, None, None]
@@ -213,6 +216,7 @@ def payload_link_of(spec: RobotSpec) -> str:
     articulation = spec.articulation
     masses = {link.name: link.mass for link in articulation.links}
     parents = {joint.child: joint.parent for joint in articulation.joints}
+    # Frames of hands are often links without a mass, which no payload can scale.
     name = spec.end_effectors[0].frame if spec.end_effectors else articulation.links[-1].name
     # A payload multiplies the link's inertia, which a link without a mass has not.
     while name in parents and masses.get(name, 0.0) <= 0.0:

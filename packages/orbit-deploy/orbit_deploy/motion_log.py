@@ -33,21 +33,21 @@ class MotionLog:
     """Motion of one robot. Arrays are (T,) or (T, J); a row holds the targets of a cycle and the state after it."""
 
     joints: tuple[str, ...]
-    """Names of the J joints, in the order of all columns."""
+    """Names in the order of the columns."""
     times: FloatArray
     """(T,) s from the first row, rising."""
     target: FloatArray
     """rad or m, as the drives were given them."""
     target_velocity: FloatArray
-    """rad/s or m/s; zero where the log has none."""
+    """rad/s or m/s, as the drives were given them."""
     target_effort: FloatArray
     """N m or N, added to what the drives apply."""
     position: FloatArray
     """Measured, rad or m."""
     velocity: FloatArray
-    """Measured, rad/s or m/s; zero where the log has none."""
+    """Measured, rad/s or m/s."""
     effort: FloatArray
-    """Measured, N m or N; zero where the log has none."""
+    """Measured, N m or N."""
     source: str = ""
     """File and digest."""
     description: RobotDescription | None = None
@@ -94,6 +94,7 @@ class MotionLog:
 
     def write_csv(self, path: Path) -> None:
         """Write the log as a CSV file: ``time`` and a column for each quantity and joint."""
+        # Nine digits give a single-precision number back exactly.
         names = ["time", *(f"{kind}:{joint}" for kind in _COLUMNS for joint in self.joints)]
         table = np.column_stack([self.times, *(getattr(self, kind) for kind in _COLUMNS)])
         np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(names), comments="", encoding="utf-8")
@@ -126,6 +127,7 @@ def motion_log(
         row = int(np.argmax(np.diff(times) <= 0.0)) + 1
         raise ConfigurationError(f"{source} goes back in time at state {row}")
     full = {name: columns.get(name, np.zeros_like(columns["position"])) for name in _COLUMNS}
+    # A log without targets still shows a motion, and one of a free robot has none.
     full["target"] = columns.get("target", columns["position"])
     for name, values in full.items():
         if not np.isfinite(values).all():
@@ -173,6 +175,7 @@ def _read_mcap(path: Path) -> MotionLog | None:
     data = read_bytes(path, _MOST_BYTES)
     try:
         reader = make_reader(io.BytesIO(data))
+        # Other programs write MCAP too, recordings of ROS 2 among them.
         described = next((each for each in reader.iter_metadata() if each.name == "robot"), None)
         # Robots' computers write the description at once: without one, it may be a recording of ROS.
         if described is None:

@@ -73,6 +73,7 @@ class LiveTwin:
                 f"the base of '{spec.articulation.name}' moves: a twin follows robots with a fixed base"
             )
         self._dt = dt
+        # Without the task's objects: a twin shows what the drives do, not what the robot touches.
         self._world = simulate(Scene(robots=(spec,), physics_dt=dt), 1, backend, settings=settings)
         self._robot = next(iter(self._world.robots.values()))
         joints = range(len(spec.articulation.movable_joints))
@@ -103,6 +104,7 @@ class LiveTwin:
         if self._stamp is None or not 0 <= state.stamp - self._stamp < 5e8:
             self.restart(state)
         assert self._stamp is not None, "a restart sets it"
+        # States are tens of milliseconds apart, and the drives' targets move in between.
         targets, steps = _targets(state), round(1e-9 * (state.stamp - self._stamp) / self._dt)
         for step in range(steps):
             given = self._before + (targets - self._before) * (step + 1) / steps
