@@ -40,7 +40,7 @@ DISTRIBUTIONS = (
         "orbit_deploy",
         "packages/orbit-deploy/orbit_deploy",
         _CORE | {"orbit_assets", "orbit_data"},
-        frozenset({"orbit_learn"}),
+        frozenset({"orbit_learn", "orbit_viewer"}),
     ),
     Distribution("orbit_scenes", "packages/orbit-scenes/orbit_scenes", _CORE | {"orbit_assets"}),
     Distribution("orbit_zmq", "bridges/orbit-zmq/orbit_zmq", _CORE | {"orbit_deploy"}),

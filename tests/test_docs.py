@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from orbit_core.cli import COMMANDS, OTHERS
+from orbit_core.envs import task_entries
 from orbit_core.moved import new_name
 from tests.distributions import DISTRIBUTIONS
 
@@ -95,6 +97,18 @@ def test_shown_imports_are_of_names_as_they_are_today(page: Path) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("error", FutureWarning)
             exec(statement, {})
+
+
+def test_the_page_of_the_command_line_has_every_command() -> None:
+    page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    assert [name for name in (*COMMANDS, *OTHERS) if f"| `orbit {name} " not in page] == ["conformance"]
+    assert "| `orbit conformance` |" in page
+
+
+def test_the_gallery_shows_every_task() -> None:
+    """Else: add it to a group of tools/task_gallery.py, and run that with --only NAME."""
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    assert [name for name in task_entries() if f"**{name}**" not in page] == []
 
 
 def test_renamed_names_are_those_of_today() -> None:

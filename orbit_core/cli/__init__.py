@@ -49,6 +49,9 @@ OTHERS = {
     "serve": ("orbit-learn", "Serve a policy to programs that speak OpenPI's protocol"),
     "deploy": ("orbit-deploy", "Run an expert, a learned policy or a person on a robot, through a bridge"),
     "robot": ("orbit-deploy", "Serve a simulated robot as a robot's computer does, in real time"),
+    "identify": ("orbit-deploy", "Fit a robot's friction, damping, armature, delay and payload to a log of its motion"),
+    "twin": ("orbit-deploy", "Replay a robot's log in simulation, and show where robot and simulations differ"),
+    "bisect": ("orbit-deploy", "Find which difference between two simulations makes a policy fail"),
     "scene": ("orbit-scenes", "Make rooms, houses, tables and bins by seed, check scenes, list household things"),
     "check-asset": ("orbit-assets", "Check an asset file: masses, inertias, limits, shapes, and what was changed"),
     "check-robot": (

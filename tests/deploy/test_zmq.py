@@ -115,7 +115,7 @@ def test_other_versions_and_messages_that_are_none_are_refused(robot: tuple[Robo
     assert socket.poll(5000)
     context.destroy(linger=0)
     assert [answer.code for answer in answers if isinstance(answer, Refusal)] == ["version", "message", "busy"]
-    assert "speaks version 1 of the messages, and the client 99" in answers[0].text
+    assert "speaks version 2 of the messages, and the client 99" in answers[0].text
 
 
 def test_nobody_at_the_address_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

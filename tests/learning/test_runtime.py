@@ -47,9 +47,11 @@ def measured_of(environment: Environment) -> Measured:
     manifest = Manifest.of(environment, "", 0).observations["policy"].terms
     row, begin, found = environment.observe()["policy"][0].numpy(), 0, {}
     for name, term in manifest.items():
-        size = int(np.prod(term.shape))
-        found[name] = row[begin : begin + size] / term.scale + np.array(term.offset)
-        begin += size
+        end = begin + int(np.prod(term.shape))
+        # The newest step of a history is its last.
+        size = (end - begin) // term.history
+        found[name] = row[end - size : end] / term.scale + np.array(term.offset)
+        begin = end
     return found
 
 

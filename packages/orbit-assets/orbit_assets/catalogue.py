@@ -11,8 +11,10 @@ import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from orbit_assets.fitted import read_fitted
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry, faults_named
 
@@ -115,14 +117,18 @@ class RobotCatalogue:
         self._registry.add(entry.name, entry)
 
     def entry(self, name: str) -> RobotEntry:
-        """Return the entry of a robot, or of a composition such as ``"ur10+allegro_right"``.
+        """Return the entry of a robot, of a composition such as ``"ur10+allegro_right"``, or of a fitted robot's file.
 
-        The entry of a composition is made of those of its parts. Spaces around names do not count.
+        The entry of a composition is made of those of its parts. Spaces around names do not count. A name that ends in
+        ``.json`` is a file of ``orbit identify``.
 
         Raises:
             UnknownNameError: there is none of that name.
+            AssetError: the file is no fitted robot.
             ConfigurationError: two packages bring it, or a part's name is empty.
         """
+        if isinstance(name, str) and name.endswith(".json"):
+            return self._fitted(Path(name))
         if not isinstance(name, str) or "+" not in name:
             return self._registry.get(name.strip() if isinstance(name, str) else name)
         # A composition has no entry point: its entry is made on request.
@@ -133,6 +139,18 @@ class RobotCatalogue:
             lambda: composed(name),
             ", ".join(dict.fromkeys(part.source for part in parts)),
             "; ".join(dict.fromkeys(f"{part.licence} ({part.name})" for part in parts)),
+        )
+
+    def _fitted(self, path: Path) -> RobotEntry:
+        found = read_fitted(path)
+        base = self.entry(found.robot)
+        return replace(
+            base,
+            name=str(path),
+            description=f"{base.description}, fitted on {found.backend} to {found.source}",
+            build=lambda: found.apply(base.load()),
+            source=f"{base.source}; {found.source}",
+            part="",
         )
 
     def parts(self, names: str) -> list[RobotEntry]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_deploy.clocks import RobotClock
-from orbit_deploy.follower import FollowerSettings, JointFollower, PathKind
+from orbit_deploy.follower import FollowerSettings, JointFollower, JointTargets, PathKind
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.log import RobotLog
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
@@ -95,6 +95,8 @@ class RobotComputer:
         self._skipped_before = 0
         self._random = random.Random(0)
         self.follower.rest_at(hardware.read().positions)
+        zero = np.zeros(len(self.description.joints))
+        self._given = JointTargets(self.follower.target, zero, zero)
 
     # Called by a bridge
 
@@ -208,7 +210,7 @@ class RobotComputer:
             self._report(Fault(now, "overrun", f"the robot's loop was held up for {held} cycles: it begins from rest"))
         if self._client and now - self._heard > SESSION_TIMEOUT * 1e9:
             self._forget_client(now)
-        targets = self.follower.sample(now)
+        targets = self._given = self.follower.sample(now)
         stops = self.follower.stops
         try:
             self.hardware.drive(targets)
@@ -282,6 +284,8 @@ class RobotComputer:
             velocities=measured.velocities.tolist(),
             efforts=measured.efforts.tolist(),
             targets=follower.target.tolist(),
+            target_velocities=self._given.velocities.tolist(),
+            target_efforts=self._given.efforts.tolist(),
             objects=measured.objects,
             clamped=follower.clamped,
             limited=follower.limited,

@@ -63,6 +63,7 @@ class RobotBackend(Backend):
     Args:
         link: session with the robot's computer; the engine closes it.
         period: seconds between commands.
+        contacts: accept contact sensors, although nobody measures them: their forces are NaN.
     """
 
     name: ClassVar[str] = "robot"
@@ -71,12 +72,14 @@ class RobotBackend(Backend):
     config_type: ClassVar[type] = RobotSettings
     simulates: ClassVar[bool] = False
 
-    def __init__(self, link: RobotLink, period: float) -> None:
-        self._link, self._period = link, period
+    def __init__(self, link: RobotLink, period: float, contacts: bool = False) -> None:
+        self._link, self._period, self._contacts = link, period, contacts
 
     def capabilities(self) -> Capabilities:
         declared = {each: approximate("the robot's own") for each in Capability}
         declared |= {each: unsupported("a robot's computer neither measures nor sets it") for each in _NONE}
+        if self._contacts:
+            declared[Capability.CONTACT_FORCES] = approximate("a robot's computer measures none: forces are NaN")
         return Capabilities(declared)
 
     def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: Any) -> Engine:
@@ -122,6 +125,10 @@ class RobotEngine(Engine):
             e.index: torch.tensor((*e.spec.pose.position, *e.spec.pose.orientation))[None] for e in layout.entities
         }
         self._root_velocities = {e.index: torch.zeros(1, 6) for e in layout.entities}
+        # No comparison with NaN is true, so that no touch is ever reported, and an action from it is refused.
+        self._contact_forces = torch.full((1, len(layout.contact_queries), 3), torch.nan)
+        self.rehearsing = False
+        """True while steps send nothing and take no time, to see what an agent would do."""
         self._due: float | None = None
         self._last_sent = -1.0
         self._soft = True
@@ -130,6 +137,8 @@ class RobotEngine(Engine):
         self._take(link.state())
 
     def step(self, steps: int) -> None:
+        if self.rehearsing:
+            return
         link = self.link
         now = link.now()
         if self._soft and not link.description.arranges:
@@ -178,6 +187,10 @@ class RobotEngine(Engine):
     @property
     def joint_efforts(self) -> Tensor:
         return self._joint_efforts
+
+    @property
+    def contact_forces(self) -> Tensor:
+        return self._contact_forces
 
     @property
     def link_poses(self) -> Tensor:
@@ -311,19 +324,27 @@ class RobotWorld(SimulatedWorld):
         num_envs: 1.
         device: ``cpu``.
         seed: of the random stream.
+        contacts: accept contact sensors, whose forces are NaN.
     """
 
     def __init__(
-        self, scene: Scene, link: RobotLink, period: float, num_envs: int, device: torch.device, seed: int
+        self,
+        scene: Scene,
+        link: RobotLink,
+        period: float,
+        num_envs: int,
+        device: torch.device,
+        seed: int,
+        contacts: bool = False,
     ) -> None:
-        super().__init__(scene, num_envs, RobotBackend(link, period), device=device, seed=seed)
+        super().__init__(scene, num_envs, RobotBackend(link, period, contacts), device=device, seed=seed)
         # Nothing is simulated here, and a manifest says so.
         self.settings = None
         self.link = link
         """Session with the robot's computer."""
 
 
-def robot_world(link: RobotLink, period: float) -> WorldFactory:
+def robot_world(link: RobotLink, period: float, contacts: bool = False) -> WorldFactory:
     """Return the factory of a world over a robot, for ``orbit_core.envs.make(..., world=robot_world(link, period))``.
 
     The world has the task's scene. Sensors, action terms, explicit actuators and Jacobians are the core's own, computed
@@ -332,9 +353,11 @@ def robot_world(link: RobotLink, period: float) -> WorldFactory:
     Args:
         link: session with the robot's computer; the world closes it.
         period: seconds between commands: the task's step.
+        contacts: accept contact sensors, which a robot has none of: their forces are NaN, so that terms that compare
+            them never trigger. For tasks whose rewards or terminations read contacts and whose policy does not.
     """
 
     def factory(scene: Scene, num_envs: int, device: torch.device, seed: int) -> RobotWorld:
-        return RobotWorld(scene, link, period, num_envs, device, seed)
+        return RobotWorld(scene, link, period, num_envs, device, seed, contacts)
 
     return factory

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import msgspec
 
-VERSION = 1
+VERSION = 2
 """Version of these messages; a robot's computer refuses clients of another one."""
 
 
@@ -61,6 +61,10 @@ class RobotState(msgspec.Struct, frozen=True, array_like=True, tag="state"):
     """Measured or estimated efforts (J), N m or N."""
     targets: list[float]
     """Positions that the drives were given, within limits."""
+    target_velocities: list[float]
+    """Velocities that the drives were given, rad/s or m/s."""
+    target_efforts: list[float]
+    """Efforts that were added to the drives', N m or N."""
     objects: list[list[float]]
     """Pose (7) and velocity (6) of each tracked object, in the order of the description."""
     clamped: int

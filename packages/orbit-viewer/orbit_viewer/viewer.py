@@ -210,7 +210,7 @@ class Viewer:
         self.controls = Controls(env.num_envs, paused)
         """Pause, speed and chosen environments, as the panel sets them."""
         self.controls.select(frames=frames)
-        self._server, token = _start_server(host, port, title, pages)
+        self._server, token = start_server(host, port, title, pages)
         root, query = f"http://{host}:{self._server.get_port()}", f"?token={token}" if token else ""
         self.url = f"{root}/{query}" if token else root
         """Address of the page, with a token where other computers reach it."""
@@ -391,7 +391,7 @@ class Viewer:
         return rows | dict(self._information(index) if self._information else {})
 
 
-def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tuple[ViserServer, str]:
+def start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tuple[ViserServer, str]:
     """Return a server that answers only its own pages and is never shared over the internet, and its token."""
     try:
         from viser import ViserServer

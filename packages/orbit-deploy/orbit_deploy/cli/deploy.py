@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from tyro.conf import Positional, arg
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
     from orbit_deploy.engine import RobotEngine
     from orbit_deploy.link import RobotLink
+    from orbit_deploy.messages import RobotState
 
 TELEOP = "teleop"
 # Share of the time with limits in the way that is reported
@@ -65,6 +66,13 @@ class DeploySettings:
     """Run although gains or limits of the robot are not the task's."""
     table: bool = True
     """Show commanded and measured joints while the robot moves, where the output is a terminal."""
+    view: bool = False
+    """Show the robot and live plots of commanded and measured joints in the browser."""
+    port: int = 8080
+    """Port of the page; if taken, the next free one."""
+    twin: Annotated[str | None, arg(metavar="BACKEND")] = None
+    """Simulate the robot with the same targets on this backend: as a ghost and in the plots of --view, and with its
+    difference from the robot in the results. For robots with a fixed base."""
     json: File = None
     """Write results and latencies here."""
     overwrite: bool = False
@@ -100,7 +108,7 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
 
     torch.set_num_threads(1)
     out = console()
-    task = _task(settings)
+    task = configured_task(settings)
     period = task.physics_dt * task.decimation
     link = connect(settings.bridge, period, settings.keys, PathKind(settings.path))
     try:
@@ -114,11 +122,13 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
         # Before the environment is made, whose first reset runs these events.
         if not described.arranges:
             _leave_placing_to_people(task, out.print)
+        _leave_out_learning(task)
         # Joints, their order and units are compared when the world is made, the policy's manifest by its actor.
-        environment = make(task, 1, world=robot_world(link, period), seed=settings.seed)
+        environment = make(task, 1, world=robot_world(link, period, contacts=True), seed=settings.seed)
         try:
             _check_differences(environment, settings)
             with _Pilot(settings, environment) as pilot:
+                _rehearse(environment, pilot, settings.agent)
                 results = _run(settings, environment, pilot)
         finally:
             _rest(link)
@@ -129,7 +139,36 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
     return results
 
 
-def _task(settings: DeploySettings) -> Task:
+class TaskWords(Protocol):
+    """Settings that name an agent and its task."""
+
+    @property
+    def agent(self) -> str:
+        """Name or path of the agent."""
+        ...
+
+    @property
+    def task(self) -> str | None:
+        """Task, or None for the policy's own."""
+        ...
+
+    @property
+    def robot(self) -> str | None:
+        """Robot in the place of the task's own."""
+        ...
+
+    @property
+    def action(self) -> str | None:
+        """Action space in the place of the task's own."""
+        ...
+
+    @property
+    def set(self) -> tuple[str, ...]:
+        """Fields of the task as ``name=value``."""
+        ...
+
+
+def configured_task(settings: TaskWords) -> Task:
     """Return the configured task, the policy's own where none is named."""
     from orbit_core.configuration import assignments
     from orbit_core.envs.actors import ACTORS
@@ -160,6 +199,47 @@ def _leave_placing_to_people(task: Task, tell: Callable[[str], object]) -> None:
         setattr(task.events, name, None)
     if names:
         tell(f"a real robot: {', '.join(names)} are switched off, place things by hand")
+
+
+def _leave_out_learning(task: Task) -> None:
+    """Switch off rewards and curriculum, which may read what a robot does not measure."""
+    from orbit_core.envs.terms import CurriculumTerm, RewardTerm, terms_of
+
+    for collection, kind in ((task.rewards, RewardTerm), (task.curriculum, CurriculumTerm)):
+        for name in terms_of(collection, kind):
+            setattr(collection, name, None)
+
+
+def _rehearse(environment: Environment, pilot: _Pilot, agent: str) -> None:
+    """Run one step without the robot if the task has contact sensors, to see that the agent does without them.
+
+    Raises:
+        ConfigurationError: it reads contact forces.
+    """
+    import torch
+
+    from orbit_core.scene import ContactSensorSpec
+
+    sensors = [spec.name for spec in environment.world.scene.sensors if isinstance(spec, ContactSensorSpec)]
+    if not sensors or agent == TELEOP:
+        return
+    engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
+    engine.rehearsing = True
+    try:
+        # The sensors hold zeros until the first step.
+        environment.step(torch.zeros(1, environment.action_size))
+        action = pilot.rehearse()
+    finally:
+        engine.rehearsing = False
+    if not bool(action.isfinite().all()):
+        raise ConfigurationError(
+            f"{agent} reads contact forces ({', '.join(sensors)}), which the robot's computer does not measure: use a "
+            "policy whose observations have none"
+        )
+    console().print(
+        f"contact forces ({', '.join(sensors)}) are not measured: terminations and metrics never see a touch",
+        soft_wrap=True,
+    )
 
 
 def _check_differences(environment: Environment, settings: DeploySettings) -> None:
@@ -211,6 +291,10 @@ class _Pilot:
             self._key.check()
         return self._actor.act()
 
+    def rehearse(self) -> Tensor:
+        """Return the next action (1, A) without asking for the dead-man key."""
+        return self._actor.act()
+
     def wait(self) -> None:
         """Wait until the dead-man key is held."""
         if self._key is not None:
@@ -242,8 +326,13 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
     # Threads of libraries exist by now and keep their priority: only the loop of commands gets a higher one.
     prioritize()
     environment.reset(settings.seed)
-    with JointTable(engine.link, settings.table) as table:
-        engine.on_step = table.show
+    with JointTable(engine.link, settings.table) as table, _Watch(settings, environment) as watch:
+
+        def show(state: RobotState) -> None:
+            table.show(state)
+            watch.show(state)
+
+        engine.on_step = show
         roll_out(environment, pilot, (counter,), lambda: counter.complete)
     episodes, link, state = counter.episodes(), engine.link, engine.link.state()
     return {
@@ -263,7 +352,56 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
         "held_back": state.limited / (link.description.rate * max(engine.times.steps * environment.step_dt, 1e-9)),
         "late": state.late,
         "stops": state.stops,
+        **watch.results(),
     }
+
+
+class _Watch:
+    """Live page and twin of the robot, each if it is wanted."""
+
+    def __init__(self, settings: DeploySettings, environment: Environment) -> None:
+        engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
+        (spec,) = environment.world.scene.robots
+        self._page = self._twin = None
+        self._begin, self._squares, self._states = engine.link.now(), 0.0, 0
+        self._link = engine.link
+        if settings.twin is not None:
+            from orbit_deploy.twin import LiveTwin
+
+            self._twin = LiveTwin(spec, settings.twin)
+        if settings.view:
+            from orbit_viewer.robot_page import RobotPage
+
+            series = ("commanded", "measured", *(() if self._twin is None else (f"simulated by {settings.twin}",)))
+            self._page = RobotPage(spec, series, port=settings.port)
+            console().print(f"live plots at {self._page.url}", soft_wrap=True)
+
+    def __enter__(self) -> _Watch:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for each in (self._page, self._twin):
+            if each is not None:
+                each.close()
+
+    def show(self, state: RobotState) -> None:
+        """Take the state of a step."""
+        import numpy as np
+
+        lines, ghost, text = [state.targets, state.positions], None, f"{state.mode}, {self._link.round_trips}"
+        if self._twin is not None:
+            away = self._twin.follow(state)
+            self._squares += float(np.mean(away**2))
+            self._states += 1
+            ghost = self._twin.positions
+            lines.append(ghost.tolist())
+            text += f", twin {np.abs(away).max():.3g} rad or m away"
+        if self._page is not None:
+            self._page.show(self._link.now() - self._begin, np.array(state.positions), np.array(lines), ghost, text)
+
+    def results(self) -> dict[str, float]:
+        """Return the difference between twin and robot, rad or m (rms)."""
+        return {} if not self._states else {"twin_rms": math.sqrt(self._squares / self._states)}
 
 
 def _count_down(seconds: float) -> None:
@@ -290,6 +428,8 @@ def _report(results: dict[str, Any]) -> None:
         table.add_row(name, f"{value:.4g}")
     for name, what in (("round_trip_ms", "round trip of a command"), ("state_age_ms", "age of a state")):
         table.add_row(what, "/".join(f"{value:.2f}" for value in results[name]) + " ms (p50/p99/p99.9)")
+    if "twin_rms" in results:
+        table.add_row("twin minus robot", f"{results['twin_rms']:.3g} rad or m (rms)")
     table.add_row("steps", f"{results['steps']}, {results['overruns']} of them late")
     table.add_row("commands", f"{results['clamped']} clamped, {results['late']} late, {results['stops']} stops")
     console().print(table)

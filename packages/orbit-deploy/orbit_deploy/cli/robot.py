@@ -25,7 +25,7 @@ class RobotSettings:
     """Serve a simulated robot to 'orbit deploy' as a robot's computer does: a loop in real time behind a bridge."""
 
     robot: Annotated[Positional[str | None], arg(metavar="ROBOT")] = None
-    """Robot of the catalogue ('orbit list robots'), on a floor; or name a task with --task."""
+    """Robot of the catalogue ('orbit list robots') or file of a fitted one; or name a task with --task."""
     task: Name = None
     """Task whose scene, with its robot and objects, is simulated; the objects are tracked."""
     backend: Name = None
@@ -47,7 +47,7 @@ class RobotSettings:
     direct: bool = False
     """Permit targets without limits of acceleration and jerk ('orbit deploy --path direct')."""
     delay: float = 0.0
-    """Seconds between a target and its effect in the drives."""
+    """Seconds between a target and its effect in the drives; of a fitted robot its own if left out."""
     friction: float = 0.0
     """Friction of each driven joint beyond the model's, as a share of its effort limit."""
     noise: float = 0.0
@@ -139,6 +139,7 @@ def _serve(settings: RobotSettings) -> None:
 
 def _hardware(settings: RobotSettings) -> RobotHardware:
     from orbit_assets.catalogue import robot
+    from orbit_assets.fitted import read_fitted
     from orbit_core.backends import default_backend
     from orbit_core.configuration import assignments
     from orbit_core.envs.configuration import configure
@@ -152,7 +153,10 @@ def _hardware(settings: RobotSettings) -> RobotHardware:
     else:
         assert settings.robot is not None  # checked by main
         scene = Scene(robots=(replace(robot(settings.robot), name="robot"),))
-    imperfections = Imperfections(delay=settings.delay, friction=settings.friction, position_noise=settings.noise)
+    delay = settings.delay
+    if settings.robot is not None and settings.robot.endswith(".json") and not delay:
+        delay = read_fitted(Path(settings.robot)).delay
+    imperfections = Imperfections(delay=delay, friction=settings.friction, position_noise=settings.noise)
     return SimulatedHardware(
         scene, settings.backend or default_backend(), settings.rate, imperfections, direct=settings.direct
     )

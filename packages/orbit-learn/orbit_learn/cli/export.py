@@ -40,8 +40,8 @@ class ExportSettings:
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
     """Folder for policy.safetensors, policy.onnx and policy.json."""
     runtime: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Write instead policy.onnx, runtime.json and orbit_runtime.py into this folder: the policy for NumPy and
-    onnxruntime, without ORBIT."""
+    """Write instead the policy for use without ORBIT into this folder: policy.onnx, runtime.json and orbit_runtime.py
+    for NumPy and onnxruntime, orbit_runtime.hpp and orbit_policy.hpp for C++17."""
     overwrite: bool = False
     """Replace existing files of those names."""
     amend: bool = False
@@ -104,7 +104,10 @@ def _export_runtime(settings: ExportSettings, policy: Policy, path: Path) -> Non
         write_runtime(folder, policy, manifest, environment)
     finally:
         environment.close()
-    console().print(f"{', '.join(NAMES)} are in {folder}: they need numpy and onnxruntime", soft_wrap=True)
+    console().print(
+        f"{', '.join(NAMES)} are in {folder}: Python needs numpy and onnxruntime, C++ a network such as onnxruntime's",
+        soft_wrap=True,
+    )
 
 
 def _amend(policy: Policy, path: Path) -> None:

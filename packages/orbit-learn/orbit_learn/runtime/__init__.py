@@ -1,10 +1,11 @@
-"""Runtimes of exported policies without ORBIT: a folder with the policy, its numbers and a small Python file."""
+"""Runtimes of exported policies without ORBIT: a folder with the policy, its numbers, and code in Python and C++."""
 
 from __future__ import annotations
 
 import json
 import math
 import shutil
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from orbit_core.actions.joints import JointPosition
 from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.memory import MemoryModule
+from orbit_learn.runtime.cpp import cpp_header
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -25,13 +27,13 @@ if TYPE_CHECKING:
     from orbit_data.manifest.manifest import ActionTermManifest, Manifest
     from orbit_learn.policy import Policy
 
-NAMES = ("policy.onnx", "runtime.json", "orbit_runtime.py")
+NAMES = ("policy.onnx", "runtime.json", "orbit_runtime.py", "orbit_runtime.hpp", "orbit_policy.hpp")
 """Files of a runtime."""
 _FORMAT = 1
 
 
 def write_runtime(folder: Path, policy: Policy, manifest: Manifest, environment: Environment) -> None:
-    """Write a policy for use on NumPy and onnxruntime.
+    """Write a policy for use in Python (NumPy and onnxruntime) and in C++17.
 
     Args:
         folder: that gets the files of :data:`NAMES`.
@@ -43,12 +45,15 @@ def write_runtime(folder: Path, policy: Policy, manifest: Manifest, environment:
         ConfigurationError: the policy remembers, sees pictures, or acts by a term that has no runtime.
     """
     document = runtime_document(policy, manifest, environment)
-    onnx, numbers, code = (folder / name for name in NAMES)
-    with written_whole(onnx) as graph, written_whole(numbers) as text, written_whole(code) as source:
-        policy.export_onnx(graph)
-        text.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        # The code travels with the file, so that a robot needs NumPy and onnxruntime only.
-        shutil.copyfile(Path(__file__).with_name(NAMES[2]), source)
+    with ExitStack() as stack:
+        # All are written before the first takes its place, so that they belong to one policy even after an error.
+        onnx, numbers, *codes, header = (stack.enter_context(written_whole(folder / name)) for name in NAMES)
+        policy.export_onnx(onnx)
+        numbers.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        for name, code in zip(NAMES[2:4], codes, strict=True):
+            # The code travels with the file, so that a robot needs nothing of ORBIT.
+            shutil.copyfile(Path(__file__).with_name(name), code)
+        header.write_text(cpp_header(document), encoding="utf-8")
 
 
 def runtime_document(policy: Policy, manifest: Manifest, environment: Environment) -> dict[str, Any]:

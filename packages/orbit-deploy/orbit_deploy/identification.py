@@ -1,0 +1,256 @@
+"""Parameters of a robot's mechanism fitted to a log of its motion, with their uncertainty.
+
+CMA-ES searches the whole range, its generation in as many worlds at once; the best candidate is then refined by least
+squares whose derivatives are differences between worlds. The curvature there gives the uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from orbit_assets.fitted import FittedRobot
+from orbit_core.installing import install_command
+from orbit_core.interfaces import ConfigurationError
+from orbit_deploy.description import FloatArray, RobotDescription
+from orbit_deploy.log_replay import LogReplay, rms
+
+# Range of each scalar
+_RANGES = {"delay": (0.0, 0.05), "payload": (0.0, 5.0), "gain": (0.5, 2.0)}
+# A joint's friction, damping and armature at the end of their ranges take this share of its effort limit: at any speed,
+# at full speed, and at full acceleration
+_SHARE = 0.2
+# Effort limit of joints without one, N m or N
+_EFFORT = 20.0
+# Difference between two worlds for a derivative, as a share of the range
+_DIFFERENCE = 2e-3
+# Distance from the ends of the range at which the refinement begins
+_INSIDE = 0.02
+# Share of the squared error, and of the range, that a step of refinement must change
+_GAIN, _STEP = 1e-4, 1e-7
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentificationSettings:
+    """Settings of a search."""
+
+    worlds: int = 24
+    """Candidates of a generation, each in a world of its own."""
+    generations: int = 25
+    """Generations of CMA-ES."""
+    refinements: int = 30
+    """Most evaluations of the refinement, each in twice as many worlds as there are parameters."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("worlds", 4), ("generations", 0), ("refinements", 1)):
+            if getattr(self, name) < least:
+                raise ConfigurationError(f"{name} of an identification must be {least} or more")
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of a search."""
+
+    names: tuple[str, ...]
+    values: FloatArray
+    """(P,)"""
+    deviations: FloatArray
+    """(P,) standard deviations; infinite for what the log does not determine."""
+    before: float
+    """Root mean square of simulated minus recorded positions of the robot as it was, rad or m."""
+    after: float
+    fitted: FittedRobot
+
+
+def identify(
+    replay: LogReplay,
+    robot: str,
+    backend: str,
+    settings: IdentificationSettings | None = None,
+    report: Callable[[str], object] = lambda text: None,
+) -> Identification:
+    """Fit a robot's parameters to a log.
+
+    Args:
+        replay: of the log, with the parameters that are fitted.
+        robot: name in the catalogue, for the result.
+        backend: name of the engine, for the result.
+        settings: of the search.
+        report: called with a line about each stage.
+
+    Raises:
+        ConfigurationError: no candidate can be simulated.
+    """
+    settings = settings or IdentificationSettings()
+    search = _Search(replay)
+    start = search.scaled(replay.present())
+    before = search.errors(start[None])[0]
+    report(f"as it is: {before:.3g} rms")
+    best = search.explore(start, settings, report)
+    best, error, jacobian = search.refine(best, settings.refinements, report)
+    deviations = search.deviations(best, jacobian)
+    values = search.values(best)
+    fitted = replace(
+        replay.fitted(values),
+        robot=robot,
+        source=replay.log.source,
+        backend=backend,
+        deviations=dict(zip(replay.names.all, deviations.tolist(), strict=True)),
+        rms_before=before,
+        rms=error,
+    )
+    return Identification(replay.names.all, values, deviations, before, error, fitted)
+
+
+class _Search:
+    """Search in scaled parameters, each in [0, 1]."""
+
+    def __init__(self, replay: LogReplay) -> None:
+        self._replay, self._log = replay, replay.log
+        self._lower, self._upper = _ranges(replay)
+        # Only joints that are fitted count, others follow their targets in any case.
+        counted = replay.names.joints or self._log.joints
+        self._columns = [self._log.joints.index(name) for name in counted]
+
+    def scaled(self, values: FloatArray) -> FloatArray:
+        """Return (P,) in [0, 1]."""
+        return np.clip((values - self._lower) / (self._upper - self._lower), 0.0, 1.0)
+
+    def values(self, scaled: FloatArray) -> FloatArray:
+        """Return parameters (..., P)."""
+        return self._lower + (self._upper - self._lower) * scaled
+
+    def residuals(self, scaled: FloatArray) -> FloatArray:
+        """Return simulated minus recorded positions (N, M); large where a simulation failed."""
+        away = self._replay.run(self.values(scaled)) - self._log.position
+        return np.nan_to_num(away[:, :, self._columns], nan=10.0).reshape(len(scaled), -1)
+
+    def errors(self, scaled: FloatArray) -> FloatArray:
+        """Return root mean squares (N,)."""
+        return np.sqrt(np.mean(np.square(self.residuals(scaled)), 1))
+
+    def explore(
+        self, start: FloatArray, settings: IdentificationSettings, report: Callable[[str], object]
+    ) -> FloatArray:
+        """Return the best candidate of CMA-ES (P,)."""
+        if not settings.generations:
+            return start
+        try:
+            from cmaes import CMA  # pyright: ignore[reportMissingImports] - an extra
+        except ImportError:
+            raise ConfigurationError(
+                f"identification needs cmaes: {install_command('orbit-deploy[identify]')}"
+            ) from None
+        optimizer = CMA(
+            np.clip(start, 0.1, 0.9),
+            0.2,
+            np.tile([0.0, 1.0], (len(start), 1)),
+            seed=settings.seed,
+            population_size=settings.worlds,
+        )
+        best, error = start, float(self.errors(start[None])[0])
+        for generation in range(settings.generations):
+            candidates = np.stack([optimizer.ask() for _ in range(settings.worlds)])
+            errors = self.errors(candidates)
+            if generation == 0 and not (errors < 5.0).any():
+                raise ConfigurationError("no candidate of the first generation can be simulated: is this its log?")
+            optimizer.tell([(each, float(value)) for each, value in zip(candidates, errors, strict=True)])
+            if errors.min() < error:
+                best, error = candidates[int(errors.argmin())], float(errors.min())
+            if generation % 5 == 4:
+                report(f"generation {generation + 1}: {error:.3g} rms")
+            if optimizer.should_stop():
+                break
+        return best
+
+    def refine(
+        self, best: FloatArray, steps: int, report: Callable[[str], object]
+    ) -> tuple[FloatArray, float, FloatArray]:
+        """Return the refined candidate, its error and the derivatives (M, P) of its residuals."""
+        known: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+        def at(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
+            # The derivatives take worlds, not time: they are computed with the residuals.
+            if (key := scaled.tobytes()) not in known:
+                known[key] = self._derivatives(scaled)
+                report(f"refinement {len(known)}: {rms(known[key][0]):.3g} rms")
+            return known[key]
+
+        # From the end of a range the steps would be as small as the way to it.
+        best = np.clip(best, _INSIDE, 1.0 - _INSIDE)
+        if not at(best)[1].any():
+            return best, rms(at(best)[0]), at(best)[1]
+        found = least_squares(
+            lambda scaled: at(scaled)[0],
+            best,
+            lambda scaled: at(scaled)[1],  # pyright: ignore[reportArgumentType] - SciPy's stubs name words only
+            bounds=(0.0, 1.0),
+            x_scale="jac",
+            ftol=_GAIN,
+            xtol=_STEP,
+            gtol=None,  # pyright: ignore[reportArgumentType] - switched off
+            max_nfev=steps,
+        )
+        residual, jacobian = at(found.x)
+        return found.x, rms(residual), jacobian
+
+    def _derivatives(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return residuals (M,) and their derivatives (M, P) by central differences, all worlds at once."""
+        shifts = _DIFFERENCE * np.eye(len(at))
+        above, below = np.clip(at + shifts, 0.0, 1.0), np.clip(at - shifts, 0.0, 1.0)
+        found = self.residuals(np.concatenate((at[None], above, below)))
+        count = len(at)
+        way = (above - below)[range(count), range(count)]
+        return found[0], ((found[1 : count + 1] - found[count + 1 :]) / way[:, None]).T
+
+    def deviations(self, best: FloatArray, jacobian: FloatArray) -> FloatArray:
+        """Return standard deviations (P,) of the parameters, from the residuals that are left.
+
+        Residuals of neighbouring rows are alike, so that fewer of them are independent: their number is divided by the
+        time over which they are correlated.
+        """
+        residual = self.residuals(best[None])[0]
+        rows = residual.reshape(len(self._log.times), -1)
+        independent = max(residual.size / _correlation(rows), len(best) + 1.0)
+        variance = float(residual @ residual) / residual.size * independent / (independent - len(best))
+        slope = self._upper - self._lower
+        normal = (jacobian / slope).T @ (jacobian / slope) * independent / residual.size
+        weights, vectors = np.linalg.eigh(normal)
+        # Directions that change nothing are not determined.
+        known = weights > 1e-12 * weights.max(initial=1e-30)
+        inverse = np.where(known, 1.0 / np.where(known, weights, 1.0), np.inf)
+        with np.errstate(invalid="ignore"):
+            spread = np.where(vectors**2 > 1e-12, vectors**2 * inverse, 0.0).sum(1)
+        return np.sqrt(variance * spread)
+
+
+def _correlation(rows: FloatArray) -> float:
+    """Return the mean number of neighbouring rows (T, J) that are alike, 1 for independent ones."""
+    centred = rows - rows.mean(0)
+    power = np.abs(np.fft.rfft(centred, 2 * len(rows), axis=0)) ** 2
+    lags = np.fft.irfft(power, axis=0)[: len(rows)]
+    shares = lags / np.maximum(lags[0], 1e-300)
+    times: list[float] = []
+    for column in shares.T:
+        # Up to the first negative one, beyond which there is noise only
+        end = int(np.argmax(column <= 0.0)) or len(column)
+        times.append(1.0 + 2.0 * float(column[1:end].sum()))
+    return float(np.mean(times))
+
+
+def _ranges(replay: LogReplay) -> tuple[FloatArray, FloatArray]:
+    """Return lower and upper ends (P,) of the parameters' ranges."""
+    described = RobotDescription.of(replay.spec)
+    ends: dict[str, float] = {}
+    for place, name in enumerate(described.joints):
+        effort = described.effort[place] if np.isfinite(described.effort[place]) else _EFFORT
+        ends[f"friction:{name}"] = _SHARE * effort
+        ends[f"damping:{name}"] = _SHARE * effort / described.velocity[place]
+        ends[f"armature:{name}"] = _SHARE * effort / described.acceleration[place]
+    lower, upper = zip(*(_RANGES.get(name, (0.0, ends.get(name, 0.0))) for name in replay.names.all), strict=True)
+    # A robot as it is must be within the range.
+    return np.array(lower), np.maximum(np.array(upper), 4.0 * replay.present())

@@ -1,0 +1,135 @@
+"""Page of one robot: its measured posture, a simulated one as a ghost, and plots of its joints over time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.interfaces import SceneLayout
+from orbit_core.scene import RobotSpec, Scene
+from orbit_viewer.scene_view import Frame, Ghost, SceneView
+from orbit_viewer.viewer import FRAME_PERIOD, PANEL_PERIOD, start_server
+
+FloatArray = npt.NDArray[np.float64]
+_COLORS = ("#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5")
+
+
+class RobotPage:
+    """Page in a browser that is updated by whoever drives or replays a robot.
+
+    Args:
+        spec: robot.
+        series: names of what is plotted of each joint, such as ``("commanded", "measured")``.
+        seconds: length of the plot.
+        host: network address to listen on; any other than the default requires the token that :attr:`url` carries.
+        port: if taken, the next free one is used.
+
+    Raises:
+        ConfigurationError: the web server's library is not installed.
+    """
+
+    def __init__(
+        self,
+        spec: RobotSpec,
+        series: tuple[str, ...],
+        seconds: float = 10.0,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+    ) -> None:
+        from viser import uplot
+
+        layout = SceneLayout.of(Scene(robots=(spec,)))
+        self._tree, self._seconds, self._series = KinematicTree(spec.articulation), seconds, series
+        self._joints = [joint.name for joint in spec.articulation.movable_joints]
+        root = torch.tensor((*spec.pose.position, *spec.pose.orientation))
+        self._root = root
+        self._server, token = start_server(host, port, spec.articulation.name, ())
+        self.url = f"http://{host}:{self._server.get_port()}" + (f"/?token={token}" if token else "")
+        """Address of the page."""
+        self._scene, self._ghost = SceneView(self._server, layout), Ghost(self._server, spec)
+        gui, nothing = self._server.gui, np.zeros(1)
+        self._text = gui.add_markdown("")
+        self._joint = gui.add_dropdown("Joint", self._joints, initial_value=self._joints[0])
+        lines = [uplot.Series(label=name, stroke=color, width=2) for name, color in zip(series, _COLORS, strict=False)]
+        self._plot: Any = gui.add_uplot(
+            (nothing,) * (1 + len(series)),
+            (uplot.Series(label="s"), *lines),
+            scales={"x": uplot.Scale(time=False)},
+            aspect=1.6,
+        )
+        self._difference: Any = gui.add_uplot(
+            (nothing, nothing),
+            (uplot.Series(label="s"), uplot.Series(label="difference of the last two", stroke="#c92a2a", width=2)),
+            scales={"x": uplot.Scale(time=False)},
+            aspect=2.2,
+        )
+        self._rows: deque[tuple[float, FloatArray]] = deque()
+        self._drawn = self._plotted = -math.inf
+
+    def show(
+        self, when: float, posture: FloatArray, values: FloatArray, ghost: FloatArray | None = None, text: str = ""
+    ) -> None:
+        """Take a state, and draw what is due.
+
+        Args:
+            when: time of the state, s.
+            posture: (J,) positions that the robot is drawn at, rad or m.
+            values: (S, J) what is plotted, in the order of the page's series.
+            ghost: (J,) positions of the ghost; none if None.
+            text: Markdown next to the plots.
+        """
+        self._rows.append((when, np.asarray(values, np.float64)))
+        while self._rows[0][0] < when - self._seconds:
+            self._rows.popleft()
+        now = time.perf_counter()
+        if now - self._drawn >= FRAME_PERIOD:
+            self._drawn = now
+            self._draw(posture, ghost)
+        if now - self._plotted >= PANEL_PERIOD:
+            self._plotted = now
+            self._text.content = text
+            self._draw_plots()
+
+    def series(self) -> Mapping[str, FloatArray]:
+        """Return what the plots show of the chosen joint: ``time`` and each series, (T,)."""
+        column = self._joints.index(self._joint.value)
+        values = np.stack([row[:, column] for _, row in self._rows])
+        return {"time": np.array([when for when, _ in self._rows]), **dict(zip(self._series, values.T, strict=True))}
+
+    def close(self) -> None:
+        """Stop the web server; idempotent."""
+        self._server.stop()
+
+    def __enter__(self) -> RobotPage:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _draw(self, posture: FloatArray, ghost: FloatArray | None) -> None:
+        poses = self._tree.forward(self._root[None], torch.as_tensor(posture, dtype=torch.float32)[None])
+        self._scene.update(Frame(poses.numpy(), np.zeros((1, 0, 7), np.float32)))
+        if ghost is None:
+            self._ghost.hide()
+        else:
+            self._ghost.place(self._root, torch.as_tensor(ghost, dtype=torch.float32))
+
+    def _draw_plots(self) -> None:
+        shown = list(self.series().values())
+        # A browser needs no more points than its plot has pixels.
+        step = max(1, len(shown[0]) // 500)
+        lines = tuple(np.ascontiguousarray(line[::step]) for line in shown)
+        self._plot.data = lines
+        if len(lines) > 2:
+            self._difference.data = (lines[0], lines[-1] - lines[-2])
