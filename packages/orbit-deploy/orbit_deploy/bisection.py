@@ -207,7 +207,6 @@ def changed_scene(scene: Scene, differences: Sequence[Difference]) -> Scene:
             case "armature" | "joint_friction" | "joint_damping":
                 robots = tuple(_with_joints(robot, each.kind, value) for robot in scene.robots)
                 scene = replace(scene, robots=robots)
-            # The backend and a delay are no part of a scene.
             case _:
                 # A backend and a delay change no scene: the world's factory and the actor take them.
                 pass

@@ -35,13 +35,13 @@ class Choices:
     """Choices of the person about inspection, taken over as one."""
 
     selected: str = NOTHING
-    """Name of the entity, or :data:`NOTHING`."""
+    """Name of the selected entity."""
     follow: bool = False
-    """Whether the camera moves along with it."""
+    """Whether the camera moves with it."""
     forces: bool = False
-    """Whether contact forces are drawn as arrows."""
+    """Whether contact forces are drawn."""
     pull: bool = False
-    """Whether it is drawn towards the grip that the person drags."""
+    """Whether the selected entity may be dragged."""
 
 
 class Inspector:
@@ -59,7 +59,7 @@ class Inspector:
         self._server, self._world, self._scene, self._controls = server, world, scene, controls
         self._layout: SceneLayout = world.layout
         self.choices = Choices(selected=follow or NOTHING, follow=bool(follow))
-        """Choices of the person, replaced as a whole at each change."""
+        """Choices of the person, set from the web server's threads."""
         self._followed: npt.NDArray[np.float64] | None = None
         self._arrows: Any = None
         self._pulled = ""

@@ -53,7 +53,7 @@ class TaskSignals:
     """Signals of an environment's task, from its last step."""
 
     environment: Environment
-    """Environment whose rewards and observations are shown."""
+    """Environment that is stepped."""
     _sums: Tensor | None = None
     _terms: Tensor | None = None
     _observation: Mapping[str, Any] = field(default_factory=dict)
