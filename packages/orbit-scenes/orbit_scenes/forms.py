@@ -29,7 +29,9 @@ class Piece:
     """A convex geometry at its place in the thing; ``color`` is None where it has the thing's own."""
 
     geometry: Geometry
+    """Convex geometry in its own frame."""
     pose: Pose = field(default_factory=Pose)
+    """Pose in the thing's frame."""
     color: tuple[float, ...] | None = None
 
 
@@ -38,7 +40,9 @@ class Form:
     """Collision pieces and drawn surfaces of a thing."""
 
     collisions: tuple[Piece, ...]
+    """Convex pieces that collide."""
     visuals: tuple[Piece, ...]
+    """Surfaces that are drawn."""
     cavity: Cavity | None = None
     """The space inside of a vessel that is open at the top."""
 
@@ -109,6 +113,7 @@ class Part:
     tilt: float = 0.0
     """Rotation about y, rad."""
     color: tuple[float, ...] = ()
+    """Red, green and blue; empty takes the thing's own."""
 
 
 def vector(values: Sequence[float], what: str) -> Vector3:

@@ -28,13 +28,19 @@ class Piece:
     """A piece of furniture in its place."""
 
     name: str
+    """Name of the object in its scene."""
     furniture: Furniture
+    """Kind, size and articulation."""
     x: float
+    """Middle of its footprint, m."""
     y: float
+    """Middle of its footprint, m."""
     yaw: float
     """rad; a multiple of a quarter turn where it stands against a wall."""
     room: int
+    """Index of its room in the plan."""
     z: float = 0.0
+    """Height of what it stands on, m."""
 
     @property
     def pose(self) -> Pose:
@@ -71,9 +77,13 @@ class RoomLayout:
     """Furniture of one room while it is placed."""
 
     plan: Plan
+    """Plan that the room is of."""
     index: int
+    """Index of the room in the plan."""
     random: np.random.Generator
+    """Generator that all choices are drawn from."""
     pieces: list[Piece] = field(default_factory=list)
+    """Pieces on the floor, in the order in which they were placed."""
     hung: list[Piece] = field(default_factory=list)
     """Pieces on the walls, above the others."""
 

@@ -34,7 +34,9 @@ class Usual:
     """A thing that is usual in rooms of a kind, and where it is put."""
 
     thing: str
+    """Name in the library."""
     rule: Rule
+    """Place where it is put."""
 
 
 _TABLES = "dining_table|coffee_table"
@@ -125,13 +127,17 @@ class House:
     """Rooms, furniture and things of one seed."""
 
     plan: Plan
+    """Rooms, walls, doors and windows."""
     pieces: tuple[Piece, ...]
+    """Furniture in its place."""
     things: tuple[PlacedThing, ...]
+    """Things in their place."""
     floor: _Array
     """Middles (M, 2) of cells of the floor where a robot that comes through the doors can stand, m."""
     left_out: tuple[str, ...] = ()
     """Things that found no place, a sentence each."""
     open_doors: bool = True
+    """Whether doors between rooms stand open at home."""
 
     @property
     def scene(self) -> Scene:

@@ -43,7 +43,9 @@ class In:
     furniture: str = ".*"
     """Regular expression over kinds of furniture, or names of vessels of the library (full match)."""
     support: str = ".*"
+    """Regular expression over names of supports (full match)."""
     reach: float | None = 0.95
+    """Metres from the nearest place where a robot can stand; None is anywhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,12 +66,15 @@ class PlacedThing:
     """A thing of the library in its place."""
 
     name: str
+    """Name of the object in its scene."""
     thing: Thing
+    """Entry of the library."""
     pose: Pose
     """Of its frame."""
     support: str
     """What it stands on or in, as ``object.support``."""
     yaw: float = 0.0
+    """Rotation about the support's z axis, rad."""
 
     def build(self) -> ObjectSpec:
         """Build the object."""
@@ -116,6 +121,7 @@ class Placer:
         self._blocked = [piece for piece in pieces if piece.z > 0.0]
         self._floor, self._random = floor, random
         self.placed: list[PlacedThing] = []
+        """Things that were placed, in order."""
 
     def place(self, name: str, rule: Rule) -> PlacedThing:
         """Place a thing of the library by a rule.

@@ -29,10 +29,15 @@ class RoomKind(Enum):
     """Use of a room."""
 
     KITCHEN = "kitchen"
+    """Counters along a wall, fridge, stove and table."""
     LIVING = "living"
+    """Sofa, low table, television and shelves."""
     BEDROOM = "bedroom"
+    """Bed, nightstands and wardrobe."""
     BATHROOM = "bathroom"
+    """Bathtub, washbasin and toilet."""
     STUDY = "study"
+    """Desk, chair and shelves."""
 
 
 FLOORS: dict[RoomKind, Color] = {
@@ -58,9 +63,13 @@ class Rectangle:
     """A rectangle along the axes, m."""
 
     x0: float
+    """Least x, m."""
     y0: float
+    """Least y, m."""
     x1: float
+    """Greatest x, m."""
     y1: float
+    """Greatest y, m."""
 
     @property
     def width(self) -> float:
@@ -97,8 +106,11 @@ class Opening:
     along: float
     """Middle, along the wall, m."""
     width: float
+    """Extent along the wall, m."""
     sill: float
+    """Height of its lower edge, m; zero for a door."""
     head: float
+    """Height of its upper edge, m."""
     rooms: tuple[int, ...]
     """Rooms that a door joins, one for the entrance; none for a window."""
 
@@ -117,10 +129,13 @@ class Wall:
     at: float
     """Its x where it runs along y, else its y; of its middle, m."""
     start: float
+    """Least coordinate along it, of its middle line, m."""
     end: float
+    """Greatest coordinate along it, of its middle line, m."""
     rooms: tuple[int, ...]
     """Rooms on its sides, one for an outer wall."""
     openings: tuple[Opening, ...] = ()
+    """Doors and windows in it."""
 
     def place(self, along: float) -> tuple[float, float]:
         """Return x and y of a point of its middle line."""
@@ -132,8 +147,11 @@ class Room:
     """A room: its use and its floor between the middles of its walls."""
 
     kind: RoomKind
+    """Use of the room."""
     floor: Rectangle
+    """Floor between the middles of its walls, m."""
     name: str
+    """Its use, with a number where there are several."""
 
     @property
     def inside(self) -> Rectangle:
@@ -146,8 +164,11 @@ class Plan:
     """A floor plan around the origin."""
 
     rooms: tuple[Room, ...]
+    """Rooms; the first has the entrance."""
     walls: tuple[Wall, ...]
+    """All walls, each once."""
     bounds: Rectangle
+    """Rectangle around the middles of all outer walls, m."""
 
     def doors(self) -> Iterator[tuple[Wall, Opening]]:
         """Yield all doors with the walls that they are in."""
