@@ -28,19 +28,19 @@ class Piece:
     """A piece of furniture in its place."""
 
     name: str
-    """Name of the object in its scene."""
+    """Room and kind, such as ``kitchen_chair_2``; in scenes without rooms the kind."""
     furniture: Furniture
-    """Kind, size and articulation."""
+    """Kind, links and supports, without a place."""
     x: float
-    """Middle of its footprint, m."""
+    """Middle of its box, m."""
     y: float
-    """Middle of its footprint, m."""
+    """Middle of its box, m."""
     yaw: float
     """rad; a multiple of a quarter turn where it stands against a wall."""
     room: int
-    """Index of its room in the plan."""
+    """Place of its room among those of the plan."""
     z: float = 0.0
-    """Height of what it stands on, m."""
+    """Height of its frame, m; above 0 for what stands on another piece, as a television does."""
 
     @property
     def pose(self) -> Pose:
@@ -77,9 +77,9 @@ class RoomLayout:
     """Furniture of one room while it is placed."""
 
     plan: Plan
-    """Plan that the room is of."""
+    """Floor plan of the whole house."""
     index: int
-    """Index of the room in the plan."""
+    """Place of the room among those of the plan."""
     random: np.random.Generator
     """Generator that all choices are drawn from."""
     pieces: list[Piece] = field(default_factory=list)

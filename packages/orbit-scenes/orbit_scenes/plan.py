@@ -29,15 +29,15 @@ class RoomKind(Enum):
     """Use of a room."""
 
     KITCHEN = "kitchen"
-    """Counters along a wall, fridge, stove and table."""
+    """A row of cupboards with fridge, sink and stove, and a table with chairs."""
     LIVING = "living"
-    """Sofa, low table, television and shelves."""
+    """A sofa opposite a television, bookshelves, and a table with chairs where there is space."""
     BEDROOM = "bedroom"
-    """Bed, nightstands and wardrobe."""
+    """A bed between nightstands, a wardrobe and a bookshelf."""
     BATHROOM = "bathroom"
-    """Bathtub, washbasin and toilet."""
+    """A bathtub, a washbasin and a toilet."""
     STUDY = "study"
-    """Desk, chair and shelves."""
+    """A desk with a chair, and bookshelves."""
 
 
 FLOORS: dict[RoomKind, Color] = {
@@ -63,13 +63,13 @@ class Rectangle:
     """A rectangle along the axes, m."""
 
     x0: float
-    """Least x, m."""
+    """Least x."""
     y0: float
-    """Least y, m."""
+    """Least y."""
     x1: float
-    """Greatest x, m."""
+    """Largest x."""
     y1: float
-    """Greatest y, m."""
+    """Largest y."""
 
     @property
     def width(self) -> float:
@@ -106,11 +106,11 @@ class Opening:
     along: float
     """Middle, along the wall, m."""
     width: float
-    """Extent along the wall, m."""
+    """Full width, m; a door's includes its jambs."""
     sill: float
-    """Height of its lower edge, m; zero for a door."""
+    """Height of the lower edge above the floor, m; 0 for a door."""
     head: float
-    """Height of its upper edge, m."""
+    """Height of the upper edge above the floor, m."""
     rooms: tuple[int, ...]
     """Rooms that a door joins, one for the entrance; none for a window."""
 
@@ -129,13 +129,13 @@ class Wall:
     at: float
     """Its x where it runs along y, else its y; of its middle, m."""
     start: float
-    """Least coordinate along it, of its middle line, m."""
+    """Lower end of its middle line, along the wall, m."""
     end: float
-    """Greatest coordinate along it, of its middle line, m."""
+    """Upper end of its middle line, along the wall, m."""
     rooms: tuple[int, ...]
     """Rooms on its sides, one for an outer wall."""
     openings: tuple[Opening, ...] = ()
-    """Doors and windows in it."""
+    """Doors and windows, in order along the wall."""
 
     def place(self, along: float) -> tuple[float, float]:
         """Return x and y of a point of its middle line."""
@@ -147,11 +147,11 @@ class Room:
     """A room: its use and its floor between the middles of its walls."""
 
     kind: RoomKind
-    """Use of the room."""
+    """Use, by which it is furnished."""
     floor: Rectangle
-    """Floor between the middles of its walls, m."""
+    """Bounded by the middles of its walls, which neighbours share."""
     name: str
-    """Its use, with a number where there are several."""
+    """Kind, numbered where the plan has several of it."""
 
     @property
     def inside(self) -> Rectangle:
@@ -164,11 +164,11 @@ class Plan:
     """A floor plan around the origin."""
 
     rooms: tuple[Room, ...]
-    """Rooms; the first has the entrance."""
+    """In the order in which their kinds were given; the first has the entrance."""
     walls: tuple[Wall, ...]
-    """All walls, each once."""
+    """Those between neighbours, and the outer ones, one for each room's side."""
     bounds: Rectangle
-    """Rectangle around the middles of all outer walls, m."""
+    """Bounded by the middles of the outer walls."""
 
     def doors(self) -> Iterator[tuple[Wall, Opening]]:
         """Yield all doors with the walls that they are in."""

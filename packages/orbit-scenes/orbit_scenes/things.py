@@ -47,9 +47,9 @@ class ThingData:
     source: str
     """Source of size and mass; see the head of the table."""
     color: tuple[float, ...]
-    """Red, green, blue and, where given, opacity."""
+    """RGB or RGBA, 0 to 1."""
     friction: float = 0.6
-    """Static and dynamic coefficient."""
+    """Coefficient of static and dynamic friction, an estimate for all things."""
     label: str = ""
     """Semantic label; the thing's name where it is left out."""
     block: tuple[float, ...] = ()
@@ -59,11 +59,11 @@ class ThingData:
     round: tuple[float, ...] = ()
     """Full size of an ellipsoid, m."""
     turned: tuple[tuple[float, ...], ...] = ()
-    """Profile of a solid of revolution, rows of [radius, height], m."""
+    """Rows of [radius, height] of a solid turned about z, from the bottom up, m."""
     vessel: Vessel | None = None
-    """Vessel that is open at the top."""
+    """Profile, walls and handles of what is open at the top."""
     parts: tuple[Part, ...] = ()
-    """Convex parts in the pose in which the thing rests."""
+    """Convex parts, in the pose in which the thing rests."""
 
     def __post_init__(self) -> None:
         given = [name for name in _FORMS if getattr(self, name)]
@@ -94,7 +94,7 @@ class Thing:
     name: str
     """Name in the library."""
     articulation: Articulation
-    """The body as one link."""
+    """One link without joints."""
     size: Vector3
     """Full size of its bounding box, m."""
     source: str
