@@ -1,7 +1,8 @@
 """Pinhole cameras as kernels take them."""
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
-# pyright: reportAttributeAccessIssue=false, reportReturnType=false
+# pyright: reportAttributeAccessIssue=false, reportReturnType=false, reportGeneralTypeIssues=false
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
 
