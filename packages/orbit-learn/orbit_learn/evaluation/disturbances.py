@@ -38,7 +38,9 @@ class Disturbance:
     """A level of an axis."""
 
     axis: str
+    """Name of :data:`AXES`."""
     level: int
+    """Strength, of :data:`LEVELS`."""
 
     @staticmethod
     def parse(words: str) -> tuple[Disturbance, ...]:
