@@ -64,7 +64,7 @@ class HalfSpace:
         # A little above the largest eigenvalue, so that rounding cannot make a step too long.
         largest = 1.01 * float(torch.linalg.eigvalsh(compliance.double())[-1])
         self.compliance = compliance.to(device)
-        """Displacement (T, T) in m per newton."""
+        """Displacement (T, T) by a force of 1 N, m."""
         self._step = 1.0 / largest
 
     def loads(self, gaps: Tensor, forces: Tensor) -> Tensor:

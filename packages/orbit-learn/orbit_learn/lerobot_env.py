@@ -49,14 +49,18 @@ class LeRobotEnvironment(gymnasium.vector.VectorEnv[Arrays, npt.NDArray[np.float
     ) -> None:
         self.environment, self.task = environment, task
         self.task_description = instruction_of(environment.task, task, instruction)
+        """Task in words, which LeRobot gives to policies of vision and language."""
         self.num_envs = environment.num_envs
+        """Number N of environments."""
         self._max_episode_steps = environment.max_episode_steps
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": round(1.0 / environment.step_dt),
             "autoreset_mode": AutoresetMode.SAME_STEP,
         }
+        """Gymnasium's: frames in a second of videos, and episodes that begin again in the step that ends them."""
         self.render_mode = "rgb_array"
+        """Gymnasium's; :meth:`render` gives pictures."""
         self._numbers, self._films = _shown(environment, task, scene_state)
         boxes: dict[str, spaces.Space[Any]] = {
             key: spaces.Box(-np.inf, np.inf, (_size(environment, terms),), np.float32)
@@ -69,9 +73,13 @@ class LeRobotEnvironment(gymnasium.vector.VectorEnv[Arrays, npt.NDArray[np.float
             }
             boxes[PICTURES] = spaces.Dict(films)
         self.single_observation_space = spaces.Dict(boxes)
+        """Of one environment, by LeRobot's keys."""
         self.single_action_space = spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
+        """Of one environment: each number from -1 to 1."""
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
+        """Of all environments, stacked."""
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, self.num_envs)
+        """Of all environments, stacked."""
         self._camera: OverviewCamera | None = None
 
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride] - Gymnasium types infos loosely

@@ -18,10 +18,15 @@ class Lens:
     """A pinhole camera in pixels."""
 
     focal: float
+    """Focal length, along both axes."""
     width: int
+    """Columns of a picture."""
     height: int
+    """Rows of a picture."""
     near: float
+    """Depth from which surfaces are drawn, m."""
     far: float
+    """Depth up to which surfaces are drawn, m."""
 
 
 def lens_of(camera: CameraSpec) -> Lens:

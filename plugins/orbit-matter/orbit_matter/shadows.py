@@ -29,9 +29,11 @@ class DepthMap:
     light: int
     """Index among the scene's directional lights."""
     camera: CameraSpec
+    """Camera that looks along the light, of the map's size."""
     poses: Tensor
     """(n, 7) of the light's camera."""
     depths: Tensor
+    """(n, H, W) m along the camera's view; infinite where the light meets nothing."""
 
 
 @wp.kernel(enable_backward=False)

@@ -25,7 +25,7 @@ class BisectSettings:
     """Who acts: a kept policy, a policy's file or folder, or the task's expert."""
     difference: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KIND=VALUE")] = ()
     """Difference of the simulation where it fails, such as contact_friction=0.3, gain=0.5, robot_mass=1.3,
-    object_mass=2, armature=0.1, joint_friction=0.05, joint_damping=1, delay=0.04 or backend=bullet."""
+    object_mass=2, armature=0.1, joint_friction=0.05, joint_damping=1, delay=0.04 or backend=NAME."""
     task: Name = None
     """Task; the policy's own if left out."""
     robot: Name = None

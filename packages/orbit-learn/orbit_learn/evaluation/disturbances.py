@@ -38,7 +38,9 @@ class Disturbance:
     """A level of an axis."""
 
     axis: str
+    """Name of :data:`AXES`."""
     level: int
+    """Strength, of :data:`LEVELS`."""
 
     @staticmethod
     def parse(words: str) -> tuple[Disturbance, ...]:
@@ -99,7 +101,7 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class Axis:
-    """How one kind of disturbance is made."""
+    """Changes that make one kind of disturbance."""
 
     prepare: Callable[[Task, int], None] | None = None
     """Changes a task, by level."""
@@ -135,6 +137,7 @@ def _dimmed(light: Light, level: int) -> Light:
     if not isinstance(light, DirectionalLight):
         return light
     x, y, z = light.direction
+    # About z: shadows fall elsewhere, while the sun stays as high.
     cosine, sine = math.cos(0.7 * level), math.sin(0.7 * level)
     red, green, blue = light.color
     return replace(
@@ -175,6 +178,7 @@ def _start(task: Task, level: int) -> None:
             offset = env.world.random.uniform((len(robot.joint_names),), -0.1 * level, 0.1 * level, env_ids)
             limits = robot.position_limits
             spread = take_rows(robot.joint_positions, env_ids) + offset
+            # Beyond a limit the episode would begin with a joint that is thrown back.
             robot.set_joint_state(spread.clamp(limits[:, 0], limits[:, 1]), env_ids=env_ids)
 
     task.events.place_robot = replace(placed, function=spread)
@@ -195,6 +199,7 @@ def _texture(environment: Environment, level: int) -> None:
         thing.set_textures((texture,), chosen)
 
 
+# By level: orange, blue, and nearly black, which hides edges as well.
 _COLORS = ((0.9, 0.6, 0.3), (0.3, 0.5, 0.9), (0.15, 0.15, 0.15))
 
 
@@ -207,6 +212,7 @@ def _appearance(environment: Environment, level: int) -> None:
 
 
 LANGUAGE = "language"
+# By level: the same order in other words, the last with words that have nothing to do with it.
 _WORDINGS = ("please {}", "the job of the robot: {}, nothing more", "whatever the weather is like today, {}, then stop")
 AXES: Mapping[str, Axis] = {
     "light": Axis(prepare=_light, pictures=True),

@@ -23,6 +23,7 @@ class Film:
     path: str
     """Path from the folder of the page."""
     caption: str
+    """Sentence below it: policy, engine, seed and starts, and how many failed again."""
 
 
 def film_failures(

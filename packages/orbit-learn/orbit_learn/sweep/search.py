@@ -50,7 +50,7 @@ class Tpe(Search):
             import optuna  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise ConfigurationError(f"search tpe needs Optuna: {install_extra('sweep')}") from error
-        # Optuna writes a line for each trial, beside the command's own.
+        # Optuna writes a line for each trial, into those of the command.
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         sampler = optuna.samplers.TPESampler(seed=plan.options.seed)
         direction = "minimize" if plan.options.minimize else "maximize"
