@@ -37,7 +37,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformOrientationCommand, generated_command
 from orbit_core.mdp.randomize import Range
 from orbit_core.objects import ObjectConfig
-from orbit_core.scene import MarkerSpec, Pose, RobotSpec, Scene, look_at
+from orbit_core.scene import MarkerSpec, Pose, RobotSpec, Scene, ghost, look_at
 from orbit_core.scene.pose import Vector3
 
 OBJECT = "object"
@@ -279,7 +279,7 @@ class InHandRepose(Task):
             robots=(hand(self.robot),),
             objects=(item,),
             terrain=(common.floor(),),
-            markers=(MarkerSpec("goal", size=0.08), MarkerSpec("object_axes", size=0.08)),
+            markers=(ghost("goal", item, axes=0.08), MarkerSpec("object_axes", size=0.08)),
             physics_dt=self.physics_dt,
         )
 

@@ -179,6 +179,7 @@ class Recover(Task):
             iterations=1000, hidden_sizes=(512, 256, 128), initial_std=0.5, entropy_weight=0.005, discount=0.99
         ),
         view=look_at(eye=(2.4, 1.8, 1.2), target=(0.0, 0.0, 0.25)),
+        follow=common.ROBOT,
         expert_success=0.0,  # the home posture turns nobody over
         exceptions=(
             TaskException(TaskCheck.EXPERT_BEATS_ZERO, "the expert drives joints home, as zero actions do"),

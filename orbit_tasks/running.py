@@ -171,6 +171,7 @@ class Running(Task):
     state_type: ClassVar[type[TaskState]] = RunningMemory
     metadata: TaskMetadata = TaskMetadata(
         view=look_at(eye=(2.5, -4.5, 2.0), target=(1.0, 0.0, 0.5)),
+        follow=common.ROBOT,
         exceptions=(
             TaskException(TaskCheck.START_AREA, "a run starts at one place"),
             TaskException(TaskCheck.START_YAW, "a run starts along x"),

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
+from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import (
     CommandTerm,
     CurriculumTerm,
@@ -32,7 +33,7 @@ from orbit_core.envs.terms import means, measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformVelocityCommand
 from orbit_core.mdp.randomize import Range
-from orbit_core.scene import ContactSensorSpec, Scene, look_at
+from orbit_core.scene import ContactSensorSpec, MarkerShape, MarkerSpec, Scene, look_at
 from orbit_tasks import biped, walking
 from orbit_tasks.gait import FootholdGait
 from orbit_tasks.trunk import TRUNK, angular_velocity, linear_velocity, projected_gravity
@@ -197,6 +198,10 @@ class VelocityEvents:
     """Horizontal velocity added to the trunk every few seconds; set by domain randomisation."""
 
 
+ARROW = "command"
+"""Marker of the commanded velocity."""
+STANDS = 0.05
+"""m/s, below which a commanded velocity is to stand."""
 BY_SUCCESS = randomize.by_success()
 
 
@@ -226,6 +231,7 @@ class VelocityFlat(Task):
     metadata: TaskMetadata = TaskMetadata(
         ppo=PpoSettings(iterations=600, initial_std=0.6, entropy_weight=0.005, discount=0.99),
         view=look_at(eye=(3.0, 2.2, 1.5), target=(0.0, 0.0, 0.35)),
+        follow=common.ROBOT,
         exceptions=(TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),),
     )
     robot: str = "anymal_c"
@@ -255,8 +261,19 @@ class VelocityFlat(Task):
             robots=(robot,),
             terrain=(common.floor(),),
             sensors=(ContactSensorSpec(name=CONTACTS, entity=common.ROBOT),),
+            markers=(MarkerSpec(ARROW, MarkerShape.ARROW, size=0.5, color=(0.1, 0.45, 0.95, 0.9)),),
             physics_dt=self.physics_dt,
         )
+
+    def mark(self, env: Environment) -> None:
+        """Place the arrow of the commanded velocity above the robot; a robot that shall stand has none."""
+        body, asked = common.robot_of(env.world), command(env)[:, :2]
+        root = body.root_pose
+        forward = quat_rotate(root[:, 3:], torch.tensor([[1.0, 0.0, 0.0]], device=env.device).expand(len(root), 3))
+        heading = torch.atan2(forward[:, 1], forward[:, 0]) + torch.atan2(asked[:, 1], asked[:, 0])
+        above = torch.where(vector_norm(asked, dim=1) > STANDS, 0.7 * body.spec.pose.position[2], -1e3)
+        place = root[:, :3] + above[:, None] * torch.tensor([0.0, 0.0, 1.0], device=env.device)
+        env.world.markers[ARROW].set_pose(torch.cat((place, common.turned(heading)), dim=1))
 
     def randomize(self) -> None:
         """All masses, the ground's friction, the legs' gains, pushes, and noise on what a real robot estimates."""

@@ -30,7 +30,7 @@ from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import HeadingVelocityCommand
 from orbit_core.mdp.sensing import height_scan
-from orbit_core.scene import Pose, RayCasterSpec, Scene, look_at
+from orbit_core.scene import Pose, RayCasterSpec, Scene
 from orbit_core.sensors import grid_pattern
 from orbit_tasks.biped import contacts_of
 from orbit_tasks.mdp.terrain import OnTerrain, TerrainMemory, by_distance, place_on_terrain
@@ -159,7 +159,6 @@ class VelocityRough(VelocityFlat, OnTerrain):
         ppo=PpoSettings(
             iterations=1500, hidden_sizes=(512, 256, 128), initial_std=0.3, entropy_weight=0.005, discount=0.99
         ),
-        view=look_at(eye=(14.0, 10.0, 9.0), target=(0.0, 0.0, 0.0)),
         expert_success=0.0,  # the gait does not see the ground
         exceptions=(
             TaskException(

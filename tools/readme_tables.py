@@ -80,11 +80,16 @@ def page_table() -> str:
 
 
 def _sections(title: str, entries: list[Any]) -> list[tuple[str, list[str]]]:
-    """Return the links of a section of the navigation, and after them those of the sections within it."""
+    """Return the links of a section of the navigation, and after them those of the sections within it.
+
+    A section with an index page is that page only, which lists the others.
+    """
+    if index := [entry for entry in entries if isinstance(entry, str)]:
+        return [(title, [f"[{title}]({index[0]})"])]
     own: list[str] = []
     within: list[tuple[str, list[str]]] = []
     for entry in entries:
-        for name, content in entry.items() if isinstance(entry, dict) else ((title, entry),):
+        for name, content in entry.items():
             if isinstance(content, list):
                 within += _sections(name, content)
             else:

@@ -8,7 +8,7 @@ limits the pictures to these tasks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,9 +19,8 @@ from PIL import Image
 from orbit_assets.catalogue import robot_info, robot_names
 from orbit_core.envs import make, task_entries
 from orbit_core.envs.actors import ExpertActor
-from orbit_core.mdp.common import ROBOT
-from orbit_core.rollout.pictures import OverviewCamera
-from orbit_core.scene import look_at
+from orbit_core.rollout.pictures import Spectator
+from orbit_core.scene import STUDIO
 from orbit_learn.acting import make as create_policy_actor
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -32,8 +31,6 @@ MOMENTS = {"Cloth-Dropping": 0.25, "Hockey": 0.3, "Recover": 0.15, "Reach": 0.2,
 """Share of the episode at which the picture is taken, where not half."""
 LEARNED = {"Ant": "ant", "Humanoid": "humanoid", "In-Hand-Repose": "in_hand_repose"}
 """Kept policies that act where a task has no expert."""
-FOLLOWED = {"Ant": 2.2, "Humanoid": 2.8, "Velocity-Flat": 1.7, "Velocity-Rough": 1.9, "Recover": 1.3}
-"""Metres from which a robot that leaves its place is drawn; other tasks are drawn from where they look."""
 GROUPS = (
     ("Manipulation", "manipulation-tasks.md", (
         "Reach", "Lift", "Cabinet", "Handover", "Stack", "Stack-Pyramid", "Peg-In-Hole", "Nut-Bolt", "Jenga", "Hockey",
@@ -105,12 +102,7 @@ def draw(name: str) -> Image.Image:
     with torch.inference_mode():
         for _ in range(round(environment.max_episode_steps * MOMENTS.get(name, 0.5))):
             environment.step(actor.act())
-    view = environment.task.metadata.view
-    if name in FOLLOWED:
-        x, y, z = environment.world.robots[ROBOT].root_pose[0, :3].tolist()
-        away = FOLLOWED[name]
-        view = look_at(eye=(x + 0.6 * away, y + 0.7 * away, z + 0.45 * away), target=(x, y, z - 0.1))
-    camera = OverviewCamera(environment.world, WIDTH, HEIGHT, view)
+    camera = Spectator(environment, WIDTH, HEIGHT, studio=replace(STUDIO, samples=16))
     picture = Image.fromarray(camera.pictures()[0].numpy())
     camera.close()
     environment.close()

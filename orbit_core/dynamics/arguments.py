@@ -53,6 +53,8 @@ NO_MASS = Bounds(0.0, 0.0, "kg")
 FRICTIONS = Bounds(0.0, 1e6)
 GAINS = Bounds(0.0, 1e12)
 COLORS = Bounds(0.0, 1.0)
+RADIANCES = Bounds(0.0, 1e3)
+COSINES = Bounds(-1.0001, 1.0001)
 
 
 def whole_number(value: object, what: str, least: int, most: int) -> int:

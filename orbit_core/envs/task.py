@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, field, fields
@@ -107,7 +108,10 @@ class TaskMetadata:
     ppo: PpoSettings = PpoSettings()
     """Settings that ``orbit train`` learns it with."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
-    """Pose of the camera that takes pictures and videos, in the environment's frame."""
+    """Direction from which pictures and videos are taken, in the environment's frame. The camera stands where what the
+    task moves fills the picture; here, if nothing moves."""
+    follow: str = ""
+    """Entity that the camera of pictures and videos moves with; empty leaves it where it is."""
     expert_success: float = 0.8
     """Success rate that conformance requires of the expert, where there is one, on every engine."""
     exceptions: tuple[TaskException, ...] = ()
@@ -116,6 +120,8 @@ class TaskMetadata:
     """Fields by name that ``orbit train`` sets unless the command line sets them."""
     subtasks: tuple[Subtask, ...] = ()
     """Subtasks of a demonstration, in order (:mod:`orbit_data.augmentation`)."""
+    instruction: str = ""
+    """The task in words, as a person would ask for it; empty takes the task's name (:func:`instruction_of`)."""
 
 
 @dataclass(kw_only=True)
@@ -233,6 +239,9 @@ class Task(ABC):
     def scene(self) -> Scene:
         """Return the scene to simulate."""
 
+    def mark(self, env: Environment) -> None:
+        """Place markers that people look at. Called before a spectator's picture is drawn, and never within a step."""
+
     def bound(self, **limits: tuple[float, float]) -> None:
         """Check that fields are within the least and the most that they may be.
 
@@ -302,3 +311,14 @@ def _check_form(kind: type[Task]) -> None:
                 f"{name}(self, world) of task {kind.__name__} is now {name}(self, env): the world is env.world, what "
                 "the task remembers env.state"
             )
+
+
+def instruction_of(task: Task, name: str, given: str | None = None) -> str:
+    """Return a task in words, as a person would ask for it.
+
+    Args:
+        task: whose metadata may have the words.
+        name: name that the task was made by, whose words serve where there are none.
+        given: words that take precedence.
+    """
+    return given or task.metadata.instruction or re.sub(r"[-_]|(?<=[a-z])(?=[A-Z])", " ", name).lower()

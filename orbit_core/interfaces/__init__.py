@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.matter import Matter, MatterSolver
     from orbit_core.interfaces.names import NamedThings, find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
-    from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
+    from orbit_core.interfaces.renderer import Image, LightTable, Renderer, albedo_table, drawn_shapes
     from orbit_core.interfaces.requirements import required_capabilities
     from orbit_core.interfaces.world import Sensor, World, WorldClock, WorldRandom, WorldSelector
 
@@ -90,7 +90,7 @@ _MODULES = {
     "matter": ("Matter", "MatterSolver"),
     "names": ("NamedThings", "find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
-    "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
+    "renderer": ("Image", "LightTable", "Renderer", "albedo_table", "drawn_shapes"),
     "requirements": ("required_capabilities",),
     "world": ("Sensor", "World", "WorldClock", "WorldSelector", "WorldRandom"),
 }  # fmt: skip
@@ -99,7 +99,7 @@ __all__ = [
     "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel",
     "Capabilities", "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
     "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "JointTarget", "Level",
-    "Marker", "Matter", "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError",
+    "LightTable", "Marker", "Matter", "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError",
     "PlanningError", "Port", "PremiseError", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError",
     "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World",
     "WorldClock", "WorldRandom", "WorldSelector", "albedo_table", "approximate", "diverged", "divergence_error",

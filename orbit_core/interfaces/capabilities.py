@@ -98,6 +98,8 @@ class Capability(Enum):
     LIGHTING = "colour images lit by the scene's lights"
     SHADOWS = "shadows of the scene's lights"
     COLORS_PER_ENVIRONMENT = "colours of links per environment, in images"
+    LIGHTS_PER_ENVIRONMENT = "lights per environment, in images"
+    TEXTURES = "textures and highlights of surfaces, in images"
     DEPTH = "depth images"
     NORMALS = "surface normal images"
     ALBEDO = "albedo images"
@@ -121,6 +123,7 @@ class Capability(Enum):
 IMAGES = (
     Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION,
     Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS, Capability.COLORS_PER_ENVIRONMENT,
+    Capability.LIGHTS_PER_ENVIRONMENT, Capability.TEXTURES,
 )  # fmt: skip
 """Capabilities that a scene needs of its renderer; it needs all others of the engine."""
 

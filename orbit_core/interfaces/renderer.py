@@ -42,6 +42,22 @@ _FIELDS = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class LightTable:
+    """Lights of N environments in the place of the scene's own, of which there are as many directional ones."""
+
+    ambient: Tensor
+    """(N, 3) sum of all light from around."""
+    directions: Tensor
+    """(N, K, 3) unit vectors along which the K directional lights travel, in the scene's order."""
+    radiance: Tensor
+    """(N, K, 3) intensity times colour of each; zero switches a light off."""
+
+    def rows(self, env_ids: Tensor) -> LightTable:
+        """Return the lights of some environments (n,)."""
+        return LightTable(self.ambient[env_ids], self.directions[env_ids], self.radiance[env_ids])
+
+
 class Renderer(Traceable, ABC):
     """Draws visual shapes (collision shapes where a link has none), terrain and markers."""
 
@@ -53,6 +69,15 @@ class Renderer(Traceable, ABC):
     def set_link_colors(self, colors: Tensor | None) -> None:
         """Take :attr:`link_colors` from now on."""
         self.link_colors = colors
+
+    most_samples: int | None = None
+    """Pictures that a studio averages at most, where one takes long; None: as many as it asks for."""
+    lights: LightTable | None = None
+    """Lights of each environment; None: all have the scene's. Its owner writes in place."""
+
+    def set_lights(self, lights: LightTable | None) -> None:
+        """Take :attr:`lights` from now on."""
+        self.lights = lights
 
     @abstractmethod
     @measures("camera_poses", "link_poses", "marker_poses")

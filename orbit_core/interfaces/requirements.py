@@ -90,9 +90,24 @@ def _needs(scene: Scene) -> Iterator[tuple[Capability, str]]:
                 yield Capability.SOFT_BODIES, f"soft body '{name}'"
             case Fluid(name=name):
                 yield Capability.FLUIDS, f"fluid '{name}'"
+    if any(isinstance(sensor, CameraSpec) and Channel.RGB in sensor.channels for sensor in scene.sensors):
+        for name, shape in _finished(scene):
+            yield Capability.TEXTURES, f"'{name}' with texture '{shape.name}'"
     looped = {entity.name for entity in scene.entities if entity.articulation.loops}
     for sensor in scene.sensors:
         yield from _sensor_needs(sensor, looped)
+
+
+def _finished(scene: Scene) -> Iterator[tuple[str, Shape]]:
+    """Yield the shapes that have a texture, each with the name of what it belongs to."""
+    for entity in scene.entities:
+        for link in (link for each in entity.alternatives for link in each.links):
+            for shape in link.visuals or link.collisions:
+                if shape.finish.texture is not None:
+                    yield entity.name, shape
+    for shape in scene.terrain:
+        if shape.finish.texture is not None:
+            yield "terrain", shape
 
 
 def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:

@@ -15,8 +15,8 @@ from orbit_core.interfaces.engine import Engine
 from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import Approximation, SceneLayout
-from orbit_core.interfaces.renderer import Renderer
-from orbit_core.scene import CameraSpec, Scene, SensorSpec
+from orbit_core.interfaces.renderer import LightTable, Renderer
+from orbit_core.scene import CameraSpec, Scene, SensorSpec, Studio
 
 
 class Sensor(ABC):
@@ -243,10 +243,15 @@ class World(ABC):
         """Draws the scene's cameras."""
         raise self._unsupported("renderer")
 
-    def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
+    def create_renderer(
+        self, cameras: tuple[CameraSpec, ...], frames: bool = False, studio: Studio | None = None
+    ) -> Renderer:
         """Return another renderer of this scene, for cameras that are no sensors. The caller closes it.
 
-        ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels.
+        Args:
+            cameras: all that it will be used with.
+            frames: draw axes at the robots' bases, end effectors, finger tips, feet and wheels.
+            studio: look of the pictures; None draws them as the scene's own cameras see it.
         """
         raise self._unsupported("renderer")
 
@@ -259,6 +264,20 @@ class World(ABC):
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
         """Set friction (n,), static and dynamic alike, of all terrain shapes."""
         raise self._unsupported("friction to set")
+
+    # Pictures of environments
+
+    def set_lights(self, lights: LightTable, env_ids: Tensor | None = None) -> None:
+        """Light some environments (n, ...) otherwise, in colour images; it outlasts resets.
+
+        There are as many directional lights as the scene has: a radiance of zero switches one off.
+        """
+        raise self._unsupported("lights to set")
+
+    @property
+    def nominal_lights(self) -> LightTable:
+        """The scene's own lights, a row for each environment."""
+        raise self._unsupported("lights")
 
     # Lower layers
 

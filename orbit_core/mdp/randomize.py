@@ -10,6 +10,7 @@ Masses, friction and gains outlast resets; each draw starts from the scene's own
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,9 +19,10 @@ from torch import Tensor
 
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.terms import EventFunction, TermFunction
-from orbit_core.interfaces import ConfigurationError, Object, UnknownNameError, World
+from orbit_core.interfaces import ConfigurationError, LightTable, Object, UnknownNameError, World
 from orbit_core.scene import Texture
 from orbit_core.scene.pose import Vector3
+from orbit_core.sensors import CameraSensor
 
 TERRAIN = "terrain"
 
@@ -226,6 +228,151 @@ def textures(entities: Sequence[str], choices: Sequence[Texture], links: Sequenc
     return event
 
 
+def lights(
+    tilt: float = 0.6,
+    intensity: Range = Range(0.6, 1.3),
+    low: Vector3 = (0.85, 0.85, 0.85),
+    high: Vector3 = (1.0, 1.0, 1.0),
+    ambient: Range = Range(0.7, 1.2),
+    shown: float = 1.0,
+) -> EventFunction:
+    """Turn, colour, dim and switch the scene's directional lights, and dim its ambient light, in colour images.
+
+    Args:
+        tilt: radians by which a light is turned at most, any way.
+        intensity: factor of a light's own intensity.
+        low: least red, green and blue of a light's colour, which multiplies its own.
+        high: most of them.
+        ambient: factor of the ambient light.
+        shown: probability that a light is on, each by itself: how many there are.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the renderer cannot; names those that can.
+    """
+
+    def event(env: Environment, env_ids: Tensor) -> None:
+        world, own = env.world, env.world.nominal_lights.rows(env_ids)
+        count = own.directions.shape[1]
+        random = world.random
+        # Uniform over a disc, so that small turns are as likely as large ones for their share of directions.
+        radius = math.tan(tilt) * random.uniform((count, 1), env_ids=env_ids).sqrt()
+        angle = random.uniform((count, 1), -torch.pi, torch.pi, env_ids)
+        least = torch.nn.functional.one_hot(own.directions.abs().argmin(-1), 3).to(own.directions.dtype)
+        first = torch.nn.functional.normalize(torch.linalg.cross(own.directions, least), dim=-1)
+        second = torch.linalg.cross(own.directions, first)
+        turned = own.directions + radius * (angle.cos() * first + angle.sin() * second)
+        on = random.uniform((count, 1), env_ids=env_ids) < shown
+        factor = intensity.sample(env, (count, 1), env_ids) * random.uniform((count, 3), low, high, env_ids) * on
+        around = own.ambient * ambient.sample(env, (1,), env_ids)
+        world.set_lights(
+            LightTable(around, torch.nn.functional.normalize(turned, dim=-1), own.radiance * factor), env_ids
+        )
+
+    return event
+
+
+def camera_pose(camera: str, position: float = 0.02, rotation: float = 0.05) -> EventFunction:
+    """Move a camera of the scene by up to ``position`` metres along each axis and ``rotation`` radians about it.
+
+    Raises, when it happens:
+        UnknownNameError: the scene has no such camera.
+    """
+
+    def event(env: Environment, env_ids: Tensor) -> None:
+        moved = env.world.random.uniform((3,), -position, position, env_ids)
+        half = 0.5 * env.world.random.uniform((3,), -rotation, rotation, env_ids)
+        turn = torch.cat((torch.ones_like(half[:, :1]), half), dim=1)
+        turn = turn / turn.norm(dim=1, keepdim=True)
+        _camera(env.world, camera).displace(torch.cat((moved, turn), dim=1), env_ids)
+
+    return event
+
+
+def camera_field_of_view(camera: str, vertical_fov: Range) -> EventFunction:
+    """Give a camera of the scene another vertical field of view (rad): its intrinsics.
+
+    Raises, when it happens:
+        UnknownNameError: the scene has no such camera.
+    """
+
+    def event(env: Environment, env_ids: Tensor) -> None:
+        drawn = vertical_fov.sample(env, (), env_ids)
+        _camera(env.world, camera).set_vertical_fov(drawn, vertical_fov.high, env_ids)
+
+    return event
+
+
+def distractors(
+    entities: Sequence[str], low: Vector3, high: Vector3, shown: float = 1.0, away: Vector3 = (30.0, 0.0, 0.5)
+) -> EventFunction:
+    """Place objects that a task does not need at random, turned about the vertical, or put them out of sight.
+
+    Args:
+        entities: objects with a free root.
+        low: least x, y and z (m) of an object's root, in the environment's frame.
+        high: most of them.
+        shown: probability that an object is there.
+        away: place (m) of the first one that is not; others stand in a row behind it.
+
+    Raises, when it happens:
+        ConfigurationError: the base of one is fixed.
+    """
+
+    def event(env: Environment, env_ids: Tensor) -> None:
+        random = env.world.random
+        for number, name in enumerate(entities):
+            thing = _entity(env.world, name)
+            if thing.spec.fixed_base:
+                raise ConfigurationError(f"'{name}' cannot be a distractor: its base is fixed; name another object")
+            hidden = torch.tensor((away[0] + number, away[1], away[2]), device=env.device)
+            there = random.uniform((1,), env_ids=env_ids) < shown
+            place = torch.where(there, random.uniform((3,), low, high, env_ids), hidden)
+            half = 0.5 * random.uniform((1,), -torch.pi, torch.pi, env_ids)
+            zero = torch.zeros_like(half)
+            thing.set_root_pose(torch.cat((place, half.cos(), zero, zero, half.sin()), dim=1), env_ids)
+            thing.set_root_velocity(torch.zeros(len(place), 6, device=env.device), env_ids)
+
+    return event
+
+
+def centers_of_mass(entity: str, shift: Range, links: Sequence[str] = (".*",)) -> EventFunction:
+    """Shift the centres of mass of links whose names match, along each of their axes by its own draw (m).
+
+    Links that have no mass keep to themselves.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the engine cannot; names the backends that can.
+    """
+
+    def event(env: Environment, env_ids: Tensor) -> None:
+        thing = _entity(env.world, entity)
+        bodies = thing.spec.articulation.links
+        chosen = [link for link in thing.find_links(*links) if bodies[link].mass > 0.0]
+        own = torch.tensor([bodies[link].center_of_mass for link in chosen], device=env.device)
+        thing.set_centers_of_mass(own + shift.sample(env, (len(chosen), 3), env_ids), chosen, env_ids)
+
+    return event
+
+
+def gravity(change: Range, tilt: float = 0.0) -> EventFunction:
+    """Change gravity: its length by a factor, and its direction by up to ``tilt`` radians, any way.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the engine cannot.
+    """
+
+    def event(env: Environment, env_ids: Tensor) -> None:
+        own = torch.tensor(env.world.layout.scene.gravity, device=env.device)
+        length = own.norm()
+        sideways = math.tan(tilt) * length * env.world.random.uniform((3,), -1.0, 1.0, env_ids)
+        # Only what is across its direction turns it.
+        across = sideways - (sideways @ own)[:, None] * own / (length * length).clamp_min(1e-12)
+        turned = torch.nn.functional.normalize(own + across, dim=1) * length
+        env.world.set_gravity(turned * change.sample(env, (1,), env_ids), env_ids)
+
+    return event
+
+
 def active_model(entity: str, name: str, parameter: str, scale: Range) -> EventFunction:
     """Scale a parameter of one of an object's active models, such as the ``force`` of a seal.
 
@@ -277,6 +424,14 @@ def by_success(raised: float = 0.05, lowered: float = 0.02) -> TermFunction:
         return torch.where(env.task.success(env), raised, -lowered)
 
     return change
+
+
+def _camera(world: World, name: str) -> CameraSensor:
+    sensor = world.sensors.get(name)
+    if not isinstance(sensor, CameraSensor):
+        cameras = [each for each, one in world.sensors.items() if isinstance(one, CameraSensor)]
+        raise UnknownNameError("camera", name, cameras, "the scene")
+    return sensor
 
 
 def _entity(world: World, name: str) -> Object:

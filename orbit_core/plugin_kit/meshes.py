@@ -254,7 +254,11 @@ def _area(polygon: Polygon) -> float:
 
 
 def marker_shapes(marker: MarkerSpec) -> tuple[Shape, ...]:
-    """Return a marker as shapes: an arrow along x, or a frame with x, y, z in red, green, blue."""
+    """Return a marker as shapes: an arrow along x, or a frame with x, y, z in red, green, blue, and its own."""
+    return (*marker.shapes, *_sign(marker)) if marker.size > 0.0 else marker.shapes
+
+
+def _sign(marker: MarkerSpec) -> tuple[Shape, ...]:
     size = marker.size
     match marker.shape:
         case MarkerShape.SPHERE:

@@ -18,14 +18,17 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Image, Renderer
-from orbit_core.scene import CameraSpec, Channel, DeformableSpec, Fluid, Rope
+from orbit_core.scene import CameraSpec, Channel, DeformableSpec, Fluid, Rope, Scene
 
 # Sides of the prism that shows a piece of rope
 _SIDES = 8
 
 
 class DeformableSurface:
-    """Cloth and soft bodies are their meshes; a rope is a prism for each piece, a fluid an octahedron a particle."""
+    """Vertices and triangles of a deformable: of cloth and soft bodies their meshes, of a rope a prism for each piece.
+
+    A fluid has its particles for vertices and no triangles: its surface is around the particles, and new in each step.
+    """
 
     def __init__(self, spec: DeformableSpec) -> None:
         self._spec = spec
@@ -36,9 +39,6 @@ class DeformableSurface:
         """Return (n, V, 3) of particles (n, P, 3)."""
         if isinstance(self._spec, Rope):
             return _prisms(positions, self._spec.radius)
-        if isinstance(self._spec, Fluid):
-            corners = torch.eye(3, device=positions.device) * (0.5 * self._spec.spacing)
-            return (positions[:, :, None] + torch.cat((corners, -corners))).flatten(1, 2)
         return positions
 
 
@@ -51,9 +51,7 @@ def _faces(spec: DeformableSpec) -> npt.NDArray[np.int64]:
         upper = np.stack((side, following + _SIDES, side + _SIDES), axis=-1)
         return (start + np.concatenate((lower, upper))).reshape(-1, 3)
     if isinstance(spec, Fluid):
-        start = 6 * np.arange(len(spec.rest_positions))[:, None, None]
-        eight = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
-        return (start + np.array(eight)).reshape(-1, 3)
+        return np.zeros((0, 3), dtype=np.int64)
     return np.asarray(spec.mesh.faces, dtype=np.int64)
 
 
@@ -160,6 +158,28 @@ class KitRenderer(Renderer):
         """Give back what the renderer holds; called once."""
 
 
+@dataclass(frozen=True, eq=False)
+class HostLights:
+    """Lights of n rows, as of :class:`LightTable`."""
+
+    ambient: npt.NDArray[np.float64]
+    """(n, 3)"""
+    directions: npt.NDArray[np.float64]
+    """(n, K, 3) unit vectors."""
+    radiance: npt.NDArray[np.float64]
+    """(n, K, 3)"""
+
+    @staticmethod
+    def of_scene(scene: Scene, rows: int) -> HostLights:
+        """Return the scene's own lights for each row."""
+        lamps = scene.directional_lights
+        directions = np.array([lamp.unit_direction for lamp in lamps], np.float64).reshape(-1, 3)
+        radiance = np.array([lamp.radiance for lamp in lamps], np.float64).reshape(-1, 3)
+        shape = (rows, len(lamps), 3)
+        ambient = np.broadcast_to(np.asarray(scene.ambient, np.float64), (rows, 3))
+        return HostLights(ambient, np.broadcast_to(directions, shape), np.broadcast_to(radiance, shape))
+
+
 @dataclass(frozen=True)
 class HostRequest:
     """A request with its poses in double precision on the host."""
@@ -176,6 +196,8 @@ class HostRequest:
     """(n, M, 7)"""
     environments: npt.NDArray[np.int64]
     """(n,) which environment each row is of."""
+    lights: HostLights | None = None
+    """Lights of each row; None: the scene's."""
     colors: npt.NDArray[np.float32] | None = None
     """(n, L, 4) of links, as :attr:`Renderer.link_colors` has them; None: all have their own."""
 
@@ -220,12 +242,19 @@ class HostRenderer(KitRenderer):
                 request.wanted,
                 None if request.marker_poses is None else _on_host(request.marker_poses),
                 np.arange(count) if ids is None else ids.cpu().numpy(),
+                self._lights_of(count, ids),
                 self._colors_of(count, ids),
             )
         )
         # Pictures return to the device that the poses came from.
         device = request.link_poses.device
         return Image(**{kind: _tensor(getattr(pictures, kind), device) for kind in _CHANNELS if kind in request.wanted})
+
+    def _lights_of(self, count: int, ids: Tensor | None) -> HostLights | None:
+        if self.lights is None:
+            return None
+        rows = self.lights.rows(torch.arange(count, device=self.lights.ambient.device) if ids is None else ids)
+        return HostLights(_on_host(rows.ambient), _on_host(rows.directions), _on_host(rows.radiance))
 
     def _colors_of(self, count: int, ids: Tensor | None) -> npt.NDArray[np.float32] | None:
         if self.link_colors is None:

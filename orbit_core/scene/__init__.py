@@ -54,7 +54,17 @@ from orbit_core.scene.entities import (
     Workspace,
 )
 from orbit_core.scene.pose import Pose, look_at
-from orbit_core.scene.scene import AmbientLight, DirectionalLight, Light, MarkerShape, MarkerSpec, Rgb, Scene, Sky
+from orbit_core.scene.scene import (
+    AmbientLight,
+    DirectionalLight,
+    Light,
+    MarkerShape,
+    MarkerSpec,
+    Rgb,
+    Scene,
+    Sky,
+    ghost,
+)
 from orbit_core.scene.sensors import (
     CameraSpec,
     Channel,
@@ -74,6 +84,7 @@ from orbit_core.scene.shapes import (
     Color,
     Compliance,
     Cylinder,
+    Finish,
     Geometry,
     HeightField,
     Mesh,
@@ -84,16 +95,17 @@ from orbit_core.scene.shapes import (
     Sphere,
     Texture,
 )
+from orbit_core.scene.studio import STUDIO, Studio
 
 __all__ = [
-    "END_EFFECTOR", "ActiveModel", "ActuatorConfig", "ActuatorNetwork", "AmbientLight", "Articulation",
+    "END_EFFECTOR", "STUDIO", "ActiveModel", "ActuatorConfig", "ActuatorNetwork", "AmbientLight", "Articulation",
     "Attachment", "Box", "CameraSpec", "Capsule", "Channel", "Cloth", "Color", "Compliance", "ContactSensorSpec",
     "Cylinder", "DcMotor", "DeformableSpec", "DifferentialBase", "DirectionalLight", "DriveGains", "EndEffector",
-    "Entity", "Fluid", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
+    "Entity", "Finish", "Fluid", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
     "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "KeyPoint",
     "Light", "Link", "LoopJoint", "LoopType", "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision",
     "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region",
-    "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere",
-    "TactileSpec", "Texture", "Transmission", "Windings", "Workspace", "four_bar", "linear_drive", "look_at",
+    "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "Studio",
+    "TactileSpec", "Texture", "Transmission", "Windings", "Workspace", "four_bar", "ghost", "linear_drive", "look_at",
     "single_link",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ linear light: half the light is half the number.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from orbit_core.scene.deformables import DeformableSpec
@@ -108,6 +108,22 @@ class MarkerSpec:
     size: float = 0.1
     color: Color = (0.1, 0.8, 0.1, 0.6)
     """RGBA in [0, 1]; axes of a frame keep their own colours."""
+    shapes: tuple[Shape, ...] = ()
+    """More shapes to draw; with a ``size`` of zero they are all. :func:`ghost` makes some."""
+
+
+def ghost(name: str, entity: Entity, axes: float = 0.0, opacity: float = 0.4) -> MarkerSpec:
+    """Return a marker that looks like the root link of an entity, seen through: the pose that it shall reach.
+
+    Args:
+        name: of the marker.
+        entity: whose root link is drawn.
+        axes: metres of the axes that are drawn with it; zero draws none.
+        opacity: of the link's shapes.
+    """
+    root = entity.articulation.root
+    shapes = (replace(shape, color=(*shape.color[:3], opacity)) for shape in root.visuals or root.collisions)
+    return MarkerSpec(name, size=axes, color=(0.0, 0.0, 0.0, 1.0), shapes=tuple(shapes))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Geometry of collision and visual shapes, with their surfaces: contact, colour and texture.
+"""Geometry of collision and visual shapes, with their surfaces: contact, colour, finish and texture.
 
 Sizes are half sizes; round shapes have their axis along z.
 """
@@ -115,6 +115,8 @@ class Mesh:
     """(F, 3) indices of vertices."""
     collision: MeshCollision = MeshCollision.CONVEX_HULL
     """Geometry for contacts; visual meshes ignore it."""
+    coordinates: npt.NDArray[np.floating] | None = None
+    """(V, 2) texture coordinates, in pictures of width and height 1 from the lower left corner; for looks only."""
 
     def __eq__(self, other: object) -> bool:
         return (
@@ -123,11 +125,17 @@ class Mesh:
             and self.collision == other.collision
             and np.array_equal(self.vertices, other.vertices)
             and np.array_equal(self.faces, other.faces)
+            and np.array_equal(_or_none(self.coordinates), _or_none(other.coordinates))
         )
 
     def __hash__(self) -> int:
         # Hashing all vertices would be slow; equal meshes have equal shapes, which is all that a hash needs.
         return hash((self.vertices.shape, self.faces.shape, self.collision))
+
+
+def _or_none(array: npt.NDArray[np.floating] | None) -> npt.NDArray[np.floating]:
+    """Return the array, or an empty one, so that two optional arrays compare."""
+    return np.empty(0) if array is None else array
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,33 +152,6 @@ class HeightField:
 
 # A closed union: engines match on it, and a type checker finds a geometry that one of them forgets.
 Geometry = Box | Sphere | Capsule | Cylinder | Plane | Mesh | HeightField
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A geometry placed in its link's frame. ``material`` matters where it collides, ``color`` where it is drawn.
-
-    ``contact_distance`` is for tight fits: the distance (m) from which an engine that makes contacts ahead of touch may
-    make them between this shape and another, half of it from each. Made from further away they stop a block at the rim
-    of a hole that it fits into. None leaves it to the engine.
-    """
-
-    geometry: Geometry
-    """Form and extents."""
-    pose: Pose = field(default_factory=Pose)
-    """Pose in the link's frame; of terrain, in the environment's."""
-    material: PhysicsMaterial = field(default_factory=PhysicsMaterial)
-    color: Color = (0.7, 0.7, 0.7, 1.0)
-    name: str = ""
-    """Name for messages and lookups; may be empty."""
-    contact_distance: float | None = None
-
-    def __post_init__(self) -> None:
-        # Zero would make engines detect contacts only after penetration.
-        if self.contact_distance is not None and not 0.0 < self.contact_distance < math.inf:
-            raise ValueError(
-                f"shape '{self.name}': contact_distance must be metres above zero, not {self.contact_distance}"
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,3 +185,60 @@ class Texture:
     def height(self) -> float:
         """Metres that its height spans."""
         return self.width * self.pixels.shape[0] / self.pixels.shape[1]
+
+
+@dataclass(frozen=True)
+class Finish:
+    """Look of a surface besides its colour, in colour images; a renderer shows as much of it as it declares."""
+
+    roughness: float = 1.0
+    """From 0, which reflects lights as sharp spots, to 1, which has no highlight and is as the lighting law says."""
+    metallic: float = 0.0
+    """Share of a highlight that takes the surface's own colour, as on bare metal."""
+    texture: Texture | None = None
+    """Multiplies the colour. Its axes are the shape's own; a mesh with texture coordinates takes it by those, once
+    across the picture."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ValueError: roughness or metallic is not within 0 and 1.
+        """
+        for name in ("roughness", "metallic"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} of a finish must be from 0 to 1, not {getattr(self, name)}")
+
+
+DULL = Finish()
+"""Finish of a surface without texture and highlight."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A geometry placed in its link's frame.
+
+    ``material`` matters where it collides, ``color`` and ``finish`` where it is drawn.
+
+    ``contact_distance`` is for tight fits: the distance (m) from which an engine that makes contacts ahead of touch may
+    make them between this shape and another, half of it from each. Made from further away they stop a block at the rim
+    of a hole that it fits into. None leaves it to the engine.
+    """
+
+    geometry: Geometry
+    """Form and extents."""
+    pose: Pose = field(default_factory=Pose)
+    """Pose in the link's frame; of terrain, in the environment's."""
+    material: PhysicsMaterial = field(default_factory=PhysicsMaterial)
+    color: Color = (0.7, 0.7, 0.7, 1.0)
+    name: str = ""
+    """Name for messages and lookups; may be empty."""
+    contact_distance: float | None = None
+    finish: Finish = DULL
+
+    def __post_init__(self) -> None:
+        # Zero would make engines detect contacts only after penetration.
+        if self.contact_distance is not None and not 0.0 < self.contact_distance < math.inf:
+            raise ValueError(
+                f"shape '{self.name}': contact_distance must be metres above zero, not {self.contact_distance}"
+            )

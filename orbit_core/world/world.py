@@ -18,9 +18,11 @@ from orbit_core.backends import renderer as find_renderer
 from orbit_core.configuration import settings_table
 from orbit_core.dynamics.arguments import (
     ACCELERATIONS,
+    COSINES,
     FRICTIONS,
     MOST_ENVIRONMENTS,
     MOST_STEPS,
+    RADIANCES,
     seed_number,
     usable_device,
     whole_number,
@@ -36,6 +38,7 @@ from orbit_core.interfaces import (
     Capability,
     ConfigurationError,
     Engine,
+    LightTable,
     NamedThings,
     OrbitError,
     Renderer,
@@ -46,15 +49,16 @@ from orbit_core.interfaces.capabilities import IMAGES
 from orbit_core.interfaces.capture import Schedule, is_tracing
 from orbit_core.preparation.scene_data import check_attachments, check_data
 from orbit_core.preparation.scenes import prepared
-from orbit_core.scene import CameraSpec, Scene
+from orbit_core.scene import CameraSpec, Scene, Studio
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
 from orbit_core.world.checks import check_build, check_capacity
-from orbit_core.world.drawing import Painting, with_frames, with_matter
+from orbit_core.world.drawing import Painting, light_camera, scene_lights, with_frames, with_matter
 from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
 from orbit_core.world.matter import SimulatedDeformable, coupled, rigid_part
 from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
+from orbit_core.world.studio import StudioRenderer, dressed
 
 
 class SimulatedWorld(World):
@@ -197,10 +201,18 @@ class SimulatedWorld(World):
             self._renderer = self.create_renderer(cameras)
         return self._renderer
 
-    def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
-        layout = rigid_part(with_frames(self.layout) if frames else self.layout, self._solver)
-        renderer = self._renderer_plugin.create_renderer(layout, cameras, self._renderer_config)
-        return self.painting.add(with_matter(renderer, self._solver, self._engine, self.layout))
+    def create_renderer(
+        self, cameras: tuple[CameraSpec, ...], frames: bool = False, studio: Studio | None = None
+    ) -> Renderer:
+        layout = self.layout if studio is None else dressed(self.layout, studio)
+        drawn = rigid_part(with_frames(layout) if frames else layout, self._solver)
+        light = light_camera(layout, cameras)
+        eyes = cameras if light is None else (*cameras, light)
+        renderer = self._renderer_plugin.create_renderer(drawn, eyes, self._renderer_config)
+        renderer = with_matter(renderer, self._solver, self._engine, layout, light)
+        if studio is None:
+            return self.painting.add(renderer)
+        return self.painting.add(renderer, lambda inner: StudioRenderer(inner, layout.scene, studio))
 
     @property
     def python_laws(self) -> Mapping[str, object]:
@@ -290,6 +302,27 @@ class SimulatedWorld(World):
         chosen = self.selector.select(env_ids)
         coefficients = chosen.values(coefficients, (), "friction of the terrain", FRICTIONS)
         self._engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
+
+    def set_lights(self, lights: LightTable, env_ids: Tensor | None = None) -> None:
+        """Light some environments otherwise.
+
+        Raises:
+            UnsupportedCapabilityError: the renderer cannot; names those that can.
+            ShapeError, NonFiniteError, ArgumentError: the lights are no lights of so many environments.
+        """
+        self._require(Capability.LIGHTS_PER_ENVIRONMENT, "lights of environments")
+        chosen, count = self.selector.select(env_ids), len(self.scene.directional_lights)
+        given = LightTable(
+            chosen.values(lights.ambient, (3,), "ambient light", RADIANCES),
+            chosen.values(lights.directions, (count, 3), "directions of lights", COSINES),
+            chosen.values(lights.radiance, (count, 3), "radiance of lights", RADIANCES),
+        )
+        self.painting.light(self.nominal_lights, given, chosen.rows)
+
+    @property
+    def nominal_lights(self) -> LightTable:
+        own = scene_lights(self.scene, self.num_envs, self.device)
+        return LightTable(own.ambient.clone(), own.directions.clone(), own.radiance.clone())
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Return some environments to their start, by index or by mask (N,) bool.

@@ -11,9 +11,12 @@ import pytest
 import trimesh
 from PIL import Image
 from trimesh.exchange.dae import export_collada
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from orbit_assets.meshes import MeshFiles, load_mesh, load_parts, merge_vertices
 from orbit_assets.options import ReadOptions
+from orbit_assets.urdf import read_urdf
 from orbit_core.interfaces.errors import AssetError
 
 
@@ -119,3 +122,27 @@ def test_a_texture_without_coordinates_counts_whole(tmp_path: Path) -> None:
     (tmp_path / "box.obj").write_text(f"mtllib box.mtl\n{corners}usemtl red\nf 1 2 3\nf 1 2 4\n")
     (part,) = load_parts(tmp_path / "box.obj")
     assert (part.color, part.textured) == ((1.0, 0.0, 0.0, 1.0), True)
+
+
+def test_a_textured_surface_keeps_its_picture_and_coordinates(tmp_path: Path) -> None:
+    corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
+    faces, coordinates = [(0, 1, 2), (0, 2, 3)], corners[:, :2]
+    pixels = np.zeros((4, 4, 3), np.uint8)
+    pixels[:2, :2] = 255, 0, 0
+    material = PBRMaterial(baseColorTexture=Image.fromarray(pixels))
+    surface = trimesh.Trimesh(corners, faces, process=False, visual=TextureVisuals(coordinates, material=material))
+    plain = trimesh.creation.box((0.1, 0.1, 0.1))
+    trimesh.Scene([surface, plain]).export(tmp_path / "sign.glb")
+    box, sign = load_parts(tmp_path / "sign.glb", (2.0, 2.0, 2.0))
+    assert box.texture is None
+    assert sign.texture is not None
+    np.testing.assert_array_equal(sign.texture.pixels, pixels)
+    assert sign.mesh.coordinates is not None
+    # A corner of the surface is at its own place of the picture, from the lower left one.
+    np.testing.assert_allclose(sign.mesh.vertices[:, :2], 2.0 * sign.mesh.coordinates, atol=1e-6)
+    assert load_mesh(tmp_path / "sign.glb").coordinates is None, "collision needs merged vertices"
+    visual = '<visual><geometry><mesh filename="sign.glb"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="l">{visual}</link></robot>')
+    visuals = read_urdf(tmp_path / "r.urdf").root.visuals
+    assert [shape.finish.texture is not None for shape in visuals] == [False, True]
+    assert visuals[1].color == (1.0, 1.0, 1.0, 1.0)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import trimesh
 
 from orbit_assets.scene_files import load_scene
 from orbit_assets.usd.scene_writer import write_usd_scene
-from orbit_core.interfaces.errors import ConfigurationError, PremiseError, UnknownNameError
+from orbit_core.interfaces.errors import AssetError, ConfigurationError, PremiseError, UnknownNameError
 from orbit_core.scene import Pose, Scene
 from orbit_scenes.cli.scene import main
 from orbit_scenes.things import thing
@@ -31,6 +32,19 @@ def test_check_names_what_overlaps_in_a_file(tmp_path: Path):
     write_usd_scene(Scene(objects=twins), tmp_path / "twins.usda")
     with pytest.raises(PremiseError, match="'first' and 'second' overlap"):
         main(["check", str(tmp_path / "twins.usda")])
+
+
+def test_a_scanned_mesh_becomes_a_scene_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    room = trimesh.creation.box(extents=(4.0, 3.0, 2.4)).subdivide()
+    path = tmp_path / "room.ply"
+    trimesh.Trimesh(room.vertices, room.faces[:, ::-1], process=False).export(path)
+    with pytest.raises(AssetError, match="does not state its unit"):
+        main(["scan", str(path)])
+    main(["scan", str(path), "--unit", "1.0", "--up", "z", "--voxel", "0.2"])
+    assert "4.00 x 3.00 x 2.40 m, 48 triangles" in capsys.readouterr().out
+    (scan,) = load_scene(tmp_path / "room.usdc").objects
+    assert scan.fixed_base
+    assert len(scan.articulation.root.collisions) > 4
 
 
 def test_lists_name_things_and_furniture(capsys: pytest.CaptureFixture[str]):

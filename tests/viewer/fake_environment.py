@@ -71,6 +71,8 @@ class FakeWorld:
         pose = torch.tensor([0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0]).repeat(num_envs, 1)
         self.markers: dict[str, Marker] = {spec.name: FakeMarker(spec, pose.clone()) for spec in scene.markers}
         self.sensors: dict[str, Any] = {}
+        self.robots: dict[str, Any] = {}
+        self.objects: dict[str, Any] = {}
         self.deformables: dict[str, Any] = {}
 
 

@@ -10,7 +10,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -24,7 +24,7 @@ from orbit_assets.outside import check_archive, check_file, check_picture, resol
 from orbit_assets.source_text import names_file, naming
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Color, Mesh
+from orbit_core.scene import Color, Finish, Mesh, Shape, Texture
 from orbit_core.scene.pose import Vector3
 
 # Mesh files decoded by trimesh, which opens no other file and allocates no more than the caller allows.
@@ -325,16 +325,22 @@ _DIRECTIONS = 32
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """Part of a mesh file that has one colour; None where the file gives no colour.
-
-    ``textured`` is True if the colour is computed from a picture.
-    """
+    """Part of a mesh file that has one colour or texture; the colour is None where the file gives none."""
 
     mesh: Mesh
     """Triangles of that colour."""
     color: Color | None
-    """RGBA in [0, 1]."""
+    """RGBA in [0, 1]; of a surface with a picture, the median of what it shows."""
     textured: bool = False
+    """True if the colour is computed from a picture."""
+    texture: Texture | None = None
+    """The picture, where ``mesh`` has coordinates on it."""
+
+    def shown(self, shape: Shape) -> Shape:
+        """Return a shape of this mesh in its own colour or texture."""
+        if self.texture is not None:
+            return replace(shape, color=(1.0, 1.0, 1.0, 1.0), finish=Finish(texture=self.texture))
+        return shape if self.color is None else replace(shape, color=self.color)
 
 
 @names_file
@@ -362,7 +368,7 @@ def load_parts(
     *,
     options: ReadOptions = ReadOptions(),
 ) -> tuple[MeshPart, ...]:
-    """Read the file's triangles as :func:`load_mesh` does, one part per colour; a texture counts as its median colour.
+    """Read the file's triangles as :func:`load_mesh` does, one part per colour or picture.
 
     Raises:
         AssetError: as :func:`load_mesh`.
@@ -384,6 +390,7 @@ class MeshFiles:
         self._decoded: dict[Path, list[Any]] = {}
         self._meshes: dict[tuple[Path, Vector3], Mesh] = {}
         self._parts: dict[tuple[Path, Vector3], tuple[MeshPart, ...]] = {}
+        self._textures: dict[int, tuple[Any, Texture]] = {}
 
     def mesh(self, path: Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> Mesh:
         """Return the triangles of a file, as :func:`load_mesh` reads them.
@@ -396,7 +403,8 @@ class MeshFiles:
             with naming(str(path)), bounded_pictures(self.options):
                 parts = self._parts.get(key, ())
                 # One part is the whole: its visual and its collision shape then share one mesh.
-                self._meshes[key] = parts[0].mesh if len(parts) == 1 else _mesh(self._geometries(path), scale, path)
+                shared = len(parts) == 1 and parts[0].texture is None
+                self._meshes[key] = parts[0].mesh if shared else _mesh(self._geometries(path), scale, path)
         return self._meshes[key]
 
     def parts(self, path: Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[MeshPart, ...]:
@@ -413,16 +421,29 @@ class MeshFiles:
 
     def _split(self, path: Path, scale: Vector3) -> tuple[MeshPart, ...]:
         by_color: dict[tuple[Color | None, bool], list[Any]] = {}
-        geometries = self._geometries(path)
-        for geometry in geometries:
-            by_color.setdefault(surface_color(geometry), []).append(geometry)
+        textured: list[MeshPart] = []
+        for geometry in self._geometries(path):
+            color = surface_color(geometry)
+            if (coordinates := _coordinates(geometry)) is None:
+                by_color.setdefault(color, []).append(geometry)
+            else:
+                mesh = replace(_mesh([geometry], scale, path, merge=False), coordinates=coordinates)
+                textured.append(MeshPart(mesh, *color, self._texture(_picture(geometry))))
         # Most files have one colour: the whole mesh is then shared with the collision shape.
-        if len(by_color) == 1:
-            ((color, textured),) = by_color
-            return (MeshPart(self.mesh(path, scale), color, textured),)
-        return tuple(
-            MeshPart(_mesh(group, scale, path), color, textured) for (color, textured), group in by_color.items()
-        )
+        if len(by_color) == 1 and not textured:
+            ((color, median),) = by_color
+            return (MeshPart(self.mesh(path, scale), color, median),)
+        plain = [MeshPart(_mesh(group, scale, path), color, median) for (color, median), group in by_color.items()]
+        return (*plain, *textured)
+
+    def _texture(self, picture: Any) -> Texture:
+        """Return a picture as a texture, the same one for each of its surfaces."""
+        if id(picture) not in self._textures:
+            whole = picture.convert("RGB")
+            whole.thumbnail((_FINEST, _FINEST))
+            # Kept with its picture, whose number must not be given to another one.
+            self._textures[id(picture)] = (picture, Texture(np.asarray(whole, dtype=np.uint8)))
+        return self._textures[id(picture)][1]
 
     def _geometries(self, path: Path) -> list[Any]:
         if path not in self._decoded:
@@ -465,8 +486,8 @@ def _decoded(path: Path, options: ReadOptions, model: Path) -> list[Any]:
     return geometries
 
 
-def _mesh(geometries: list[Any], scale: Vector3, path: Path) -> Mesh:
-    """Join several surfaces into one mesh, scaled."""
+def _mesh(geometries: list[Any], scale: Vector3, path: Path, merge: bool = True) -> Mesh:
+    """Join several surfaces into one mesh, scaled; merge vertices in one place unless they differ in coordinates."""
     if 0.0 in scale or not np.isfinite(scale).all():
         raise AssetError(f"mesh file '{path}' is scaled by {scale}: give finite factors that are not zero")
     vertices: list[npt.NDArray[np.float32]] = []
@@ -480,9 +501,13 @@ def _mesh(geometries: list[Any], scale: Vector3, path: Path) -> Mesh:
     # A reflection turns triangles inside out: the reversed order of corners makes them face outward again.
     if np.prod(np.sign(scale)) < 0:
         joined = joined[:, ::-1]
+    if not merge:
+        return Mesh(np.concatenate(vertices), joined.astype(np.int32))
     return Mesh(*merge_vertices(np.concatenate(vertices), joined))
 
 
+# Most pixels of a texture's sides: finer ones cost memory, and no picture of a robot shows them.
+_FINEST = 1024
 # Metres of a triangle's height below which it is a line.
 _THINNEST = 1e-10
 # Odd numbers with evenly mixed bits (those of xxHash), which spread coordinates over 64 bits.
@@ -561,15 +586,29 @@ def surface_color(geometry: Any) -> tuple[Color | None, bool]:
     material = getattr(visual, "material", None)
     if material is None:
         return _color(visual.main_color), False
-    picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    picture = _picture(geometry)
     if picture is None:
         return _color(material.main_color), False
     return _color(np.median(_shown(geometry, picture), axis=0)), True
 
 
-def _shown(geometry: Any, picture: Any) -> Any:
+def _picture(geometry: Any) -> Any:
+    """Return the picture that a trimesh geometry's surface shows; None without one."""
+    material = getattr(geometry.visual, "material", None)
+    return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+
+
+def _coordinates(geometry: Any) -> npt.NDArray[np.float64] | None:
+    """Return texture coordinates (V, 2) of a surface that shows a picture; None where it has none."""
     coordinates = getattr(geometry.visual, "uv", None)
-    if coordinates is not None and np.shape(coordinates) == (len(geometry.vertices), 2):
+    if _picture(geometry) is None or coordinates is None:
+        return None
+    whole = np.shape(coordinates) == (len(geometry.vertices), 2) and np.isfinite(coordinates).all()
+    return np.asarray(coordinates, dtype=np.float64) if whole else None
+
+
+def _shown(geometry: Any, picture: Any) -> Any:
+    if _coordinates(geometry) is not None:
         return geometry.visual.to_color().vertex_colors
     return np.asarray(picture.convert("RGBA")).reshape(-1, 4)
 

@@ -23,6 +23,7 @@ from orbit_deploy.messages import RobotState
 
 # Columns of a CSV file next to "time", each with one column for every joint: "target:joint1"
 _COLUMNS = ("target", "target_velocity", "target_effort", "position", "velocity", "effort")
+# Bytes up to which a file is read, as a whole, and rows from which it is a motion
 _MOST_BYTES = 1 << 31
 _SHORTEST = 20
 
@@ -65,6 +66,7 @@ class MotionLog:
             seconds: length of the part; to the end if None.
         """
         end = np.inf if seconds is None else begin + seconds
+        # The sum of begin and length is rounded: a row at the end would be lost.
         rows = (self.times >= begin) & (self.times <= end + 1e-9)
         if rows.sum() < _SHORTEST:
             raise ConfigurationError(
@@ -175,6 +177,7 @@ def _read_mcap(path: Path) -> MotionLog | None:
         reader = make_reader(io.BytesIO(data))
         # Other programs write MCAP too, recordings of ROS 2 among them.
         described = next((each for each in reader.iter_metadata() if each.name == "robot"), None)
+        # Robots' computers write the description at once: without one, it may be a recording of ROS.
         if described is None:
             return None
         description = msgspec.json.decode(described.metadata["description"], type=RobotDescription)
@@ -223,6 +226,7 @@ def _row(data: bytes) -> _StateRow:
 def _read_csv(path: Path) -> MotionLog:
     data = read_bytes(path, _MOST_BYTES)
     source = source_of(path, data)
+    # Bytes that are no text are found below, as a name or a number that is none.
     rows = list(csv.reader(io.StringIO(data.decode("utf-8", errors="replace"))))
     header = [name.strip() for name in rows[0]] if rows else []
     if "time" not in header:

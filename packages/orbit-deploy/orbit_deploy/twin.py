@@ -77,6 +77,7 @@ class LiveTwin:
         self._world = simulate(Scene(robots=(spec,), physics_dt=dt), 1, backend, settings=settings)
         self._robot = next(iter(self._world.robots.values()))
         joints = range(len(spec.articulation.movable_joints))
+        # A robot's follower has made them finite: looking again would cost time in every step.
         self._writers = [self._robot.target_writer(each, joints, checked=False) for each in JointTarget]
         self._stamp: int | None = None
         self._before = np.zeros((3, len(joints)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -19,7 +20,8 @@ from orbit_core.envs.making import make
 from orbit_core.envs.observation_layout import Observation, map_leaves
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
-from orbit_core.rollout.pictures import OverviewCamera
+from orbit_core.rollout.pictures import Spectator as FilmCamera
+from orbit_core.scene import STUDIO
 from orbit_core.world.lifetime import mark_closed
 from orbit_learn.ends import all_ends
 from orbit_learn.spaces import action_space, observation_space
@@ -163,17 +165,17 @@ class Spectator:
     def __init__(self, environment: Environment, render_mode: str | None) -> None:
         self._environment = environment
         self._render_mode = render_mode
-        self._camera: OverviewCamera | None = None
+        self._camera: FilmCamera | None = None
 
     def pictures(self) -> npt.NDArray[np.uint8] | None:
         """Draw pictures (N, 480, 640, 3) of all environments; None without a render mode."""
         if self._render_mode is None:
             return None
         # On first use, because a renderer takes memory that environments without pictures do not need.
-        self._camera = self._camera or OverviewCamera(
-            self._environment.world, 640, 480, self._environment.task.metadata.view
-        )
-        return self._camera.pictures().numpy()
+        if self._camera is None:
+            # One sample: render() is called at each step of a training that films itself.
+            self._camera = FilmCamera(self._environment, 640, 480, studio=replace(STUDIO, samples=1))
+        return self._camera.pictures(seconds=self._environment.step_dt).numpy()
 
     def close(self) -> None:
         """Close the camera; the environment stays open."""

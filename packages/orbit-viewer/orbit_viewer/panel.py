@@ -1,4 +1,4 @@
-"""Panel next to the scene: buttons, the choice of environment, the reward's curve, camera pictures.
+"""Panel next to the scene: buttons, the choice of environment, curves of signals, camera pictures.
 
 Buttons act in the web server's threads, the simulation in its own: :class:`Controls` connects the two, and sets the
 pace at which the simulation runs.
@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+
+from orbit_viewer.history import SECONDS
+from orbit_viewer.signals import MOST_COMPONENTS, Numbers, Signal
 
 if TYPE_CHECKING:
     from viser import GuiImageHandle, ViserServer
@@ -48,6 +51,9 @@ class Controls:
         self._reset_wanted = False
         self._stopped = False
         self._selection = Selection()
+        self._refresh_wanted = False
+        self._recording = False
+        self._rewound = 0.0
         self.speed = 1.0
         """Simulated seconds per second; infinite runs as fast as it can."""
 
@@ -70,6 +76,7 @@ class Controls:
         """Run until :meth:`pause`."""
         with self._changed:
             self._paused = False
+            self._rewound = 0.0
             self._single_steps = 0
             self._changed.notify_all()
 
@@ -130,6 +137,42 @@ class Controls:
             )
             self._changed.notify_all()
 
+    @property
+    def recording(self) -> bool:
+        """True while a video is recorded."""
+        return self._recording
+
+    @property
+    def rewound(self) -> float:
+        """Simulated seconds before the present one that are shown; zero while the simulation runs."""
+        return self._rewound if self._paused else 0.0
+
+    def record(self) -> None:
+        """Begin a video, or end the one that is recorded."""
+        with self._changed:
+            self._recording = not self._recording
+            self._refresh_wanted = True
+            self._changed.notify_all()
+
+    def rewind(self, seconds: float) -> None:
+        """Show what was drawn so many simulated seconds ago, while paused."""
+        with self._changed:
+            self._rewound = max(0.0, seconds)
+            self._refresh_wanted = True
+            self._changed.notify_all()
+
+    def refresh(self) -> None:
+        """Draw everything again, also while paused."""
+        with self._changed:
+            self._refresh_wanted = True
+            self._changed.notify_all()
+
+    def take_refresh(self) -> bool:
+        """Return whether everything is to be drawn again, and clear the request."""
+        with self._lock:
+            wanted, self._refresh_wanted = self._refresh_wanted, False
+            return wanted
+
     def take_reset(self) -> bool:
         """Return whether a reset is due, and clear the request."""
         with self._lock:
@@ -177,7 +220,13 @@ SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0
 MOST_ENVIRONMENTS = 36
 """Limit of environments drawn at once: each costs the browser time."""
 NO_PICTURE, ALL_PICTURES = "none", "all"
+REWARD = "reward"
+"""Signal that every environment has."""
 _HISTORY = 400
+_STROKES = (
+    "#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5", "#f08c00", "#0c8599", "#e03131", "#5f3dc4", "#66a80f", "#c2255c",
+    "#495057", "#1098ad",
+)  # fmt: skip
 
 
 class Panel:
@@ -190,6 +239,9 @@ class Panel:
         pictures: names of the pictures that cameras offer.
         title: title at the top.
         pictures_first: show all pictures at first, above the rest of the panel.
+        signals: signals by name that may be plotted; the first one is at first.
+        keys: keyboard short-cuts for the buttons.
+        recordable: whether a video may be recorded.
     """
 
     def __init__(
@@ -200,21 +252,32 @@ class Panel:
         pictures: Sequence[str],
         title: str,
         pictures_first: bool = False,
+        signals: Mapping[str, Signal] | None = None,
+        keys: bool = False,
+        recordable: bool = False,
     ) -> None:
         self._server = server
         self._controls = controls
-        self._reward: deque[tuple[float, float]] = deque(maxlen=_HISTORY)
+        self._signals = {REWARD: Signal((REWARD,), lambda _: np.zeros(1)), **(signals or {})}
+        self._points: deque[tuple[float, Numbers]] = deque(maxlen=_HISTORY)
         # No share button: it would ask for a public tunnel, which the viewer refuses.
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.gui.main_panel.dock_right()
         server.gui.set_panel_label(title)
         self._status = server.gui.add_markdown("", order=-2.0)
-        self._add_buttons()
+        self._add_buttons(recordable)
+        if keys:
+            self._add_keys(num_envs)
         if num_envs > 1:
             self._add_choice(num_envs)
         self._add_switches()
-        with server.gui.add_folder("Reward"):
-            self._plot = self._add_plot()
+        self._plots = server.gui.add_folder("Plot")
+        self._plot: Any = None
+        with self._plots:
+            self._signal = server.gui.add_dropdown("Signal", tuple(self._signals), initial_value=REWARD)
+            self._signal.on_update(lambda _: controls.refresh())
+        self._plotted = ""
+        self._renew_plot()
         self._pictures: dict[str, GuiImageHandle] = {}
         self._picture_choice: Any = None
         if pictures:
@@ -238,29 +301,55 @@ class Panel:
         """Show a picture (H, W, 3) under the choice of cameras."""
         self._pictures[name].image = picture
 
-    def add_reward(self, seconds: float, reward: float) -> None:
-        """Add a point to the curve; :meth:`show_reward` draws it."""
-        self._reward.append((seconds, reward))
+    def add_point(self, seconds: float, index: int, reward: float) -> None:
+        """Add a point to the curves of the chosen signal; :meth:`show_plot` draws them.
 
-    def clear_reward(self) -> None:
-        """Clear the curve."""
-        self._reward.clear()
+        Args:
+            seconds: simulated time.
+            index: environment that is read.
+            reward: of it, in the last step.
+        """
+        self._renew_plot()
+        signal = self._signals[self._plotted]
+        values = np.array([reward]) if self._plotted == REWARD else signal.read(index)[:MOST_COMPONENTS]
+        self._points.append((seconds, values))
 
-    def show_reward(self) -> None:
-        """Draw the curve as it now is."""
-        if self._reward:
-            points = np.array(self._reward, dtype=np.float64)
-            self._plot.data = (points[:, 0].copy(), points[:, 1].copy())
+    def clear_plot(self) -> None:
+        """Clear the curves, on the page as well."""
+        self._points.clear()
+        self._plot.data = tuple(np.zeros(1) for _ in self._plot.data)
+
+    def show_plot(self) -> None:
+        """Draw the curves as they now are."""
+        self._renew_plot()
+        if self._points:
+            times = np.array([seconds for seconds, _ in self._points])
+            values = np.stack([values for _, values in self._points])
+            self._plot.data = (times, *(np.ascontiguousarray(column) for column in values.T))
+
+    def _renew_plot(self) -> None:
+        """Make another plot where the person has chosen another signal."""
+        if self._signal.value == self._plotted:
+            return
+        self._plotted = self._signal.value
+        self._points.clear()
+        if self._plot is not None:
+            self._plot.remove()
+        with self._plots:
+            self._plot = self._add_plot(self._signals[self._plotted].components[:MOST_COMPONENTS])
 
     def show_paused(self) -> None:
         """Show the button, play or pause, that has an effect now."""
         if self._play.visible != self._controls.paused:
             self._play.visible = self._controls.paused
             self._pause.visible = not self._controls.paused
+            self._rewind.visible = self._controls.paused
+            if not self._controls.paused:
+                self._rewind.value = 0.0
 
     # Making the panel
 
-    def _add_buttons(self) -> None:
+    def _add_buttons(self, recordable: bool) -> None:
         from viser import Icon
 
         gui, controls = self._server.gui, self._controls
@@ -273,6 +362,12 @@ class Panel:
         self._pause.on_click(lambda _: controls.pause())
         step.on_click(lambda _: controls.single_step())
         reset.on_click(lambda _: controls.reset())
+
+        self._rewind = gui.add_slider("Rewind, s", 0.0, SECONDS, 0.1, 0.0, visible=controls.paused)
+        self._rewind.on_update(lambda _: controls.rewind(float(self._rewind.value)))
+        if recordable:
+            record = gui.add_button("Record", icon=Icon.VIDEO, color="gray", hint="A video, until pressed again")
+            record.on_click(lambda _: controls.record())
 
         @speed.on_update
         def _(_: object) -> None:
@@ -311,13 +406,47 @@ class Panel:
         self._picture_choice.on_update(show)
         show()
 
-    def _add_plot(self) -> Any:
+    def _add_plot(self, components: Sequence[str]) -> Any:
         from viser import uplot
 
         nothing = np.zeros(1)
+        lines = [
+            uplot.Series(label=name, stroke=_STROKES[number % len(_STROKES)], width=2)
+            for number, name in enumerate(components)
+        ]
         return self._server.gui.add_uplot(
-            (nothing, nothing),
-            (uplot.Series(label="s"), uplot.Series(label="reward", stroke="#1c7ed6", width=2)),
+            tuple(nothing for _ in range(len(lines) + 1)),
+            (uplot.Series(label="s"), *lines),
             scales={"x": uplot.Scale(time=False)},
             aspect=1.8,
         )
+
+    def _add_keys(self, num_envs: int) -> None:
+        """Add the keyboard's short-cuts, which the page's command palette lists."""
+        gui, controls = self._server.gui, self._controls
+
+        def toggle() -> None:
+            if controls.paused:
+                controls.play()
+            else:
+                controls.pause()
+
+        keys: list[tuple[str, Any, Callable[[], None]]] = [
+            ("Play or pause", "space", toggle),
+            ("Take one step", "S", controls.single_step),
+            ("Reset all environments", "R", controls.reset),
+            ("Back by a second", "arrowleft", lambda: self._rewind_by(1.0)),
+            ("Forward by a second", "arrowright", lambda: self._rewind_by(-1.0)),
+        ]
+        if num_envs > 1:
+            keys += [
+                ("Next environment", "N", lambda: controls.select(first=controls.selection.first + 1)),
+                ("Previous environment", "P", lambda: controls.select(first=controls.selection.first - 1)),
+            ]
+        for label, key, act in keys:
+            gui.add_command(label, hotkey=key).on_trigger(lambda _, act=act: act())
+
+    def _rewind_by(self, seconds: float) -> None:
+        self._controls.pause()
+        self._rewind.value = min(max(self._rewind.value + seconds, 0.0), SECONDS)
+        self._controls.rewind(self._rewind.value)

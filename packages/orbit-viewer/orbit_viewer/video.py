@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ import torch
 from orbit_core.files import Replacement, as_path, storage_faults
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, StorageError
-from orbit_core.rollout.pictures import OverviewCamera, Recorder
+from orbit_core.rollout.pictures import Recorder, Spectator
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -122,7 +122,7 @@ class VideoFile:
 
 
 class VideoRecorder(Recorder):
-    """Films the first ``environments`` of a batch side by side, from when it is made until the video is full.
+    """Films the first ``environments`` of a batch, or those of these numbers, side by side, until the video is full.
 
     The video is as long as an episode's time limit; an environment whose episode ends earlier shows its next one.
     ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels. It observes a rollout;
@@ -133,23 +133,25 @@ class VideoRecorder(Recorder):
         self,
         environment: Environment,
         path: Path | str,
-        environments: int = 4,
+        environments: int | Sequence[int] = 4,
         width: int = 400,
         height: int = 304,
         frames: bool = False,
     ) -> None:
-        count = min(environments, environment.num_envs)
-        self._rows = torch.arange(count, device=environment.device)
+        whole = isinstance(environments, int)
+        rows = range(min(environments, environment.num_envs)) if whole else environments
+        count = len(rows)
+        self._rows = torch.tensor([*rows], device=environment.device)
         self._columns = math.ceil(math.sqrt(count))
         lines = math.ceil(count / self._columns)
         self._length = self._left = environment.max_episode_steps
         # Fast control rates would make videos of hundreds of frames a second.
         self._stride = max(1, round(1.0 / (environment.step_dt * _FRAMES_PER_SECOND)))
-        rate = 1.0 / (environment.step_dt * self._stride)
-        self._file = VideoFile(path, self._columns * width, lines * height, rate)
+        self._period = environment.step_dt * self._stride
+        self._file = VideoFile(path, self._columns * width, lines * height, 1.0 / self._period)
         with contextlib.ExitStack() as stack:
             stack.callback(self._file.discard)
-            self._camera = OverviewCamera(environment.world, width, height, environment.task.metadata.view, frames)
+            self._camera = Spectator(environment, width, height, frames)
             stack.pop_all()
 
     @property
@@ -167,7 +169,8 @@ class VideoRecorder(Recorder):
         if self.full:
             return
         if (self._length - self._left) % self._stride == 0:
-            self._file.add(tile(self._camera.pictures(self._rows).numpy(), self._columns))
+            pictures = self._camera.pictures(self._rows, self._period)
+            self._file.add(tile(pictures.numpy(), self._columns))
         self._left -= 1
 
     def close(self) -> None:

@@ -17,12 +17,16 @@ from torch import Tensor
 
 from orbit_core.envs.actors import Actor
 from orbit_core.installing import install_extra
-from orbit_core.interfaces import ConfigurationError, Deformable, Marker, SceneLayout, Sensor
+from orbit_core.interfaces import ConfigurationError, Deformable, Marker, Object, Robot, SceneLayout, Sensor
 from orbit_core.rollout.estimates import proportion
 from orbit_core.scene import CameraSpec, Channel
 from orbit_core.sensors import CameraSensor
+from orbit_viewer.film import Film, FilmCamera
+from orbit_viewer.history import History
+from orbit_viewer.inspector import Inspector
 from orbit_viewer.panel import Controls, Pacer, Panel, Selection
 from orbit_viewer.scene_view import FloatArray, Frame, SceneView
+from orbit_viewer.signals import TaskSignals, world_signals
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -107,6 +111,16 @@ class ViewedWorld(Protocol):
         ...
 
     @property
+    def robots(self) -> Mapping[str, Robot]:
+        """Robots, by name."""
+        ...
+
+    @property
+    def objects(self) -> Mapping[str, Object]:
+        """Objects, by name."""
+        ...
+
+    @property
     def deformables(self) -> Mapping[str, Deformable]:
         """Cloths, ropes and soft bodies, by name."""
         ...
@@ -158,6 +172,10 @@ class Viewer:
         frames: begin with axes at the robots' bases, end effectors, finger tips, feet and wheels.
         tool: makes an extra part of the page, given its server and scene.
         pages: more pages of the server.
+        signals: signals of the task, which the panel plots next to those of robots and contacts.
+        follow: entity that the camera follows at first; empty follows nothing.
+        record: makes a camera that films environments of the given width and height in pixels, for videos.
+        mark: places markers for people, called before the scene is drawn.
         views: functions by name that draw pictures (H, W, 3) of the first environment. The panel shows them at first,
             together with what the scene's cameras see. They are called in the simulation's thread.
 
@@ -178,6 +196,10 @@ class Viewer:
         tool: Callable[[ViserServer, SceneView], ViewerTool] | None = None,
         pages: Sequence[Page] = (),
         views: Mapping[str, Callable[[], Picture]] | None = None,
+        signals: TaskSignals | None = None,
+        follow: str = "",
+        record: Callable[[int, int], FilmCamera] | None = None,
+        mark: Callable[[], None] | None = None,
     ) -> None:
         self._env = env
         self._agent = agent
@@ -195,7 +217,18 @@ class Viewer:
         self.page_urls = tuple(f"{root}{page.path}{query}" for page in pages)
         """Addresses of the other pages, with the same token."""
         self._scene = SceneView(self._server, env.world.layout)
-        self._panel = Panel(self._server, self.controls, env.num_envs, list(self._views), title, bool(extra))
+        self._signals, self._mark_scene = signals, mark
+        plotted = (signals.all() if signals else {}) | (world_signals(env.world) if tool is None else {})
+        self._panel = Panel(
+            self._server, self.controls, env.num_envs, list(self._views), title, bool(extra), plotted,
+            keys=tool is None, recordable=record is not None,
+        )  # fmt: skip
+        # A tool takes clicks and keys for itself.
+        self._inspector = (
+            Inspector(self._server, env.world, self._scene, self.controls, follow) if tool is None else None
+        )
+        self._history = History()
+        self._film = Film(self._server, title, record) if record is not None else None
         self._tool = tool(self._server, self._scene) if tool else None
         self._pacer = Pacer()
         self._drawn = Selection()
@@ -207,6 +240,8 @@ class Viewer:
         self._reward = 0.0
         self._episodes = self._successes = 0
         self._speed = 0.0
+        # Before the first reset, which may take seconds: a page that is opened meanwhile shows the scene.
+        self._show_scene(self.controls.selection)
 
     def run(self, max_steps: int | None = None) -> None:
         """Simulate until the interrupt key, :meth:`Controls.stop`, or ``max_steps``.
@@ -227,7 +262,7 @@ class Viewer:
                     self._show(soon=self.controls.paused)
                     self._pacer.wait(self._env.step_dt / self.controls.speed)
                 else:
-                    self._show(soon=self.controls.selection != self._drawn)
+                    self._show(soon=self.controls.take_refresh() or self.controls.selection != self._drawn)
                     # Sleep instead of drawing: a request wakes the loop, and tools still update 20 times a second.
                     self.controls.wait(0.05)
         except KeyboardInterrupt:
@@ -237,6 +272,8 @@ class Viewer:
     def close(self) -> None:
         """Stop the web server; idempotent."""
         self.controls.stop()
+        if self._film:
+            self._film.discard()
         self._server.stop()
 
     def __enter__(self) -> Viewer:
@@ -254,15 +291,23 @@ class Viewer:
         self.steps = 0
         self._reward = 0.0
         self._mark = (time.perf_counter(), 0.0)
-        self._panel.clear_reward()
+        self._panel.clear_plot()
+        self._history.clear()
         self._show(soon=True)
 
     def _step(self) -> None:
         # Environments begin new episodes by themselves, so that ends only count.
-        _, reward, _, _, info = self._env.step(self._agent.act())
+        index = self.controls.selection.first
+        if self._inspector:
+            self._inspector.before_step(index)
+        observation, reward, _, _, info = self._env.step(self._agent.act())
         self.steps += 1
-        self._reward = float(reward[self.controls.selection.first])
-        self._panel.add_reward(self.steps * self._env.step_dt, self._reward)
+        self._reward = float(reward[index])
+        if self._signals:
+            self._signals.after_step(observation)
+        self._panel.add_point(self.steps * self._env.step_dt, index, self._reward)
+        if self._film:
+            self._film.after_step(self.controls.recording, index, self._env.step_dt)
         if final := info.get("final"):
             self._episodes += len(final.success)
             self._successes += int(final.success.sum())
@@ -285,11 +330,20 @@ class Viewer:
         self._scene.show_collisions(selection.collisions)
         self._scene.show_markers(selection.markers)
         self._scene.show_frames(selection.frames)
-        self._scene.update(self._frame(slice(selection.first, selection.first + selection.count)))
+        frame = self._frame(slice(selection.first, selection.first + selection.count))
+        if self.controls.rewound:
+            frame = self._history.before(self.controls.rewound) or frame
+        else:
+            self._history.add(self.steps * self._env.step_dt, frame)
+        self._scene.update(frame)
+        if self._inspector:
+            self._inspector.update(frame)
         self._drawn = selection
 
     def _frame(self, rows: slice) -> Frame:
         world = self._env.world
+        if self._mark_scene:
+            self._mark_scene()
         links = _array(world.link_poses[rows])
         markers = [_array(marker.pose[rows]) for marker in world.markers.values()]
         return Frame(
@@ -304,7 +358,7 @@ class Viewer:
         seconds = self.steps * self._env.step_dt
         self._panel.show_paused()
         self._panel.show_status(self._status(index, seconds, now))
-        self._panel.show_reward()
+        self._panel.show_plot()
 
     def _show_pictures(self, now: float, soon: bool) -> None:
         """Draw the next picture that is due; they take turns, so that no step waits for all of them."""

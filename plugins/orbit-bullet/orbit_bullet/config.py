@@ -32,7 +32,9 @@ class BulletConfig:
     """m/s; slower impacts do not rebound."""
     renderer: str = "auto"
     """``tiny`` draws in software; ``egl`` draws with OpenGL, whose depth has 16 bits; ``auto`` takes OpenGL for large
-    colour images where it loads, in a light of its own along that of the scene's first directional light."""
+    colour images where it loads."""
+    simplify_meshes: bool = True
+    """Draw dense visual meshes as fine as the cameras' height in pixels needs; False draws every triangle."""
     shadows: bool = True
     """Whether colour images have shadows."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.scene import CameraSpec, Rgb, Sky
+from orbit_core.scene import CameraSpec, Sky
 
 _Array = npt.NDArray[Any]
 
@@ -30,14 +30,42 @@ def sky_colors(sky: Sky, rays: _Array, rotation: _Array) -> _Array:
     return 255.0 * (below + 0.5 * (1.0 + height[:, None]) * (above - below))
 
 
-def add_light(colors: _Array, facing: npt.NDArray[np.uint8], radiance: Rgb, reached: _Array | None) -> None:
+# Bullet's OpenGL shades a surface of albedo a, in the light of a direction at a cosine c, as a (0.75 + 0.25 c) where it
+# faces the light and a (0.675 + 0.175 c) where it does not, and adds a highlight in front that no setting changes.
+_FRONT, _BACK = (0.75, 0.25), (0.675, 0.175)
+
+
+def textured_albedo(one: _Array, other: _Array) -> npt.NDArray[np.float32]:
+    """Return the albedo (H, W, 3) of 255 of surfaces in OpenGL's pictures from a light and from the opposite one."""
+    bright, dark = np.maximum(one, other).astype(np.float32), np.minimum(one, other).astype(np.float32)
+    # The cosine cancels out.
+    ratio = _FRONT[1] / _BACK[1]
+    return ((bright + ratio * dark) / (_FRONT[0] + ratio * _BACK[0])).astype(np.float32)
+
+
+def facing_pair(lit: _Array, opposite: _Array, albedo: _Array) -> npt.NDArray[np.float32]:
+    """Return (H, W, 3) albedo times the cosine to a light, from OpenGL's pictures in it and in the opposite one."""
+    cosines = (_BACK[0] - opposite / np.maximum(albedo, 1.0)) / _BACK[1]
+    return np.where(lit >= opposite, albedo * np.clip(cosines, 0.0, 1.0), 0.0).astype(np.float32)
+
+
+def facing_once(lit: _Array, albedo: _Array) -> npt.NDArray[np.float32]:
+    """Return (H, W, 3) albedo times the cosine to a light, from OpenGL's picture in it alone."""
+    cosines = (lit / np.maximum(albedo, 1.0) - _FRONT[0]) / _FRONT[1]
+    return (albedo * np.clip(cosines, 0.0, 1.0)).astype(np.float32)
+
+
+def add_light(colors: _Array, facing: _Array, radiance: npt.ArrayLike, reached: _Array | None) -> None:
     """Add to colours (H, W, 3) of 255 what a light gives surfaces.
 
     Args:
         colors: written in place.
-        facing: (H, W, 3) albedo times the cosine between surface and a white light, which Bullet has rounded down.
+        facing: (H, W, 3) albedo times the cosine between surface and a white light; Bullet rounds whole numbers down.
         radiance: of the light.
         reached: (H, W) whether the light meets the surface; None where it meets all.
     """
-    part = np.where(facing > 0, facing + np.float32(0.5), np.float32(0.0)) * np.asarray(radiance, np.float32)
+    whole = np.issubdtype(facing.dtype, np.integer)
+    part = (np.where(facing > 0, facing + np.float32(0.5), np.float32(0.0)) if whole else facing) * np.asarray(
+        radiance, np.float32
+    )
     colors += part if reached is None else part * reached[..., None]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from orbit_bullet import opengl
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import Client, refusals, silence
-from orbit_bullet.lighting import add_light, pixel_rays, sky_colors
+from orbit_bullet.lighting import add_light, facing_once, facing_pair, pixel_rays, sky_colors, textured_albedo
 from orbit_bullet.normals import normals_of
 from orbit_bullet.shadows import MapCamera, ball_radius, map_camera
 from orbit_bullet.visuals import VisualShapes
@@ -27,9 +27,10 @@ from orbit_core.interfaces import (
     drawn_shapes,
 )
 from orbit_core.plugin_kit.meshes import marker_shapes
-from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures, painted, repainted
+from orbit_core.plugin_kit.rendering import HostLights, HostRenderer, HostRequest, Pictures, painted, repainted
 from orbit_core.plugin_kit.rotations import compose, rotate
 from orbit_core.plugin_kit.scratch import ScratchFolder
+from orbit_core.plugin_kit.simplify import simplified
 from orbit_core.scene import CameraSpec, Channel, Shape
 from orbit_core.scene.pose import Vector3
 
@@ -46,12 +47,17 @@ class BulletRenderer(HostRenderer):
     Normals are those of the depth image. Markers are seen in colour alone.
     """
 
+    # Each is made of one or two pictures for a light, and one from its side.
+    most_samples = 2
+
     def __init__(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: BulletConfig) -> None:
         """Build the shapes.
 
         Raises:
             ConfigurationError: OpenGL was asked for, and is missing or in use by another renderer of this process.
         """
+        if config.simplify_meshes:
+            layout = simplified(layout, max((camera.height for camera in cameras), default=1))
         self._config, self._scene = config, layout.scene
         wanted = config.renderer == "egl" or (config.renderer == "auto" and _suits_opengl(cameras))
         self._opengl = opengl.acquire() if wanted else None
@@ -74,6 +80,7 @@ class BulletRenderer(HostRenderer):
             self._links = np.array([link for _, link in things], dtype=np.int64)
             self._offsets = np.array([_flat(shape) for shape, _ in things]).reshape(-1, 7)
             self._bodies = [shapes.add(shape) for shape, _ in things]
+            self._textured = any(shape.finish.texture is not None for shape, _ in things)
             self._own_colors = np.array([shape.color for shape, _ in things], np.float32).reshape(-1, 4)
             self._colors = self._own_colors
             radii = np.array([ball_radius(shape.geometry) for shape, _ in things], dtype=np.float64)
@@ -109,6 +116,7 @@ class BulletRenderer(HostRenderer):
         marks = request.markers if self._marker_bodies else None
         rgb, depth = request.canvas("rgb"), request.canvas("depth")
         bodies = np.zeros(depth.shape[:-1], np.int64)
+        lights = request.lights or HostLights.of_scene(self._scene, len(request.cameras))
         for i, pose in enumerate(request.cameras):
             links = request.links[i]
             self._place_links(links)
@@ -117,7 +125,7 @@ class BulletRenderer(HostRenderer):
             if "rgb" in wanted:
                 middle = links[:, :3].mean(0) if len(links) else np.zeros(3)
                 rgb[i], depth[i], bodies[i] = self._draw_colors(
-                    camera, pose, middle, None if marks is None else marks[i]
+                    camera, pose, middle, None if marks is None else marks[i], lights, i
                 )
             if wanted.measured and (marks is not None or "rgb" not in wanted):
                 _, depth[i], bodies[i] = self._draw(camera, pose)
@@ -137,51 +145,88 @@ class BulletRenderer(HostRenderer):
     # One picture -----------------------------------------------------------------------------------------------------
 
     def _draw_colors(
-        self, camera: CameraSpec, pose: _Array, middle: _Array, marks: _Array | None
+        self, camera: CameraSpec, pose: _Array, middle: _Array, marks: _Array | None, lights: HostLights, row: int
     ) -> tuple[_Array, _Array, _Array]:
-        """A picture with markers, in the scene's lights; and depth and bodies in it."""
-        lamps = self._scene.directional_lights
+        """A picture with markers, in the lights of a row; and depth and bodies in it."""
+        lamps, directions = self._scene.directional_lights, lights.directions[row].tolist()
         if marks is not None:
             self._place_markers(marks)
-        layers = [self._draw(camera, pose, lamp.unit_direction) for lamp in lamps] or [self._draw(camera, pose)]
+        layers = [self._draw(camera, pose, way) for way in directions[: len(lamps)]] or [self._draw(camera, pose)]
+        _, depth, bodies = layers[0]
+        albedo = self._albedo_of_body[bodies].astype(np.float32)
+        facing = [layer[0] for layer in layers]
+        if self._opengl is not None:
+            opposite = self._draw(camera, pose, tuple(-part for part in directions[0]))[0] if lamps else facing[0]
+            if self._textured:
+                albedo = np.minimum(textured_albedo(facing[0], opposite), albedo)
+            # The picture from behind has no highlight; further lamps do with one picture each.
+            facing = [facing_pair(facing[0], opposite, albedo), *(facing_once(each, albedo) for each in facing[1:])]
+        elif self._textured:
+            # Without textures a body's own colour is known, which saves a picture.
+            albedo = self._draw(camera, pose, ambient=True)[0].astype(np.float32)
         if marks is not None:
             self._place_markers(None)
-        colors, depth, bodies = layers[0]
         rays, rotation = pixel_rays(camera), _rotation(pose)
-        if self._opengl is None:  # OpenGL's colours are lit already, in its own way
-            colors = self._albedo_of_body[bodies] * np.asarray(self._scene.ambient, np.float32)
-            points = pose[:3] + (np.where(np.isfinite(depth), depth, 0.0) * rays) @ rotation.T
-            for lamp, layer in zip(lamps, layers, strict=False):
-                casts = lamp.shadows and self._config.shadows
-                eye = map_camera(lamp.unit_direction, points[bodies > 0], self._casters, middle, camera)
-                reached = self._reached(eye, lamp.unit_direction, layer[0], points, bodies) if casts else None
-                add_light(colors, layer[0], lamp.radiance, reached)
+        colors = albedo * lights.ambient[row].astype(np.float32)
+        points = pose[:3] + (np.where(np.isfinite(depth), depth, 0.0) * rays) @ rotation.T
+        for lamp, way, radiance, seen in zip(lamps, directions, lights.radiance[row], facing, strict=False):
+            casts = lamp.shadows and self._config.shadows
+            eye = map_camera(way, points[bodies > 0], self._casters, middle, camera)
+            reached = (
+                self._reached(eye, way, seen, albedo, points, bodies, self._coarse(camera, depth)) if casts else None
+            )
+            add_light(colors, seen, radiance, reached)
         nothing = bodies == 0
         colors = colors.astype(np.float32)
         colors[nothing] = sky_colors(self._scene.sky, rays[nothing], rotation)
         return np.minimum(colors + 0.5, 255.0).astype(np.uint8), depth, bodies
 
-    def _reached(self, eye: MapCamera, direction: Vector3, facing: _Array, points: _Array, bodies: _Array) -> _Array:
+    def _reached(
+        self,
+        eye: MapCamera,
+        direction: Vector3,
+        facing: _Array,
+        albedo: _Array,
+        points: _Array,
+        bodies: _Array,
+        coarse: _Array,
+    ) -> _Array:
         """(H, W) whether a light reaches the points (H, W, 3) that are seen, of which ``facing`` is lit by it alone."""
         _, buffer, codes = self._take(eye.size, eye.size, eye.view, eye.vertical_fov, eye.near, eye.far, direction)
         depths = np.where(codes < 0, np.inf, _metres(buffer, eye.near, eye.far))
         reached, seen = np.ones(bodies.shape, dtype=bool), bodies > 0
-        cosines = (facing[seen].max(-1) + 0.5) / np.maximum(self._albedo_of_body[bodies[seen]].max(-1), 1.0)
-        reached[seen] = eye.reached(points[seen], cosines, depths)
+        cosines = (facing[seen].max(-1) + 0.5) / np.maximum(albedo[seen].max(-1), 1.0)
+        reached[seen] = eye.reached(points[seen], cosines, depths, coarse[seen])
         return reached
 
+    def _coarse(self, camera: CameraSpec, depth: _Array) -> _Array:
+        """(H, W) metres between neighbouring values of the depth buffer, of which OpenGL's has 16 bits."""
+        if self._opengl is None:
+            return np.zeros(depth.shape[:-1])
+        seen = np.where(np.isfinite(depth[..., 0]), depth[..., 0], 0.0)
+        return seen**2 / (camera.near * 2.0**16)
+
     def _draw(
-        self, camera: CameraSpec, pose: _Array, direction: Vector3 = (0.0, 0.0, -1.0)
+        self, camera: CameraSpec, pose: _Array, direction: Vector3 = (0.0, 0.0, -1.0), ambient: bool = False
     ) -> tuple[_Array, _Array, _Array]:
-        """Colours in white light that travels along ``direction``, without any from around; depth and bodies."""
+        """Colours in white light along ``direction``, or from all around if ``ambient``; depth and bodies."""
         near, far, fov = camera.near, camera.far, camera.vertical_fov
-        rgb, buffer, bodies = self._take(camera.width, camera.height, _view_matrix(pose), fov, near, far, direction)
+        eye = (_view_matrix(pose), fov, near, far, direction, ambient)
+        rgb, buffer, bodies = self._take(camera.width, camera.height, *eye)
         depth = _metres(buffer, near, far)
         nothing = (bodies < 0) | (depth >= far * (1 - 1e-6))
         return rgb, np.where(nothing, np.inf, depth)[..., None], np.where(nothing, 0, (bodies & 0xFFFFFF) + 1)
 
     def _take(
-        self, width: int, height: int, view: list[float], fov: float, near: float, far: float, direction: Vector3
+        self,
+        width: int,
+        height: int,
+        view: list[float],
+        fov: float,
+        near: float,
+        far: float,
+        direction: Vector3,
+        ambient: bool = False,
     ) -> tuple[_Array, _Array, _Array]:
         """Colours (H, W, 3), depth buffer (H, W) and body codes (H, W) as Bullet has them."""
         client = self._client
@@ -198,10 +243,11 @@ class BulletRenderer(HostRenderer):
             projectionMatrix=projection,
             lightDirection=[-part for part in direction],
             lightColor=(1.0, 1.0, 1.0),
-            lightAmbientCoeff=0.0,
-            lightDiffuseCoeff=1.0,
+            lightAmbientCoeff=float(ambient),
+            lightDiffuseCoeff=float(not ambient),
             lightSpecularCoeff=0.0,
-            shadow=int(self._opengl is not None and self._config.shadows),
+            # OpenGL's own shadows fall beside what casts them; both renderers have the map's.
+            shadow=0,
             renderer=client.ER_TINY_RENDERER if self._opengl is None else client.ER_BULLET_HARDWARE_OPENGL,
         )
         rgb = np.asarray(picture[2], dtype=np.uint8).reshape(height, width, 4)[..., :3]

@@ -63,13 +63,14 @@ class MapCamera:
         """Radians."""
         return 2.0 * math.atan(self.half / _AWAY)
 
-    def reached(self, points: _Array, cosines: _Array, depths: _Array) -> npt.NDArray[np.bool_]:
+    def reached(self, points: _Array, cosines: _Array, depths: _Array, coarse: _Array) -> npt.NDArray[np.bool_]:
         """Return a mask (P,) of points (P, 3) that the light reaches; outside of the map it does.
 
         Args:
             points: on surfaces.
             cosines: (P,) between surface and light.
             depths: (size, size) in metres, the map.
+            coarse: (P,) metres by which points may be off along the view.
         """
         size, cosines = self.size, cosines.clip(_GRAZING, 1.0)
         local = (points - self.eye) @ self.axes.T
@@ -79,7 +80,7 @@ class MapCamera:
         inside = (column >= 0) & (column < size) & (row >= 0) & (row < size)
         nearest = depths[row.clip(0, size - 1), column.clip(0, size - 1)]
         corner = math.sqrt(2.0) * self.half / size  # of a square, from its middle
-        slack = _SLACK + corner * np.sqrt(1.0 - cosines**2) / cosines
+        slack = _SLACK + 2.0 * coarse + corner * np.sqrt(1.0 - cosines**2) / cosines
         return ~inside | (distance < nearest + slack)
 
 

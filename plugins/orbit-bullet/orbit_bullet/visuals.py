@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from orbit_bullet.urdf import write_obj
 from orbit_core.plugin_kit.meshes import height_field_mesh
+from orbit_core.plugin_kit.surfaces import TexturedSurface, bounded, textured_surface
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -18,10 +21,15 @@ from orbit_core.scene import (
     Plane,
     Shape,
     Sphere,
+    Texture,
 )
 
 # Rows of faces from pole to pole.
 _BALL_ROWS = 32
+# Bullet's specular colour of the smoothest surface.
+_HIGHLIGHT = 0.6
+# Texture of a box that has none: only the normals of its sides are wanted.
+_BLANK = Texture(np.zeros((1, 1, 3), np.uint8))
 # Half extent in metres of the square that is drawn for a plane.
 _GROUND = 1000.0
 
@@ -33,18 +41,33 @@ class VisualShapes:
         self._client = client
         self._folder = folder
         self._files = 0
+        self._textures: dict[Texture, int] = {}
 
     def add(self, shape: Shape) -> int:
         """The number of the body, which stands at the origin."""
         client = self._client
-        number = client.createVisualShape(rgbaColor=shape.color, specularColor=(0.1, 0.1, 0.1), **self._form(shape))
-        return client.createMultiBody(0, -1, number)
+        gloss = 3 * [_HIGHLIGHT * (1.0 - shape.finish.roughness)]
+        number = client.createVisualShape(rgbaColor=shape.color, specularColor=gloss, **self._form(shape))
+        body = client.createMultiBody(0, -1, number)
+        if (texture := shape.finish.texture) is not None:
+            client.changeVisualShape(body, -1, textureUniqueId=self._texture(texture))
+        return body
+
+    def _texture(self, texture: Texture) -> int:
+        """Return Bullet's number of a texture, which is loaded once."""
+        if texture not in self._textures:
+            path = self._folder / f"texture{len(self._textures)}.tga"
+            _write_tga(path, texture.pixels)
+            self._textures[texture] = self._client.loadTexture(str(path))
+        return self._textures[texture]
 
     def _form(self, shape: Shape) -> dict[str, Any]:
-        client = self._client
+        if (texture := shape.finish.texture) is not None:
+            return self._surface(textured_surface(bounded(shape, _GROUND), texture))
         match shape.geometry:
-            case Box(half_extents):
-                return {"shapeType": client.GEOM_BOX, "halfExtents": half_extents}
+            case Box():
+                # Bullet's OpenGL shades its own boxes as if they were round.
+                return self._surface(textured_surface(shape, _BLANK))
             case Sphere(radius):
                 return self._mesh(*_turned(*_capsule_profile(radius, 0.0)))
             case Capsule(radius, half_length):
@@ -59,11 +82,34 @@ class VisualShapes:
             case HeightField() as field:
                 return self._mesh(*height_field_mesh(field))
 
+    def _surface(self, surface: TexturedSurface) -> dict[str, Any]:
+        path = self._folder / f"visual{self._files}.obj"
+        self._files += 1
+        _write_surface(path, surface)
+        return {"shapeType": self._client.GEOM_MESH, "fileName": str(path)}
+
     def _mesh(self, vertices: Any, faces: Any) -> dict[str, Any]:
         path = self._folder / f"visual{self._files}.obj"
         self._files += 1
         write_obj(path, vertices, faces)
         return {"shapeType": self._client.GEOM_MESH, "fileName": str(path)}
+
+
+def _write_surface(path: Path, surface: TexturedSurface) -> None:
+    """Write triangles with normals and texture coordinates in Wavefront's format."""
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in surface.vertices]
+    lines += [f"vt {u:.7g} {v:.7g}" for u, v in surface.coordinates]
+    lines += [f"vn {x:.6g} {y:.6g} {z:.6g}" for x, y, z in surface.normals]
+    lines += [f"f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}" for a, b, c in surface.faces + 1]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _write_tga(path: Path, pixels: npt.NDArray[np.uint8]) -> None:
+    """Write a picture (H, W, 3) as an uncompressed Targa file, the simplest that Bullet reads."""
+    height, width, _ = pixels.shape
+    upright = 0x20  # rows from the top
+    header = struct.pack("<BBBHHBHHHHBB", 0, 0, 2, 0, 0, 0, 0, 0, width, height, 24, upright)
+    path.write_bytes(header + pixels[..., ::-1].tobytes())
 
 
 def _capsule_profile(radius: float, half_length: float) -> tuple[Any, Any]:

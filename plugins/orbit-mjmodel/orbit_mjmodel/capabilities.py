@@ -84,6 +84,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.RGB: EXACT,
         Capability.COLORS_PER_ENVIRONMENT: EXACT,
         Capability.LIGHTING: EXACT,
+        Capability.LIGHTS_PER_ENVIRONMENT: EXACT,
         Capability.DEPTH: EXACT,
         Capability.NORMALS: EXACT,
         Capability.ALBEDO: EXACT,

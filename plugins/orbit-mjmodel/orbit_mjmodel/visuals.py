@@ -12,12 +12,30 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
 from orbit_core.plugin_kit.meshes import marker_shapes
-from orbit_core.scene import Box, Capsule, Cylinder, Entity, HeightField, Mesh, Plane, Scene, Shape, Sky, Sphere
+from orbit_core.plugin_kit.surfaces import textured_surface
+from orbit_core.scene import (
+    Box,
+    Capsule,
+    Cylinder,
+    Entity,
+    Finish,
+    Geometry,
+    HeightField,
+    Mesh,
+    Plane,
+    Scene,
+    Shape,
+    Sky,
+    Sphere,
+    Texture,
+)
 
 _HEIGHT_FIELD_BASE = 0.01
 # Pixels along a side of the cube that shows the sky.
 _SKY_SIZE = 256
 _DARK = (0.0, 0.0, 0.0)
+# Specular reflection of the smoothest surface, of all light that a mirror would reflect
+_HIGHLIGHT = 0.6
 _GEOM = mujoco.mjtGeom
 
 
@@ -82,7 +100,8 @@ def _set_lights(spec: mujoco.MjSpec, scene: Scene) -> None:
             castshadow=light.shadows,
             ambient=_DARK,
             diffuse=light.radiance,
-            specular=_DARK,
+            # Of the surfaces only those with a finish take any of it.
+            specular=light.radiance,
         )
     faces = _sky_faces(scene.sky)
     texture = spec.add_texture(
@@ -107,26 +126,32 @@ def _sky_faces(sky: Sky) -> npt.NDArray[np.uint8]:
 
 
 class _Looks:
-    """Adds shapes to bodies; a mesh that several shapes share is stored once."""
+    """Adds shapes to bodies; a mesh or finish that several shapes share is stored once."""
 
     def __init__(self, spec: mujoco.MjSpec) -> None:
         self._spec = spec
         self._meshes: dict[Mesh, str] = {}
+        self._surfaces: dict[tuple[Geometry, Texture], str] = {}
+        self._finishes: dict[tuple[Finish, bool], str] = {}
         self._height_fields = 0
-        # MuJoCo takes a geom's own colour for unset, and the material's instead, if it equals the default grey.
-        spec.add_material(name="surface", rgba=(0.5, 0.5, 0.5, 1.0), specular=0.0)
 
     def add(self, body: mujoco.MjsBody, shape: Shape) -> None:
         """Draw ``shape`` as part of ``body``."""
+        # Infinite and gridded ground is mapped by MuJoCo itself; any other shape becomes a mesh with coordinates.
+        flat = isinstance(shape.geometry, Plane | HeightField)
+        texture = None if flat else shape.finish.texture
         geom = body.add_geom(
             pos=shape.pose.position,
             quat=shape.pose.orientation,
             rgba=shape.color,
-            material="surface",
+            material=self._finish(shape.finish, flat),
             contype=0,
             conaffinity=0,
             mass=0.0,
         )
+        if texture is not None:
+            geom.type, geom.meshname = _GEOM.mjGEOM_MESH, self._textured(shape, texture)
+            return
         match shape.geometry:
             case Box(half_extents):
                 geom.type, geom.size = _GEOM.mjGEOM_BOX, half_extents
@@ -143,6 +168,37 @@ class _Looks:
             case HeightField() as field:
                 self._set_height_field(geom, shape, field)
 
+    def _finish(self, finish: Finish, flat: bool) -> str:
+        """Return the name of a material; ``flat`` surfaces lay their texture by metres."""
+        key = (finish, flat)
+        if key not in self._finishes:
+            name = self._finishes[key] = f"finish{len(self._finishes)}"
+            gloss = 1.0 - finish.roughness
+            # MuJoCo takes a geom's own colour for unset, and the material's instead, if it equals the default grey.
+            material = self._spec.add_material(
+                name=name, rgba=(0.5, 0.5, 0.5, 1.0), specular=_HIGHLIGHT * gloss, shininess=gloss
+            )
+            if (texture := finish.texture) is not None:
+                self._add_texture(name, texture)
+                names = list(material.textures)
+                names[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+                material.textures = names
+                material.texuniform = flat
+                # MuJoCo lays a plane's texture over two metres where texrepeat is one.
+                material.texrepeat = (2.0 / texture.width, 2.0 / texture.height) if flat else (1.0, 1.0)
+        return self._finishes[key]
+
+    def _add_texture(self, name: str, texture: Texture) -> None:
+        pixels = texture.pixels
+        made = self._spec.add_texture(
+            name=name,
+            type=mujoco.mjtTexture.mjTEXTURE_2D,
+            width=pixels.shape[1],
+            height=pixels.shape[0],
+            nchannel=3,
+        )
+        made.data = np.ascontiguousarray(pixels).tobytes()
+
     def _mesh(self, mesh: Mesh) -> str:
         if mesh not in self._meshes:
             name = self._meshes[mesh] = f"mesh{len(self._meshes)}"
@@ -154,6 +210,24 @@ class _Looks:
                 inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
             )
         return self._meshes[mesh]
+
+    def _textured(self, shape: Shape, texture: Texture) -> str:
+        key = (shape.geometry, texture)
+        if key not in self._surfaces:
+            name = self._surfaces[key] = f"surface{len(self._surfaces)}"
+            surface = textured_surface(shape, texture)
+            faces = surface.faces.astype(np.int32).ravel()
+            self._spec.add_mesh(
+                name=name,
+                uservert=surface.vertices.ravel(),
+                usernormal=surface.normals.ravel(),
+                usertexcoord=(surface.coordinates * (1.0, -1.0) + (0.0, 1.0)).ravel(),
+                userface=faces,
+                userfacenormal=faces,
+                userfacetexcoord=faces,
+                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+            )
+        return self._surfaces[key]
 
     def _set_height_field(self, geom: mujoco.MjsGeom, shape: Shape, field: HeightField) -> None:
         heights = np.asarray(field.heights, dtype=np.float64)

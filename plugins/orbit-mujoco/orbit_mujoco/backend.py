@@ -44,6 +44,7 @@ CAPABILITIES = Capabilities(
         Capability.SHADOWS: approximate(
             "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"
         ),
+        Capability.TEXTURES: approximate("highlights are white and computed at corners; metals are drawn as paint"),
         Capability.RAY_TRACED_RGB: unsupported("MuJoCo rasterises"),
         Capability.CLOTH: approximate(
             "a flex that stretches and bends as the scene says, within 5 %; edges of solids poke through between its "

@@ -22,7 +22,8 @@ from orbit_core.interfaces import (
     SceneLayout,
     albedo_table,
 )
-from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures, painted, repainted
+from orbit_core.plugin_kit.rendering import HostLights, HostRenderer, HostRequest, Pictures, painted, repainted
+from orbit_core.plugin_kit.simplify import simplified
 from orbit_core.scene import CameraSpec
 from orbit_mjmodel.visuals import all_variants
 from orbit_mujoco.config import MujocoConfig
@@ -32,11 +33,18 @@ from orbit_mujoco.renderer_rays import HIDDEN_GROUP, sky_colors, trace
 
 _COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FACE)
 _ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, mujoco.mjtRndFlag.mjRND_CULL_FACE)
-_LIGHT_DISTANCE = 6.0
+# Metres from a light to the middle of its shadows, which reach half as far around it, and at least so far.
+_LIGHT_DISTANCE = 40.0
+_LEAST_SHADOWS = 0.5
+# Width of the map over the reach of what casts shadows: it is looked up one texel off at its rim, which would speckle
+# surfaces there; half as far out the error is too small to.
+_RIM = 2.0
+# Pixels of the shadow map's sides, of small pictures and of those that are higher than so many pixels.
+_PLAIN_SHADOWS, _FINE_SHADOWS, _LARGE = 1024, 2048, 256
 # Times the farthest camera's range is drawn: the cube of the sky then hides nothing in range.
 _SKY = 2.0
 # Metres that are drawn at least: a light's view of the scene ends where the camera's does, and beyond is no shadow.
-_LIGHT_REACH = 2.0 * _LIGHT_DISTANCE
+_LIGHT_REACH = 12.0
 
 _Array = npt.NDArray[Any]
 _open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()
@@ -59,18 +67,30 @@ class MujocoRenderer(HostRenderer):
         Raises:
             ConfigurationError: no OpenGL works here; says what to install.
         """
+        if config.simplify_meshes:
+            layout = simplified(layout, max((camera.height for camera in cameras), default=1))
         layout, shown = all_variants(layout)
         self._sky, self._links = layout.scene.sky, len(layout.links)
         self._size = (max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1))
         self._far = max((camera.far for camera in cameras), default=1.0)
         self._reach = max(_SKY * self._far, _LIGHT_REACH)
-        self._shadows = config.shadow_size > 0
-        self._model = build_model(layout, self._size, self._reach, max(config.shadow_size, 1), config.antialiasing)
+        shadow_size = config.shadow_size
+        if shadow_size is None:
+            shadow_size = _FINE_SHADOWS if self._size[1] > _LARGE else _PLAIN_SHADOWS
+        self._shadows = shadow_size > 0
+        self._model = build_model(layout, self._size, self._reach, max(shadow_size, 1), config.antialiasing)
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
         self._shown = np.zeros((len(shown), self._model.ngeom), dtype=bool)
         self._shown[:, : shown.shape[1]] = shown
         self._is_marker = np.arange(self._model.ngeom) >= shown.shape[1]
+        # A plane shadows nothing that is drawn. In the map its own shadow would speckle it, for MuJoCo looks the map
+        # up one texel off at its rim.
+        self._casts_nothing = self._is_marker | (self._model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+        # The reach of a height field is that of the whole terrain.
+        fields = self._model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD
+        self._casters = np.flatnonzero(~(self._casts_nothing | fields))
+        self._lights_away = min(self._reach / 2.0, _LIGHT_DISTANCE)
         self._own_colors = self._model.geom_rgba.copy()
         bodies = self._model.geom_bodyid
         links = np.where(bodies > 0, bodies - 1, TERRAIN)
@@ -178,10 +198,9 @@ class MujocoRenderer(HostRenderer):
 
     def _aim(self, request: HostRequest, row: int) -> None:
         self._update_scene()
-        if request.markers is not None:
-            for geom in self._scene.geoms[: self._scene.ngeom]:
-                if self._is_marker[geom.objid]:
-                    geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # which casts no shadow
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if self._casts_nothing[geom.objid]:
+                geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         camera, pose = request.camera, request.cameras[row]
         rotation = quaternion_matrix(pose[3:])
         top = camera.near * math.tan(0.5 * camera.vertical_fov)
@@ -190,11 +209,31 @@ class MujocoRenderer(HostRenderer):
             eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, self._reach, 0.0
             eye.frustum_top, eye.frustum_bottom = top, -top
             eye.frustum_width = top * camera.width / camera.height
+        if request.lights is not None:
+            self._set_lights(request.lights, row)
         # Shadows reach around a light's axis: point it at the middle of what moves.
         middle = self._data.mocap_pos[: self._links].mean(0) if self._links else np.zeros(3)
+        self._buffers.shadowClip = self._shadow_radius(middle)
         for light in self._scene.lights[: self._scene.nlight]:
             if light.castshadow:
-                light.pos = middle - _LIGHT_DISTANCE * np.asarray(light.dir)
+                light.pos = middle - self._lights_away * np.asarray(light.dir)
+
+    def _shadow_radius(self, middle: _Array) -> float:
+        """Return metres around ``middle`` that hold all that casts shadows, so that the map is as fine as it can be."""
+        away = np.linalg.norm(self._data.geom_xpos[self._casters] - middle, axis=-1)
+        shown = self._model.geom_group[self._casters] != HIDDEN_GROUP
+        reach = float((away + self._model.geom_rbound[self._casters])[shown].max(initial=_LEAST_SHADOWS))
+        return min(_RIM * reach, self._lights_away / 2.0)
+
+    def _set_lights(self, lights: HostLights, row: int) -> None:
+        number = 0
+        for light in self._scene.lights[: self._scene.nlight]:
+            if light.headlight:
+                light.ambient = lights.ambient[row]
+            else:
+                light.dir = lights.directions[row, number]
+                light.diffuse = light.specular = lights.radiance[row, number]
+                number += 1
 
     def _update_scene(self) -> None:
         everything = mujoco.mjtCatBit.mjCAT_ALL

@@ -41,6 +41,8 @@ _COMMON = {
     Capability.RGB: unsupported(_NO_IMAGES),
     Capability.COLORS_PER_ENVIRONMENT: unsupported(_NO_IMAGES),
     Capability.LIGHTING: unsupported(_NO_IMAGES),
+    Capability.LIGHTS_PER_ENVIRONMENT: unsupported(_NO_IMAGES),
+    Capability.TEXTURES: unsupported(_NO_IMAGES),
     Capability.SHADOWS: unsupported(_NO_IMAGES),
     Capability.DEPTH: unsupported(_NO_IMAGES),
     Capability.NORMALS: unsupported(_NO_IMAGES),

@@ -35,6 +35,11 @@ _IMAGES = {
     Capability.RGB: EXACT,
     Capability.COLORS_PER_ENVIRONMENT: EXACT,
     Capability.LIGHTING: EXACT,
+    Capability.LIGHTS_PER_ENVIRONMENT: EXACT,
+    Capability.TEXTURES: approximate(
+        "no highlights in the tier 'fast'; a colour that a link is given in one environment does not show on its "
+        "textured surfaces"
+    ),
     Capability.SHADOWS: approximate(_SHADOW_MAP),
     Capability.DEPTH: EXACT,
     Capability.NORMALS: EXACT,

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, SceneLayout
-from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
+from orbit_core.plugin_kit.rendering import HostLights, HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.scratch import ScratchFolder
-from orbit_core.scene import CameraSpec, Color, DirectionalLight, Rgb, Scene, Sky
+from orbit_core.scene import CameraSpec, Color, Rgb, Scene, Sky
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.native import NativePose, sapien
 from orbit_sapien.renderer_shapes import base_color, marker_shapes, render_shape
@@ -43,29 +43,43 @@ class Lights:
     """
 
     def __init__(self, native: sapien.Scene, scene: Scene, config: SapienConfig) -> None:
-        ambient, lamps = scene.ambient, scene.directional_lights
-        linear = config.tier != "fast"
-        native.set_ambient_light([part**_GAMMA for part in ambient] if linear else list(ambient))
-        self._casting: list[tuple[npt.NDArray[np.float64], Any]] = []
-        for lamp in lamps:
-            color = _linear(lamp, ambient) if linear else lamp.radiance
+        self._native, self._linear = native, config.tier != "fast"
+        self._lamps: list[Any] = []
+        self._casts: list[bool] = []
+        for lamp in scene.directional_lights:
             casts = lamp.shadows and (config.shadow_size > 0 or config.tier == "rt")
             made = native.add_directional_light(
-                lamp.unit_direction, list(color), shadow=casts, shadow_scale=_REACH, shadow_near=0.1,
+                lamp.unit_direction, [1.0, 1.0, 1.0], shadow=casts, shadow_scale=_REACH, shadow_near=0.1,
                 shadow_far=2.5 * _DISTANCE, shadow_map_size=max(config.shadow_size, 1),
             )  # fmt: skip
-            if casts:
-                self._casting.append((np.array(lamp.unit_direction), made.entity))
+            self._lamps.append(made)
+            self._casts.append(casts)
+        self._own = HostLights.of_scene(scene, 1)
 
-    def point_at(self, middle: npt.NDArray[Any]) -> None:
-        """Draw shadows around a place (3,)."""
-        for direction, entity in self._casting:
-            entity.set_pose(NativePose((middle - _DISTANCE * direction).astype(np.float32), entity.pose.q))
+    def place(self, lights: HostLights | None, row: int, middle: npt.NDArray[Any]) -> None:
+        """Shine as the lights of a row do, or else as the scene's, with shadows around a place (3,)."""
+        table, row = (self._own, 0) if lights is None else (lights, row)
+        ambient = table.ambient[row]
+        self._native.set_ambient_light((ambient**_GAMMA if self._linear else ambient).tolist())
+        for lamp, casts, direction, radiance in zip(
+            self._lamps, self._casts, table.directions[row], table.radiance[row], strict=False
+        ):
+            lamp.set_color((_linear(radiance, ambient) if self._linear else radiance).tolist())
+            place = middle - _DISTANCE * direction if casts else np.zeros(3)
+            lamp.entity.set_pose(NativePose(place.astype(np.float32), _x_along(direction)))
 
 
-def _linear(lamp: DirectionalLight, ambient: Rgb) -> list[float]:
-    pairs = zip(lamp.radiance, ambient, strict=True)
-    return [math.pi * ((light + around) ** _GAMMA - around**_GAMMA) for light, around in pairs]
+def _linear(radiance: npt.NDArray[np.float64], ambient: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return math.pi * ((radiance + ambient) ** _GAMMA - ambient**_GAMMA)
+
+
+def _x_along(direction: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+    """Return the shortest turn (w, x, y, z) of the axis x, along which SAPIEN's lights shine, to a direction."""
+    x, y, z = direction
+    if x < -1.0 + 1e-9:  # opposite: any axis across will do
+        return np.array((0.0, 0.0, 0.0, 1.0), np.float32)
+    turn = np.array((1.0 + x, 0.0, -z, y))
+    return (turn / np.linalg.norm(turn)).astype(np.float32)
 
 
 _OWN = Path(__file__).parent / "shaders"
@@ -143,6 +157,9 @@ class SapienRenderer(HostRenderer):
             ConfigurationError: no Vulkan driver fits, which says what to install; a denoiser has no NVIDIA GPU.
         """
         self._layout, self._config = layout, config
+        if config.tier == "rt":
+            # It averages over pixels by itself, and a picture takes seconds.
+            self.most_samples = 1
         self._system = _render_system()
         if config.tier == "rt" and config.denoiser != "none" and not self._system.device.is_cuda():
             raise ConfigurationError(  # SAPIEN says so in its log alone, and leaves the picture as it is
@@ -198,6 +215,8 @@ class SapienRenderer(HostRenderer):
         for row, pose in enumerate(request.cameras):
             taken = None
             self._place(request.links[row])
+            middle = request.links[row, :, :3].mean(0) if request.links.shape[1] else np.zeros(3)
+            self._lights.place(request.lights, row, middle)
             if request.colors is not None:
                 self._paint(request.colors[row])
             if colored:
@@ -260,7 +279,6 @@ class SapienRenderer(HostRenderer):
         for number, entity in self._links:
             pose = links[number]
             entity.set_pose(NativePose(pose[:3], pose[3:]))
-        self._lights.point_at(links[:, :3].mean(0) if len(links) else np.zeros(3))
 
     def _paint(self, colors: _Array) -> None:
         """Give shapes their links' colours (L, 4), where these have one."""

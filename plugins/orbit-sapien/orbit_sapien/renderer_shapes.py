@@ -7,29 +7,30 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
 from orbit_core.plugin_kit import meshes
+from orbit_core.plugin_kit.surfaces import bounded, shaded, textured_surface
 from orbit_core.scene import (
     Box,
     Capsule,
     Color,
     Cylinder,
+    Finish,
     HeightField,
     MarkerSpec,
     Mesh,
     Plane,
     Shape,
     Sphere,
+    Texture,
 )
 from orbit_sapien.geometry import Z_TO_X
 from orbit_sapien.native import native_pose, sapien
 
-# Cosine up to which neighbouring triangles are shaded as one surface.
-_SMOOTH = math.cos(math.radians(40.0))
+# Roughness of a surface whose finish says nothing
+_PLAIN = 0.6
 Vertices = npt.NDArray[np.floating]
 
 
@@ -38,17 +39,39 @@ def base_color(color: Color) -> list[float]:
     return [*(float(part) ** 2.2 for part in color[:3]), float(color[3])]
 
 
-def material(color: Color, roughness: float = 0.6) -> sapien.render.RenderMaterial:
-    """A dull surface; ``color`` is as it looks on a screen (sRGB), SAPIEN's are linear."""
+def material(color: Color, finish: Finish) -> sapien.render.RenderMaterial:
+    """Return SAPIEN's material; ``color`` is as it looks on a screen (sRGB), SAPIEN's are linear."""
     made = sapien.render.RenderMaterial()
     made.base_color = base_color(color)
-    made.roughness, made.metallic, made.specular = roughness, 0.0, 0.4
+    # A finish that says nothing is drawn a little glossy, as surfaces are that were never described.
+    made.roughness, made.metallic, made.specular = min(finish.roughness, _PLAIN), finish.metallic, 0.4
+    if (texture := finish.texture) is not None:
+        # SAPIEN's textures take the place of a colour, the scene's multiply it. Rows count from below.
+        pixels = texture.pixels[::-1] * np.asarray(color[:3]) + 0.5
+        opaque = np.full((*pixels.shape[:2], 1), 255.0 * color[3])
+        made.base_color_texture = sapien.render.RenderTexture2D(
+            np.ascontiguousarray(np.concatenate((pixels, opaque), -1).astype(np.uint8)), "R8G8B8A8Unorm",
+            mipmap_levels=_levels(texture), srgb=True,
+        )  # fmt: skip
     return made
+
+
+def _levels(texture: Texture) -> int:
+    """Return how often a texture is halved, so that it does not flicker far away."""
+    return max(1, int(np.log2(min(texture.pixels.shape[:2]))))
 
 
 def render_shape(shape: Shape, reach: float) -> sapien.render.RenderShape:
     """SAPIEN's shape, placed in its link; planes end at ``reach`` metres from their origin."""
-    pose, look = shape.pose, material(shape.color)
+    pose, look = shape.pose, material(shape.color, shape.finish)
+    if (texture := shape.finish.texture) is not None:
+        surface = textured_surface(bounded(shape, reach), texture)
+        made = sapien.render.RenderShapeTriangleMesh(
+            surface.vertices.astype(np.float32), surface.faces.astype(np.uint32), surface.normals.astype(np.float32),
+            surface.coordinates.astype(np.float32), look,
+        )  # fmt: skip
+        made.set_local_pose(native_pose(pose))
+        return made
     match shape.geometry:
         case Box(half_extents):
             made = sapien.render.RenderShapeBox(np.asarray(half_extents, np.float32), look)
@@ -99,28 +122,3 @@ def _mesh(
     return sapien.render.RenderShapeTriangleMesh(
         points.astype(np.float32), indices.astype(np.uint32), normals.astype(np.float32), blank, look
     )
-
-
-def shaded(
-    corners: npt.NDArray[np.float64],
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Vertices (V, 3) with normals (V, 3), and faces (F, 3) of indices, of triangles with corners (F, 3, 3).
-
-    Faces that bend little share a vertex and its normal; where they bend more, each has a vertex with its own normal.
-    """
-    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = np.repeat(_normalized(areas), 3, axis=0)
-    points = corners.reshape(-1, 3)
-    _, first, group = np.unique(np.round(points * 1e6).astype(np.int64), axis=0, return_index=True, return_inverse=True)
-    group = group.ravel()
-    sums = np.zeros((len(first), 3))
-    np.add.at(sums, group, np.repeat(areas, 3, axis=0))
-    smooth = _normalized(sums)
-    bends = (smooth[group] * flat).sum(-1) < _SMOOTH
-    own = len(first) + np.cumsum(bends) - 1
-    indices = np.where(bends, own, group).reshape(-1, 3)
-    return np.concatenate((points[first], points[bends])), np.concatenate((smooth, flat[bends])), indices
-
-
-def _normalized(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)

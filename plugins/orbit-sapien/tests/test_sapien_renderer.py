@@ -17,6 +17,7 @@ from orbit_core.interfaces import (
     UnknownNameError,
     UnsupportedCapabilityError,
 )
+from orbit_core.plugin_kit.surfaces import shaded
 from orbit_core.scene import (
     Articulation,
     CameraSpec,
@@ -32,7 +33,6 @@ from orbit_core.scene import (
 )
 from orbit_core.world import simulate
 from orbit_sapien.native import sapien
-from orbit_sapien.renderer_shapes import shaded
 
 CAMERA = CameraSpec(name="eye", width=48, height=36, vertical_fov=0.6, pose=look_at((1.5, 0.0, 1.0), (0.0, 0.0, 0.2)))
 EYE = torch.tensor([[*CAMERA.pose.position, *CAMERA.pose.orientation]])

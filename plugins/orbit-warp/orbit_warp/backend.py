@@ -44,6 +44,7 @@ CAPABILITIES = Capabilities(
             "bit for bit on a CPU; on a GPU only with WarpConfig(deterministic=True), for sums run in any order"
         ),
         Capability.SHADOWS: EXACT,
+        Capability.TEXTURES: approximate("surfaces have no highlights; of textures, only those of ground are filtered"),
         Capability.RAY_TRACED_RGB: approximate("direct light and its shadows: no reflections, no light from surfaces"),
         Capability.GPU: EXACT,
         Capability.CLOTH: unsupported(

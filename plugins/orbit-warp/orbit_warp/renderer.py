@@ -45,7 +45,9 @@ class WarpRenderer(KitRenderer):
         with torch.no_grad(), graphs.stream():
             ids = request.env_ids
             mask = ids if ids is not None and ids.dtype == torch.bool else None
-            stage.choose(ids if mask is None else None, request.marker_poses is not None, self.link_colors)
+            rows = ids if mask is None else None
+            stage.choose(rows, request.marker_poses is not None, self.link_colors)
+            stage.light(rows, self.lights)
             stage.place(request.link_poses, request.marker_poses)
             return self._trace(request, stage, mask)
 
@@ -71,7 +73,7 @@ class WarpRenderer(KitRenderer):
         # A GPU gains by a kernel made for the scene; on a CPU, compiling one takes longer than what it saves.
         types = self._model.geom_types if stage.device.is_cuda else EVERY_TYPE
         wp.launch(
-            trace_kernel(types, "rgb" in wanted, self._shadows),
+            trace_kernel(types, "rgb" in wanted, self._shadows, self._model.textured),
             dim=(count, pixels),
             inputs=[
                 stage.arrays, wp.from_torch(poses.contiguous()), camera.width, camera.height,

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import torch
 
-from orbit_core.interfaces import SceneLayout, drawn_shapes
+from orbit_core.interfaces import LightTable, SceneLayout, drawn_shapes
 from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_mjmodel.visuals import all_variants, looks_spec
 
@@ -41,3 +42,31 @@ class PictureModel:
         """(geoms,) number of the link, or TERRAIN."""
         self.geom_types = tuple(sorted({int(kind) for kind in self.model.geom_type}))
         """Kinds of geoms in the model: others need no code in the ray cast."""
+        self._scene = layout.scene
+        tables = (
+            self.model.tex_data[start:][: 3 * count]
+            for start, count in zip(self.model.tex_adr, self.model.tex_width * self.model.tex_height, strict=True)
+        )
+        self.texture_mean = np.array([table.reshape(-1, 3).mean(0) / 255.0 for table in tables], np.float32)
+        """(T, 3) colour of each texture from far away."""
+        model = self.model
+        material = model.geom_matid
+        texture = model.mat_texid[:, mujoco.mjtTextureRole.mjTEXROLE_RGB] if model.nmat else np.zeros(0, np.int32)
+        self.texture_of_geom = np.where(material >= 0, texture[np.maximum(material, 0)] if model.nmat else -1, -1)
+        """(geoms,) index of the geom's texture; -1 for none."""
+        self.textured = bool((self.texture_of_geom >= 0).any())
+        """True if any shape has a texture."""
+        # MuJoCo lays a texture over two metres where its repeat is one.
+        uniform = model.mat_texuniform.astype(bool)[:, None] * model.mat_texrepeat * 0.5
+        self.texture_repeat = np.zeros((model.ngeom, 2), np.float32)
+        """(geoms, 2) pictures in a metre on geoms that lay their texture by metres; zero on those with coordinates."""
+        if model.nmat:
+            self.texture_repeat = uniform[np.maximum(material, 0)].astype(np.float32)
+
+    def lights(self, device: torch.device) -> LightTable:
+        """Return the scene's own lights, one row for all environments."""
+        lamps = self._scene.directional_lights
+        directions = torch.tensor([[lamp.unit_direction for lamp in lamps]], device=device).reshape(1, -1, 3)
+        radiance = torch.tensor([[lamp.radiance for lamp in lamps]], device=device).reshape(1, -1, 3)
+        ambient = torch.tensor([self._scene.ambient], dtype=torch.float32, device=device)
+        return LightTable(ambient, directions, radiance)

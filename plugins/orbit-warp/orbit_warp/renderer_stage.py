@@ -14,6 +14,7 @@ from mujoco_warp._src.bvh import _compute_bvh_bounds, compute_bvh_group_roots
 from mujoco_warp._src.math import mul_quat, quat_to_mat, rot_vec_quat
 from torch import Tensor
 
+from orbit_core.interfaces import LightTable
 from orbit_warp.renderer_model import PictureModel
 
 
@@ -61,18 +62,37 @@ class StageArrays:
     """Normals of each face's corners."""
     mesh_normal: wp.array[wp.vec3]
     """Unit normals, in the mesh's frame."""
-    ambient: wp.vec3
-    """Linear RGB of the ambient light."""
+    # Lights have a row for each environment, or one for all.
+    ambient: wp.array[wp.vec3]
+    """(rows,) RGB of the ambient light."""
     sky_above: wp.vec3
     """Linear RGB straight above."""
     sky_below: wp.vec3
-    """Linear RGB straight below."""
-    light_dir: wp.array[wp.vec3]
-    """(lights,) unit vectors that light travels along."""
-    light_color: wp.array[wp.vec3]
-    """(lights,) linear RGB, times the intensity."""
+    """RGB straight below."""
+    light_dir: wp.array2d[wp.vec3]
+    """(rows, lights) unit vectors that light travels along."""
+    light_color: wp.array2d[wp.vec3]
+    """(rows, lights) RGB, times the intensity."""
     light_casts: wp.array[bool]
     """(lights,) True for lights with shadows."""
+    texture_of_geom: wp.array[int]
+    """(geoms,) index of the geom's texture; -1 for none."""
+    texture_repeat: wp.array[wp.vec2]
+    """(geoms,) pictures in a metre on geoms that lay their texture by metres; zero on those with coordinates."""
+    texture_address: wp.array[int]
+    """(textures,) first number of each in the texels, counted in bytes."""
+    texture_size: wp.array[wp.vec2i]
+    """(textures,) width and height in pixels."""
+    texture_mean: wp.array[wp.vec3]
+    """(textures,) RGB from far away."""
+    texels: wp.array2d[wp.uint8]
+    """(pixels, 3) RGB of all textures, the uppermost row of each first."""
+    mesh_texcoordadr: wp.array[int]
+    """(meshes,) first coordinate of each mesh; -1 without any."""
+    mesh_texcoord: wp.array[wp.vec2]
+    """Coordinates in pictures, from the upper left corner."""
+    mesh_facetexcoord: wp.array[wp.vec3i]
+    """Coordinates of each face's corners."""
     # MuJoCo-Warp's ray casts also take what is soft, of which there is none.
     no_ints: wp.array[int]
     """Empty."""
@@ -147,6 +167,7 @@ class Stage:
         self._link_of_geom = torch.as_tensor(links, dtype=torch.int64, device=wp.device_to_torch(self.device))
         self._colors = self._kinds_of_colors(model)
         self.choose(None, with_markers=False)
+        self.light(None, None)
 
     def place(self, link_poses: Tensor, marker_poses: Tensor | None) -> None:
         """Move everything to where it is in the n environments of poses (n, L, 7) and (n, M, 7)."""
@@ -191,6 +212,21 @@ class Stage:
             if env_ids is not None and len(colors) > 1:
                 colors = colors[env_ids.to(colors.device) % len(colors)]
             setattr(self.arrays, name, wp.from_torch(colors, dtype=wp.vec4))
+
+    def light(self, env_ids: Tensor | None, lights: LightTable | None) -> None:
+        """Light row i as environment ``env_ids[i]``, or as environment i; None takes the scene's own lights."""
+        table = self._lights if lights is None else lights
+        if env_ids is not None and lights is not None:
+            table = lights.rows(env_ids)
+        count = self._lights.directions.shape[1]
+        # Held, so that a recorded launch finds them where they were.
+        self._lit = (
+            table.ambient.contiguous(),
+            table.directions[:, :count].contiguous(),
+            table.radiance[:, :count].contiguous(),
+        )
+        for name, rows in zip(("ambient", "light_dir", "light_color"), self._lit, strict=True):
+            setattr(self.arrays, name, wp.from_torch(rows, dtype=wp.vec3))
 
     def _painted(self, link_colors: Tensor) -> dict[str, Tensor]:
         """The tables with a row for each environment."""
@@ -238,9 +274,16 @@ class Stage:
         arrays.mesh_normaladr = wp.array(mjm.mesh_normaladr, dtype=int)
         arrays.mesh_facenormal = meshes.mesh_facenormal
         arrays.mesh_normal = wp.array(mjm.mesh_normal, dtype=wp.vec3)
-        arrays.ambient = wp.vec3(*mjm.vis.headlight.ambient)
         arrays.sky_above, arrays.sky_below = wp.vec3(*model.sky.above), wp.vec3(*model.sky.below)
-        arrays.light_dir = wp.array(mjm.light_dir, dtype=wp.vec3)
-        arrays.light_color = wp.array(mjm.light_diffuse, dtype=wp.vec3)
+        self._lights = model.lights(wp.device_to_torch(self.device))
+        arrays.texture_of_geom = wp.array(model.texture_of_geom, dtype=int)
+        arrays.texture_repeat = wp.array(model.texture_repeat, dtype=wp.vec2)
+        arrays.texture_address = wp.array(mjm.tex_adr, dtype=int)
+        arrays.texture_size = wp.array(np.stack((mjm.tex_width, mjm.tex_height), -1), dtype=wp.vec2i)
+        arrays.texture_mean = wp.array(model.texture_mean, dtype=wp.vec3)
+        arrays.texels = wp.array(mjm.tex_data.reshape(-1, 3), dtype=wp.uint8)
+        arrays.mesh_texcoordadr = wp.array(mjm.mesh_texcoordadr, dtype=int)
+        arrays.mesh_texcoord = wp.array(mjm.mesh_texcoord, dtype=wp.vec2)
+        arrays.mesh_facetexcoord = wp.array(mjm.mesh_facetexcoord, dtype=wp.vec3i)
         arrays.light_casts = wp.array(mjm.light_castshadow, dtype=bool)
         return arrays

@@ -25,6 +25,8 @@ EVERY_TYPE = tuple(range(GeomType.MESH + 1))
 _LAYERS = 4
 # Metres, and share of the distance, that a ray starts above the surface that it leaves.
 _LIFT = wp.constant(1e-4)
+# Pixels of a texture that a ray may span before their mean takes over.
+_BLURRED = wp.constant(24.0)
 _FAR_AWAY = wp.constant(1e6)
 _BACKGROUND = wp.constant(BACKGROUND)
 
@@ -41,6 +43,8 @@ class Hit:
     """Normal of the face."""
     smooth: wp.vec3
     """Normal of the surface that the faces approximate."""
+    place: wp.vec2
+    """Coordinates on a mesh's texture."""
 
 
 @wp.func
@@ -57,6 +61,41 @@ def sky(stage: StageArrays, direction: wp.vec3) -> wp.vec3:
 @wp.func
 def byte(value: float) -> wp.uint8:
     return wp.uint8(wp.clamp(value, 0.0, 1.0) * 255.0 + 0.5)
+
+
+@wp.func
+def texel(stage: StageArrays, texture: int, column: int, row: int) -> wp.vec3:
+    """Colour of a pixel of a texture, which repeats on all sides."""
+    size = stage.texture_size[texture]
+    x, y = ((column % size[0]) + size[0]) % size[0], ((row % size[1]) + size[1]) % size[1]
+    at = stage.texture_address[texture] // 3 + y * size[0] + x
+    return wp.vec3(float(stage.texels[at, 0]), float(stage.texels[at, 1]), float(stage.texels[at, 2])) / 255.0
+
+
+@wp.func
+def texture_color(stage: StageArrays, env: int, hit: Hit, point: wp.vec3, width: float) -> wp.vec3:
+    """Colour of a surface's texture where a ray meets it, blended of four pixels; white without one.
+
+    ``width`` is that of the ray there, along the surface: where it spans many of the texture's pixels, on wide ground,
+    their mean takes over.
+    """
+    texture = stage.texture_of_geom[hit.geom]
+    if texture < 0:
+        return wp.vec3(1.0)
+    size, repeat = stage.texture_size[texture], stage.texture_repeat[hit.geom]
+    place = wp.vec2(hit.place[0], hit.place[1])
+    share = wp.float32(1.0)
+    if repeat[0] > 0.0:
+        local = wp.transpose(stage.xmat[env, hit.geom]) @ (point - stage.xpos[env, hit.geom])
+        place = wp.vec2(local[0] * repeat[0] + 0.5, 0.5 - local[1] * repeat[1])
+        share = wp.clamp(_BLURRED / (width * repeat[0] * float(size[0])), 0.0, 1.0)
+    x, y = place[0] * float(size[0]) - 0.5, place[1] * float(size[1]) - 0.5
+    low_x, low_y = wp.floor(x), wp.floor(y)
+    right, below = x - low_x, y - low_y
+    column, row = int(low_x), int(low_y)
+    upper = wp.lerp(texel(stage, texture, column, row), texel(stage, texture, column + 1, row), right)
+    lower = wp.lerp(texel(stage, texture, column, row + 1), texel(stage, texture, column + 1, row + 1), right)
+    return wp.lerp(stage.texture_mean[texture], wp.lerp(upper, lower, below), share)
 
 
 def _cast(geom_types: tuple[int, ...], first_hit: bool) -> wp.Function:
@@ -90,34 +129,43 @@ def _cast(geom_types: tuple[int, ...], first_hit: bool) -> wp.Function:
                 + (1.0 - u - v) * vertex_normal(stage.mesh_normal[first + corners[2]], flat)
             )
             hit.smooth = wp.normalize(turn @ bent)
+            if stage.mesh_texcoordadr[mesh] >= 0:
+                ends = stage.mesh_facetexcoord[stage.mesh_faceadr[mesh] + face]
+                start = stage.mesh_texcoordadr[mesh]
+                hit.place = (
+                    u * stage.mesh_texcoord[start + ends[0]]
+                    + v * stage.mesh_texcoord[start + ends[1]]
+                    + (1.0 - u - v) * stage.mesh_texcoord[start + ends[2]]
+                )
         return hit
 
     return cast
 
 
 @functools.cache
-def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -> wp.Kernel:
-    """The kernel for scenes of those types of geoms, for pictures with colour or without."""
+def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool, textured: bool) -> wp.Kernel:
+    """The kernel for scenes of those types of geoms, for pictures with colour or without, with textures or without."""
     nearest, blocking = _cast(geom_types, first_hit=False), _cast(geom_types, first_hit=True)
 
     @wp.func
     def light(stage: StageArrays, env: int, hit: Hit, point: wp.vec3) -> wp.vec3:
         """Light of each colour that reaches the point, from around and from the lights."""
-        total = stage.ambient
-        for i in range(stage.light_dir.shape[0]):
-            toward = -stage.light_dir[i]
+        row = env % stage.ambient.shape[0]
+        total = stage.ambient[row]
+        for i in range(stage.light_dir.shape[1]):
+            toward = -stage.light_dir[row, i]
             share = wp.dot(hit.smooth, toward)
             if share > 0.0:
                 if wp.static(shadows) and stage.light_casts[i]:
                     start = point + (_LIFT + _LIFT * hit.distance) * hit.normal
                     if blocking(stage, stage.shadow_colors, env, start, toward, _FAR_AWAY).geom >= 0:
                         share = 0.0
-                total += share * stage.light_color[i]
+                total += share * stage.light_color[row, i]
         return total
 
     @wp.func
     def color_along(
-        stage: StageArrays, env: int, first: Hit, origin: wp.vec3, direction: wp.vec3, reach: float
+        stage: StageArrays, env: int, first: Hit, origin: wp.vec3, direction: wp.vec3, reach: float, pixel: float
     ) -> wp.vec3:
         """The colour that comes along a ray, through what is transparent."""
         color, through = wp.vec3(0.0), wp.float32(1.0)
@@ -127,7 +175,12 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
                 break
             point = start + hit.distance * direction
             opacity = stage.colors[env % stage.colors.shape[0], hit.geom][3]
-            seen = wp.cw_mul(surface_color(stage, env, hit.geom), light(stage, env, hit, point))
+            own = surface_color(stage, env, hit.geom)
+            if wp.static(textured):
+                slant = wp.max(-wp.dot(direction, hit.normal), 0.01)
+                width = pixel * (reach - left + hit.distance) / slant
+                own = wp.cw_mul(own, texture_color(stage, env, hit, point, width))
+            seen = wp.cw_mul(own, light(stage, env, hit, point))
             color += through * opacity * seen
             through *= 1.0 - opacity
             if through < 0.01:
@@ -184,7 +237,7 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
         if wp.static(with_color):
             if with_markers:
                 hit = nearest(stage, stage.colors, env, origin, direction, reach)
-            color = color_along(stage, env, hit, origin, direction, reach)
+            color = color_along(stage, env, hit, origin, direction, reach, pixel_size)
             for i in range(3):
                 rgb[env, pixel, i] = byte(color[i])
 

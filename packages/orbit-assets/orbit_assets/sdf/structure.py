@@ -179,11 +179,10 @@ class SdfShapes:
                 self.fields.findings.leave_out(SIZELESS, where)
                 continue
             for part in self.meshes.parts(file, scale):
-                shown = color or part.color
-                if part.textured and color is None:
+                if part.textured and part.texture is None and color is None:
                     self.fields.findings.note(TEXTURES)
                 shape = Shape(part.mesh, pose, name=name)
-                yield shape if shown is None else replace(shape, color=shown)
+                yield part.shown(shape) if color is None else replace(shape, color=color)
 
     def _geometry(self, element: Element, where: str) -> Iterator[tuple[str, Element]]:
         geometry = element.find("geometry")

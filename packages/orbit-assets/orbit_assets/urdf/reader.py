@@ -94,7 +94,7 @@ def _thickened(mesh: Mesh) -> Mesh:
 _UPRIGHT = Pose()
 HULLS = "collision meshes of the URDF collide as their convex hulls"
 SIZELESS = "a <visual> of size zero, which shows nothing,"
-TEXTURES = "surfaces with a texture are drawn in one colour, the median of its pixels"
+TEXTURES = "surfaces with a picture but no coordinates on it are drawn in one colour, the median of its pixels"
 
 
 class UrdfShapes:
@@ -164,10 +164,9 @@ class UrdfShapes:
             return
         for part in self.meshes.parts(file, scale):
             shape = Shape(part.mesh, pose, name=name)
-            shown = color or part.color
-            if part.textured and color is None:
+            if part.textured and part.texture is None and color is None:
                 self.fields.findings.note(TEXTURES)
-            yield shape if shown is None else replace(shape, color=shown)
+            yield part.shown(shape) if color is None else replace(shape, color=color)
 
     def origin(self, element: Element, where: str) -> Pose:
         """Return the pose of ``<origin>``, or the identity.
@@ -318,7 +317,7 @@ def read_urdf(
 
     ``packages`` adds folders of packages that ``package://`` names to those of ``options``; one that neither has is
     looked for among the folders above the file. Collision meshes collide as their convex hulls. Visual meshes keep
-    their files' colours where the URDF gives none, a texture as its median colour. Floating, planar and ball joints
+    their files' colours and textures where the URDF gives none. Floating, planar and ball joints
     become chains of simple ones, but for a floating joint that carries the whole robot: it is left out, for the
     entity's ``fixed_base`` says that. A joint that mimics a mimic follows the leader of both. What is not read, such as
     transmissions, safety controllers and simulators' own elements, is in the notes. Of a file of several trees,

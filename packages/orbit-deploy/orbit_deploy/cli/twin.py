@@ -80,9 +80,11 @@ def run(settings: TwinSettings) -> dict[str, dict[str, float]]:
     from orbit_deploy.motion_log import read_log
     from orbit_deploy.twin import replay_twin, summary
 
+    # Tensors of one robot are small: threads would cost more than they save.
     torch.set_num_threads(1)
     assert settings.robot is not None, "the caller has looked"
     spec = robot(settings.robot)
+    # A robot's specification has no delay: it is in the file alone.
     delay = read_fitted(Path(settings.robot)).delay if settings.robot.endswith(".json") else 0.0
     log = read_log(settings.log).selected(settings.begin, settings.seconds)
     # A recording may hold more joints than the robot, and in another order.

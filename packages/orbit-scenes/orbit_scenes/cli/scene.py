@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from orbit_core.cli.output import console, new_table
-from orbit_core.cli.settings import check_output, parse_words
+from orbit_core.cli.settings import check_output, check_positive, parse_words
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -55,6 +55,28 @@ class CheckSettings:
     """Backend that simulates it; None checks overlaps only."""
     seconds: float = 1.0
     """Simulated time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSettings:
+    """Make a scene of a scanned mesh and write it as USD: cleaned, level on its floor at z = 0, in fewer triangles."""
+
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """OBJ, PLY, glTF or another mesh file."""
+    output: Annotated[Path | None, arg(metavar="FILE")] = None
+    """USD file to write; the scan's name with .usdc if left out."""
+    unit: float | None = None
+    """Metres of one unit of the file; needed unless it is glTF."""
+    up: Literal["x", "y", "z"] | None = None
+    """The file's axis that points up; needed unless it is glTF."""
+    triangles: int = 50_000
+    """Triangles that are drawn, and collide with --collision triangles."""
+    collision: Literal["boxes", "triangles"] = "boxes"
+    """Boxes of whole voxels, or the triangles themselves."""
+    voxel: float = 0.05
+    """Edge of the voxels of boxes, m."""
+    overwrite: bool = False
+    """Replace the file that is there already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +149,27 @@ def _check(words: Sequence[str]) -> None:
     console().print(f"{settings.file}: {count}")
 
 
+def _scan(words: Sequence[str]) -> None:
+    settings = parse_words(ScanSettings, words, "orbit scene scan")
+    output = settings.output or settings.file.with_suffix(".usdc")
+    check_output(output, output.suffix, settings.overwrite)
+    check_positive("triangles", settings.triangles)
+    from orbit_assets.usd.scene_writer import write_usd_scene
+    from orbit_scenes.scan import ScanCollision, cleaned, decimated, floor_map, on_floor, read_scan, scan_scene
+
+    raw = read_scan(settings.file, unit=settings.unit, up=settings.up)
+    scan = on_floor(decimated(cleaned(raw), settings.triangles))
+    scene = scan_scene(scan, collision=ScanCollision(settings.collision), voxel=settings.voxel)
+    write_usd_scene(scene, output)
+    shown = floor_map(scan, radius=0.05, height=2.0)
+    out, (x, y, z) = console(), scan.size
+    out.print(
+        f"{output}: {x:.2f} x {y:.2f} x {z:.2f} m, {len(raw.faces)} triangles made {len(scan.faces)}, "
+        f"{len(scene.objects[0].articulation.root.collisions)} collision shapes, turned level by {scan.tilt:.3f} rad, "
+        f"{shown.area:.1f} m^2 of free floor, holes of {shown.holes:.2f} m^2 in it"
+    )
+
+
 def _things(words: Sequence[str]) -> None:
     parse_words(ListSettings, words, "orbit scene things")
     from orbit_scenes.things import thing, thing_names
@@ -172,6 +215,7 @@ def _draw(scene: Scene, backend: str, path: Path) -> None:
 _COMMANDS: dict[str, tuple[Callable[[Sequence[str]], None], str]] = {
     "make": (_make, "make a house, a room, a table or a bin by seed, certify it and write it as USD"),
     "check": (_check, "check a scene file: overlaps, and things that fall or move"),
+    "scan": (_scan, "make a scene of a scanned mesh: floor, unit, collision"),
     "things": (_things, "list the library of household things"),
     "furniture": (_furniture, "list kinds of furniture, with joints and supports"),
 }

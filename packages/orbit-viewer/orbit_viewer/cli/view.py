@@ -53,14 +53,19 @@ def main(words: Sequence[str]) -> None:
     check_steps(settings.max_steps)
     environment = make_environment(settings, settings.num_envs)
     try:
+        from orbit_core.rollout.pictures import Spectator
+        from orbit_viewer.signals import TaskSignals
         from orbit_viewer.viewer import Viewer
 
         agent = make_actor(settings.agent, environment, settings.seed)
         title = f"ORBIT {settings.task} on {environment.world.backend}"
         information = task_information(environment)
         with Viewer(
-            environment, agent, settings.host, settings.port, title, information, frames=settings.frames
-        ) as viewer:
+            environment, agent, settings.host, settings.port, title, information, frames=settings.frames,
+            signals=TaskSignals(environment), follow=environment.task.metadata.follow,
+            record=lambda width, height: Spectator(environment, width, height),
+            mark=lambda: environment.task.mark(environment),
+        ) as viewer:  # fmt: skip
             print(f"watch at {viewer.url}", flush=True)
             viewer.run(settings.max_steps)
     finally:
