@@ -12,7 +12,8 @@ from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.cli.twin import TwinSettings
 from orbit_deploy.cli.twin import run as run_twin
-from orbit_deploy.log_replay import predict
+from orbit_deploy.description import RobotDescription
+from orbit_deploy.log_replay import placements, predict
 from orbit_deploy.messages import Arrangement
 from orbit_deploy.motion_log import MotionLog
 from orbit_deploy.simulated import Imperfections
@@ -66,11 +67,19 @@ def moved_log() -> MotionLog:
 def test_a_replayed_log_says_how_far_each_joint_is_off() -> None:
     log = moved_log()
     assert replay_twin(log, arm(), BACKEND).rms < 5e-3
-    log.position[:, 1] += 0.1
-    log.position[0, 1] -= 0.1
+    log.position[:, 1] += np.linspace(0.0, 0.2, len(log.times))
     result = replay_twin(log, arm(), BACKEND)
-    assert result.by_joint["joint1"] == pytest.approx(0.1, rel=0.1)
+    assert result.by_joint["joint1"] == pytest.approx(0.2 / np.sqrt(3.0), rel=0.1)
     assert result.by_joint["joint2"] < 0.01
+
+
+def test_a_robot_that_was_put_elsewhere_takes_the_replay_along() -> None:
+    log = moved_log()
+    half = len(log.times) // 2
+    log.position[half:] += 0.4
+    log.target[half:] += 0.4
+    assert placements(log, RobotDescription.of(arm())) == [half]
+    assert replay_twin(log, arm(), BACKEND).rms < 0.01
 
 
 def test_playing_shows_rows_at_their_times() -> None:

@@ -132,6 +132,8 @@ class RobotEngine(Engine):
         self._due: float | None = None
         self._last_sent = -1.0
         self._soft = True
+        self.placed = True
+        """True in :attr:`on_step` if the robot was put or led elsewhere since the step before, as a reset does."""
         self.on_step: Callable[[RobotState], None] | None = None
         """Called with each step's state, as a display does."""
         self._take(link.state())
@@ -144,7 +146,7 @@ class RobotEngine(Engine):
         if self._soft and not link.description.arranges:
             self._start_softly()
             now = link.now()
-        self._soft = False
+        self.placed, self._soft = self._soft, False
         late = self._due is not None and now > self._due + steps * self._dt
         if self._due is None or late:
             self.times.overruns += late

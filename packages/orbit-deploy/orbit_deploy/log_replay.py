@@ -15,7 +15,7 @@ from orbit_core.backends import backend as backend_of
 from orbit_core.interfaces import Capability, ConfigurationError, JointTarget, Robot, SimulationError, World
 from orbit_core.scene import RobotSpec, Scene
 from orbit_core.world import simulate
-from orbit_deploy.description import FloatArray
+from orbit_deploy.description import FloatArray, RobotDescription
 from orbit_deploy.motion_log import MotionLog
 
 
@@ -92,6 +92,7 @@ class LogReplay:
         ).float()
         # A row's targets act in the step that begins at its time, and its state is the one after that step.
         self._rows = np.clip(np.round(self.log.times / self.dt).astype(int), 0, steps)
+        self._placed = {int(self._rows[row]): row for row in placements(self.log, RobotDescription.of(spec))}
         self._world: World | None = None
 
     def run(self, values: FloatArray) -> FloatArray:
@@ -196,6 +197,10 @@ class LogReplay:
                 for writer, targets in zip(writers, self._at(step - late).unbind(1), strict=True):
                     writer(targets)
                 world.step(1)
+                if (row := self._placed.get(step)) is not None:
+                    # Put there by a client of a simulated robot, which no targets explain.
+                    there = [_tensor(each[[row]]).expand(count, -1) for each in (self.log.position, self.log.velocity)]
+                    robot.set_joint_state(there[0], there[1])
                 positions[step] = robot.joint_positions
         except SimulationError:
             # Parameters that no engine can integrate are no fault of the search.
@@ -243,6 +248,18 @@ def fitted_joints(spec: RobotSpec, log: MotionLog, least: float = 0.05) -> tuple
             f"no joint of '{spec.articulation.name}' moved by more than {least:g} rad or m in {log.source or 'the log'}"
         )
     return moved
+
+
+def placements(log: MotionLog, description: RobotDescription) -> list[int]:
+    """Return the rows at which a robot is elsewhere than it could have moved to since the row before.
+
+    Args:
+        log: recorded motion, with the description's joints in order.
+        description: of the robot, whose limits of velocity count twice.
+    """
+    way = np.abs(np.diff(log.position, axis=0))
+    most = 2.0 * np.array(description.velocity) * np.diff(log.times)[:, None] + 1e-3
+    return (np.flatnonzero((way > most).any(1)) + 1).tolist()
 
 
 def predict(log: MotionLog, spec: RobotSpec, backend: str, delay: float = 0.0, dt: float | None = None) -> FloatArray:

@@ -365,7 +365,7 @@ class _Watch:
         (spec,) = environment.world.scene.robots
         self._page = self._twin = None
         self._begin, self._squares, self._states = engine.link.now(), 0.0, 0
-        self._link = engine.link
+        self._engine, self._link = engine, engine.link
         if settings.twin is not None:
             from orbit_deploy.twin import LiveTwin
 
@@ -392,6 +392,8 @@ class _Watch:
         lines, ghost, text = [state.targets, state.positions], None, f"{state.mode}, {self._link.round_trips}"
         # In the step's own time: the world of a Panda takes about 1 ms for 20 ms.
         if self._twin is not None:
+            if self._engine.placed:
+                self._twin.restart(state)
             away = self._twin.follow(state)
             self._squares += float(np.mean(away**2))
             self._states += 1
