@@ -11,7 +11,7 @@ from torch.linalg import vector_norm
 from orbit_assets.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
 from orbit_assets.deformables import corners, sheet
 from orbit_assets.objects import BENCH_HEIGHT, SolidOptions, box, work_bench
-from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, RewardTerm, Task
+from orbit_core.envs import Environment, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import ROBOT, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
@@ -199,14 +199,10 @@ def pinching(world: World) -> tuple[Phase, ...]:
 
 
 @dataclass
-class ClothState(ObservationGroup):
+class ClothState(matter.DeformableState):
     """The arm's joints and hand, the cloth's key points and the last action."""
 
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     key_points: ObservationTerm | None = ObservationTerm(matter.key_points(CLOTH))
-    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 
 @dataclass

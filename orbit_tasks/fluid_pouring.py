@@ -23,11 +23,11 @@ ROOM: Vector3 = (0.16, 0.16, 0.08)
 """Metres within the container."""
 PLACE = (0.52, 0.2)
 """Metres in x and y of the container."""
-OVER = 0.15
-"""Metres of the cup's middle above the container's rim, so that a cup of any tilt is clear of it."""
-SHORT = 0.0
+OVER = 0.1
+"""Metres of the cup's middle above the container's rim: the hand, which turns with it, is clear of the rim."""
+SHORT = 0.05
 """Metres by which the cup stays behind the container's middle: liquid leaves it at its lip, and flies on."""
-TILTS = (0.3, 0.6, 0.9, 1.15, 1.4, 1.65, 1.9, 2.1, 2.3)
+TILTS = (0.3, 0.6, 0.9, 1.05, 1.2, 1.35, 1.5, 1.65, 1.8, 1.95)
 """Rad of the cup, one after another: fast to where the first drops leave it, and slowly from there on."""
 
 poured = fluid.amount_in(TARGET, ROOM)

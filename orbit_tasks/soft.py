@@ -10,7 +10,7 @@ from torch.linalg import vector_norm
 
 from orbit_assets.deformables import cuboid
 from orbit_assets.objects import BENCH_HEIGHT, work_bench
-from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, Task, TerminationTerm
+from orbit_core.envs import Environment, ObservationTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
@@ -177,14 +177,10 @@ def moving(world: World, place: TermFunction) -> tuple[Phase, ...]:
 
 
 @dataclass
-class SoftState(ObservationGroup):
+class SoftState(matter.DeformableState):
     """The arm's joints and hand, the block's key points and the last action."""
 
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     key_points: ObservationTerm | None = ObservationTerm(matter.key_points(BLOCK))
-    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 
 @dataclass

@@ -216,9 +216,9 @@ def test_a_rope_is_drawn_as_a_tube_around_its_particles() -> None:
     assert nearest == pytest.approx(0.01, rel=1e-4)
 
 
-def test_a_fluid_is_drawn_as_a_solid_for_each_particle() -> None:
+def test_a_fluid_is_its_particles_which_a_painter_draws_a_surface_around() -> None:
     fluid = Fluid("water", (0.01, 0.01, 0.02), spacing=0.01)
     surface = DeformableSurface(fluid)
-    vertices = surface.vertices(torch.as_tensor(fluid.rest_positions, dtype=torch.float32)[None])
-    assert vertices.shape == (1, 6 * 16, 3)
-    assert surface.faces.max() == 6 * 16 - 1
+    particles = torch.as_tensor(fluid.rest_positions, dtype=torch.float32)[None]
+    assert torch.equal(surface.vertices(particles), particles)
+    assert surface.faces.shape == (0, 3)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from orbit_core.interfaces.capabilities import Capabilities, Gap
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from orbit_core.interfaces.layout import Approximation, SceneLayout
-    from orbit_core.interfaces.renderer import Image
+    from orbit_core.interfaces.renderer import Image, LightTable
     from orbit_core.scene import CameraSpec
 
 # A plugin that registers under this name can never be chosen.
@@ -142,13 +143,35 @@ class Matter(ABC):
         """Free its resources; idempotent."""
 
 
+@dataclass(frozen=True, eq=False)
+class LightView:
+    """Depth image of everything but deformables, as one directional light that casts shadows meets it."""
+
+    light: int
+    """Index among the scene's directional lights."""
+    camera: CameraSpec
+    """So far away that its rays are all but parallel."""
+    poses: Tensor
+    """(n, 7) of the camera in each environment's frame."""
+    depth: Tensor
+    """(n, H, W, 1) m, infinite where nothing is met."""
+
+
 # Separate from the solver: renderers of other plugins know rigid shapes only.
 class MatterPainter(ABC):
     """Paints deformables into the pictures of any renderer."""
 
     @abstractmethod
-    def paint(self, camera: CameraSpec, camera_poses: Tensor, vertices: Sequence[Tensor], image: Image) -> Image:
-        """Return the image with deformables drawn over what is behind them.
+    def paint(
+        self,
+        camera: CameraSpec,
+        camera_poses: Tensor,
+        vertices: Sequence[Tensor],
+        image: Image,
+        lights: LightTable,
+        views: Sequence[LightView] = (),
+    ) -> Image:
+        """Return the image with deformables drawn over what is behind them, and their shadows.
 
         Args:
             camera: that took it.
@@ -157,6 +180,9 @@ class MatterPainter(ABC):
                 (:class:`orbit_core.plugin_kit.rendering.DeformableSurface`), in the environment's frame.
             image: with depth; its other fields may be None, and stay so. In ``links`` a deformable has the number of
                 links plus its own index.
+            lights: of the n environments.
+            views: of the lights whose shadows deformables cast and receive; the image then has colour, normals and
+                albedo.
         """
 
 

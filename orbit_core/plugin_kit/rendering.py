@@ -25,7 +25,10 @@ _SIDES = 8
 
 
 class DeformableSurface:
-    """Cloth and soft bodies are their meshes; a rope is a prism for each piece, a fluid an octahedron a particle."""
+    """Vertices and triangles of a deformable: of cloth and soft bodies their meshes, of a rope a prism for each piece.
+
+    A fluid has its particles for vertices and no triangles: its surface is around the particles, and new in each step.
+    """
 
     def __init__(self, spec: DeformableSpec) -> None:
         self._spec = spec
@@ -36,9 +39,6 @@ class DeformableSurface:
         """Return (n, V, 3) of particles (n, P, 3)."""
         if isinstance(self._spec, Rope):
             return _prisms(positions, self._spec.radius)
-        if isinstance(self._spec, Fluid):
-            corners = torch.eye(3, device=positions.device) * (0.5 * self._spec.spacing)
-            return (positions[:, :, None] + torch.cat((corners, -corners))).flatten(1, 2)
         return positions
 
 
@@ -51,9 +51,7 @@ def _faces(spec: DeformableSpec) -> npt.NDArray[np.int64]:
         upper = np.stack((side, following + _SIDES, side + _SIDES), axis=-1)
         return (start + np.concatenate((lower, upper))).reshape(-1, 3)
     if isinstance(spec, Fluid):
-        start = 6 * np.arange(len(spec.rest_positions))[:, None, None]
-        eight = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
-        return (start + np.array(eight)).reshape(-1, 3)
+        return np.zeros((0, 3), dtype=np.int64)
     return np.asarray(spec.mesh.faces, dtype=np.int64)
 
 

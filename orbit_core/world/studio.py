@@ -33,7 +33,7 @@ from orbit_core.scene import (
 )
 from orbit_core.scene.patterns import concrete, grid, wood
 from orbit_core.scene.shapes import DULL
-from orbit_core.world.drawing import OuterRenderer
+from orbit_core.world.drawing import OuterRenderer, scene_lights
 
 # Fractional parts of multiples of these fill a square evenly (Roberts, The R2 sequence, 2018).
 _PLASTIC = (0.7548776662466927, 0.5698402909980532)
@@ -165,15 +165,6 @@ class StudioRenderer(OuterRenderer):
     def _rows(self, count: int, env_ids: Tensor | None) -> int:
         # Tables have a row for each environment, and pictures may be of the last ones.
         return count if env_ids is None else max(count, int(env_ids.max()) + 1)
-
-
-def scene_lights(scene: Scene, rows: int, device: torch.device) -> LightTable:
-    """Return a scene's own lights for each of so many environments."""
-    lamps = scene.directional_lights
-    directions = torch.tensor([lamp.unit_direction for lamp in lamps], device=device).reshape(-1, 3)
-    radiance = torch.tensor([lamp.radiance for lamp in lamps], device=device).reshape(-1, 3)
-    ambient = torch.tensor(scene.ambient, dtype=torch.float32, device=device)
-    return LightTable(ambient.expand(rows, 3), directions.expand(rows, -1, 3), radiance.expand(rows, -1, 3))
 
 
 def _of_length(lights: LightTable, lamps: int) -> LightTable:

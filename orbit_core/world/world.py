@@ -53,12 +53,12 @@ from orbit_core.scene import CameraSpec, Scene, Studio
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
 from orbit_core.world.checks import check_build, check_capacity
-from orbit_core.world.drawing import Painting, with_frames, with_matter
+from orbit_core.world.drawing import Painting, light_camera, scene_lights, with_frames, with_matter
 from orbit_core.world.entities import SimulatedMarker, SimulatedObject, SimulatedRobot, identity_poses
 from orbit_core.world.lifetime import mark_closed, mark_forked, register_after_fork
 from orbit_core.world.matter import SimulatedDeformable, coupled, rigid_part
 from orbit_core.world.state import Clock, DivergenceGuard, WorldParts, WorldState, check_copy, settle
-from orbit_core.world.studio import StudioRenderer, dressed, scene_lights
+from orbit_core.world.studio import StudioRenderer, dressed
 
 
 class SimulatedWorld(World):
@@ -206,8 +206,10 @@ class SimulatedWorld(World):
     ) -> Renderer:
         layout = self.layout if studio is None else dressed(self.layout, studio)
         drawn = rigid_part(with_frames(layout) if frames else layout, self._solver)
-        renderer = self._renderer_plugin.create_renderer(drawn, cameras, self._renderer_config)
-        renderer = with_matter(renderer, self._solver, self._engine, layout)
+        light = light_camera(layout, cameras)
+        eyes = cameras if light is None else (*cameras, light)
+        renderer = self._renderer_plugin.create_renderer(drawn, eyes, self._renderer_config)
+        renderer = with_matter(renderer, self._solver, self._engine, layout, light)
         if studio is None:
             return self.painting.add(renderer)
         return self.painting.add(renderer, lambda inner: StudioRenderer(inner, layout.scene, studio))

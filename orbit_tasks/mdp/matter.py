@@ -1,10 +1,10 @@
-"""Terms that tasks of cloth and rope share."""
+"""Terms that tasks of cloth, rope and solids share."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,11 @@ from torch import Tensor
 
 from orbit_assets.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
 from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
-from orbit_core.envs import Environment
+from orbit_core.envs import Environment, ObservationGroup, ObservationTerm
 from orbit_core.envs.terms import ENVIRONMENT, EventFunction, TermFunction, means, measured_in
 from orbit_core.interfaces.layout import gripper_positions
 from orbit_core.interfaces.names import match_names
-from orbit_core.mdp.common import turned
+from orbit_core.mdp import common
 from orbit_core.scene import Gripper, Joint, JointType, RobotSpec
 
 
@@ -76,6 +76,17 @@ def key_points(name: str) -> TermFunction:
     return observe
 
 
+@dataclass
+class DeformableState(ObservationGroup):
+    """The arm's joints and hand, key points of what it handles, which tasks name, and the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    key_points: ObservationTerm | None = None
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
 def vector_area(positions: Tensor, triangles: Tensor) -> Tensor:
     """(N, 3) m^2: the sum of triangles' (T, 3) normals times their areas, of particles (N, P, 3).
 
@@ -106,7 +117,7 @@ def place_deformable(
             pose = carried_by.spec.pose
             position = torch.tensor([pose.position], dtype=torch.float32, device=env.device)
             orientation = torch.tensor(pose.orientation, dtype=torch.float32, device=env.device)
-            orientation = quat_multiply(turned(offset[:, 2]), orientation.expand(len(offset), 4))
+            orientation = quat_multiply(common.turned(offset[:, 2]), orientation.expand(len(offset), 4))
             place = _moved(position, rest.mean(0), offset)[:, 0]
             carried_by.set_root_pose(torch.cat((place, orientation), dim=1), env_ids)
 
@@ -133,5 +144,5 @@ def place_chosen(name: str, starts: Callable[[Any], Tensor], spread: tuple[float
 def _moved(points: Tensor, pivot: Tensor, offset: Tensor) -> Tensor:
     """(n, P, 3) points ([n,] P, 3) turned about a pivot (3,) and moved, by offsets (n, 3) of x, y and yaw."""
     shift = torch.cat((offset[:, :2], torch.zeros_like(offset[:, :1])), dim=1)
-    rotation = turned(offset[:, 2])[:, None].expand(-1, points.shape[-2], -1)
+    rotation = common.turned(offset[:, 2])[:, None].expand(-1, points.shape[-2], -1)
     return quat_rotate(rotation, (points - pivot).expand(len(offset), -1, -1)) + pivot + shift[:, None]

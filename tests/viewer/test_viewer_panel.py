@@ -16,7 +16,7 @@ from viser import ViserServer
 from orbit_assets.catalogue import robot
 from orbit_assets.objects import box, sphere
 from orbit_core.interfaces import SceneLayout
-from orbit_core.scene import CameraSpec, Channel, Cloth, Mesh, Scene
+from orbit_core.scene import CameraSpec, Channel, Cloth, Fluid, Mesh, Scene
 from orbit_core.sensors import CameraSensor
 from orbit_viewer.scene_view import Frame, SceneView
 from orbit_viewer.viewer import Viewer
@@ -81,6 +81,22 @@ def test_cloth_is_drawn_by_its_particles(server: ViserServer) -> None:
     assert np.array_equal(first.vertices, vertices)
     assert np.array_equal(second.vertices, fallen)
     assert not np.array_equal(first.position, second.position), "environments stand apart"
+
+
+def test_a_liquid_is_drawn_with_a_new_surface_in_each_frame(server: ViserServer) -> None:
+    water = Fluid("water", (0.02, 0.02, 0.02), spacing=0.01)
+    view = SceneView(server, SceneLayout.of(Scene(deformables=(water,))))
+    links, markers = np.zeros((1, 0, 7), dtype=np.float32), np.zeros((1, 0, 7), dtype=np.float32)
+    particles = water.rest_positions.astype(np.float32)
+    view.update(Frame(links, markers, (particles[None],)))
+    whole = view._particles_drawn[0][0].faces
+    apart = particles.copy()
+    apart[:32] += np.float32(0.5)
+    view.update(Frame(links, markers, (apart[None],)))
+    drawn = view._particles_drawn[0][0]
+    assert len(drawn.faces) != len(whole)
+    assert drawn.faces.max() == len(drawn.vertices) - 1
+    assert (drawn.vertices > 0.4).all(axis=1).any()
 
 
 def test_collision_shapes_replace_visual_ones(fakes: ModuleType, server: ViserServer) -> None:

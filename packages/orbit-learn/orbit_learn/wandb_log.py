@@ -30,6 +30,7 @@ class WandbLog:
     def __init__(self, project: str, folder: Path, config: Mapping[str, Any]) -> None:
         try:
             import wandb  # pyright: ignore[reportMissingImports]
+            from wandb.errors import Error  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise ConfigurationError(f"--wandb needs Weights & Biases: {install_extra('wandb')}") from error
         folder.mkdir(parents=True, exist_ok=True)
@@ -38,7 +39,7 @@ class WandbLog:
             self._run: Any = wandb.init(
                 project=project, name=folder.name, dir=str(folder), config=dict(config), settings=settings
             )
-        except wandb.errors.Error as error:
+        except Error as error:
             words = " ".join(str(error).split())
             raise ConfigurationError(
                 f"Weights & Biases takes no run ({words}): log in with 'wandb login', or set WANDB_MODE=offline, which "

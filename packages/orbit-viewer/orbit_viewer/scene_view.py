@@ -21,9 +21,10 @@ from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import SceneLayout
 from orbit_core.plugin_kit.meshes import marker_shapes, triangles
 from orbit_core.plugin_kit.rendering import DeformableSurface
-from orbit_core.scene import Color, Plane, RobotSpec, Scene, Shape
+from orbit_core.scene import Color, Fluid, Plane, RobotSpec, Scene, Shape
 from orbit_core.scene.pose import Vector3
 from orbit_core.world.drawing import frame_shapes
+from orbit_viewer.liquids import liquid_surface
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -245,8 +246,11 @@ class SceneView:
             for index, handle in enumerate(self._markers_drawn):
                 self._place(handle, frame.marker_poses[:, index])
             for index, (handles, particles) in enumerate(zip(self._particles_drawn, frame.particles, strict=True)):
-                for handle, vertices in zip(handles, self._vertices(index, particles), strict=True):
+                for handle, (vertices, faces) in zip(handles, self._meshes(index, particles), strict=True):
                     handle.vertices = vertices
+                    # Of a liquid alone these change.
+                    if faces is not self._surfaces[index].faces:
+                        handle.faces = faces.astype(np.uint32)
 
     def show_collisions(self, collisions: bool) -> None:
         """Draw collision shapes instead of visual ones, from the next frame on."""
@@ -346,20 +350,24 @@ class SceneView:
             self._server.scene.add_mesh_simple(
                 f"/deformables/{index}/{environment}",
                 vertices,
-                self._surfaces[index].faces,
+                faces,
                 color=_bytes(spec.color),
                 opacity=spec.color[3] if spec.color[3] < 1.0 else None,
                 side="double",
                 position=offset,
             )
-            for environment, (vertices, offset) in enumerate(
-                zip(self._vertices(index, particles), self._offsets, strict=True)
+            for environment, ((vertices, faces), offset) in enumerate(
+                zip(self._meshes(index, particles), self._offsets, strict=True)
             )
         ]
 
-    def _vertices(self, index: int, particles: FloatArray) -> FloatArray:
-        """Compute the drawn vertices (n, V, 3) of a deformable's particles (n, P, 3)."""
-        return self._surfaces[index].vertices(torch.from_numpy(particles)).numpy()
+    def _meshes(self, index: int, particles: FloatArray) -> list[tuple[FloatArray, npt.NDArray[np.int64]]]:
+        """Compute the drawn vertices (V, 3) and triangles (F, 3) in each environment of a deformable's particles."""
+        spec = self._scene.deformables[index]
+        if isinstance(spec, Fluid):
+            return [liquid_surface(each, spec.spacing) for each in particles]
+        surface = self._surfaces[index]
+        return [(vertices, surface.faces) for vertices in surface.vertices(torch.from_numpy(particles)).numpy()]
 
     def _draw_plane(self, index: int, plane: Shape) -> None:
         color = _bytes(plane.color)

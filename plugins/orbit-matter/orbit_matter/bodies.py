@@ -19,7 +19,6 @@ import numpy.typing as npt
 import warp as wp
 
 from orbit_core.interfaces import SceneLayout
-from orbit_core.scene import Fluid
 from orbit_matter.contact import Felt
 from orbit_matter.kernels import Links
 
@@ -27,6 +26,10 @@ AHEAD = wp.constant(0.8)
 """Part of a step that the matter's end is ahead of the engine's. Half would neither take from a swinging load nor give
 to it; contacts of what lies on cloth have their damping from the rest, and a load of angular frequency w loses ``0.15
 w^2 dt`` of its swing a second."""
+
+
+TOUCHED = wp.constant(0.1)
+"""Of the gravity: acceleration that is neither gravity's nor the matter's by which a body counts as touched."""
 
 
 @wp.struct
@@ -53,6 +56,8 @@ class Bodies:
     """(N, B) rad/s^2: the angular part of ``pull``."""
     turning: wp.array2d[wp.mat33]
     """(N, B) inverse of the inertia, in world axes."""
+    lags: wp.array2d[int]
+    """(N, B) 1 for those that feel this step's matter in the next one only, as links do."""
     shift: wp.array2d[wp.vec3]
     """(N, B) how far it is from where its velocity alone would have taken it: metres of its centre, and radians."""
     turned: wp.array2d[wp.vec3]
@@ -60,13 +65,7 @@ class Bodies:
 
 
 def free_links(layout: SceneLayout) -> list[int]:
-    """Indices of the links of free bodies that matter moves: of what is neither fixed nor has joints.
-
-    With liquids only there are none. A liquid gives way to what presses on it, so that a step's delay does no harm,
-    and what it presses with in one step says too little of the next: a light cup went up and down in its water.
-    """
-    if all(isinstance(spec, Fluid) for spec in layout.scene.deformables):
-        return []
+    """Indices of the links of free bodies that matter moves: of what is neither fixed nor has joints."""
     return [e.links.start for e in layout.entities if e.spec.is_free_body]
 
 
@@ -120,13 +119,18 @@ def write_pose(to: wp.array3d[float], env: int, link: int, x: wp.vec3, q: wp.qua
 
 
 @wp.kernel(enable_backward=False)
-def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.array[wp.vec3], dt: float):
+def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.array[wp.vec3], dt: float, liquids: int):
     """Extrapolate each body's pose over the step to come, and note what other than the matter accelerates it.
 
     That is what it was in the last step: gravity, and what other bodies did. Of a blow, which does not go on, no more
     is taken than what carries the body and the matter's own wrench.
+
+    In scenes with ``liquids`` a body that more than gravity and matter moved waits for the engine. The pressure of a
+    liquid in one step says too little of what a stand answers in the next: a light cup went up and down in its water.
+    What floats is touched by the liquid alone; it swung on it by 3.5 mm where it felt it a step late.
     """
     env, i = wp.tid()
+    b.lags[env, i] = 0
     if attached[env, i] > 0:
         return
     link = b.link[env, i]
@@ -140,8 +144,11 @@ def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.a
     v_before = three(b.before, env, i, 0) + wp.cross(w_before, arm)
     force = three(b.wrenches, env, link, 0)
     torque = three(b.wrenches, env, link, 3) - wp.cross(arm, force)
-    weight = wp.length(gravity[env])
     own, own_turn = force / mass, turning * torque
+    weight = wp.length(gravity[env])
+    if liquids == 1 and wp.length((v - v_before) / dt - own - gravity[env]) > TOUCHED * wp.max(weight, 1.0):
+        b.lags[env, i] = 1
+        return
     b.pull[env, i] = _at_most((v - v_before) / dt - own, weight + wp.length(own))
     gyration = wp.sqrt(wp.trace(b.inertia[env, i]) / mass)
     b.twist[env, i] = _at_most((w - w_before) / dt - own_turn, weight / gyration + wp.length(own_turn))
@@ -158,7 +165,7 @@ def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.a
 def respond(b: Bodies, attached: wp.array2d[int], links: Links, felt: Felt, dt: float, share: float, h: float):
     """Move bodies by what was done to them so far, in the substep that ends after a share of the step."""
     env, i = wp.tid()
-    if attached[env, i] > 0:
+    if attached[env, i] > 0 or b.lags[env, i] == 1:
         return
     link = b.link[env, i]
     force = wp.vec3()

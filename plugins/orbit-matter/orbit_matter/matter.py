@@ -28,7 +28,7 @@ from orbit_matter.part import Part, Stepping
 from orbit_matter.solids import inside as solid_inside
 from orbit_matter.solids import kernels as solid_kernels
 from orbit_matter.solids import launches as solid_launches
-from orbit_matter.solids import laying, limits
+from orbit_matter.solids import limits
 from orbit_matter.solids import rows as solid_rows
 from orbit_matter.solids.solids import Solids
 from orbit_warpkit.graphs import Graphs
@@ -76,9 +76,7 @@ class ParticleMatter(Matter):
         load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
         if self._solids.model.deformables:
             by_rows = (solid_rows,) if device.type == "cpu" else ()
-            load_kernels(
-                "orbit-matter", (solid_inside, solid_kernels, solid_launches, laying, *by_rows), self._graphs.device
-            )
+            load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, *by_rows), self._graphs.device)
         if self._fluids.model is not None:
             load_kernels("orbit-matter", (fluid_kernels,), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)
@@ -308,8 +306,9 @@ class ParticleMatter(Matter):
         of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
+        of_liquids = stability.tossed(self._layout)
         of_solids = limits.light_bodies(self._layout)
-        return of_substeps + of_contacts + of_ropes + of_solids
+        return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 
     @property
     def wrenches(self) -> Tensor:

@@ -135,6 +135,7 @@ class Part:
             setattr(made, name, wp.from_torch(memory[name]))
         for name in ("pull", "twist", "shift", "turned"):
             setattr(made, name, wp.zeros(shape, dtype=wp.vec3))
+        made.lags = wp.zeros(shape, dtype=int)
         return made
 
     def _make_attached(self, memory: Mapping[str, Tensor]) -> Any:
@@ -219,7 +220,8 @@ class Part:
             wp.launch(attached.find_attached, self._n, inputs=[self._particles, self._attached])
             inputs = [self._attached, self._bodies, links, self._particles, self._gravity, dt]
             wp.launch(attached.begin, (self._n, self._free), inputs=inputs)
-            inputs = [self._bodies, self._attached.count, links, self._gravity, dt]
+            liquids = int(self._fluid is not None)
+            inputs = [self._bodies, self._attached.count, links, self._gravity, dt, liquids]
             wp.launch(bodies.look_ahead, (self._n, self._free), inputs=inputs)
         # Forces gather over the substeps of one physics step.
         self._felt.forces.zero_()

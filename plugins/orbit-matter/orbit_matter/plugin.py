@@ -43,7 +43,7 @@ _DECLARED = {
 
 _GAPS = (
     Gap("fluid_rest", "sides", 0.06, "half a spacing of a side's width and height carries no pressure at its edges"),
-    Gap("fluid_draught", "draught", 0.3, "a floating body feels the liquid one physics step late and swings on it"),
+    Gap("fluid_draught", "draught", 0.45, "particles below what floats are packed in a layer half a spacing too thick"),
     Gap(
         "rope_bobs",
         "folding",

@@ -15,7 +15,7 @@ import numpy as np
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.bodies import STANDARD_GRAVITY, hanging_weight
-from orbit_core.scene import Attachment, Cloth, Entity, Rope
+from orbit_core.scene import Attachment, Cloth, Entity, Fluid, Rope
 from orbit_matter.substeps import edge_length
 
 _SAFE_SHARE = 0.5
@@ -24,6 +24,9 @@ _LOST, _MOST_LOST, _NOTED = 1.2, 0.6, 0.02
 """Part of its energy that a rope loses in sharp folds in 3 s, per part that it weighs of its load; the most that was
 measured, with a margin; and the least that is reported. Bobs of 5, 50 and 500 g on 25 g of rope lost 14 to 56, 9 to 28
 and 3 to 5 % after they were let go at 90 degrees, one of 2 kg 0.8 %."""
+_FLOATS = 10
+"""Particles of a liquid that a free body weighs at least: of 14 it swings by 5 mm on 1 cm ones, of 5 by 9 mm, and of 4
+it jumps out."""
 LEAST_MASS = 2e-10
 """Kilograms of a particle, below which contacts overflow single precision."""
 
@@ -84,6 +87,23 @@ def sinking(layout: SceneLayout, contact_stiffness: float) -> tuple[Approximatio
         if weight > thick * contact_stiffness:
             why = f"a contact_stiffness of {weight / thick:.2g} N/m would carry it, and {contact_stiffness:g} is used"
             found.append(Approximation(f"'{spec.name}'", "resting on things", "sinks into them or through", why))
+    return tuple(found)
+
+
+def tossed(layout: SceneLayout) -> tuple[Approximation, ...]:
+    """Report free bodies that are so light that single particles of a liquid toss them."""
+    found: list[Approximation] = []
+    bodies = [entity.spec for entity in layout.entities if entity.spec.is_free_body]
+    for spec in layout.scene.deformables:
+        if not isinstance(spec, Fluid):
+            continue
+        particle = spec.density * spec.spacing**3
+        for body in bodies:
+            mass = min(articulation.links[0].mass for articulation in body.alternatives)
+            if mass < _FLOATS * particle:
+                fine = (mass / (_FLOATS * spec.density)) ** (1.0 / 3.0)
+                why = f"it weighs {mass / particle:.2g} particles of '{spec.name}': a spacing of {fine:.2g} m would do"
+                found.append(Approximation(f"'{body.name}'", f"floating on '{spec.name}'", "is tossed about", why))
     return tuple(found)
 
 

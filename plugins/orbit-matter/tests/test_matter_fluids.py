@@ -8,10 +8,12 @@ import pytest
 import torch
 
 from orbit_assets.objects import box
-from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.interfaces import ConfigurationError, SceneLayout, World
 from orbit_core.scene import Attachment, Fluid, Plane, Pose, Scene, Shape
 from orbit_core.world import simulate
+from orbit_matter.bodies import free_links
 from orbit_matter.fluid.fluids import build
+from orbit_matter.stability import tossed
 
 WATER = Fluid("water", (0.02, 0.02, 0.02), pose=Pose((0.0, 0.0, 0.02)), spacing=0.01)
 GROUND = (Shape(Plane()),)
@@ -112,6 +114,20 @@ def test_a_denser_liquid_weighs_more(settled: World) -> None:
         world.step()
         force += float(world.deformables["water"].contact_force("floor", "floor")[0, 2]) if step >= 80 else 0.0
     assert -force / 80.0 == pytest.approx(2000.0 * 9.81 * 0.04**3, rel=0.03)
+
+
+def test_free_bodies_are_moved_by_liquids_too() -> None:
+    raft = box("raft", size=(0.02, 0.02, 0.02), mass=0.02, pose=Pose((0.0, 0.0, 0.06)))
+    layout = SceneLayout.of(Scene(objects=(*_around(), raft), deformables=(WATER,), terrain=GROUND))
+    assert [layout.links[link].name for link in free_links(layout)] == ["raft"]
+    assert not tossed(layout)
+
+
+def test_a_body_that_weighs_few_particles_is_reported_with_the_spacing_that_would_do() -> None:
+    raft = box("raft", size=(0.02, 0.02, 0.02), mass=0.004, pose=Pose((0.0, 0.0, 0.06)))
+    (found,) = tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(WATER,), terrain=GROUND)))
+    assert "weighs 4 particles of 'water': a spacing of 0.0074 m would do" in found.why
+    assert not tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(replace(WATER, spacing=0.007),))))
 
 
 def test_liquids_of_two_spacings_are_refused() -> None:

@@ -43,7 +43,7 @@ def connected(address: str) -> Any:
             socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE).close()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of Ray's own coming changes
-            local = {"include_dashboard": False} if address == LOCAL else {}
+            local: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
             # What trainings print would mix line by line with the report of the sweep.
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **local)
     except (OSError, ValueError) as error:

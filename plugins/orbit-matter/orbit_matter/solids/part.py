@@ -15,7 +15,7 @@ from torch import Tensor
 from orbit_matter import contact
 from orbit_matter import kernels as particles
 from orbit_matter import rows as particle_rows
-from orbit_matter.solids import inside, kernels, launches, laying, rows
+from orbit_matter.solids import inside, kernels, launches, rows
 from orbit_matter.solids.kernels import LANES
 from orbit_matter.solids.model import SolidModel
 
@@ -209,7 +209,7 @@ class SolidPart:
 
     def launch_lay(self, others: Any, stiffness: float, h: float, share: float) -> None:
         """Move particles of other matter out of solids, at the end of a substep that is a ``share`` of a step."""
-        wp.launch(laying.lay, others.x.shape, inputs=[others, self._solids, stiffness, h, share])
+        wp.launch(launches.lay, others.x.shape, inputs=[others, self._solids, stiffness, h, share])
 
     def launch_step(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
         """Advance by one step of the solids, a ``share`` of a physics step, against links where it ends."""
