@@ -24,7 +24,7 @@ class MujocoConfig(ModelConfig):
     """How constraints are solved."""
     shadow_size: int | None = None
     """Width of the renderer's shadow map in pixels; 0 draws no shadows. None takes 1024, or 2048 for pictures higher
-    than 256 pixels."""
+    than 400 pixels."""
     antialiasing: int = 0
     """Samples per pixel of colour images; 4 suits videos."""
     simplify_meshes: bool = True

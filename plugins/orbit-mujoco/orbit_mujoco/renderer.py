@@ -40,7 +40,7 @@ _LEAST_SHADOWS = 0.5
 # surfaces there; half as far out the error is too small to.
 _RIM = 2.0
 # Pixels of the shadow map's sides, of small pictures and of those that are higher than so many pixels.
-_PLAIN_SHADOWS, _FINE_SHADOWS, _LARGE = 1024, 2048, 256
+_PLAIN_SHADOWS, _FINE_SHADOWS, _LARGE = 1024, 2048, 400
 # Times the farthest camera's range is drawn: the cube of the sky then hides nothing in range.
 _SKY = 2.0
 # Metres that are drawn at least: a light's view of the scene ends where the camera's does, and beyond is no shadow.
