@@ -84,6 +84,7 @@ class DeformableState(ObservationGroup):
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     key_points: ObservationTerm | None = None
+    """Of the deformable that a task names."""
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

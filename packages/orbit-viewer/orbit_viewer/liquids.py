@@ -71,7 +71,7 @@ def _field(particles: FloatArray, reach: float) -> tuple[npt.NDArray[np.int64], 
     share = np.maximum(1.0 - ((nodes - near[:, None]) ** 2).sum(axis=-1) / reach**2, 0.0) ** 3
     kept = share > 0.0
     keys, index = np.unique(_keys(nodes[kept]), return_inverse=True)
-    return _nodes(keys), np.bincount(index, share[kept], minlength=len(keys))
+    return _nodes(keys), np.bincount(index, share[kept], minlength=len(keys)).astype(np.float64)
 
 
 def _values(nodes: npt.NDArray[np.int64], field: FloatArray, wanted: npt.NDArray[np.int64]) -> FloatArray:

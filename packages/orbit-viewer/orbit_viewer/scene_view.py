@@ -250,7 +250,7 @@ class SceneView:
                     handle.vertices = vertices
                     # Of a liquid alone these change.
                     if faces is not self._surfaces[index].faces:
-                        handle.faces = faces
+                        handle.faces = faces.astype(np.uint32)
 
     def show_collisions(self, collisions: bool) -> None:
         """Draw collision shapes instead of visual ones, from the next frame on."""

@@ -1,7 +1,7 @@
 """Pinhole cameras as kernels take them."""
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
-# pyright: reportAttributeAccessIssue=false, reportReturnType=false
+# pyright: reportAttributeAccessIssue=false, reportReturnType=false, reportGeneralTypeIssues=false
 
 from __future__ import annotations
 
@@ -17,10 +17,15 @@ class Lens:
     """A pinhole camera in pixels."""
 
     focal: float
+    """Focal length in pixels; pixels are square."""
     width: int
+    """Columns of the picture."""
     height: int
+    """Rows of the picture."""
     near: float
+    """Metres of depth; triangles that come nearer are left out whole."""
     far: float
+    """Metres of depth beyond which nothing is painted."""
 
 
 def lens_of(camera: CameraSpec) -> Lens:

@@ -29,9 +29,11 @@ class DepthMap:
     light: int
     """Index among the scene's directional lights."""
     camera: CameraSpec
+    """Lens of the light's camera."""
     poses: Tensor
     """(n, 7) of the light's camera."""
     depths: Tensor
+    """(n, H, W) m, infinite where nothing is met."""
 
 
 @wp.kernel(enable_backward=False)

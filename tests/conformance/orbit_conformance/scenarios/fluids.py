@@ -199,9 +199,9 @@ def _weighed(trial: Trial) -> Mapping[str, float]:
 
 def _splash(trial: Trial) -> Mapping[str, float]:
     """A lump of glycerol falls on a floor, and its middle is followed for half a second after it has come down."""
-    side, fall = 0.03, 0.2
-    middle = Pose((0.0, 0.0, fall + 0.5 * side))
-    lump = Fluid("glycerol", (0.5 * side,) * 3, 1260.0, middle, viscosity=1.0, spacing=0.5 * SPACING)
+    half, fall = 0.015, 0.2
+    middle = Pose((0.0, 0.0, fall + half))
+    lump = Fluid("glycerol", (half, half, half), 1260.0, middle, viscosity=1.0, spacing=0.5 * SPACING)
     world = trial.world(_scene((_slab("floor", (2.0, 2.0, 0.02), (0.0, 0.0, -0.01)),), lump))
     glycerol = world.deformables["glycerol"]
     down = math.sqrt(2.0 * fall / G)
