@@ -257,6 +257,7 @@ class BeatTheBuzz(Task):
 
     state_type: ClassVar[type[TaskState]] = BuzzMemory
     metadata: TaskMetadata = TaskMetadata(
+        instruction="lead the ring along the wire without touching it",
         ppo=PpoSettings(iterations=800, initial_std=0.3, entropy_weight=0.005),
         view=look_at(eye=(1.35, 0.5, 0.6), target=(0.5, 0.0, 0.25)),
         exceptions=(

@@ -258,6 +258,7 @@ class Handover(tabletop.TabletopTask):
     state_type: ClassVar[type[TaskState]] = HandoverMemory
     renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.goal"}
     metadata: TaskMetadata = TaskMetadata(
+        instruction="hand the object over to the other hand",
         ppo=PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005),
         view=look_at(eye=(0.75, 1.9, 0.95), target=(0.75, 0.0, 0.2)),
         exceptions=(TaskException(TaskCheck.START_YAW, "the rod must lie across for both arms to reach an end each"),),

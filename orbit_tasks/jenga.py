@@ -256,6 +256,7 @@ class Jenga(tabletop.TabletopTask):
 
     state_type: ClassVar[type[TaskState]] = JengaMemory
     metadata: TaskMetadata = TaskMetadata(
+        instruction="pull a block out of the tower and put it on top",
         subtasks=(Subtask(grasp, lambda env: out(env) > 0.9 * SIZE[0]), Subtask(place, put_down)),
         ppo=PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005),
         view=look_at(eye=(0.1, 1.3, 0.75), target=(0.5, 0.0, 0.3)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, ClassVar
 
 from torch import Tensor
@@ -36,7 +37,7 @@ from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene
 from orbit_core.scene.pose import Vector3
 from orbit_motion import workspace as task_robots
 from orbit_motion.experts import Expert, Phase
-from orbit_tasks.mdp import picking
+from orbit_tasks.mdp import picking, stages
 from orbit_tasks.pixels import ArmPixels
 
 
@@ -265,6 +266,7 @@ class Lift(Task):
     action: str = "joint_position"
     episode_length: float = 5.0
     metadata: TaskMetadata = TaskMetadata(
+        instruction="lift the cube to the goal",
         subtasks=(Subtask(at_cube, off_table), Subtask(goal_frame, lifted)),
         ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
     )
@@ -329,4 +331,12 @@ class Lift(Task):
                 Phase(at_cube, gripper_open=False, dwell=closing, timeout=closing + 0.1),
                 Phase(at_goal, gripper_open=False, free=True),
             ),
+            stage=partial(_stage, opening=common.GripperOpening(env.world)),
         )
+
+
+def _stage(env: Environment[Lift], opening: common.GripperOpening) -> Tensor:
+    """(N,) int64: the expert's phase, by the state alone."""
+    # A gripper that has stopped on its way holds something, of whatever size.
+    held = (opening() < 0.95) & (opening.speed() < 0.1)
+    return stages.lifting(common.hand_pose(env), at_cube(env), held)

@@ -238,6 +238,7 @@ class NutBolt(tabletop.TabletopTask):
     """
 
     metadata: TaskMetadata = TaskMetadata(
+        instruction="screw the nut onto the bolt",
         ppo=PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005),
         exceptions=(
             TaskException(

@@ -243,6 +243,7 @@ class PegInHole(tabletop.TabletopTask):
 
     state_type: ClassVar[type[TaskState]] = PegMemory
     metadata: TaskMetadata = TaskMetadata(
+        instruction="put the peg into the hole",
         ppo=PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.001),
         exceptions=(
             TaskException(TaskCheck.START_AREA, "the board takes the middle, a block starts on 80 cm² at its side"),

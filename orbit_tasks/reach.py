@@ -138,6 +138,7 @@ class Reach(Task):
     action: str = "joint_position"
     episode_length: float = 4.0
     metadata: TaskMetadata = TaskMetadata(
+        instruction="move the hand to the goal",
         ppo=PpoSettings(iterations=500, initial_std=0.3),
     )
     position_tolerance: float = 0.02

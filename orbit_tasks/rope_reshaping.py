@@ -208,6 +208,7 @@ class RopeReshaping(Task):
     state_type: ClassVar[type[TaskState]] = RopeMemory
     renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.bend"}
     metadata: TaskMetadata = TaskMetadata(
+        instruction="lay the rope into the shown shape",
         ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
         view=look_at(eye=(1.3, 0.8, 0.7), target=(0.45, 0.0, 0.05)),
         exceptions=(

@@ -241,6 +241,7 @@ class StackPyramid(tabletop.TabletopTask):
 
     state_type: ClassVar[type[TaskState]] = StackMemory
     metadata: TaskMetadata = TaskMetadata(
+        instruction="stack the cubes to a pyramid",
         ppo=PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005),
         exceptions=(
             TaskException(TaskCheck.START_AREA, "pyramids and hand leave cells of 4 x 3 cm for the other blocks"),

@@ -161,6 +161,7 @@ class TowerOfHanoi(soft.SoftTask):
     """
 
     metadata: TaskMetadata = TaskMetadata(
+        instruction="move the tower of discs to the other peg",
         ppo=PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005),
         view=look_at(eye=(1.1, 0.75, 0.55), target=(0.45, -0.02, 0.03)),
         exceptions=(

@@ -17,7 +17,7 @@ def copy(tmp_path: Path) -> Path:
     """A folder with what of the checkout states versions."""
     shown = [project.path for project in release.projects()]
     shown += [release.ROOT / name for name in ("orbit_core/__init__.py", "CITATION.cff", "CHANGELOG.md")]
-    shown += [release.ROOT / name for name in ("examples/orbit-torch/pyproject.toml", "docs/write-a-backend.md")]
+    shown += [release.ROOT / name for name in map(str, release.FOLLOWING)]
     for path in shown:
         place = tmp_path / path.relative_to(release.ROOT)
         place.parent.mkdir(parents=True, exist_ok=True)

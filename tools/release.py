@@ -28,7 +28,12 @@ _IN_CITATION = re.compile(r"(^version: )(\S+)($)", re.MULTILINE)
 _RANGE = re.compile(r'("orbit-[a-z]+(?:\[[\w,-]+\])?~=)([^"]+)(")')
 _VERSION = re.compile(r"\d+\.\d+\.\d+((a|b|rc)\d+)?")
 # Projects that are no distribution of ORBIT's, and pages that show one: their own versions stay, their ranges follow.
-_FOLLOWING = (Path("examples/orbit-torch/pyproject.toml"), Path("docs/write-a-backend.md"))
+FOLLOWING = (
+    Path("examples/orbit-torch/pyproject.toml"),
+    Path("examples/lerobot-env-orbit/pyproject.toml"),
+    Path("docs/write-a-backend.md"),
+)
+"""Files whose ranges of ORBIT's distributions follow its version."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +158,7 @@ def _places(root: Path) -> dict[Path, tuple[re.Pattern[str], ...]]:
         root / "CITATION.cff": (_IN_CITATION,),
     }
     places |= {project.path: (_IN_PROJECT, _RANGE) for project in projects(root)}
-    return places | {root / path: (_RANGE,) for path in _FOLLOWING}
+    return places | {root / path: (_RANGE,) for path in FOLLOWING}
 
 
 def _git(root: Path, *words: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Protocol
 
 from orbit_core.backends import backend, default_backend, renderer
@@ -12,13 +12,14 @@ from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.configuration import assignments
 from orbit_core.distributions import missing_note
 from orbit_core.envs.actors import ACTORS, scripted_actor
-from orbit_core.envs.registry import task_entries, task_entry
+from orbit_core.envs.registry import TaskEntry, task_entries, task_entry
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
     from orbit_core.envs.environment import Environment
+    from orbit_core.envs.task import Task
 
 
 class ActorSource(Protocol):
@@ -86,27 +87,29 @@ def _source(name: str) -> ActorSource:
     raise UnknownNameError("actor or policy", name, names, note=registry.note)
 
 
-def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverged: bool = False) -> Environment:
+def make_environment(
+    settings: EnvironmentSettings,
+    num_envs: int,
+    reset_diverged: bool = False,
+    change: Callable[[Task], None] | None = None,
+) -> Environment:
     """Make the environment that the settings describe.
 
     Args:
         settings: of a command.
         num_envs: environments that are stepped together.
         reset_diverged: as of :class:`~orbit_core.envs.environment.Environment`.
+        change: changes the configured task, beyond what settings can say.
 
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
-    if settings.task is None:
-        names = ", ".join(sorted(task_entries())) or f"none is installed; {missing_note('orbit.tasks')}"
-        raise ConfigurationError(f"name a task: {names}")
-    entry = task_entry(settings.task)
+    _entry(settings)
     name = settings.backend or default_backend()
     backend(name)  # an unknown name is worth knowing before the task is built
     drawing = renderer(settings.renderer or name)
     import torch
 
-    from orbit_core.envs.configuration import configure
     from orbit_core.envs.making import make
 
     try:
@@ -119,22 +122,44 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
         # The layer's tensors are small: more threads gain nothing at 64 environments, and where the engine's own
         # threads or other programs hold the cores, waiting for each other makes them several times slower.
         torch.set_num_threads(1)
-    owners = f"task {entry.name}", f"backend '{name}'", f"renderer '{drawing.name}'"
-    fields = {**settings.fields, **assignments(settings.set, owners[0])}
-    own = {**settings.settings, **assignments(settings.setting, owners[1], "setting")}
-    looks = {**settings.renderer_settings, **assignments(settings.renderer_setting, owners[2], "setting")}
-    chosen = {"robot": settings.robot, "action": settings.action}
-    fields.update({key: value for key, value in chosen.items() if value is not None})
+    owners = f"backend '{name}'", f"renderer '{drawing.name}'"
+    own = {**settings.settings, **assignments(settings.setting, owners[0], "setting")}
+    looks = {**settings.renderer_settings, **assignments(settings.renderer_setting, owners[1], "setting")}
     own_matter = assignments(settings.matter_setting, "the matter solver", "setting")
     matter = {"matter": settings.matter, "matter_settings": {**settings.matter_settings, **own_matter}}
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
-    task = configure(entry.task_type(), fields)  # a field may bear the name of an argument of make
+    task = configured_task(settings)  # a field may bear the name of an argument of make
+    if change is not None:
+        change(task)
+    capture = settings.capture
+    return make(task, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged, capture=capture)
+
+
+def configured_task(settings: EnvironmentSettings) -> Task:
+    """Return the task that the settings describe, without an environment of it.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    from orbit_core.envs.configuration import configure
+
+    entry = _entry(settings)
+    fields = {**settings.fields, **assignments(settings.set, f"task {entry.name}")}
+    chosen = {"robot": settings.robot, "action": settings.action}
+    fields.update({key: value for key, value in chosen.items() if value is not None})
+    task = configure(entry.task_type(), fields)
     if settings.cameras:
         from orbit_core.mdp.sensing import with_cameras
 
         with_cameras(task, _camera_sizes(settings.cameras))
-    capture = settings.capture
-    return make(task, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged, capture=capture)
+    return task
+
+
+def _entry(settings: EnvironmentSettings) -> TaskEntry:
+    if settings.task is None:
+        names = ", ".join(sorted(task_entries())) or f"none is installed; {missing_note('orbit.tasks')}"
+        raise ConfigurationError(f"name a task: {names}")
+    return task_entry(settings.task)
 
 
 def _camera_sizes(words: Iterable[str]) -> dict[str, tuple[int, int]]:

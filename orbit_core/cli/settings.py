@@ -136,11 +136,7 @@ def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
         return
     if path.suffix != suffix:
         raise ConfigurationError(f"the name of output file {path} must end in {suffix}")
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"cannot write {path}: there is no folder {path.parent}")
-    # Tested now: a command should not fail after an hour of work.
-    if not os.access(path.parent, os.W_OK):
-        raise ConfigurationError(f"cannot write {path}: folder {path.parent} is read-only for this user")
+    check_parent(path)
     if path.is_dir():
         raise ConfigurationError(f"cannot write {path}: it is a folder")
     if path.exists() and not path.is_file():
@@ -148,6 +144,19 @@ def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
     if path.exists() and not overwrite:
         raise ConfigurationError(f"{path} is there already: give another name, or --overwrite")
     sweep(path.parent)
+
+
+def check_parent(path: Path) -> None:
+    """Reject the path of an output file or folder whose own folder is missing or read-only.
+
+    Raises:
+        ConfigurationError: it is; the message names the folder.
+    """
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"cannot write {path}: there is no folder {path.parent}")
+    # Tested now: a command should not fail after an hour of work.
+    if not os.access(path.parent, os.W_OK):
+        raise ConfigurationError(f"cannot write {path}: folder {path.parent} is read-only for this user")
 
 
 def make_folder(path: Path) -> None:

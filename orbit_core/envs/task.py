@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, field, fields
@@ -119,6 +120,8 @@ class TaskMetadata:
     """Fields by name that ``orbit train`` sets unless the command line sets them."""
     subtasks: tuple[Subtask, ...] = ()
     """Subtasks of a demonstration, in order (:mod:`orbit_data.augmentation`)."""
+    instruction: str = ""
+    """The task in words, as a person would ask for it; empty takes the task's name (:func:`instruction_of`)."""
 
 
 @dataclass(kw_only=True)
@@ -308,3 +311,14 @@ def _check_form(kind: type[Task]) -> None:
                 f"{name}(self, world) of task {kind.__name__} is now {name}(self, env): the world is env.world, what "
                 "the task remembers env.state"
             )
+
+
+def instruction_of(task: Task, name: str, given: str | None = None) -> str:
+    """Return a task in words, as a person would ask for it.
+
+    Args:
+        task: whose metadata may have the words.
+        name: name that the task was made by, whose words serve where there are none.
+        given: words that take precedence.
+    """
+    return given or task.metadata.instruction or re.sub(r"[-_]|(?<=[a-z])(?=[A-Z])", " ", name).lower()

@@ -164,6 +164,10 @@ class GripperOpening:
         positions = self._robot.joint_positions.index_select(1, self._joints)
         return ((positions - self._closed) / self._span).clamp(0.0, 1.0).mean(1)
 
+    def speed(self) -> Tensor:
+        """(N,) 1/s, at which it opens or closes: that of its fastest joint."""
+        return (self._robot.joint_velocities.index_select(1, self._joints) / self._span).abs().amax(1)
+
 
 def closing_time(world: World, agent: str = ROBOT) -> float:
     """Seconds in which the gripper closes from its open position at its joints' velocity limits.

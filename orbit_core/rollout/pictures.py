@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -148,7 +148,7 @@ def recorders() -> Registry[Callable[..., Recorder]]:
 def video_recorder(
     environment: Environment,
     path: Path | str,
-    environments: int = 4,
+    environments: int | Sequence[int] = 4,
     width: int = 400,
     height: int = 304,
     frames: bool = False,
@@ -158,7 +158,7 @@ def video_recorder(
     Args:
         environment: to film, from its task's own view.
         path: of the mp4 file.
-        environments: filmed side by side, the first ones.
+        environments: how many are filmed side by side, the first ones, or their numbers.
         width: pixels of each environment's picture, a multiple of 16.
         height: pixels, likewise.
         frames: draw axes at the robots' bases, end effectors, finger tips, feet and wheels.

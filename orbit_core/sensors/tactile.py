@@ -96,12 +96,13 @@ class TactileSensor(ContactSensor):
         return (255.0 * shade.clamp(0.0, 1.0)).round().to(torch.uint8)
 
     def _measure(self, env_ids: Tensor | None) -> Values:
-        values = super()._measure(env_ids)
         spec, pose = self._tactile, self._mount.pose(env_ids)
+        # Rays first: they end a stage of a traced step, over which forces, which share memory, could not be passed.
+        gaps = self._gaps(pose, env_ids)
+        values = super()._measure(env_ids)
         # Of the entities that filters name, or of all.
         on_link = values["filtered"][:, self._row].sum(1) if spec.filters else values["forces"][:, self._row]
         force = quat_rotate_inverse(pose[:, 3:], on_link)
-        gaps = self._gaps(pose, env_ids)
         pressing = (-force[:, 2]).clamp_min(0.0)
         tangent = force[:, :2]
         dragging = tangent.norm(dim=1)

@@ -58,6 +58,19 @@ def inserting(hand: Tensor, grasp: Tensor, offset: Tensor, rim: float, fit: floa
     return _with_carried(hand, grasp, closed, torch.where(seated, 8, carried), seated, 9)
 
 
+def lifting(hand: Tensor, grasp: Tensor, closed: Tensor) -> Tensor:
+    """(N,) int64 of four phases: above a thing, down, close; carry it.
+
+    Args:
+        hand: (N, 7) its pose now.
+        grasp: (N, 7) its pose around the thing as that is now.
+        closed: (N,) bool, whether the gripper holds.
+    """
+    return _with_carried(
+        hand, grasp, closed, torch.full_like(closed, 3, dtype=torch.int64), torch.zeros_like(closed), 3
+    )
+
+
 def following(phases: Sequence[Tensor], done: Tensor, count: int) -> Tensor:
     """(N,) int64 among the phases of all things, ``count`` each: that of the first thing that is not ``done``.
 

@@ -17,6 +17,7 @@ from orbit_core.scene import (
     AmbientLight,
     CameraSpec,
     DirectionalLight,
+    Finish,
     HeightField,
     Plane,
     Pose,
@@ -90,9 +91,14 @@ def test_a_robot_keeps_its_drives_and_home(tmp_path: Path):
 
 def test_what_a_file_cannot_hold_is_told(tmp_path: Path):
     field = Shape(HeightField(np.zeros((3, 3)), (1.0, 1.0)), name="hill")
-    scene = Scene(objects=(cabinet(),), terrain=(field,), sensors=(CameraSpec(name="eye"),))
+    shiny = box("shiny", (0.1, 0.1, 0.1))
+    shapes = tuple(replace(shape, finish=Finish(roughness=0.2)) for shape in shiny.articulation.root.visuals)
+    links = (replace(shiny.articulation.root, visuals=shapes),)
+    shiny = replace(shiny, articulation=replace(shiny.articulation, links=links))
+    scene = Scene(objects=(cabinet(), shiny), terrain=(field,), sensors=(CameraSpec(name="eye"),))
     lost = " ".join(write_usd_scene(scene, tmp_path / "scene.usda"))
     assert "1 sensors are left out: eye" in lost
+    assert "shiny: finishes of surfaces are left out" in lost
     assert "height fields are written as meshes" in lost
     with pytest.raises(AssetError, match="name it"):
         write_usd_scene(scene, tmp_path / "scene.toml")

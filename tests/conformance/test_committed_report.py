@@ -16,7 +16,7 @@ from orbit_conformance.results import Result, load
 from orbit_conformance.scenarios import SCENARIOS
 from orbit_conformance.tolerances import loose_tolerances
 
-ROBOTS = [name for name in robot_names() if not name.startswith("maniskill_")]
+ROBOTS = [name for name in robot_names() if not name.startswith(("maniskill_", "so101"))]
 ENGINES = ("bullet", "mujoco", "sapien", "warp")
 MATTER_TASKS = (
     "Cloth-Dropping", "Cloth-Folding", "Cloth-Lifting", "Cloth-Spreading", "Flag-Hoisting", "Rope-Reshaping"

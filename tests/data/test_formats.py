@@ -8,6 +8,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pyarrow
 import pyarrow.parquet
 import pytest
 
@@ -59,8 +60,11 @@ def test_the_folder_is_what_lerobots_documentation_says(lerobot: Path) -> None:
     assert info["splits"] == {"train": "0:8"}
     assert info["features"]["action"] == {"dtype": "float32", "shape": [8], "names": None}
     state = info["features"]["observation.state"]
-    assert state["shape"] == [39]
-    assert state["names"][0] == "cube_pose.0"
+    assert state["shape"] == [18]
+    assert state["names"][0] == "joint_positions.0"
+    seen = info["features"]["observation.environment_state"]
+    assert seen["shape"] == [21]
+    assert seen["names"][0] == "cube_pose.0"
     assert not [name for name in info["features"] if "/" in name]
     data = pyarrow.parquet.read_table(lerobot / info["data_path"].format(chunk_index=0, file_index=0))
     assert {*data.column_names} == {*info["features"]}
@@ -89,6 +93,78 @@ def test_the_way_to_lerobot_and_back_loses_nothing_that_it_holds(path: Path, ler
             assert {*after} == {n for n in before if n.startswith("obs/")} | {"actions", "rewards", "dones", "states"}
             for name, array in after.items():
                 np.testing.assert_array_equal(array, before[name], err_msg=name)
+
+
+def test_each_episode_keeps_its_words_in_every_format(tmp_path: Path) -> None:
+    told = ["lift the cube", "open the drawer", "lift the cube", ""]
+    episodes = [replace(pictured(i), info=EpisodeInfo(i, 7, instruction=words)) for i, words in enumerate(told)]
+    write_lerobot(tmp_path / "words", [replace(e, arrays=numbers(e)) for e in episodes], None, 50.0)
+    info = json.loads((tmp_path / "words/meta/info.json").read_text())
+    assert info["total_tasks"] == 3
+    data = pyarrow.parquet.read_table(tmp_path / "words/data/chunk-000/file-000.parquet")
+    assert data["task_index"].to_pylist()[::7] == [0, 1, 0, 2]
+    with opened(tmp_path / "words") as dataset:
+        assert [each.instruction for each in dataset.episodes] == told
+        assert dataset.instructions == ["lift the cube", "open the drawer", "words"]
+        write_dataset(tmp_path / "words.hdf5", map(dataset.read, range(4)), None)
+    with opened(tmp_path / "words.hdf5") as dataset:
+        assert [each.instruction for each in dataset.episodes] == told
+    # A dataset of another program states the words in its own files only.
+    (tmp_path / "words/meta/orbit_episodes.json").unlink()
+    with opened(tmp_path / "words") as dataset:
+        assert [each.instruction for each in dataset.episodes] == [*told[:3], "words"]
+
+
+def test_disturbed_episodes_keep_what_was_chosen_and_what_was_executed(tmp_path: Path) -> None:
+    episode = pictured(3)
+    arrays = {**numbers(episode), "clean_actions": np.full((7, 2), 0.9, np.float32)}
+    assert write_lerobot(tmp_path / "a", [replace(episode, arrays=arrays)], None, 50.0) == set()
+    data = pyarrow.parquet.read_table(tmp_path / "a/data/chunk-000/file-000.parquet")
+    np.testing.assert_allclose(data["action"].to_pylist(), arrays["clean_actions"])
+    read = LeRobotDataset(tmp_path / "a").read(0).arrays
+    np.testing.assert_array_equal(read["clean_actions"], arrays["clean_actions"])
+    np.testing.assert_array_equal(read["actions"], arrays["actions"])
+
+
+def numbers(episode: Episode) -> dict[str, np.ndarray]:
+    return {name: array for name, array in episode.arrays.items() if name != "obs/front"}
+
+
+def test_words_of_a_task_that_are_too_long_or_too_many_are_refused(tmp_path: Path) -> None:
+    episode = pictured(0)
+    write_lerobot(tmp_path / "a", [replace(episode, arrays=numbers(episode))], None, 50.0)
+    tasks = tmp_path / "a/meta/tasks.parquet"
+    for words, message in ((["x" * 2_000], "2,000 characters"), (["x"] * 20_000, "20,000 texts")):
+        index = pyarrow.array(range(len(words)), pyarrow.int64())
+        pyarrow.parquet.write_table(pyarrow.table({"task_index": index, "task": words}), tasks)
+        with pytest.raises(ConfigurationError, match=message):
+            LeRobotDataset(tmp_path / "a")
+
+
+def test_a_dataset_goes_on_without_encoding_its_pictures_again(tmp_path: Path) -> None:
+    pytest.importorskip("av", reason="the capability is videos in datasets, which needs PyAV")
+    told = [EpisodeInfo(number, 7, instruction=f"task {number % 2}") for number in range(5)]
+    episodes = [replace(pictured(info.number), info=info) for info in told]
+    write_lerobot(tmp_path / "half", episodes[:3], None, 50.0)
+    write_lerobot(tmp_path / "whole", episodes, None, 50.0)
+    first = LeRobotDataset(tmp_path / "half")
+    write_lerobot(tmp_path / "on", episodes[3:], None, 50.0, first)
+    film = "videos/observation.images.front/chunk-000/file-000.mp4"
+    assert (tmp_path / "on" / film).samefile(tmp_path / "half" / film)
+    on, whole = LeRobotDataset(tmp_path / "on"), LeRobotDataset(tmp_path / "whole")
+    assert on.episodes == whole.episodes
+    for place in range(5):
+        for name, array in whole.read(place).arrays.items():
+            near = np.abs(on.read(place).arrays[name].astype(float) - array.astype(float))
+            assert near.max() <= 2, name
+    stats = [json.loads((tmp_path / name / "meta/stats.json").read_text()) for name in ("on", "whole")]
+    assert stats[0].keys() == stats[1].keys()
+    for name, table in stats[0].items():
+        for kind, values in table.items():
+            np.testing.assert_allclose(values, stats[1][name][kind], atol=1e-6, err_msg=f"{name} {kind}")
+    (rows, _), (others, _) = on.index(), whole.index()
+    assert [row.keys() for row in rows] == [row.keys() for row in others]
+    assert rows[4]["videos/observation.images.front/file_index"] == 1
 
 
 def test_pictures_become_video_and_pictures_again(tmp_path: Path) -> None:
@@ -148,6 +224,37 @@ def test_the_command_converts_filters_splits_merges_and_tells(path: Path, tmp_pa
     ):
         assert main(words) == 2
         assert message in capsys.readouterr().err
+
+
+def test_datasets_of_several_tasks_are_put_together_with_their_words(path: Path, tmp_path: Path, capsys) -> None:
+    made = make("Reach", 2, BACKEND, episode_length=0.02 * STEPS)
+    reach = tmp_path / "reach.hdf5"
+    told = "touch the marker"
+    record(made, lambda: scripted_actor("expert", made, 0), RecordingFile(reach), "Reach", 2, 0, instruction=told)
+    made.close()
+    both = tmp_path / "both"
+    assert main(["data", "merge", str(path), str(reach), "--output", str(both)]) == 2
+    assert "not of one kind" in capsys.readouterr().err
+    assert main(["data", "merge", str(path), str(reach), "--output", str(both), "--shared"]) == 0
+    assert json.loads((both / "meta/info.json").read_text())["total_tasks"] == 2
+    with opened(both) as dataset, opened(path) as lift:
+        assert dataset.known().task == "Lift, Reach"
+        assert [each.instruction for each in dataset.episodes] == ["Lift"] * 8 + [told] * 2
+        terms = {*dataset.known().observations["policy"].terms}
+        assert {"joint_positions", "joint_velocities", "last_action"} <= terms
+        assert "cube_pose" not in terms
+        arrays = dataset.read(0).arrays
+        assert {*arrays} == {f"obs/{term}" for term in terms} | {"actions", "rewards", "dones"}
+        np.testing.assert_array_equal(arrays["actions"], lift.read(0).arrays["actions"])
+    other = make("Reach", 2, BACKEND, robot="ur10", episode_length=0.02 * STEPS)
+    ur10 = tmp_path / "ur10.hdf5"
+    record(other, lambda: scripted_actor("zero", other, 0), RecordingFile(ur10), "Reach", 2, 0)
+    other.close()
+    words = ["data", "merge", str(path), str(ur10), "--output", str(tmp_path / "no"), "--shared"]
+    assert main(words) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "share no robot or action" in told
+    assert "action_terms" in told
 
 
 def test_datasets_of_two_kinds_do_not_merge(path: Path, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -18,6 +18,7 @@ from orbit_core.backends import default_backend
 from orbit_core.envs import Environment, TerminationTerm, make
 from orbit_core.envs.actors import Actor, scripted_actor
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_data.formats import opened
 from orbit_data.hdf5 import Hdf5Dataset
 from orbit_data.manifest.manifest import Manifest, check_manifest
 from orbit_data.recording import RecordingFile, record
@@ -158,6 +159,39 @@ def test_a_recording_that_was_cut_off_goes_on_to_the_same_episodes(
     assert sorted(info.number for info in longer.episodes) == [0, 1, 2, 3, 4, 5, 6, 7, 8]
     resumed.close()
     longer.close()
+
+
+def test_a_recording_of_lerobots_goes_on_and_grows(
+    environment: Environment, dataset: Hdf5Dataset, tmp_path: Path
+) -> None:
+    path = tmp_path / "lift"
+    file = RecordingFile(path)
+    with pytest.raises(KeyboardInterrupt):
+        record(environment, lambda: _Interrupted(environment, STEPS + 5), file, "Lift", 6, SEED)
+    assert not path.exists()
+    assert len(file.infos()) == 4
+    for episodes in (6, 9):
+        file = RecordingFile(path)
+        record(environment, lambda: scripted_actor("expert", environment, SEED), file, "Lift", episodes, SEED)
+        assert {"poses/cube", "next_obs/goal", "initial/Lift.goal"} <= file.left_out
+    with opened(path) as grown:
+        assert sorted(info.number for info in grown.episodes) == [*range(9)]
+        assert {each.instruction for each in grown.episodes} == {""}
+        whole = {info.number: dataset.read(i) for i, info in enumerate(dataset.episodes)}
+        for place, info in enumerate(grown.episodes):
+            if info.number in whole:
+                for name, array in grown.read(place).arrays.items():
+                    np.testing.assert_allclose(array, whole[info.number].arrays[name], atol=1e-5, err_msg=name)
+    assert {each.name for each in tmp_path.iterdir()} == {"lift"}
+
+
+def test_a_rate_that_lerobot_cannot_hold_is_told_before_anything_is_recorded(
+    environment: Environment, tmp_path: Path
+) -> None:
+    manifest = replace(Manifest.of(environment, "Lift", SEED), step_dt=0.03)
+    with pytest.raises(ConfigurationError, match="whole number of steps per second"):
+        RecordingFile(tmp_path / "lift").take_up(manifest)
+    RecordingFile(tmp_path / "lift.hdf5").take_up(manifest)
 
 
 def test_another_environment_does_not_go_on_with_it(dataset: Hdf5Dataset) -> None:

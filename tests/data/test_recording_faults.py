@@ -20,6 +20,7 @@ from orbit_core.envs import Environment, make
 from orbit_core.envs.actors import Actor, scripted_actor
 from orbit_core.interfaces import ConfigurationError, StorageError
 from orbit_data.episodes import Episode, EpisodeInfo
+from orbit_data.formats import opened
 from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
 from orbit_data.manifest.manifest import Manifest
 from orbit_data.recording import PartFolder, RecordingFile, record
@@ -93,6 +94,14 @@ def in_a_child(work) -> int:
     return child
 
 
+def all_episodes(file: RecordingFile) -> Iterator[Episode]:
+    """Every episode of a recording, gathered or not."""
+    if file.path.exists():
+        with opened(file.path) as dataset:
+            yield from map(dataset.read, range(len(dataset.episodes)))
+    yield from file.parts.read()
+
+
 def test_a_kill_at_random_moments_loses_no_finished_episode(manifest: Manifest, tmp_path: Path) -> None:
     """The child tells each episode that is written; every so often it gathers all into the one file."""
     file = RecordingFile(tmp_path / "x.hdf5")
@@ -104,8 +113,7 @@ def test_a_kill_at_random_moments_loses_no_finished_episode(manifest: Manifest, 
             file.parts.begin(manifest)
             for number in range(begin, begin + 10_000):
                 if number % 5 == 0 and number > begin:
-                    write_hdf5(file.path, file._episodes(), manifest)
-                    file.parts.remove()
+                    file.gather()
                     file.parts.begin(manifest)
                 file.parts.add(*synthetic(number))
                 os.write(writer, number.to_bytes(4, "little"))
@@ -124,7 +132,7 @@ def test_a_kill_at_random_moments_loses_no_finished_episode(manifest: Manifest, 
         numbers = sorted(info.number for info in file.infos().values())
         assert numbers == [*range(len(numbers))]
         assert len(numbers) >= (finished[-1] + 1 if finished else begun)
-        for episode in file._episodes():
+        for episode in all_episodes(file):
             assert (episode.arrays["actions"] == episode.info.number).all()
         begun = len(numbers)
         gathered += file.path.exists()
@@ -150,17 +158,17 @@ def synthetic_recording(file: RecordingFile, manifest: Manifest, numbers: range,
 
 def kept(path: Path) -> list[int]:
     """Numbers of the episodes in a dataset's file."""
-    dataset = Hdf5Dataset(path)
-    dataset.close()
-    return [info.number for info in dataset.episodes]
+    with opened(path) as dataset:
+        return [info.number for info in dataset.episodes]
 
 
+@pytest.mark.parametrize("name", ["x.hdf5", "x"])
 def test_a_kill_at_any_moment_of_overwriting_leaves_the_old_dataset_or_the_new_one(
-    manifest: Manifest, tmp_path: Path
+    name: str, manifest: Manifest, tmp_path: Path
 ) -> None:
     """What was there, a finished dataset and a recording that was cut off, is there until the new one is whole."""
     folder, found = tmp_path / "here", set()
-    path = folder / "x.hdf5"
+    path = folder / name
 
     def prepare() -> None:
         shutil.rmtree(folder, ignore_errors=True)
@@ -180,7 +188,7 @@ def test_a_kill_at_any_moment_of_overwriting_leaves_the_old_dataset_or_the_new_o
         if now == (0, 1):
             # Either the old recording goes on, or the new one with the episodes that it finished.
             assert going_on == [0, 1, 2] or going_on == [*range(10, 10 + len(going_on))]
-            aside = [*folder.glob("x.hdf5.parts.replaced-*")]
+            aside = [*folder.glob(f"{name}.parts.replaced-*")]
             assert bool(aside) == (going_on != [0, 1, 2])
             synthetic_recording(RecordingFile(path), manifest, range(10, 14) if aside else range(3, 3))
             assert kept(path) == ([10, 11, 12, 13] if aside else [0, 1, 2])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, make_dataclass, replace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -36,6 +37,7 @@ from orbit_core.scene import (
     RayCasterSpec,
     Scene,
     SensorSpec,
+    TactileSpec,
     look_at,
 )
 from orbit_core.sensors.rays import grid_pattern
@@ -191,6 +193,10 @@ def test_without_a_compiler_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch)
         make("Reach", 1, BACKEND, compile=True)
 
 
+# A pad under a foot, facing down.
+_SOLE = Pose.from_euler(np.pi, 0.0, 0.0, (0.0, 0.0, -0.022))
+
+
 @dataclass(kw_only=True)
 class Sensing(VelocityFlat):
     """All that a robot may sense, late, wrong and at rates of their own, and drives that obey late."""
@@ -209,6 +215,7 @@ class Sensing(VelocityFlat):
             JointSensorSpec(name="encoders", entity="robot", rate=100.0, delay=0.01, noise=noise),
             FrameSensorSpec(name="base", entity="robot", frame="base", noise=noise),
             scan,
+            TactileSpec(name="pad", entity="robot", frame="LF_FOOT", pose=_SOLE, taxels=(4, 4), rate=50.0, noise=noise),
         ]
         if self.camera:
             view = Pose((0.3, 0.0, 0.1)) @ look_at((0.0, 0.0, 0.0), (1.0, 0.0, -0.5))
@@ -227,7 +234,8 @@ def _late(group: ActuatorConfig) -> IdealPd:
 
 def _read(name: str, *values: str) -> ObservationTerm:
     def read(env: Environment) -> Tensor:
-        return torch.cat([getattr(env.world.sensors[name], value).flatten(1).nan_to_num() for value in values], 1)
+        found = [getattr(env.world.sensors[name], value) for value in values]
+        return torch.cat([each.view(len(each), -1).nan_to_num() for each in found], 1)
 
     return ObservationTerm(read)
 
@@ -245,6 +253,7 @@ def sensing(**changes: object) -> Sensing:
         "forces": _read(CONTACTS, "forces"),
         "frame": _read("base", "pose", "velocity"),
         "scan": _read("scan", "distances", "normals"),
+        "pad": _read("pad", "normal_forces", "shear_forces", "slip"),
         **({"camera": ObservationTerm(_seen)} if task.camera else {}),
     }
     fields = [(name, ObservationTerm, term) for name, term in terms.items()]

@@ -15,9 +15,10 @@ from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
 from orbit_data.hdf5 import Hdf5Dataset
 from orbit_learn.cli.trained import PlaySettings, restore
+from orbit_learn.cloning.corrections import gather_corrections
 from orbit_learn.cloning.encoding import FINE, Encoding, Labels, encoding_for
 from orbit_learn.cloning.networks import ClonedRecurrent, ClonedTransformer, Planner
 from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer, shifted
@@ -222,7 +223,7 @@ def test_a_training_goes_on_where_it_was_cut_off(demos: Path, environment: Envir
         ("--library imitation", "give --dataset"),
         ("--library imitation --dataset nowhere.hdf5", "nowhere.hdf5"),
         ("--library imitation --algorithm bcc --dataset {demos}", "did you mean 'bc'"),
-        ("--library imitation --teacher expert --dataset {demos}", "takes no --teacher"),
+        ("--library imitation --distillation batch_size=3 --dataset {demos}", "takes no --distillation"),
         ("--library rsl-rl --dataset {demos}", "takes no --dataset"),
         (
             "--library imitation --dataset {demos} --imitation chunk=4 --imitation executed=8",
@@ -275,3 +276,72 @@ def test_playing_shows_a_policy_the_pictures_that_it_learned_from() -> None:
     other = restore(PlaySettings(policy=Path("p"), cameras=("front:64x64",)), record, "Lift")
     assert other.settings.cameras == ("front:64x64",)
     assert any("cameras" in line for line in other.differences)
+
+
+class Still(torch.nn.Module):
+    """A student that asks for nothing."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self._size = size
+
+    def forward(self, observation: Tensor) -> Tensor:
+        return observation.new_zeros(len(observation), self._size)
+
+
+def test_a_teacher_is_learned_from_where_it_leads_and_nowhere_else(environment: Environment) -> None:
+    taken: list[tuple[Tensor, Tensor]] = []
+    step = environment.step
+
+    def told(seen: dict[str, Tensor]) -> Tensor:
+        taken.append((seen["policy"].clone(), torch.full((4, environment.action_size), 0.1)))
+        return taken[-1][1]
+
+    still = Still(environment.action_size)
+    found = gather_corrections(environment, told, still, 7)
+    assert len(taken) == environment.max_episode_steps
+    length = torch.diff(found.ends.unique(), prepend=torch.tensor([-1]))
+    assert int(length.sum()) == found.steps == len(found.ends)
+    # Each stretch is the last of its environment's episode, as it was seen.
+    for env, (end, count) in enumerate(zip(found.ends.unique().tolist(), length.tolist(), strict=True)):
+        shown = torch.stack([seen[env] for seen, _ in taken[-count:]])
+        torch.testing.assert_close(found.observed(torch.arange(end - count + 1, end + 1)), shown)
+    assert (found.actions == 0.1).all()
+    whole = gather_corrections(environment, told, None, 7)
+    assert whole.steps == 4 * environment.max_episode_steps
+    again = gather_corrections(environment, told, still, 7)
+    torch.testing.assert_close(again.observation, found.observation)
+    assert environment.step == step
+
+
+def test_a_policy_is_corrected_by_the_expert_and_goes_on_with_its_corrections(
+    environment: Environment, tmp_path: Path
+) -> None:
+    settings = replace(QUICK, iterations=3, teacher="expert", rounds=2, evaluate_every=3)
+    trainer = ImitationTrainer(environment, settings, tmp_path / "whole", 0)
+    begun = trainer._demonstrations.steps
+    assert begun == 4 * environment.max_episode_steps
+    Training(trainer, "Reach", {}).run(3, 1, lambda progress: None)
+    assert len(trainer._corrections) == 2
+    resumed = ImitationTrainer(environment, settings, tmp_path / "whole", 0)
+    for name in ("policy_2.safetensors", "checkpoint_2.safetensors"):
+        (tmp_path / "whole" / name).unlink()
+    Training(resumed, "Reach", {}).run(3, 1, lambda progress: None, resume=True)
+    assert len(resumed._corrections) == 2
+    assert resumed._demonstrations.steps == trainer._demonstrations.steps > begun
+    torch.testing.assert_close(resumed._corrections[0].actions, trainer._corrections[0].actions)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"teacher": "exprt"}, "exprt"),
+        ({"teacher": "expert", "rounds": 0}, "'rounds' is at least 1, not 0"),
+        ({}, "give --dataset FILE .* or --teacher expert"),
+    ],
+)
+def test_teachers_that_are_none_are_told(
+    settings: dict, message: str, environment: Environment, tmp_path: Path
+) -> None:
+    with pytest.raises(OrbitError, match=message):
+        ImitationTrainer(environment, replace(QUICK, **settings), tmp_path, 0)

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
+from torch import Tensor
 
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
+from orbit_core.cli.making import configured_task
+from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.envs import Environment, Task
 from orbit_core.interfaces import ConfigurationError
+from orbit_learn.evaluation.disturbances import LEVELS, Disturbance
 from orbit_learn.evaluation.page import page
 from orbit_learn.evaluation.results import BASE, Block, BlockKey, Plan, ResultFile, read_results
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
+from orbit_learn.remote.client import ServerAddress
 
 PLAN = Plan("Lift", ("one", "two"), ("mujoco",), {BASE: ()}, (0,), 4)
 
@@ -57,11 +65,23 @@ def test_results_of_other_starts_are_not_paired() -> None:
 def test_variance_goes_to_what_success_depends_on() -> None:
     by_policy = [block("one", "1111"), block("two", "0000")]
     assert variance_shares(by_policy) == pytest.approx(
-        {"start": 0.0, "policy": 1.0, "engine": 0.0, "variant": 0.0, "together and chance": 0.0}
+        {"start": 0.0, "policy": 1.0, "training": 0.0, "engine": 0.0, "variant": 0.0, "together and chance": 0.0}
     )
     by_start = [block("one", "1010"), block("two", "1010")]
     assert variance_shares(by_start)["start"] == pytest.approx(1.0)
     assert variance_shares([block("one", "1111")]) == {}
+
+
+def test_variance_of_trainings_is_apart_from_that_of_their_recipe() -> None:
+    blocks = [block("a0", "1111"), block("a1", "0000"), block("b0", "1100"), block("b1", "1100")]
+    recipes = {"a0": "a", "a1": "a", "b0": "b", "b1": "b"}
+    shares = variance_shares(blocks, recipes)
+    # Both recipes succeed in half; the trainings of a differ by all, those of b by nothing.
+    assert shares["policy"] == pytest.approx(0.0)
+    assert shares["training"] == pytest.approx(0.5)
+    assert variance_shares(blocks)["policy"] == pytest.approx(0.5)
+    text = page(replace(PLAN, policies=tuple(recipes), recipes=recipes), blocks)
+    assert "a: 2 trainings, 50.0 % in the mean, from 0.0 to 100.0 %" in text
 
 
 def test_failures_are_named_by_what_has_not_happened() -> None:
@@ -141,8 +161,95 @@ def test_the_command_evaluates_once_and_then_reads(tmp_path: Path, capsys: pytes
         ("reach --variant slippery:fricton=1", "fricton"),
         ("reach --backend nowhere", "nowhere"),
         ("reach --episodes 0", "episodes"),
+        ("reach --axis ligth", "did you mean 'light'"),
+        ("reach --axis start:4", "with a level of 1 to 3"),
+        ("reach --axis start --axis start:2", "named twice among --axis and --variant"),
+        ("reach --axis camera", "policy of task Reach sees none"),
+        ("reach --axis language", "'reach' reads none"),
+        ("reach --videos 10", "videos must be from 0 to 9"),
     ],
 )
 def test_bad_calls_are_told(words: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", *words.split(), "--output", str(tmp_path)]) != 0
     assert told in " ".join(capsys.readouterr().err.split())
+
+
+def pictured() -> Task:
+    return configured_task(EnvironmentSettings(task="Lift", cameras=("front:32x24",)))
+
+
+def picture_of(environment: Environment) -> Tensor:
+    seen, _ = environment.reset(3)
+    group = seen["policy"]
+    assert isinstance(group, dict)
+    return next(value for value in group.values() if value.dim() == 4).float()
+
+
+def test_disturbances_of_pictures_change_them_more_at_higher_levels_and_the_start_not_at_all() -> None:
+    environment = Environment(pictured(), 1, default_backend())
+    plain, start = picture_of(environment), environment.world.robots["robot"].joint_positions.clone()
+    changes: dict[str, list[float]] = {}
+    for axis in ("texture", "appearance"):
+        for level in LEVELS:
+            Disturbance(axis, level).apply(environment)
+            changes.setdefault(axis, []).append(float((picture_of(environment) - plain).abs().mean()))
+        environment.world.robots["robot"].set_colors(
+            torch.ones(1, len(environment.world.robots["robot"].link_names), 3)
+        )
+    environment.close()
+    for axis in ("light", "camera"):
+        for level in (1, 3):
+            task = pictured()
+            Disturbance(axis, level).prepare(task)
+            other = Environment(task, 1, default_backend())
+            changes.setdefault(axis, []).append(float((picture_of(other) - plain).abs().mean()))
+            torch.testing.assert_close(other.world.robots["robot"].joint_positions, start)
+            other.close()
+    assert all(min(found) > 0.5 for found in changes.values()), changes
+    for axis in ("texture", "light", "camera"):
+        assert changes[axis] == sorted(changes[axis]), changes
+
+
+def test_the_axis_of_starts_spreads_the_joints() -> None:
+    spreads = []
+    for level in LEVELS:
+        task = configured_task(EnvironmentSettings(task="Lift"))
+        Disturbance("start", level).prepare(task)
+        environment = Environment(task, 32, default_backend())
+        environment.reset(0)
+        robot = environment.world.robots["robot"]
+        spreads.append(float((robot.joint_positions - robot.home_positions).abs().max()))
+        environment.close()
+    assert spreads == sorted(spreads)
+    assert 0.05 < spreads[0] <= 0.151
+    task = configured_task(EnvironmentSettings(task="Lift"))
+    task.events = None
+    with pytest.raises(ConfigurationError, match="task Lift lacks"):
+        Disturbance("start", 1).prepare(task)
+
+
+def test_the_axis_of_language_rewords_the_prompt_and_keeps_the_rest_of_the_address() -> None:
+    environment = Environment(configured_task(EnvironmentSettings(task="Reach")), 1, default_backend())
+    told = Disturbance("language", 1).reword("ws://127.0.0.1:8000/?observation/state=goal&prompt=go+there", environment)
+    address = ServerAddress.parse(told)
+    assert (address.prompt, address.keys) == ("please go there", (("observation/state", ("goal",)),))
+    told = Disturbance("language", 2).reword("ws://127.0.0.1:8000", environment)
+    assert ServerAddress.parse(told).prompt == "the job of the robot: move the hand to the goal, nothing more"
+    environment.close()
+
+
+def test_failures_are_filmed_and_shown_by_their_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("av", reason="the capability is videos, which need PyAV")
+    words = f"evaluate still=zero --task Reach --backend {default_backend()} --episodes 3 --jobs 1 --videos 2"
+    words += f" --set episode_length=0.2 --axis start:2 --output {tmp_path}"
+    assert main(words.split()) == 0
+    text = (tmp_path / "index.html").read_text()
+    films = re.findall(r'src="(failures/\d.mp4)"', text)
+    assert films
+    assert all((tmp_path / film).stat().st_size > 1000 for film in films)
+    assert "2 of 2 failed again" in text
+    plan, blocks = read_results(tmp_path / "results.jsonl")
+    assert plan.recipe("zero") == "still"
+    assert [block.key.variant for block in blocks] == [BASE, "start 2"]
+    assert "begins differently" not in text
+    capsys.readouterr()

@@ -8,25 +8,32 @@ import pty
 import struct
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
+from torch import Tensor
 
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.envs import Environment, make
+from orbit_core.envs.actors import Actor, scripted_actor
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_data.formats import opened, write_dataset
 from orbit_data.hdf5 import Hdf5Dataset
 from orbit_data.recording import RecordingFile
 from orbit_data.teleoperation.browser import Browser
 from orbit_data.teleoperation.device import FARTHEST, MOST_EVENTS, Device, DeviceLostError, Event, Reading, Speeds
 from orbit_data.teleoperation.devices import Gamepad, Keyboard, SpaceMouse, open_device
 from orbit_data.teleoperation.driver import Driver
+from orbit_data.teleoperation.intervention import Intervention
 from orbit_data.teleoperation.session import Session
+from orbit_learn.cloning.demonstrations import load_demonstrations
 
 BACKEND = default_backend()
 SPEEDS = Speeds()
@@ -325,3 +332,49 @@ def test_the_command_serves_its_page_and_leaves_nothing(
         assert main([*words, "--device", "keyboard"]) == 2
     assert "standard input is not one" in capsys.readouterr().err
     assert [*tmp_path.iterdir()] == []
+
+
+def test_a_person_corrects_a_policy_and_only_the_corrections_are_learned_from(
+    environment: Environment, tmp_path: Path
+) -> None:
+    path, still = tmp_path / "corrected.hdf5", Reading(twist=(0.0,) * 6)
+    patience = round(1.0 / environment.step_dt)
+    begin, save = Reading(events=(Event.RECORD,)), Reading(events=(Event.SAVE,))
+    # The policy, the person, a pause that is short enough, the person again, and the policy after a long pause.
+    led = [False] * 10 + [True] * 20 + [True] * 10 + [True] * 20 + [True] * (patience - 1) + [False] * 11
+    stream = [still] * 9 + [UP] * 20 + [still] * 10 + [UP] * 20 + [still] * (patience - 1 + 11)
+    device, file = Played(begin, *stream, save, still), RecordingFile(path)
+    policy = partial(scripted_actor, "expert", environment, 0)
+    session = Session(environment, Driver(environment), device, "gamepad", file, "Lift", 2, make_policy=policy)
+    for expected in led:
+        session.step(session.act())
+        assert session.information()["led by"] == ("you" if expected else "the policy")
+    session.act()
+    assert session.close() == 1
+    with opened(path) as dataset:
+        assert dataset.episodes[0].taught == sum(led)
+        assert dataset.read(0).arrays["taught"].tolist() == led
+        write_dataset(tmp_path / "lerobot", [dataset.read(0)], dataset.manifest)
+    for each in (path, tmp_path / "lerobot"):
+        shown = load_demonstrations(each, environment, False)
+        assert shown.steps == sum(led)
+        assert shown.ends.unique().tolist() == [sum(led) - 1]
+
+
+def test_a_person_takes_over_with_the_gripper_as_the_policy_left_it(environment: Environment) -> None:
+    class Closing(Actor):
+        """Closes the gripper."""
+
+        def act(self) -> Tensor:
+            return -torch.ones(1, environment.action_size)
+
+    environment.reset(0)
+    driver = Driver(environment)
+    intervention = Intervention(environment, driver, Closing)
+    for _ in range(3):
+        environment.step(intervention.act(Reading()))
+    intervention.act(UP)
+    assert driver.hand is not None
+    assert not driver.hand.gripper_open
+    intervention.act(Reading(events=(Event.GRIPPER,)))
+    assert driver.hand.gripper_open

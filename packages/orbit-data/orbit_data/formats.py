@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.files import as_path, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.card import CARD, card, check_card, write_card
-from orbit_data.episodes import Dataset, Episode
+from orbit_data.episodes import ACTIONS, DONES, NEXT, OBSERVED, REWARDS, TAUGHT, Dataset, Episode
 from orbit_data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
-from orbit_data.lerobot import LeRobotDataset, check_replaceable, write_lerobot
+from orbit_data.lerobot import INFO, LeRobotDataset, check_replaceable, write_lerobot
+from orbit_data.lerobot import check_recordable as check_lerobot
 from orbit_data.manifest.manifest import Kind, Manifest, differences
+from orbit_data.noise import CLEAN
 from orbit_data.reading.budget import TRUSTED, ReadBudget
+from orbit_data.reading.hdf5 import hdf5_module
+from orbit_data.reading.parquet import arrow_modules
 from orbit_data.zarr_reader import SUFFIXES as ZARR
 from orbit_data.zarr_reader import ZarrDataset, is_zarr
 
@@ -83,13 +90,73 @@ def write_dataset(
     step_rate = rate if manifest is None else 1.0 / manifest.step_dt
     if step_rate is None:
         raise ConfigurationError("the number of steps per second is unknown: give --rate, which LeRobot needs")
+    return _write_folder(path, episodes, manifest, step_rate, None)
+
+
+def _write_folder(
+    path: Path, episodes: Iterable[Episode], manifest: Manifest | None, rate: float, continued: LeRobotDataset | None
+) -> set[str]:
     # The path behind a link, so that the link stays and its target is replaced.
     with written_whole(path.resolve()) as written:
-        left_out = write_lerobot(written, episodes, manifest, step_rate)
+        left_out = write_lerobot(written, episodes, manifest, rate, continued)
         with opened(written, TRUSTED) as dataset:
             (written / CARD).write_text(card(dataset), encoding="utf-8")
         check_replaceable(path)  # again, because a person may have put something there in the meantime
     return left_out
+
+
+def gather_dataset(path: Path, episodes: Iterable[Episode], manifest: Manifest, size: int, continued: bool) -> set[str]:
+    """Write the episodes of a recording, in its format, with their card.
+
+    Args:
+        path: path of the file or folder, which is replaced once the new one is complete.
+        episodes: episodes in their order.
+        manifest: manifest of the environment.
+        size: estimate of the episodes' bytes.
+        continued: whether the episodes of the dataset that is there come first.
+
+    Returns:
+        Names of arrays that the format cannot store.
+
+    Raises:
+        StorageError: the disk is full, or the folder cannot be written.
+    """
+    if path.suffix not in _SUFFIXES:
+        # Pictures of earlier episodes are linked, not encoded again.
+        before = LeRobotDataset(path, TRUSTED) if continued else None
+        return _write_folder(path, episodes, manifest, 1.0 / manifest.step_dt, before)
+    if continued:
+        size += path.stat().st_size
+        with opened(path, TRUSTED) as dataset:
+            write_hdf5(path, itertools.chain(read_all((dataset,)), episodes), manifest, size=size)
+    else:
+        write_hdf5(path, episodes, manifest, size=size)
+    write_card(path)
+    return set()
+
+
+def is_dataset(path: Path) -> bool:
+    """Return True if a dataset is at a path, and not an empty folder."""
+    return (path / INFO).is_file() if path.is_dir() else path.exists()
+
+
+def check_installed(path: Path) -> None:
+    """Check that the package of a new dataset's format is installed.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    hdf5_module() if path.suffix in _SUFFIXES else arrow_modules()
+
+
+def check_recordable(path: Path, manifest: Manifest) -> None:
+    """Check that the format of a new dataset can store an environment's episodes, before any is recorded.
+
+    Raises:
+        ConfigurationError: it cannot; the message says why.
+    """
+    if path.suffix not in _SUFFIXES:
+        check_lerobot(manifest)
 
 
 def check_target(path: Path) -> None:
@@ -135,6 +202,60 @@ def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
             listed = "; ".join(str(difference) for difference in graver)
             raise ConfigurationError(f"{first.path} and {other.path} are not of one kind: {listed}")
     return first.manifest
+
+
+def shared_manifest(datasets: Sequence[Dataset]) -> Manifest:
+    """Return a manifest of what datasets of several tasks have alike: robot, action, rate, and the policy's terms.
+
+    It names all tasks and describes no environment, for there is none of all of them.
+
+    Raises:
+        ConfigurationError: one has no manifest, their robots, actions or rates differ, or no term is shared.
+    """
+    first, *others = manifests = [dataset.known() for dataset in datasets]
+    for dataset, other in zip(datasets[1:], others, strict=True):
+        found = differences(_acting(first), _acting(other), ())
+        wrong = [str(each) for each in found if each.kind is Kind.ERROR]
+        if wrong:
+            raise ConfigurationError(
+                f"{datasets[0].path} and {dataset.path} share no robot or action: {'; '.join(wrong)}"
+            )
+    seen = [manifest.observations[POLICY].terms if POLICY in manifest.observations else {} for manifest in manifests]
+    terms = {name: term for name, term in seen[0].items() if all(each.get(name) == term for each in seen[1:])}
+    if not terms:
+        told = "; ".join(", ".join(each) or "none" for each in seen)
+        raise ConfigurationError(f"no term that the policy sees is the same in all datasets ({told})")
+    return replace(
+        _acting(first),
+        task=", ".join(dict.fromkeys(manifest.task for manifest in manifests)),
+        configuration={},
+        observations={POLICY: replace(first.observations[POLICY], terms=terms)},
+        assets={},
+    )
+
+
+def _acting(manifest: Manifest) -> Manifest:
+    """Return a manifest with the robots that act only."""
+    return replace(manifest, robots={name: robot for name, robot in manifest.robots.items() if robot.agent})
+
+
+_SHARED = (ACTIONS, CLEAN, REWARDS, DONES, TAUGHT)
+
+
+def read_shared(datasets: Iterable[Dataset], manifest: Manifest) -> Iterator[Episode]:
+    """Yield all episodes of some datasets with what all of them have, each with its task's words.
+
+    Args:
+        datasets: to read.
+        manifest: of what they share, :func:`shared_manifest`.
+    """
+    terms = manifest.observations[POLICY].terms
+    wanted = {*_SHARED, *(prefix + name for name in terms for prefix in (OBSERVED, NEXT))}
+    for dataset in datasets:
+        for place, info in enumerate(dataset.episodes):
+            episode = dataset.read(place)
+            told = replace(info, instruction=info.instruction or dataset.known().task)
+            yield Episode(told, {name: array for name, array in episode.arrays.items() if name in wanted})
 
 
 def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:

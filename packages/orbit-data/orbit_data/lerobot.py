@@ -12,6 +12,7 @@ import itertools
 import json
 import os
 import re
+import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from orbit_core.envs.observation_layout import POLICY
 from orbit_core.files import as_path, read_bytes, storage_faults
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
@@ -31,6 +33,7 @@ from orbit_data.episodes import (
     OBSERVED,
     REWARDS,
     STATES,
+    TAUGHT,
     Array,
     Dataset,
     Episode,
@@ -41,8 +44,9 @@ from orbit_data.episodes import (
     chosen,
 )
 from orbit_data.manifest.manifest import Manifest
+from orbit_data.noise import CLEAN
 from orbit_data.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget, check_name
-from orbit_data.reading.parquet import arrow_modules, read_columns
+from orbit_data.reading.parquet import arrow_modules, read_columns, read_texts
 from orbit_data.tensor_file import parse_json
 
 # Every second frame is a key frame, so that random access is fast; at crf 18 an eye sees almost no loss.
@@ -70,9 +74,7 @@ def write_video(path: Path | str, stretches: Iterable[Array], rate: int) -> None
         for frames in stretches:
             if stream is None:
                 height, width = frames.shape[1:3]
-                if height % 2 or width % 2:
-                    # yuv420p stores one colour for each two by two pixels.
-                    raise ConfigurationError(f"a video needs even sides, and these pictures are {width} x {height}")
+                _check_sides(Path(path).name, height, width)
                 stream = file.add_stream("libx264", rate=rate, options=_EVERY_OTHER)
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
             for frame in frames:
@@ -138,8 +140,14 @@ def _av() -> Any:
 VERSION = "v3.0"
 STATE_OF_GROUP = ".state"
 """Suffix of the column of an observation group that the policy does not see."""
-STATE, ACTION, PICTURE, SIMULATED = "observation.state", "action", "observation.images.", "simulation.state"
+STATE, ENVIRONMENT_STATE = "observation.state", "observation.environment_state"
+ACTION, EXECUTED = "action", "executed_action"
+"""Columns of the actions to learn, and of those that were executed where noise disturbed them."""
+INTERVENTION = "complementary_info.is_intervention"
+"""Column of the steps that a person led, under LeRobot's name."""
+PICTURE, SIMULATED = "observation.images.", "simulation.state"
 MANIFEST, EPISODES, INFO = "meta/orbit_manifest.json", "meta/orbit_episodes.json", "meta/info.json"
+TASKS, STATISTICS = "meta/tasks.parquet", "meta/stats.json"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -172,6 +180,15 @@ class _Statistics:
         self.total, self.squares = self.total + other.total, self.squares + other.squares
         self.count += other.count
 
+    @staticmethod
+    def read(table: Mapping[str, Any]) -> _Statistics:
+        """Return the statistics that :meth:`table` wrote."""
+        low, high, mean, deviation = (
+            np.array(table[name], np.float64).ravel() for name in ("min", "max", "mean", "std")
+        )
+        count = int(table["count"][0])
+        return _Statistics(low, high, mean * count, (deviation**2 + mean**2) * count, count)
+
     def table(self, picture: bool) -> dict[str, Any]:
         mean = self.total / self.count
         # Rounding can make the variance of a constant slightly negative.
@@ -187,15 +204,17 @@ class LeRobotWriter:
 
     Args:
         path: path of the folder, which is created.
-        task: task of the episodes, in words.
+        task: what episodes show that name no instruction of their own.
         rate: steps per second, a whole number.
         robot: type of the robot.
+        joint_terms: terms of the policy that are in ``observation.state``, :func:`joint_terms`; None for all.
     """
 
     path: Path
     task: str
     rate: int
     robot: str
+    joint_terms: frozenset[str] | None = None
     features: dict[str, Any] = field(init=False, default_factory=dict)
     """Dtype, shape and names of each column, by its name in LeRobot's layout; known after the first episode."""
     left_out: set[str] = field(init=False, default_factory=set)
@@ -207,8 +226,32 @@ class LeRobotWriter:
         self._episodes: list[dict[str, Any]] = []
         self._infos: list[EpisodeInfo] = []
         self._statistics: dict[str, _Statistics] = {}
+        self._tasks: dict[str, int] = {}
         self._file = 0
         self._total = 0
+
+    def extend(self, dataset: LeRobotDataset) -> None:
+        """Begin with the episodes of a dataset that ORBIT wrote, before any other episode.
+
+        Its files are linked, not read: numbers need no copy, and pictures that were encoded twice would lose quality.
+        """
+        files = (path for place in ("data", "videos") for path in sorted((dataset.path / place).rglob("file-*.*")))
+        for path in files:
+            target = self.path / path.relative_to(dataset.path)
+            with storage_faults(target):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    os.link(path, target)
+                except OSError:  # a file system without hard links
+                    shutil.copyfile(path, target)
+        self._episodes, statistics = dataset.index()
+        self._infos = [*dataset.episodes]
+        self._tasks = dict(zip(dataset.instructions, itertools.count(), strict=False))
+        self._statistics = {name: _Statistics.read(table) for name, table in statistics.items()}
+        self.features = dict(dataset.features)
+        self._total = sum(info.length for info in self._infos)
+        last = max((row["data/chunk_index"], row["data/file_index"]) for row in self._episodes)
+        self._file = last[0] * _FILES_A_CHUNK + last[1] + 1
 
     def add(self, episode: Episode) -> None:
         """Add an episode; files are written once they have enough steps."""
@@ -218,7 +261,7 @@ class LeRobotWriter:
         numbers = self._numbers(episode)
         self.left_out |= {
             name for name in episode.arrays
-            if name not in (ACTIONS, REWARDS, DONES, STATES) and not name.startswith(OBSERVED)
+            if name not in (ACTIONS, CLEAN, REWARDS, DONES, STATES, TAUGHT) and not name.startswith(OBSERVED)
         }  # fmt: skip
         row = self._place(episode.info)
         begin = sum(len(rows["index"]) for rows in self._rows)
@@ -247,28 +290,35 @@ class LeRobotWriter:
         """
         if not self._episodes:
             raise ConfigurationError(f"a LeRobot dataset needs at least one episode: none was given for {self.path}")
-        self._flush()
+        if self._rows:
+            self._flush()
         arrow, _ = arrow_modules()
         place = {"chunk_index": 0, "file_index": 0}
         self._write_table(_EPISODES_PATH.format(**place), arrow.Table.from_pylist(self._episodes))
-        tasks = arrow.table({"task_index": arrow.array([0], arrow.int64()), "__index_level_0__": [self.task]})
-        self._write_table("meta/tasks.parquet", tasks.replace_schema_metadata(_pandas_index()))
+        numbers = arrow.array([*self._tasks.values()], arrow.int64())
+        tasks = arrow.table({"task_index": numbers, "__index_level_0__": [*self._tasks]})
+        self._write_table(TASKS, tasks.replace_schema_metadata(_pandas_index()))
         self._write_text(EPISODES, msgspec.json.encode(self._infos).decode())
         if manifest is not None:
             self._write_text(MANIFEST, manifest.encode().decode())
         tables = {name: s.table(name.startswith(PICTURE)) for name, s in self._statistics.items()}
-        self._write_text("meta/stats.json", json.dumps(tables, indent=2))
+        self._write_text(STATISTICS, json.dumps(tables, indent=2))
         self._write_text(INFO, json.dumps(self._info(), indent=2))
 
     def _numbers(self, episode: Episode) -> dict[str, Array]:
         length, place = episode.info.length, len(self._episodes)
         numbers: dict[str, Array] = {}
         names: dict[str, list[str]] = {}
-        for column, terms in _columns_of(episode).items():
+        for column, terms in self._columns_of(episode).items():
             flat = {name: array.reshape(length, -1).astype(np.float32) for name, array in terms.items()}
             numbers[column] = np.concatenate([*flat.values()], axis=1)
             names[column] = [f"{name}.{i}" for name, array in flat.items() for i in range(array.shape[1])]
-        numbers[ACTION] = episode.arrays[ACTIONS].astype(np.float32)
+        # Policies of LeRobot learn what is in its column of actions: those that the demonstrator chose.
+        numbers[ACTION] = episode.arrays.get(CLEAN, episode.arrays[ACTIONS]).astype(np.float32)
+        if CLEAN in episode.arrays:
+            numbers[EXECUTED] = episode.arrays[ACTIONS].astype(np.float32)
+        if TAUGHT in episode.arrays:
+            numbers[INTERVENTION] = episode.arrays[TAUGHT].astype(np.bool_)
         if STATES in episode.arrays:
             numbers[SIMULATED] = episode.arrays[STATES].astype(np.float32)
         # LeRobot's names of rewards and ends begin with "next.": they are results of the action.
@@ -279,18 +329,36 @@ class LeRobotWriter:
             numbers["next.done"] = episode.arrays[DONES].astype(np.bool_)
         numbers |= {"timestamp": (frames / self.rate).astype(np.float32), "frame_index": frames}
         numbers |= {"episode_index": np.full_like(frames, place), "index": frames + self._total}
-        numbers["task_index"] = np.zeros_like(frames)  # the only task, of meta/tasks.parquet
+        told = episode.info.instruction or self.task
+        numbers["task_index"] = np.full_like(frames, self._tasks.setdefault(told, len(self._tasks)))
         for name, values in numbers.items():
             feature = _feature(values, names.get(name))
             if self.features.setdefault(name, feature) != feature:
                 raise ConfigurationError(f"'{name}' has {values.shape[1:]} in episode {place}, unlike in earlier ones")
         return numbers
 
+    def _columns_of(self, episode: Episode) -> dict[str, dict[str, Array]]:
+        """Return the terms of each column: those that the policy sees, other groups, and pictures without a video."""
+        columns: dict[str, dict[str, Array]] = {}
+        # By name, so that columns have one order whichever format the episodes come from.
+        for name, array in sorted(episode.named(OBSERVED).items()):
+            group, slash, _ = name.rpartition("/")
+            if is_film(name, array):
+                continue
+            if slash:
+                column = f"{group}{STATE_OF_GROUP}"
+            elif array.ndim > 3:
+                column = f"observation.{name}"
+            else:
+                column = state_column(name, self.joint_terms)
+            columns.setdefault(column, {})[name] = array
+        return columns
+
     def _place(self, info: EpisodeInfo) -> dict[str, Any]:
         chunk, number = divmod(self._file, _FILES_A_CHUNK)
         return {
             "episode_index": len(self._episodes),
-            "tasks": [self.task],
+            "tasks": [info.instruction or self.task],
             "length": info.length,
             "data/chunk_index": chunk,
             "data/file_index": number,
@@ -328,7 +396,7 @@ class LeRobotWriter:
             "robot_type": self.robot,
             "total_episodes": len(self._episodes),
             "total_frames": self._total,
-            "total_tasks": 1,
+            "total_tasks": len(self._tasks),
             "chunks_size": _FILES_A_CHUNK,
             "data_files_size_in_mb": 100,
             "video_files_size_in_mb": 500,
@@ -352,7 +420,62 @@ class LeRobotWriter:
             (self.path / name).write_text(text, encoding="utf-8")
 
 
-def write_lerobot(path: Path | str, episodes: Iterable[Episode], manifest: Manifest | None, rate: float) -> set[str]:
+def joint_terms(manifest: Manifest) -> frozenset[str]:
+    """Return the policy's terms that have a number for each of a robot's joints: LeRobot's ``observation.state``.
+
+    All other numbers that a policy sees are its ``observation.environment_state``, for LeRobot's policies want the two
+    apart: ACT rejects an ``observation.state`` on its own.
+    """
+    joints = {name for robot in manifest.robots.values() if robot.agent for name in robot.joint_names}
+    group = manifest.observations.get(POLICY)
+    terms = {} if group is None else group.terms
+    return frozenset(name for name, term in terms.items() if term.components and joints.issuperset(term.components))
+
+
+def state_column(term: str, joint_terms: frozenset[str] | None) -> str:
+    """Return the column of a term of the policy; ``joint_terms`` is None where nothing is known of the terms."""
+    return STATE if joint_terms is None or term in joint_terms else ENVIRONMENT_STATE
+
+
+def whole_rate(rate: float) -> int:
+    """Return the number of steps per second.
+
+    Raises:
+        ConfigurationError: it is not a whole number, which LeRobot needs.
+    """
+    if abs(rate - round(rate)) > 1e-6:
+        raise ConfigurationError(f"LeRobot needs a whole number of steps per second, not {rate:g}")
+    return round(rate)
+
+
+def check_recordable(manifest: Manifest) -> None:
+    """Check that an environment's episodes can be written in this layout, before any is recorded.
+
+    Raises:
+        ConfigurationError: the rate is not a whole number, pictures have odd sides, or a package is missing.
+    """
+    arrow_modules()
+    whole_rate(1.0 / manifest.step_dt)
+    group = manifest.observations.get(POLICY)
+    for name, term in ({} if group is None else group.terms).items():
+        if term.dtype == "uint8" and len(term.shape) == 3 and term.shape[2] == 3:
+            _av()
+            _check_sides(name, *term.shape[:2])
+
+
+def _check_sides(name: str, height: int, width: int) -> None:
+    """Reject pictures with odd sides: yuv420p stores one colour for each two by two pixels."""
+    if height % 2 or width % 2:
+        raise ConfigurationError(f"a video needs even sides, and pictures of {name} are {width} x {height}")
+
+
+def write_lerobot(
+    path: Path | str,
+    episodes: Iterable[Episode],
+    manifest: Manifest | None,
+    rate: float,
+    continued: LeRobotDataset | None = None,
+) -> set[str]:
     """Write a dataset into a new folder, and return the names of arrays that it cannot store.
 
     An error leaves the folder unfinished; :func:`orbit_data.formats.write_dataset` writes only complete ones.
@@ -362,16 +485,19 @@ def write_lerobot(path: Path | str, episodes: Iterable[Episode], manifest: Manif
         episodes: episodes in order.
         manifest: manifest of the environment, if it is known.
         rate: steps per second.
+        continued: dataset whose episodes come first.
 
     Raises:
         ConfigurationError: the rate is not a whole number, or there are no episodes.
         StorageError: the disk is full, or the folder cannot be written.
     """
     path = as_path(path)
-    if abs(rate - round(rate)) > 1e-6:
-        raise ConfigurationError(f"LeRobot needs a whole number of steps per second, not {rate:g}")
+    steps = whole_rate(rate)
     robot = next((r.model for r in manifest.robots.values() if r.agent), "") if manifest else "unknown"
-    writer = LeRobotWriter(path, manifest.task if manifest else path.stem, round(rate), robot)
+    terms = joint_terms(manifest) if manifest else None
+    writer = LeRobotWriter(path, manifest.task if manifest else path.stem, steps, robot, terms)
+    if continued is not None:
+        writer.extend(continued)
     for episode in episodes:
         writer.add(episode)
     writer.finish(manifest)
@@ -407,18 +533,6 @@ def _foreign(folder: Path) -> Iterator[str]:
             own = is_card(path) if inner == CARD else _LAYOUT.fullmatch(inner)
             if path.is_symlink() or not own:
                 yield inner
-
-
-def _columns_of(episode: Episode) -> dict[str, dict[str, Array]]:
-    """Return the terms of each column: those that the policy sees, other groups, and pictures without a video."""
-    columns: dict[str, dict[str, Array]] = {}
-    for name, array in episode.named(OBSERVED).items():
-        group, slash, _ = name.rpartition("/")
-        if is_film(name, array):
-            continue
-        column = f"{group}{STATE_OF_GROUP}" if slash else STATE
-        columns.setdefault(f"observation.{name}" if array.ndim > 3 and not slash else column, {})[name] = array
-    return columns
 
 
 def is_film(name: str, array: Array) -> bool:
@@ -463,13 +577,15 @@ def _pandas_index() -> Mapping[str, str]:
 
 # Reader of LeRobot datasets v3.0, of ORBIT and others -----------------------------------------------------------------
 
-_OWN = {ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
+_OWN = {INTERVENTION: TAUGHT, ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
 # Fields that a pattern of file names may contain; others could produce names of any length.
 _PLACE = re.compile(r"\{(chunk_index|file_index|video_key)(:0?[1-9]d)?\}")
 # Bytes of memory for one number of meta/episodes.
 _ROW_BYTES = 100
 # Limit in bytes of the facts of all episodes, each of which takes about 200.
 _MOST_INFOS = 1 << 25
+# Task of an episode: its words in meta/episodes are lists of texts, which are not read, and its statistics are numbers.
+_OWN_TASK = "stats/task_index/min"
 _INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -502,6 +618,8 @@ class LeRobotDataset(Dataset):
                 check_name(name, f"{INFO} of {self.path}")
             self._rows = self._read_rows(account)
             self.manifest = self._read_manifest()
+            self.instructions: Sequence[str] = self._read_tasks(account)
+            """What episodes show, in words, by ``task_index``."""
             self.episodes = self._infos()
             check_infos(self.episodes, account)
             self._check_order()
@@ -558,8 +676,8 @@ class LeRobotDataset(Dataset):
             path = self._file(each.relative_to(self.path).as_posix())
             if path is None:
                 raise ConfigurationError(f"{each} is no regular file")
-            # Statistics are many columns for each feature, and are not used here.
-            table = read_columns(path, lambda name: not name.startswith("stats/"), account)
+            # Statistics are many columns for each feature, of which one is used here.
+            table = read_columns(path, lambda name: name == _OWN_TASK or not name.startswith("stats/"), account)
             account.take(path.name, _ROW_BYTES * table.num_rows * table.num_columns)
             rows += table.to_pylist()
         rows.sort(key=lambda row: row["episode_index"])
@@ -571,6 +689,33 @@ class LeRobotDataset(Dataset):
                 f"the other from 0, and {INFO} states that there are {total}: the dataset is not complete"
             )
         return rows
+
+    @property
+    def features(self) -> Mapping[str, Any]:
+        """Type, shape and names of each column."""
+        return self._features
+
+    def index(self) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+        """Return the row of each episode in ``meta/episodes``, all columns included, and ``meta/stats.json``.
+
+        Only for a dataset that this machine wrote: its columns of texts are read as they are.
+
+        Raises:
+            ConfigurationError: a file is damaged.
+        """
+        with self._faults():
+            tables = sorted((self.path / "meta" / "episodes").glob("*/*.parquet"))
+            rows = [row for path in tables for row in arrow_modules()[1].read_table(path).to_pylist()]
+            rows.sort(key=lambda row: row["episode_index"])
+            return rows, parse_json(self._document(STATISTICS, MAX_DOCUMENT) or b"{}")
+
+    def _read_tasks(self, account: ReadAccount) -> list[str]:
+        """Read the words of each task."""
+        path = self._file(TASKS)
+        if path is None:
+            return []
+        numbers = read_columns(path, "task_index".__eq__, account)["task_index"].to_pylist()
+        return [text for _, text in sorted(zip(numbers, read_texts(path, account), strict=False))]
 
     def _read_manifest(self) -> Manifest | None:
         data = self._document(MANIFEST, MAX_DOCUMENT)
@@ -585,7 +730,15 @@ class LeRobotDataset(Dataset):
                     f"{self.path / EPISODES} describes other episodes than meta/episodes of {self.path}"
                 )
             return infos
-        return [EpisodeInfo(int(row["episode_index"]), int(row["length"])) for row in self._rows]
+        return [
+            EpisodeInfo(int(row["episode_index"]), int(row["length"]), instruction=self._instruction(row))
+            for row in self._rows
+        ]
+
+    def _instruction(self, row: Mapping[str, Any]) -> str:
+        """Return the words of an episode's task; empty if nothing states them."""
+        index = row.get(_OWN_TASK)
+        return self.instructions[int(index[0])] if index and self.instructions else ""
 
     def _check_order(self) -> None:
         """Refuse overlapping episodes, of which a small file could contain any number.
@@ -614,9 +767,10 @@ class LeRobotDataset(Dataset):
 
     def _numbers(self, columns: dict[str, Array]) -> dict[str, Array]:
         arrays: dict[str, Array] = {}
+        own = _OWN | ({ACTION: CLEAN, EXECUTED: ACTIONS} if EXECUTED in columns else {})
         for name, values in columns.items():
-            if name in _OWN:
-                arrays[_OWN[name]] = values
+            if name in own:
+                arrays[own[name]] = values
             elif self.manifest is not None and (named := self._features[name]["names"]):
                 arrays |= _terms(values, named, self.manifest)
             elif name.startswith("observation."):

@@ -3,12 +3,14 @@
 While episodes run, the steps of all environments are in rings (steps, N, ...) on their device, to which each step adds
 one row. Only when episodes end are their rows gathered and written to a folder of parts, each file complete and flushed
 before the next begins. A part is a safetensors file with the arrays of a few episodes one after the other; its header
-describes each. At the end the parts become one HDF5 file; an interrupted recording can be resumed.
+describes each. At the end the parts become one dataset, an HDF5 file or a folder of LeRobot's; an interrupted recording
+can be resumed.
 """
 
 from __future__ import annotations
 
 import glob
+import itertools
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -27,7 +29,6 @@ from orbit_core.files import as_path, read_bytes, storage_faults, sweep, written
 from orbit_core.interfaces import ConfigurationError, Object, Robot, ShapeError, UnknownNameError, World
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 from orbit_core.sensors.contact import ContactSensor
-from orbit_data.card import check_card, write_card
 from orbit_data.episodes import (
     ACTIONS,
     CONTACTS,
@@ -38,16 +39,23 @@ from orbit_data.episodes import (
     POSES,
     REWARDS,
     STATES,
+    TAUGHT,
     Array,
     Episode,
     EpisodeInfo,
 )
 from orbit_data.folder_lock import LOCK, FolderLock
-from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
+from orbit_data.formats import (
+    check_installed,
+    check_recordable,
+    check_target,
+    gather_dataset,
+    is_dataset,
+    opened,
+)
 from orbit_data.manifest.manifest import Kind, Manifest, differences
 from orbit_data.noise import CLEAN, NoisyActor
 from orbit_data.reading.budget import MAX_DOCUMENT, TRUSTED
-from orbit_data.reading.hdf5 import hdf5_module
 from orbit_data.states import TaskMemory, WorldStates
 
 if TYPE_CHECKING:
@@ -249,6 +257,8 @@ class DemonstrationRecorder(StepObserver):
         groups: observation groups to record; all if None.
         begun: numbers (N,) of episodes that each environment ended before; zeros if None.
         clean: returns the actions (N, A) of the last step without noise, which are recorded too.
+        instruction: what the episodes show, in words.
+        taught: returns which environments (N,) a person led at the last step, correcting a policy.
 
     Raises:
         UnknownNameError: a group does not exist.
@@ -263,6 +273,8 @@ class DemonstrationRecorder(StepObserver):
         groups: Collection[str] | None = None,
         begun: Tensor | None = None,
         clean: Callable[[], Tensor] | None = None,
+        instruction: str = "",
+        taught: Callable[[], Tensor] | None = None,
     ) -> None:
         check_groups(groups or (), environment)
         self._environment, self._folder, self._wanted, self._seed = environment, folder, wanted, seed
@@ -274,7 +286,7 @@ class DemonstrationRecorder(StepObserver):
         self._rings: dict[str, Tensor] = {}
         # One more than the longest episode, so that a ring never overwrites an episode that has not been written.
         self._capacity = environment.max_episode_steps + 1
-        self._clean = clean
+        self._clean, self._instruction, self._taught = clean, instruction, taught
         self._step = 0
         self._initial = {name: value.clone() for name, value in self._memory.read().items()}
         self._seen = environment.observe()
@@ -300,6 +312,8 @@ class DemonstrationRecorder(StepObserver):
         self._put(ACTIONS, action.clamp(-1.0, 1.0))
         if self._clean is not None:
             self._put(CLEAN, self._clean())
+        if self._taught is not None:
+            self._put(TAUGHT, self._taught())
         self._put(REWARDS, reward)
         self._put(DONES, terminated | truncated)
         self._step += 1
@@ -334,16 +348,19 @@ class DemonstrationRecorder(StepObserver):
         rows = self._wanted(end, self.ended[ids]).nonzero().squeeze(-1)
         if len(rows):
             kept = end.only(rows)
-            self._folder.add(self._infos(kept), self._arrays(kept))
+            arrays = self._arrays(kept)
+            self._folder.add(self._infos(kept, arrays.get(TAUGHT)), arrays)
             self.kept += len(rows)
         self.ended[ids] += 1
         # The environment has begun the next episodes by now, so that memory holds their goals.
         for name, value in self._memory.read().items():
             self._initial[name][ids] = value[ids]
 
-    def _infos(self, end: EpisodeEnd) -> list[EpisodeInfo]:
+    def _infos(self, end: EpisodeEnd, taught: Array | None) -> list[EpisodeInfo]:
         count, backend = self._environment.num_envs, self._environment.world.backend
         returns = torch.stack(list(end.rewards.values())).sum(0).tolist() if end.rewards else [0.0] * len(end.env_ids)
+        begins = (end.steps.cumsum(0) - end.steps).cpu().numpy()
+        led = [None] * len(begins) if taught is None else np.add.reduceat(taught, begins, dtype=np.int64).tolist()
         ids, numbers = end.env_ids.tolist(), self.ended[end.env_ids].tolist()
         metrics = {name: values.tolist() for name, values in end.metrics.items()}
         return [
@@ -358,6 +375,8 @@ class DemonstrationRecorder(StepObserver):
                 env_id=env_id,
                 episode=number,
                 backend=backend,
+                taught=led[row],
+                instruction=self._instruction,
             )
             for row, (env_id, number, length, success) in enumerate(
                 zip(ids, numbers, end.steps.tolist(), end.success.tolist(), strict=True)
@@ -411,11 +430,13 @@ class RecordingFile:
     gathered, and keeps an earlier interrupted one in a folder ``*.parts.replaced-<number>`` until then.
 
     Args:
-        path: path of the HDF5 file.
+        path: path of the dataset: an HDF5 file, or a folder in LeRobot's layout.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = path = as_path(path)
+        self.left_out: set[str] = set()
+        """Names of arrays that the dataset's format could not store when it was gathered."""
         self.parts = PartFolder(path.with_name(f"{path.name}.parts"))
         """Folder of episodes that are not in the file yet."""
 
@@ -428,10 +449,11 @@ class RecordingFile:
 
         Raises:
             ConfigurationError: both are given, an interrupted recording exists and neither is given, another process
-                records here, h5py is missing, or a file is in the place of the card.
+                records here, the format's package is missing, or another file is in the place of the dataset or its
+                card.
         """
-        hdf5_module()  # now: otherwise a missing h5py would be noticed only after all episodes have run
-        check_card(self.path)
+        check_installed(self.path)  # now: a missing package would otherwise be noticed after all episodes have run
+        check_target(self.path)
         if resume and overwrite:
             raise ConfigurationError("--resume continues a recording, --overwrite begins a new one: give one of them")
         if self.parts.path.exists():
@@ -482,13 +504,14 @@ class RecordingFile:
         """Begin a recording, or continue one of the same environment.
 
         Raises:
-            ConfigurationError: the existing one is of another environment; the message names the differences.
+            ConfigurationError: the existing one is of another environment, with the differences; or the format cannot
+                store the environment's episodes.
         """
+        check_recordable(self.path, manifest)
         recorded = self.parts.manifest()
         if recorded is None and self._continued:
-            dataset = Hdf5Dataset(self.path)
-            dataset.close()
-            recorded = dataset.known()
+            with opened(self.path, TRUSTED) as dataset:
+                recorded = dataset.known()
         found = [] if recorded is None else differences(recorded, manifest)
         found = [
             each
@@ -509,21 +532,23 @@ class RecordingFile:
         if manifest is None:
             raise ConfigurationError(f"nothing was recorded in {self.parts.path}")
         sweep(self.path.parent)  # half-written files of a killed program
-        continued = (self.path,) if self._continued else ()
+        numbers = {info.number for info in self._gathered()}
+        # A kill after gathering leaves parts whose episodes the dataset has already.
+        new = [info.number not in numbers for info in self.parts.infos()]
+        episodes = itertools.compress(self.parts.read(), new)
         # Parts are not compressed, so that this is an upper estimate.
-        size = sum(path.stat().st_size for path in (*self.parts.files, *continued))
-        count = write_hdf5(self.path, self._episodes(), manifest, size=size)
-        write_card(self.path)
+        size = sum(path.stat().st_size for path in self.parts.files)
+        self.left_out = gather_dataset(self.path, episodes, manifest, size, self._continued)
         # The dataset is complete now. Old recordings go first: a kill in between leaves only episodes that it has.
         for _, replaced in self._set_aside():
             PartFolder(replaced).remove()
         self.parts.remove()
-        return count
+        return len(numbers) + sum(new)
 
     @property
     def _continued(self) -> bool:
         """True if the recording extends an existing dataset."""
-        return self.path.exists() and not self.parts.replaces
+        return is_dataset(self.path) and not self.parts.replaces
 
     def _set_aside(self) -> list[tuple[int, Path]]:
         """Return the folders of interrupted recordings that will be replaced, with their numbers, the oldest first."""
@@ -545,20 +570,8 @@ class RecordingFile:
     def _gathered(self) -> list[EpisodeInfo]:
         if not self._continued:
             return []
-        dataset = Hdf5Dataset(self.path)
-        dataset.close()
-        return [*dataset.episodes]
-
-    def _episodes(self) -> Iterator[Episode]:
-        """Yield all episodes in the order of recording, a file at a time; each number once."""
-        # A kill after gathering leaves parts whose episodes the dataset has already.
-        numbers: set[int] = set()
-        if self._continued:
-            dataset = Hdf5Dataset(self.path, TRUSTED)
-            numbers |= {info.number for info in dataset.episodes}
-            yield from map(dataset.read, range(len(dataset.episodes)))
-            dataset.close()
-        yield from (episode for episode in self.parts.read() if episode.info.number not in numbers)
+        with opened(self.path, TRUSTED) as dataset:
+            return [*dataset.episodes]
 
 
 class Shares:
@@ -602,6 +615,7 @@ def record(
     groups: Collection[str] | None = None,
     progress: Callable[[int], None] = lambda recorded: None,
     noise: float = 0.0,
+    instruction: str = "",
 ) -> Pace:
     """Record episodes until the file contains ``episodes``, including those that are there already.
 
@@ -616,13 +630,14 @@ def record(
         progress: called after each step with the number of recorded episodes.
         noise: standard deviation of the noise on executed actions, :class:`NoisyActor`; the actor's own actions are
             recorded as ``clean_actions``.
+        instruction: what the episodes show, in words.
 
     Raises:
         ConfigurationError: the file was recorded with another environment, or the noise is negative.
         StorageError: the disk is full; finished episodes are kept.
     """
     try:
-        return _record(environment, make_actor, file, task, episodes, seed, groups, progress, noise)
+        return _record(environment, make_actor, file, task, episodes, seed, groups, progress, noise, instruction)
     finally:
         file.release()
 
@@ -637,6 +652,7 @@ def _record(
     groups: Collection[str] | None,
     progress: Callable[[int], None],
     noise: float,
+    instruction: str,
 ) -> Pace:
     file.take_up(Manifest.of(environment, task, seed))
     shares, infos = Shares(episodes, environment), file.infos()
@@ -647,7 +663,7 @@ def _record(
     actor = make_actor()
     noisy = NoisyActor(actor, environment, noise, seed) if noise else None
     clean = None if noisy is None else lambda: noisy.clean
-    recorder = DemonstrationRecorder(environment, file.parts, shares, seed, groups, begun, clean)
+    recorder = DemonstrationRecorder(environment, file.parts, shares, seed, groups, begun, clean, instruction)
 
     class Teller(StepObserver):
         def before_step(self) -> None:

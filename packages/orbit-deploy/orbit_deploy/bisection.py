@@ -45,6 +45,7 @@ class Difference:
     kind: str
     """Of :data:`KINDS`."""
     value: float = 0.0
+    """Value in the unit of its kind; unused for a backend."""
     backend: str = ""
     """Name of the backend, of a difference of that kind."""
 
@@ -116,6 +117,7 @@ class Bisector:
         good, bad = self._rate(()), self._rate(every)
         # Half-way between: a rate that drops little by little has no sharper border.
         self._bar = 0.5 * (good + bad)
+        # A smaller drop may be chance: 40 episodes leave a standard error of up to 8 %.
         if good - bad < 0.1:
             raise ConfigurationError(
                 f"the success rate is {100.0 * good:.0f} % without the differences and {100.0 * bad:.0f} % with them: "
@@ -123,10 +125,12 @@ class Bisector:
             )
         deciding = self._least(every)
         threshold = None
+        # A backend has no number, and a delay comes in whole steps.
         if len(deciding) == 1 and deciding[0].kind not in ("backend", "delay"):
             threshold = self._threshold(deciding[0], halvings)
         return Bisection(self._tried, deciding, threshold)
 
+    # The names are those of the algorithm's paper: parts, chunks and their complements.
     def _least(self, failing: tuple[Difference, ...]) -> tuple[Difference, ...]:
         """Return a subset of differences that still fails, and does not without any one of them."""
         parts = 2
@@ -134,10 +138,12 @@ class Bisector:
             size = math.ceil(len(failing) / parts)
             chunks = [failing[begin : begin + size] for begin in range(0, len(failing), size)]
             rests = [tuple(each for each in failing if each not in chunk) for chunk in chunks]
+            # A chunk that fails by itself rules out all others at once, so chunks come before complements.
             smaller = next((chunk for chunk in chunks if self._fails(chunk)), None)
             if smaller is not None:
                 failing, parts = smaller, 2
                 continue
+            # Of two halves the complements are the halves themselves.
             rest = next((rest for rest in rests if rest and self._fails(rest)), None) if parts > 2 else None
             if rest is not None:
                 failing, parts = rest, max(parts - 1, 2)
@@ -148,6 +154,7 @@ class Bisector:
         return failing
 
     def _threshold(self, difference: Difference, halvings: int) -> float:
+        # Rates need not fall evenly in between: this finds one border, the one next to the failing value.
         working, failing = _NEUTRAL[difference.kind], difference.value
         for _ in range(halvings):
             middle = 0.5 * (working + failing)
@@ -161,6 +168,7 @@ class Bisector:
         return self._rate(differences) <= self._bar
 
     def _rate(self, differences: tuple[Difference, ...]) -> float:
+        # Each set costs minutes of simulation, and complements come up again.
         if differences not in self._tried:
             rate = self._tried[differences] = self._evaluate(differences)
             self._report(f"{', '.join(map(str, differences)) or 'no difference'}: {100.0 * rate:.1f} %")
@@ -200,6 +208,7 @@ def changed_scene(scene: Scene, differences: Sequence[Difference]) -> Scene:
                 robots = tuple(_with_joints(robot, each.kind, value) for robot in scene.robots)
                 scene = replace(scene, robots=robots)
             case _:
+                # A backend and a delay change no scene: the world's factory and the actor take them.
                 pass
     return scene
 
@@ -220,6 +229,7 @@ class DelayedActor:
     def act(self) -> Tensor:
         """Return the action (N, A) of some steps ago."""
         action = self._actor.act().clone()
+        # Each environment begins its episodes at its own time.
         begun = (self._environment.state.episode_step == 0)[:, None]
         self._past = [torch.where(begun, action, past) for past in self._past] or [action] * self._steps
         self._past.append(action)
@@ -263,6 +273,7 @@ def _smooth(link: Link, factor: float) -> Link:
 
 def _slippery(shape: Shape, factor: float) -> Shape:
     material = shape.material
+    # All coefficients: a sphere that rolls freely on ice would be another difference.
     friction = {
         name: getattr(material, name) * factor
         for name in ("static_friction", "dynamic_friction", "torsional_friction", "rolling_friction")
@@ -272,6 +283,7 @@ def _slippery(shape: Shape, factor: float) -> Shape:
 
 def _heavier(entity: Any, factor: float) -> Any:
     def change(link: Link) -> Link:
+        # Inertia grows with the mass, as of a denser material.
         return replace(link, mass=link.mass * factor, inertia=link.inertia * factor)
 
     changed = replace(entity, articulation=_links(entity.articulation, change))
@@ -292,6 +304,7 @@ def _with_joints(robot: RobotSpec, kind: str, value: float) -> RobotSpec:
         if not joint.movable or joint.mimic is not None:
             return joint
         if kind == "joint_friction":
+            # Joints without a limit have no scale that a share could be taken of.
             limit = joint.effort_limit if math.isfinite(joint.effort_limit) else 0.0
             return replace(joint, friction=joint.friction + value * limit)
         field = "armature" if kind == "armature" else "damping"

@@ -44,6 +44,7 @@ class DeadManKey:
         """True while the key is held."""
         while select.select([self._file], [], [], 0.0)[0]:
             typed = os.read(self._file, 1024)
+            # The terminal is closed, and would be ready to be read for good.
             if not typed:
                 break
             if b" " in typed:

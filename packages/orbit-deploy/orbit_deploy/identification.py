@@ -44,6 +44,7 @@ class IdentificationSettings:
     refinements: int = 30
     """Most evaluations of the refinement, each in twice as many worlds as there are parameters."""
     seed: int = 0
+    """Seed of CMA-ES."""
 
     def __post_init__(self) -> None:
         for name, least in (("worlds", 4), ("generations", 0), ("refinements", 1)):
@@ -56,6 +57,7 @@ class Identification:
     """Result of a search."""
 
     names: tuple[str, ...]
+    """Names of the parameters, such as ``friction:joint1`` and ``delay``."""
     values: FloatArray
     """(P,)"""
     deviations: FloatArray
@@ -63,7 +65,9 @@ class Identification:
     before: float
     """Root mean square of simulated minus recorded positions of the robot as it was, rad or m."""
     after: float
+    """The same with the fitted parameters."""
     fitted: FittedRobot
+    """Parameters by name, with their source."""
 
 
 def identify(
@@ -127,6 +131,7 @@ class _Search:
     def residuals(self, scaled: FloatArray) -> FloatArray:
         """Return simulated minus recorded positions (N, M); large where a simulation failed."""
         away = self._replay.run(self.values(scaled)) - self._log.position
+        # Ten radians: worse than any motion, and still a number that the searches can rank.
         return np.nan_to_num(away[:, :, self._columns], nan=10.0).reshape(len(scaled), -1)
 
     def errors(self, scaled: FloatArray) -> FloatArray:
@@ -145,6 +150,7 @@ class _Search:
             raise ConfigurationError(
                 f"identification needs cmaes: {install_command('orbit-deploy[identify]')}"
             ) from None
+        # Zero is the likeliest value of many parameters, but a mean at the end of the range samples one side only.
         optimizer = CMA(
             np.clip(start, 0.1, 0.9),
             0.2,
@@ -152,12 +158,15 @@ class _Search:
             seed=settings.seed,
             population_size=settings.worlds,
         )
+        # The robot as it is stays the best if no candidate beats it.
         best, error = start, float(self.errors(start[None])[0])
         for generation in range(settings.generations):
             candidates = np.stack([optimizer.ask() for _ in range(settings.worlds)])
             errors = self.errors(candidates)
+            # A failed simulation has 10 in all rows.
             if generation == 0 and not (errors < 5.0).any():
                 raise ConfigurationError("no candidate of the first generation can be simulated: is this its log?")
+            # All candidates of a generation were simulated at once; the optimiser learns of them together.
             optimizer.tell([(each, float(value)) for each, value in zip(candidates, errors, strict=True)])
             if errors.min() < error:
                 best, error = candidates[int(errors.argmin())], float(errors.min())
@@ -189,7 +198,9 @@ class _Search:
             best,
             lambda scaled: at(scaled)[1],  # pyright: ignore[reportArgumentType] - SciPy's stubs name words only
             bounds=(0.0, 1.0),
+            # By their effect: parameters differ in it by orders of magnitude.
             x_scale="jac",
+            # Single precision ends the descent long before double precision would.
             ftol=_GAIN,
             xtol=_STEP,
             gtol=None,  # pyright: ignore[reportArgumentType] - switched off
@@ -202,8 +213,10 @@ class _Search:
         """Return residuals (M,) and their derivatives (M, P) by central differences, all worlds at once."""
         shifts = _DIFFERENCE * np.eye(len(at))
         above, below = np.clip(at + shifts, 0.0, 1.0), np.clip(at - shifts, 0.0, 1.0)
+        # One run of 2 P + 1 worlds, as a world costs less than a run.
         found = self.residuals(np.concatenate((at[None], above, below)))
         count = len(at)
+        # Shorter at an end of the range, where a shift is cut off.
         way = (above - below)[range(count), range(count)]
         return found[0], ((found[1 : count + 1] - found[count + 1 :]) / way[:, None]).T
 
@@ -216,6 +229,7 @@ class _Search:
         residual = self.residuals(best[None])[0]
         rows = residual.reshape(len(self._log.times), -1)
         independent = max(residual.size / _correlation(rows), len(best) + 1.0)
+        # The fit has used up one independent residual for each parameter.
         variance = float(residual @ residual) / residual.size * independent / (independent - len(best))
         slope = self._upper - self._lower
         normal = (jacobian / slope).T @ (jacobian / slope) * independent / residual.size
@@ -225,14 +239,17 @@ class _Search:
         inverse = np.where(known, 1.0 / np.where(known, weights, 1.0), np.inf)
         with np.errstate(invalid="ignore"):
             spread = np.where(vectors**2 > 1e-12, vectors**2 * inverse, 0.0).sum(1)
-        return np.sqrt(variance * spread)
+            # No residual is left where a still log fits anything, and then nothing is known.
+            return np.where(np.isinf(spread), np.inf, np.sqrt(variance * spread))
 
 
 def _correlation(rows: FloatArray) -> float:
     """Return the mean number of neighbouring rows (T, J) that are alike, 1 for independent ones."""
     centred = rows - rows.mean(0)
+    # Padded with zeros: a transform joins the end of the rows to their beginning.
     power = np.abs(np.fft.rfft(centred, 2 * len(rows), axis=0)) ** 2
     lags = np.fft.irfft(power, axis=0)[: len(rows)]
+    # Joints whose difference is constant have no power, and no correlation.
     shares = lags / np.maximum(lags[0], 1e-300)
     times: list[float] = []
     for column in shares.T:

@@ -75,14 +75,17 @@ class LogReplay:
             )
         self.spec, self.names, self.payload_link = spec, names, payload_link
         self.log = log.ordered(tuple(joint.name for joint in spec.articulation.movable_joints))
+        # A CSV file does not say the cycle: that of ORBIT's computers is 1 ms if not set otherwise.
         rate = log.description.rate if log.description is not None else 1000.0
         self.dt = dt or 1.0 / rate
+        # A delay and a payload need no joint parameters per environment.
         self._backend, self._settings = backend, settings
         self._together = not set(names.quantities) or backend_of(backend).capabilities().has(
             Capability.RANDOMIZE_JOINTS
         )
         steps = math.ceil(self.log.duration / self.dt - 1e-6)
         grid = self.dt * np.arange(steps + 1, dtype=np.float64)
+        # Rows of the log need not coincide with steps of physics.
         given = (self.log.target, self.log.target_velocity, self.log.target_effort)
         self._targets = torch.from_numpy(
             np.stack([_resampled(grid, self.log.times, each) for each in given], 1)
@@ -104,6 +107,7 @@ class LogReplay:
             return self._follow(self._shared(len(values)), values)
         found: list[FloatArray] = []
         for row in values:
+            # Built again, since these engines read joint parameters only when they load a robot.
             world = self._made(self.fitted(row).apply(self.spec), 1)
             try:
                 found.append(self._follow(world, row[None], built=True))
@@ -163,6 +167,7 @@ class LogReplay:
             robot.set_joint_parameters(**blocks, joints=columns)
         if (column := names.column("payload")) is not None:
             link = robot.link_names.index(self.payload_link)
+            # From the nominal mass: the world still has the masses of the candidates before.
             own = robot.nominal_masses[:, [link]]
             robot.set_masses(own + _tensor(values[:, [column]]), links=[link])
         if (column := names.column("gain")) is not None:
@@ -199,6 +204,7 @@ class LogReplay:
 
     def _at(self, place: Tensor) -> Tensor:
         """Return targets (N, 3, J) at fractional rows (N,), the first before the beginning."""
+        # Before the first target arrived the robot held its place, which is what the first target says.
         place = place.clamp_min(0.0)
         low = place.long().clamp_max(len(self._targets) - 2)
         share = (place - low)[:, None, None]
@@ -210,7 +216,9 @@ def payload_link_of(spec: RobotSpec) -> str:
     articulation = spec.articulation
     masses = {link.name: link.mass for link in articulation.links}
     parents = {joint.child: joint.parent for joint in articulation.joints}
+    # Frames of hands are often links without a mass, which no payload can scale.
     name = spec.end_effectors[0].frame if spec.end_effectors else articulation.links[-1].name
+    # A payload multiplies the link's inertia, which a link without a mass has not.
     while name in parents and masses.get(name, 0.0) <= 0.0:
         name = parents[name]
     return name

@@ -23,6 +23,7 @@ from orbit_deploy.messages import RobotState
 
 # Columns of a CSV file next to "time", each with one column for every joint: "target:joint1"
 _COLUMNS = ("target", "target_velocity", "target_effort", "position", "velocity", "effort")
+# Bytes up to which a file is read, as a whole, and rows from which it is a motion
 _MOST_BYTES = 1 << 31
 _SHORTEST = 20
 
@@ -32,16 +33,21 @@ class MotionLog:
     """Motion of one robot. Arrays are (T,) or (T, J); a row holds the targets of a cycle and the state after it."""
 
     joints: tuple[str, ...]
+    """Names in the order of the columns."""
     times: FloatArray
     """(T,) s from the first row, rising."""
     target: FloatArray
     """rad or m, as the drives were given them."""
     target_velocity: FloatArray
+    """rad/s or m/s, as the drives were given them."""
     target_effort: FloatArray
     """N m or N, added to what the drives apply."""
     position: FloatArray
+    """Measured, rad or m."""
     velocity: FloatArray
+    """Measured, rad/s or m/s."""
     effort: FloatArray
+    """Measured, N m or N."""
     source: str = ""
     """File and digest."""
     description: RobotDescription | None = None
@@ -60,6 +66,7 @@ class MotionLog:
             seconds: length of the part; to the end if None.
         """
         end = np.inf if seconds is None else begin + seconds
+        # The sum of begin and length is rounded: a row at the end would be lost.
         rows = (self.times >= begin) & (self.times <= end + 1e-9)
         if rows.sum() < _SHORTEST:
             raise ConfigurationError(
@@ -87,6 +94,7 @@ class MotionLog:
 
     def write_csv(self, path: Path) -> None:
         """Write the log as a CSV file: ``time`` and a column for each quantity and joint."""
+        # Nine digits give a single-precision number back exactly.
         names = ["time", *(f"{kind}:{joint}" for kind in _COLUMNS for joint in self.joints)]
         table = np.column_stack([self.times, *(getattr(self, kind) for kind in _COLUMNS)])
         np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(names), comments="", encoding="utf-8")
@@ -119,6 +127,7 @@ def motion_log(
         row = int(np.argmax(np.diff(times) <= 0.0)) + 1
         raise ConfigurationError(f"{source} goes back in time at state {row}")
     full = {name: columns.get(name, np.zeros_like(columns["position"])) for name in _COLUMNS}
+    # A log without targets still shows a motion, and one of a free robot has none.
     full["target"] = columns.get("target", columns["position"])
     for name, values in full.items():
         if not np.isfinite(values).all():
@@ -166,7 +175,9 @@ def _read_mcap(path: Path) -> MotionLog | None:
     data = read_bytes(path, _MOST_BYTES)
     try:
         reader = make_reader(io.BytesIO(data))
+        # Other programs write MCAP too, recordings of ROS 2 among them.
         described = next((each for each in reader.iter_metadata() if each.name == "robot"), None)
+        # Robots' computers write the description at once: without one, it may be a recording of ROS.
         if described is None:
             return None
         description = msgspec.json.decode(described.metadata["description"], type=RobotDescription)
@@ -215,6 +226,7 @@ def _row(data: bytes) -> _StateRow:
 def _read_csv(path: Path) -> MotionLog:
     data = read_bytes(path, _MOST_BYTES)
     source = source_of(path, data)
+    # Bytes that are no text are found below, as a name or a number that is none.
     rows = list(csv.reader(io.StringIO(data.decode("utf-8", errors="replace"))))
     header = [name.strip() for name in rows[0]] if rows else []
     if "time" not in header:

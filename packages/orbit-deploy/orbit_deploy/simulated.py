@@ -111,6 +111,7 @@ class SimulatedHardware(RobotHardware):
 
     def drive(self, targets: JointTargets) -> None:
         self._waiting.append(targets)
+        # Until then the drives hold the targets that they have.
         if len(self._waiting) > self._delay:
             due = self._waiting.popleft()
             for writer, values in zip(self._writers, (due.positions, due.velocities, due.efforts), strict=True):
@@ -152,6 +153,7 @@ class SimulatedHardware(RobotHardware):
         if not self.imperfections.friction:
             return
         limits = self.description.limits.effort
+        # Joints without a limit have no share of it, and mimics no drive.
         driven = [i for i in range(len(limits)) if np.isfinite(limits[i]) and self._robot.joints[i].mimic is None]
         own = np.array([self._robot.joints[i].friction for i in driven])
         self._robot.set_joint_parameters(

@@ -22,6 +22,7 @@ class TwinResult:
     """Difference between a log and the simulation that followed its targets on one engine."""
 
     backend: str
+    """Name of the engine."""
     positions: FloatArray
     """(T, J) simulated positions at the log's rows, rad or m."""
     rms: float
@@ -72,9 +73,11 @@ class LiveTwin:
                 f"the base of '{spec.articulation.name}' moves: a twin follows robots with a fixed base"
             )
         self._dt = dt
+        # Without the task's objects: a twin shows what the drives do, not what the robot touches.
         self._world = simulate(Scene(robots=(spec,), physics_dt=dt), 1, backend, settings=settings)
         self._robot = next(iter(self._world.robots.values()))
         joints = range(len(spec.articulation.movable_joints))
+        # A robot's follower has made them finite: looking again would cost time in every step.
         self._writers = [self._robot.target_writer(each, joints, checked=False) for each in JointTarget]
         self._stamp: int | None = None
         self._before = np.zeros((3, len(joints)))
@@ -101,6 +104,7 @@ class LiveTwin:
         if self._stamp is None or not 0 <= state.stamp - self._stamp < 5e8:
             self.restart(state)
         assert self._stamp is not None, "a restart sets it"
+        # States are tens of milliseconds apart, and the drives' targets move in between.
         targets, steps = _targets(state), round(1e-9 * (state.stamp - self._stamp) / self._dt)
         for step in range(steps):
             given = self._before + (targets - self._before) * (step + 1) / steps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,15 +12,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from orbit_core.envs.actors import Teacher
-from orbit_core.envs.environment import Environment, Observation
+from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.description import group_parts
-from orbit_learn.memory import Remembering
 from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron, PictureActor, convolutional
-from orbit_learn.policy import load_policy
-from orbit_learn.pretrained import policy_path
+from orbit_learn.teacher import teacher_of
 from orbit_learn.trainer import LoopTrainer, set_half_cosine
 
 
@@ -182,8 +179,6 @@ class RunningMoments:
         self._squares.copy_(state["squares"])
 
 
-EXPERT = "expert"
-"""Name of the teacher that is the task's own expert."""
 _MOST_GRADIENT = 0.1
 # Error of an action beyond which the loss grows linearly instead of quadratically: Huber, Robust Estimation of a
 # Location Parameter (1964).
@@ -212,7 +207,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
                 "a distillation needs a teacher: name a kept policy ('orbit list policies'), a policy's file, or expert"
             )
         device, layout = environment.device, environment.observation["policy"]
-        self._wanted = _teacher_of(environment, settings.teacher)
+        self._wanted = teacher_of(environment, settings.teacher)
         self._network = network_for(layout, settings.hidden_sizes)
         self._student = build_actor(self._network, layout, environment.action_size)
         self._student.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -297,26 +292,6 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         torch.nn.utils.clip_grad_norm_(self._student.parameters(), _MOST_GRADIENT)
         self._optimizer.step()
         self._loss += loss.detach()
-
-
-def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], Tensor]:
-    """Return a function from observations to the actions (N, A) of the task's expert, or of a policy by name."""
-    if name == EXPERT:
-        if environment.starts is not None:
-            # The expert's phases are not part of a recorded start.
-            raise ConfigurationError(
-                "an expert begins each episode with its first phase, also one that begins on its way: to let it teach, "
-                "set expert_starts=0"
-            )
-        expert = environment.expert()
-        # A teacher's phases follow from the state, which the student may have led elsewhere.
-        if isinstance(expert, Teacher):
-            expert.teaches = True
-        return lambda seen: expert.compute({})["action"]
-    teacher = load_policy(policy_path(name), environment.device)
-    group = teacher.description.find_group(environment)
-    acting = Remembering(teacher.module, environment.num_envs, environment.device)
-    return lambda seen: acting.act(seen[group], environment.state.episode_step == 0)
 
 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:

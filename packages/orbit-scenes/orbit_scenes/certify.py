@@ -30,6 +30,7 @@ class Movement:
     """Motion of one object while a scene settles."""
 
     name: str
+    """Name of the object in the scene."""
     distance: float
     """m"""
     angle: float

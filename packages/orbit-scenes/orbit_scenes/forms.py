@@ -29,7 +29,9 @@ class Piece:
     """A convex geometry at its place in the thing; ``color`` is None where it has the thing's own."""
 
     geometry: Geometry
+    """Convex, so that every backend collides with it as it is."""
     pose: Pose = field(default_factory=Pose)
+    """In the frame of the form, whose lowest point is at z = 0."""
     color: tuple[float, ...] | None = None
 
 
@@ -38,7 +40,9 @@ class Form:
     """Collision pieces and drawn surfaces of a thing."""
 
     collisions: tuple[Piece, ...]
+    """Convex pieces that collide."""
     visuals: tuple[Piece, ...]
+    """Surfaces that are drawn, with more corners where they are round."""
     cavity: Cavity | None = None
     """The space inside of a vessel that is open at the top."""
 
@@ -109,6 +113,7 @@ class Part:
     tilt: float = 0.0
     """Rotation about y, rad."""
     color: tuple[float, ...] = ()
+    """RGB or RGBA, 0 to 1; the thing's own where it is left out."""
 
 
 def vector(values: Sequence[float], what: str) -> Vector3:

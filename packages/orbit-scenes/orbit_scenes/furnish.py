@@ -28,13 +28,19 @@ class Piece:
     """A piece of furniture in its place."""
 
     name: str
+    """Room and kind, such as ``kitchen_chair_2``; in scenes without rooms the kind."""
     furniture: Furniture
+    """Kind, links and supports, without a place."""
     x: float
+    """Middle of its box, m."""
     y: float
+    """Middle of its box, m."""
     yaw: float
     """rad; a multiple of a quarter turn where it stands against a wall."""
     room: int
+    """Place of its room among those of the plan."""
     z: float = 0.0
+    """Height of its frame, m; above 0 for what stands on another piece, as a television does."""
 
     @property
     def pose(self) -> Pose:
@@ -71,9 +77,13 @@ class RoomLayout:
     """Furniture of one room while it is placed."""
 
     plan: Plan
+    """Floor plan of the whole house."""
     index: int
+    """Place of the room among those of the plan."""
     random: np.random.Generator
+    """Generator that all choices are drawn from."""
     pieces: list[Piece] = field(default_factory=list)
+    """Pieces on the floor, in the order in which they were placed."""
     hung: list[Piece] = field(default_factory=list)
     """Pieces on the walls, above the others."""
 

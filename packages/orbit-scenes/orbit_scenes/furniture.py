@@ -58,7 +58,9 @@ class Support:
     """A level rectangle where things may stand; its frame is its middle, z up."""
 
     name: str
+    """Name by which rules choose it, such as ``drawer_1``."""
     link: str
+    """Link that it moves with: a drawer, or the root of the furniture."""
     pose: Pose
     """In the frame of the link."""
     size: tuple[float, float]
@@ -78,6 +80,7 @@ class FurnitureData:
     size: tuple[float, ...]
     """Depth, width and height, m."""
     source: str
+    """Source of the size; see the head of the table."""
     height: float | None = None
     """A further height: of a seat, or of the underside of what hangs on a wall, m."""
 
@@ -87,10 +90,14 @@ class Furniture:
     """A piece of furniture."""
 
     kind: str
+    """Name in the table of furniture, and the semantic label."""
     articulation: Articulation
+    """Links, and the joints of doors and drawers; the frame is the middle of its box on the floor, its front towards
+    -x."""
     size: Vector3
     """Depth, width and height of its box; a cabinet on a wall has its height above the floor added."""
     supports: tuple[Support, ...] = ()
+    """Places on and in it where things may stand."""
     front: float = 0.0
     """Metres in front of it that stay free, for people and for what opens."""
     wall: bool = True

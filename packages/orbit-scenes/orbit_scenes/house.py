@@ -34,7 +34,9 @@ class Usual:
     """A thing that is usual in rooms of a kind, and where it is put."""
 
     thing: str
+    """Name in the library of things."""
     rule: Rule
+    """Rule by which the thing is placed."""
 
 
 _TABLES = "dining_table|coffee_table"
@@ -125,13 +127,17 @@ class House:
     """Rooms, furniture and things of one seed."""
 
     plan: Plan
+    """Rooms, and walls with doors and windows."""
     pieces: tuple[Piece, ...]
+    """Furniture of all rooms, without doors."""
     things: tuple[PlacedThing, ...]
+    """Things in their places, of unique names."""
     floor: _Array
     """Middles (M, 2) of cells of the floor where a robot that comes through the doors can stand, m."""
     left_out: tuple[str, ...] = ()
     """Things that found no place, a sentence each."""
     open_doors: bool = True
+    """Whether doors between rooms stand open at home; the entrance is shut."""
 
     @property
     def scene(self) -> Scene:

@@ -43,7 +43,9 @@ class In:
     furniture: str = ".*"
     """Regular expression over kinds of furniture, or names of vessels of the library (full match)."""
     support: str = ".*"
+    """Regular expression over names of its supports (full match)."""
     reach: float | None = 0.95
+    """Metres from the nearest place where a robot can stand; None is anywhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,12 +66,15 @@ class PlacedThing:
     """A thing of the library in its place."""
 
     name: str
+    """Name in the scene: that of the library, numbered where there are several."""
     thing: Thing
+    """Form, mass and surface, from the library."""
     pose: Pose
     """Of its frame."""
     support: str
     """What it stands on or in, as ``object.support``."""
     yaw: float = 0.0
+    """Rotation about z in the frame of its support, rad."""
 
     def build(self) -> ObjectSpec:
         """Build the object."""
@@ -116,6 +121,7 @@ class Placer:
         self._blocked = [piece for piece in pieces if piece.z > 0.0]
         self._floor, self._random = floor, random
         self.placed: list[PlacedThing] = []
+        """Things that have been placed, in that order."""
 
     def place(self, name: str, rule: Rule) -> PlacedThing:
         """Place a thing of the library by a rule.

@@ -29,10 +29,15 @@ class RoomKind(Enum):
     """Use of a room."""
 
     KITCHEN = "kitchen"
+    """A row of cupboards with fridge, sink and stove, and a table with chairs."""
     LIVING = "living"
+    """A sofa opposite a television, bookshelves, and a table with chairs where there is space."""
     BEDROOM = "bedroom"
+    """A bed between nightstands, a wardrobe and a bookshelf."""
     BATHROOM = "bathroom"
+    """A bathtub, a washbasin and a toilet."""
     STUDY = "study"
+    """A desk with a chair, and bookshelves."""
 
 
 FLOORS: dict[RoomKind, Color] = {
@@ -58,9 +63,13 @@ class Rectangle:
     """A rectangle along the axes, m."""
 
     x0: float
+    """Least x."""
     y0: float
+    """Least y."""
     x1: float
+    """Largest x."""
     y1: float
+    """Largest y."""
 
     @property
     def width(self) -> float:
@@ -97,8 +106,11 @@ class Opening:
     along: float
     """Middle, along the wall, m."""
     width: float
+    """Full width, m; a door's includes its jambs."""
     sill: float
+    """Height of the lower edge above the floor, m; 0 for a door."""
     head: float
+    """Height of the upper edge above the floor, m."""
     rooms: tuple[int, ...]
     """Rooms that a door joins, one for the entrance; none for a window."""
 
@@ -117,10 +129,13 @@ class Wall:
     at: float
     """Its x where it runs along y, else its y; of its middle, m."""
     start: float
+    """Lower end of its middle line, along the wall, m."""
     end: float
+    """Upper end of its middle line, along the wall, m."""
     rooms: tuple[int, ...]
     """Rooms on its sides, one for an outer wall."""
     openings: tuple[Opening, ...] = ()
+    """Doors and windows, in order along the wall."""
 
     def place(self, along: float) -> tuple[float, float]:
         """Return x and y of a point of its middle line."""
@@ -132,8 +147,11 @@ class Room:
     """A room: its use and its floor between the middles of its walls."""
 
     kind: RoomKind
+    """Use, by which it is furnished."""
     floor: Rectangle
+    """Bounded by the middles of its walls, which neighbours share."""
     name: str
+    """Kind, numbered where the plan has several of it."""
 
     @property
     def inside(self) -> Rectangle:
@@ -146,8 +164,11 @@ class Plan:
     """A floor plan around the origin."""
 
     rooms: tuple[Room, ...]
+    """In the order in which their kinds were given; the first has the entrance."""
     walls: tuple[Wall, ...]
+    """Those between neighbours, and the outer ones, one for each room's side."""
     bounds: Rectangle
+    """Bounded by the middles of the outer walls."""
 
     def doors(self) -> Iterator[tuple[Wall, Opening]]:
         """Yield all doors with the walls that they are in."""

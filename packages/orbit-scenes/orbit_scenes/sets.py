@@ -54,9 +54,11 @@ class ImportOptions:
     density: float = 400.0
     """kg/m^3, of the hull of what has no mass: hollow household things."""
     friction: float = 0.6
+    """Coefficient of static and dynamic friction, in sets whose objects are single meshes."""
     height: float | None = None
     """Metres that the object is high; scales it."""
     collision: MeshCollision = MeshCollision.CONVEX_HULL
+    """Shape that a mesh collides as, in sets whose objects are single meshes."""
     fixed_base: bool | None = None
     """None fixes PartNet-Mobility's furniture and leaves all else free."""
 

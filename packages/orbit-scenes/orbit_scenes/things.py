@@ -47,15 +47,23 @@ class ThingData:
     source: str
     """Source of size and mass; see the head of the table."""
     color: tuple[float, ...]
+    """RGB or RGBA, 0 to 1."""
     friction: float = 0.6
+    """Coefficient of static and dynamic friction, an estimate for all things."""
     label: str = ""
     """Semantic label; the thing's name where it is left out."""
     block: tuple[float, ...] = ()
+    """Full size of a box, m."""
     can: tuple[float, ...] = ()
+    """Diameter and height of an upright cylinder, m."""
     round: tuple[float, ...] = ()
+    """Full size of an ellipsoid, m."""
     turned: tuple[tuple[float, ...], ...] = ()
+    """Rows of [radius, height] of a solid turned about z, from the bottom up, m."""
     vessel: Vessel | None = None
+    """Profile, walls and handles of what is open at the top."""
     parts: tuple[Part, ...] = ()
+    """Convex parts, in the pose in which the thing rests."""
 
     def __post_init__(self) -> None:
         given = [name for name in _FORMS if getattr(self, name)]
@@ -84,10 +92,13 @@ class Thing:
     """A household thing as one rigid body; its frame is the middle of its bounding box, upright as it rests."""
 
     name: str
+    """Name in the library."""
     articulation: Articulation
+    """One link without joints."""
     size: Vector3
     """Full size of its bounding box, m."""
     source: str
+    """Source of size and mass; see the head of the table."""
     cavity: Cavity | None = None
     """Space inside of it; its axis is in the thing's frame, and heights are from the thing's underside."""
 

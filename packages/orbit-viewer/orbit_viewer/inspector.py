@@ -35,9 +35,13 @@ class Choices:
     """Choices of the person about inspection, taken over as one."""
 
     selected: str = NOTHING
+    """Name of the selected entity."""
     follow: bool = False
+    """Whether the camera moves with it."""
     forces: bool = False
+    """Whether contact forces are drawn."""
     pull: bool = False
+    """Whether the selected entity may be dragged."""
 
 
 class Inspector:
@@ -55,6 +59,7 @@ class Inspector:
         self._server, self._world, self._scene, self._controls = server, world, scene, controls
         self._layout: SceneLayout = world.layout
         self.choices = Choices(selected=follow or NOTHING, follow=bool(follow))
+        """Choices of the person, set from the web server's threads."""
         self._followed: npt.NDArray[np.float64] | None = None
         self._arrows: Any = None
         self._pulled = ""

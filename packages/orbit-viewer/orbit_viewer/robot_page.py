@@ -24,7 +24,7 @@ _COLORS = ("#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5")
 
 
 class RobotPage:
-    """Page in a browser that is updated by whoever drives or replays a robot.
+    """Page in a browser that a program updates while it drives or replays a robot.
 
     Args:
         spec: robot.
@@ -47,6 +47,7 @@ class RobotPage:
     ) -> None:
         from viser import uplot
 
+        # The robot alone, without what stands around it: a log does not know that.
         layout = SceneLayout.of(Scene(robots=(spec,)))
         self._tree, self._seconds, self._series = KinematicTree(spec.articulation), seconds, series
         self._joints = [joint.name for joint in spec.articulation.movable_joints]
@@ -87,6 +88,7 @@ class RobotPage:
             ghost: (J,) positions of the ghost; none if None.
             text: Markdown next to the plots.
         """
+        # Every state is kept, and only some are drawn: browsers take some tens of pictures a second.
         self._rows.append((when, np.asarray(values, np.float64)))
         while self._rows[0][0] < when - self._seconds:
             self._rows.popleft()
@@ -101,6 +103,7 @@ class RobotPage:
 
     def series(self) -> Mapping[str, FloatArray]:
         """Return what the plots show of the chosen joint: ``time`` and each series, (T,)."""
+        # One joint at a time: a plot of all of them shows none.
         column = self._joints.index(self._joint.value)
         values = np.stack([row[:, column] for _, row in self._rows])
         return {"time": np.array([when for when, _ in self._rows]), **dict(zip(self._series, values.T, strict=True))}
@@ -118,6 +121,7 @@ class RobotPage:
         self.close()
 
     def _draw(self, posture: FloatArray, ghost: FloatArray | None) -> None:
+        # Links follow from joints, so that a page needs no simulation.
         poses = self._tree.forward(self._root[None], torch.as_tensor(posture, dtype=torch.float32)[None])
         self._scene.update(Frame(poses.numpy(), np.zeros((1, 0, 7), np.float32)))
         if ghost is None:

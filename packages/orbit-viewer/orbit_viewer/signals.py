@@ -53,6 +53,7 @@ class TaskSignals:
     """Signals of an environment's task, from its last step."""
 
     environment: Environment
+    """Environment that is stepped."""
     _sums: Tensor | None = None
     _terms: Tensor | None = None
     _observation: Mapping[str, Any] = field(default_factory=dict)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -122,7 +122,7 @@ class VideoFile:
 
 
 class VideoRecorder(Recorder):
-    """Films the first ``environments`` of a batch side by side, from when it is made until the video is full.
+    """Films the first ``environments`` of a batch, or those of these numbers, side by side, until the video is full.
 
     The video is as long as an episode's time limit; an environment whose episode ends earlier shows its next one.
     ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels. It observes a rollout;
@@ -133,13 +133,15 @@ class VideoRecorder(Recorder):
         self,
         environment: Environment,
         path: Path | str,
-        environments: int = 4,
+        environments: int | Sequence[int] = 4,
         width: int = 400,
         height: int = 304,
         frames: bool = False,
     ) -> None:
-        count = min(environments, environment.num_envs)
-        self._rows = torch.arange(count, device=environment.device)
+        whole = isinstance(environments, int)
+        rows = range(min(environments, environment.num_envs)) if whole else environments
+        count = len(rows)
+        self._rows = torch.tensor([*rows], device=environment.device)
         self._columns = math.ceil(math.sqrt(count))
         lines = math.ceil(count / self._columns)
         self._length = self._left = environment.max_episode_steps

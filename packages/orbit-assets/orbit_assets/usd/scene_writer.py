@@ -31,6 +31,7 @@ from orbit_core.scene import (
     Shape,
     look_at,
 )
+from orbit_core.scene.shapes import DULL
 
 
 def write_usd_scene(scene: Scene, path: str | Path) -> tuple[str, ...]:
@@ -147,6 +148,8 @@ def _losses(scene: Scene) -> Iterator[str]:
     if any(not isinstance(shape.geometry, Plane | HeightField) for shape in scene.terrain):
         yield "terrain other than planes reads back as a fixed object"
     for entity in scene.entities:
+        if any(shape.finish != DULL for link in entity.articulation.links for shape in link.visuals):
+            yield f"{entity.name}: finishes of surfaces are left out; their colours are kept"
         if isinstance(entity, ObjectSpec) and entity.active:
             yield f"{entity.name}: force laws are left out: {', '.join(law.name for law in entity.active)}"
         if isinstance(entity, ObjectSpec) and entity.variants:

@@ -362,7 +362,9 @@ class ArticulationWriter:
         self.articulation = articulation
         self.shapes = shapes
         self.stage = shapes.stage
+        """USD stage that is written to, that of the shapes' writer."""
         self.links: dict[str, Any] = {}
+        """Prims by the names of links, filled by :meth:`write`."""
 
     def write(self, top: Any) -> None:
         """Write links, frames and joints below ``top``, in its frame."""
@@ -405,7 +407,9 @@ class ShapeWriter:
     """Writer of shapes; equal materials share a prim below the stage's default prim."""
 
     stage: Any
+    """USD stage that is written to."""
     materials: dict[PhysicsMaterial, Any] = field(default_factory=dict)
+    """Prims of the physics materials that have been written."""
 
     def write(self, parent: Any, shape: Shape, *, collides: bool = True, drawn: bool = True) -> None:
         """Write a shape in the frame of ``parent``.

@@ -11,10 +11,11 @@ from tyro.conf import Positional, arg
 
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, progress_bar
-from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name, check_output, check_positive, parse_words
+from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name, check_positive, parse_words
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_data.cli.read_budget import ReadSettings
+from orbit_data.cli.record import check_recording, show_left_out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +24,8 @@ class AugmentSettings(ReadSettings):
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
     """An HDF5 file that orbit record wrote."""
-    output: Annotated[Path, arg(metavar="FILE")]
-    """The new dataset, HDF5."""
+    output: Annotated[Path, arg(metavar="PATH")]
+    """The new dataset: *.hdf5, or a folder of LeRobot's."""
     demonstrations: int = 10
     """How many of the dataset's first successful ones are cut."""
     episodes: int = 1000
@@ -63,7 +64,7 @@ def main(words: Sequence[str]) -> None:
     if settings.most_attempts is not None:
         check_positive("most_attempts", settings.most_attempts)
     check_apart(settings.output, (settings.dataset,))
-    check_output(settings.output, ".hdf5", settings.overwrite)
+    check_recording(settings.output, settings.overwrite)
     file = RecordingFile(settings.output)
     file.check_begun(resume=False, overwrite=settings.overwrite)
     with opened(settings.dataset, settings.budget) as dataset:
@@ -95,7 +96,7 @@ def main(words: Sequence[str]) -> None:
                 line = bar.add_task(f"{manifest.task} demonstrations", total=settings.episodes)
                 done = augment(
                     environment, pieces, file, manifest.task, settings.episodes, settings.seed, most,
-                    lambda kept: bar.update(line, completed=kept),
+                    lambda kept: bar.update(line, completed=kept), dataset.episodes[chosen[0]].instruction,
                 )  # fmt: skip
         finally:
             file.release()
@@ -105,3 +106,4 @@ def main(words: Sequence[str]) -> None:
         f"succeeded, {done.share.percent()}, of {len(chosen)} demonstrations",
         soft_wrap=True,
     )
+    show_left_out(file)

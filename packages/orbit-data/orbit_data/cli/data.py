@@ -215,10 +215,13 @@ class ConvertSettings(_Written):
 
 @dataclass(frozen=True, kw_only=True)
 class MergeSettings(_Written):
-    """Put datasets of one task, robot and action together."""
+    """Put datasets of one robot and action together."""
 
     datasets: Annotated[Positional[tuple[Path, ...]], arg(metavar="DATASET")]
     """HDF5 files, folders of LeRobot's, or Zarr replay buffers."""
+    shared: bool = False
+    """Put datasets of several tasks together: keep what all of them have alike of what the policy sees, and label each
+    episode with its task's words."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,7 +354,14 @@ def _opened(paths: Sequence[Path], budget: ReadBudget) -> Iterator[list[Dataset]
 
 def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[int] | None) -> None:
     """Write the episodes of several datasets, or some of one, to a new place."""
-    from orbit_data.formats import check_target, common_manifest, read_all, write_dataset
+    from orbit_data.formats import (
+        check_target,
+        common_manifest,
+        read_all,
+        read_shared,
+        shared_manifest,
+        write_dataset,
+    )
     from orbit_data.recording import RecordingFile
 
     output = settings.output
@@ -363,10 +373,14 @@ def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[
     check_apart(output, [dataset.path for dataset in datasets])
     check_target(output)
     RecordingFile(output).check_none()
-    manifest = common_manifest(datasets)
+    shared = isinstance(settings, MergeSettings) and settings.shared
+    manifest = shared_manifest(datasets) if shared else common_manifest(datasets)
     make_folder(output)
     (first, *_) = datasets
-    episodes = read_all(datasets) if positions is None else map(first.read, positions)
+    if shared and manifest is not None:
+        episodes = read_shared(datasets, manifest)
+    else:
+        episodes = read_all(datasets) if positions is None else map(first.read, positions)
     # Merged datasets have no common subsets.
     masks = None if positions is None or output.suffix not in _HDF5 else _moved(first, positions)
     left_out = write_dataset(output, episodes, manifest, settings.rate, masks, settings.compression)

@@ -5,14 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction, arg
 
 from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar
-from orbit_core.cli.settings import EnvironmentSettings, check_output, check_positive, make_folder, parse_settings
-from orbit_core.interfaces.errors import OrbitError
+from orbit_core.cli.settings import (
+    EnvironmentSettings,
+    check_output,
+    check_parent,
+    check_positive,
+    make_folder,
+    parse_settings,
+)
+from orbit_core.files import sweep
+from orbit_core.interfaces.errors import ConfigurationError, OrbitError
+
+if TYPE_CHECKING:
+    from orbit_data.recording import RecordingFile
 
 SUFFIX = ".hdf5"
 
@@ -27,17 +38,41 @@ class RecordSettings(EnvironmentSettings):
     """Episodes in the dataset, divided evenly over the environments, so that short ones are not preferred."""
     agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
     """Agent that acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
-    output: Annotated[Path, arg(metavar="FILE")] = Path("out/demonstrations.hdf5")
-    """The dataset, HDF5 in robomimic's layout; its card is written next to it."""
+    output: Annotated[Path, arg(metavar="PATH")] = Path("out/demonstrations.hdf5")
+    """The dataset with its card: HDF5 in robomimic's layout if the name ends in .hdf5, else a folder in LeRobot's."""
     group: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """An observation group to record; repeatable, all if left out."""
     noise: float = 0.0
     """Standard deviation of noise on the executed actions, in their units, each episode between none and twice this;
     the demonstrator's own actions are kept as clean_actions, the labels that cloning learns."""
+    instruction: Annotated[str | None, arg(metavar="TEXT")] = None
+    """What the episodes show, in words, as policies of vision and language are asked for it; the task's own if left
+    out."""
     resume: bool = False
     """Continue an interrupted recording, or extend a complete one."""
     overwrite: bool = False
     """Replace an existing dataset or recording of that name once the new one is complete."""
+
+
+def check_recording(path: Path, replaces: bool) -> None:
+    """Reject the path of a new dataset that cannot be written, before the work whose result it is to hold.
+
+    Args:
+        path: path of the file or folder.
+        replaces: whether a dataset may be there.
+
+    Raises:
+        ConfigurationError: the path has no known format, is taken, or is in no folder that can be written.
+    """
+    from orbit_data.formats import check_target
+
+    if path.suffix == SUFFIX:
+        return check_output(path, SUFFIX, replaces)
+    check_parent(path)
+    check_target(path)
+    if path.exists() and not replaces:
+        raise ConfigurationError(f"{path} is there already: give another name, or --overwrite")
+    return sweep(path.parent)
 
 
 def main(words: Sequence[str]) -> None:
@@ -51,16 +86,18 @@ def record(settings: RecordSettings) -> None:
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
+    from orbit_core.envs.task import instruction_of
     from orbit_data import recording
     from orbit_data.card import facts
-    from orbit_data.hdf5 import Hdf5Dataset
+    from orbit_data.formats import opened
+    from orbit_data.reading.budget import TRUSTED
     from orbit_data.recording import check_groups
 
     check_actor(settings.agent)
     check_positive("episodes", settings.episodes)
     check_positive("num_envs", settings.num_envs)
     make_folder(settings.output)
-    check_output(settings.output, SUFFIX, settings.overwrite or settings.resume)
+    check_recording(settings.output, settings.overwrite or settings.resume)
     file = recording.RecordingFile(settings.output)
     file.check_begun(settings.resume, settings.overwrite)
     environment = make_environment(settings, settings.num_envs)
@@ -80,6 +117,7 @@ def record(settings: RecordSettings) -> None:
                 settings.group or None,
                 lambda recorded: bar.update(counting, completed=recorded),
                 settings.noise,
+                instruction_of(environment.task, settings.task or "", settings.instruction),
             )
         except (OrbitError, KeyboardInterrupt):
             if kept := len(file.parts.infos()):
@@ -88,11 +126,17 @@ def record(settings: RecordSettings) -> None:
             raise
         finally:
             environment.close()
-    dataset = Hdf5Dataset(settings.output)
     table = new_table("", "value", title=str(settings.output))
-    for name, value in facts(dataset).items():
-        table.add_row(name, value)
-    dataset.close()
+    with opened(settings.output, TRUSTED) as dataset:
+        for name, value in facts(dataset).items():
+            table.add_row(name, value)
     if pace.env_steps:
         table.add_row("environment steps per second", f"{pace.env_steps_per_second:,.0f}, recording left out")
     console().print(table)
+    show_left_out(file)
+
+
+def show_left_out(file: RecordingFile) -> None:
+    """Print the names of arrays that a recording's format could not store."""
+    if file.left_out:
+        console().print(f"not held: {', '.join(sorted(file.left_out))}", soft_wrap=True)

@@ -6,29 +6,28 @@ import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from orbit_core.cli.making import make_environment
+from orbit_core.cli.making import check_actor, make_actor, make_environment
 from orbit_core.cli.output import console
 from orbit_core.cli.settings import (
     EnvironmentSettings,
-    check_output,
     check_port,
     check_steps,
     make_folder,
     parse_settings,
 )
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_data.cli.record import check_recording, show_left_out
 
 if TYPE_CHECKING:
     from orbit_data.teleoperation.device import Device
     from orbit_data.teleoperation.driver import Driver
     from orbit_data.teleoperation.session import Session
-
-SUFFIX = ".hdf5"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +38,14 @@ class TeleopSettings(EnvironmentSettings):
     """Device that you move."""
     device: Annotated[str, arg(name="torch-device", metavar="NAME")] = "cpu"
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
-    output: Annotated[Path, arg(metavar="FILE")] = Path("out/teleoperation.hdf5")
-    """The dataset, as 'orbit record' writes it; nothing is written before the first episode is saved."""
+    output: Annotated[Path, arg(metavar="PATH")] = Path("out/teleoperation.hdf5")
+    """The dataset, as 'orbit record' writes it: *.hdf5, or a folder of LeRobot's; nothing is written before the first
+    episode is saved."""
+    instruction: Annotated[str | None, arg(metavar="TEXT")] = None
+    """What the episodes show, in words; the task's own if left out."""
+    policy: Annotated[str | None, arg(metavar="POLICY")] = None
+    """A policy that acts until you move the device, and again a second after you let go (HG-DAgger): only your steps
+    are marked to be learned from ('orbit train TASK --library imitation --dataset ...')."""
     resume: bool = False
     """Add to the dataset of that name."""
     overwrite: bool = False
@@ -74,6 +79,7 @@ def teleop(settings: TeleopSettings) -> None:
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
+    from orbit_core.envs.task import instruction_of
     from orbit_data.recording import RecordingFile
     from orbit_data.teleoperation.device import Speeds
     from orbit_data.teleoperation.devices import check_device, open_device
@@ -87,8 +93,10 @@ def teleop(settings: TeleopSettings) -> None:
     check_port("port", settings.port)
     check_port("leader_port", settings.leader_port)
     check_steps(settings.max_steps)
+    if settings.policy is not None:
+        check_actor(settings.policy)
     make_folder(settings.output)
-    check_output(settings.output, SUFFIX, settings.overwrite or settings.resume)
+    check_recording(settings.output, settings.overwrite or settings.resume)
     file = RecordingFile(settings.output)
     file.check_begun(settings.resume, settings.overwrite)
     fields = {**settings.fields, "episode_length": settings.seconds}
@@ -100,8 +108,17 @@ def teleop(settings: TeleopSettings) -> None:
         try:
             if settings.overwrite:
                 file.begin_anew()
+            instruction = instruction_of(environment.task, settings.task or "", settings.instruction)
             session = Session(
-                environment, driver, device, settings.input_device, file, settings.task or "", settings.seed
+                environment,
+                driver,
+                device,
+                settings.input_device,
+                file,
+                settings.task or "",
+                settings.seed,
+                instruction,
+                None if settings.policy is None else partial(make_actor, settings.policy, environment, settings.seed),
             )
             try:
                 _show(settings, session, device, driver)
@@ -109,6 +126,7 @@ def teleop(settings: TeleopSettings) -> None:
                 kept = session.close()
                 outcome = f"{kept} episodes are in {settings.output}" if kept else "no episode was saved"
                 console().print(outcome, soft_wrap=True)
+                show_left_out(file)
         finally:
             device.close()
             file.release()

@@ -20,6 +20,7 @@ _SIZES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
 # Limit of the nesting of structures in a page's header.
 _DEEPEST = 8
 _MOST_COLUMNS = 10_000
+_MOST_TEXTS, _LONGEST_TEXT = 10_000, 1_000
 
 
 def read_columns(path: Path, wanted: Callable[[str], bool], account: ReadAccount) -> Any:
@@ -48,6 +49,39 @@ def read_columns(path: Path, wanted: Callable[[str], bool], account: ReadAccount
                         _check_column(data, column, path.name, account)
         # One thread, so that one page at a time is unpacked: the account counts the largest page once.
         return file.read(columns=names, use_threads=False)
+
+
+def read_texts(path: Path, account: ReadAccount) -> list[str]:
+    """Return the texts of a short table's only column of texts, in its rows' order; empty if it has none.
+
+    Args:
+        path: path of the file.
+        account: account of the bytes and time that are used.
+
+    Raises:
+        ConfigurationError: there are too many texts, one is too long, or the budget is exceeded.
+    """
+    arrow, parquet = arrow_modules()
+    with parquet.ParquetFile(path) as file:
+        names = [field.name for field in file.schema_arrow if arrow.types.is_string(field.type)][:1]
+        if not names:
+            return []
+        if file.metadata.num_rows > _MOST_TEXTS:
+            raise ConfigurationError(f"{path} has {file.metadata.num_rows:,} texts, more than {_MOST_TEXTS:,}")
+        with path.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            for number in range(file.metadata.num_row_groups):
+                group = file.metadata.row_group(number)
+                for column in map(group.column, range(group.num_columns)):
+                    if column.path_in_schema == names[0]:
+                        largest = max((page.unpacked for page in _pages(data, column)), default=0)
+                        account.take(f"texts of {path.name}", largest, column.total_compressed_size)
+    # As a dictionary: a short file could refer to one long text in every row.
+    with parquet.ParquetFile(path, read_dictionary=names) as file:
+        texts = file.read(columns=names, use_threads=False)[names[0]].combine_chunks()
+    longest = max((len(text) for text in texts.dictionary.to_pylist() if text), default=0)
+    if longest > _LONGEST_TEXT:
+        raise ConfigurationError(f"{path} has a text of {longest:,} characters, more than {_LONGEST_TEXT:,}")
+    return [text or "" for text in texts.to_pylist()]
 
 
 def arrow_modules() -> tuple[Any, Any]:

@@ -20,8 +20,10 @@ from orbit_data.manifest.manifest import Manifest
 from orbit_data.recording import DemonstrationRecorder, RecordingFile
 from orbit_data.teleoperation.device import Device, DeviceLostError, Event, Reading
 from orbit_data.teleoperation.driver import Driver
+from orbit_data.teleoperation.intervention import Intervention
 
 if TYPE_CHECKING:
+    from orbit_core.envs.actors import Actor
     from orbit_core.envs.environment import Environment
     from orbit_core.interfaces import Renderer, World
 
@@ -97,6 +99,8 @@ class Session:
         file: recording that receives the episodes.
         task: name that the environment was made by.
         seed: seed of its random stream.
+        instruction: what the episodes show, in words.
+        make_policy: makes the actor of a policy that acts until the person moves the device; None without one.
 
     Raises:
         ConfigurationError: the file was recorded with another environment.
@@ -111,12 +115,15 @@ class Session:
         file: RecordingFile,
         task: str,
         seed: int,
+        instruction: str = "",
+        make_policy: Callable[[], Actor] | None = None,
     ) -> None:
         self.num_envs, self.step_dt, self.world = 1, environment.step_dt, environment.world
         """Number of environments (one), seconds of a step and world, as the viewer reads them of any environment."""
         self._environment, self._driver, self._device, self._file, self._seed = environment, driver, device, file, seed
         file.take_up(replace(Manifest.of(environment, task, seed), input_device=name))
-        self._name = name
+        self._name, self._instruction = name, instruction
+        self._intervention = None if make_policy is None else Intervention(environment, driver, make_policy)
         self._recorder: DemonstrationRecorder | None = None
         self._success = False
         self._moved: float | None = None
@@ -163,7 +170,7 @@ class Session:
         self._moved = reading.moved_at
         if self._recorder:
             self._recorder.before_step()
-        return self._driver.act(reading)
+        return (self._intervention or self._driver).act(reading)
 
     def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, Mapping[str, Any]]:
         """Take one step, and return observation, reward, terminated, truncated and info."""
@@ -182,7 +189,7 @@ class Session:
         if final:
             self.message = self._told("its time was over" if bool(result[3].any()) else "the task ended it")
             self._recorder = None
-            self._driver.restart()
+            self._restart()
         # Once a second at most: the search would lower the rate of steps.
         if now - self._looked_at >= _LOOKED:
             self._looked_at, self._reach = now, self._driver.reach_problem()
@@ -194,6 +201,8 @@ class Session:
     def information(self) -> dict[str, str]:
         """Return rows for the viewer's panel."""
         rows = {"device": self._name, "driving": self._driver.active, "recording": "no"}
+        if self._intervention is not None:
+            rows["led by"] = "you" if self._intervention.leads else "the policy"
         if self.recording:
             rows["recording"] = "yes, marked a success" if self._success else "yes"
         rows["episodes kept"] = str(self.kept)
@@ -236,13 +245,21 @@ class Session:
 
     def _begin(self, recording: bool) -> None:
         self._environment.reset()
-        self._driver.restart()
+        self._restart()
         self._success, self._recorder = False, None
         if recording:
             begun = self.world.random.episode.clone()
+            taught = None if self._intervention is None else lambda: self._intervention.led  # pyright: ignore
             self._recorder = DemonstrationRecorder(
-                self._environment, self._file.parts, _everything, self._seed, begun=begun
-            )
+                self._environment, self._file.parts, _everything, self._seed,
+                begun=begun, instruction=self._instruction, taught=taught,
+            )  # fmt: skip
+
+    def _restart(self) -> None:
+        """Let an episode begin for whoever acts."""
+        self._driver.restart()
+        if self._intervention is not None:
+            self._intervention.begin()
 
     def _save(self) -> None:
         environment, recorder = self._environment, self._recorder

@@ -105,6 +105,7 @@ def _success(settings: BisectSettings, differences: tuple[Difference, ...]) -> f
         if steps := delay_steps(differences, environment.step_dt):
             actor = DelayedActor(actor, environment, steps)
         counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device)
+        # Every set of differences meets the same episodes.
         environment.reset(settings.seed)
         roll_out(environment, actor, (counter,), lambda: counter.complete)
         return counter.episodes().success_rate.value

@@ -205,6 +205,7 @@ def _leave_out_learning(task: Task) -> None:
     """Switch off rewards and curriculum, which may read what a robot does not measure."""
     from orbit_core.envs.terms import CurriculumTerm, RewardTerm, terms_of
 
+    # A robot's episodes are counted by success and metrics, which nobody learns from.
     for collection, kind in ((task.rewards, RewardTerm), (task.curriculum, CurriculumTerm)):
         for name in terms_of(collection, kind):
             setattr(collection, name, None)
@@ -389,6 +390,7 @@ class _Watch:
         import numpy as np
 
         lines, ghost, text = [state.targets, state.positions], None, f"{state.mode}, {self._link.round_trips}"
+        # In the step's own time: the world of a Panda takes about 1 ms for 20 ms.
         if self._twin is not None:
             away = self._twin.follow(state)
             self._squares += float(np.mean(away**2))

@@ -76,6 +76,7 @@ def run(settings: IdentifySettings) -> dict[str, Any]:
     out = console()
     spec, backend = robot(settings.robot), settings.backend or default_backend()
     log = read_log(settings.log).selected(settings.begin, settings.seconds)
+    # Only logs of our own computer say what they were made with.
     if log.description is not None:
         for line in check_robot(RobotDescription.of(spec), log.description, str(settings.log)):
             out.print(f"warning: {line}", soft_wrap=True)

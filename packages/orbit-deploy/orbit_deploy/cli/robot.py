@@ -117,6 +117,7 @@ def _serve(settings: RobotSettings) -> None:
         server = carrier.serve(computer, f"{settings.bridge}://{settings.host}:{settings.port}", settings.keys)
         out.print(f"serving {hardware.description.model} at {server.address} (Ctrl-C ends)", soft_wrap=True)
         timer = threading.Timer(settings.seconds or 0.0, computer.end)
+        # A command that ends before does not wait for it.
         timer.daemon = True
         if settings.seconds is not None:
             timer.start()

@@ -80,11 +80,14 @@ def run(settings: TwinSettings) -> dict[str, dict[str, float]]:
     from orbit_deploy.motion_log import read_log
     from orbit_deploy.twin import replay_twin, summary
 
+    # Tensors of one robot are small: threads would cost more than they save.
     torch.set_num_threads(1)
     assert settings.robot is not None, "the caller has looked"
     spec = robot(settings.robot)
+    # A robot's specification has no delay: it is in the file alone.
     delay = read_fitted(Path(settings.robot)).delay if settings.robot.endswith(".json") else 0.0
     log = read_log(settings.log).selected(settings.begin, settings.seconds)
+    # A recording may hold more joints than the robot, and in another order.
     log = log.ordered(tuple(joint.name for joint in spec.articulation.movable_joints))
     if settings.csv is not None:
         log.write_csv(settings.csv)
@@ -121,6 +124,7 @@ def _show(settings: TwinSettings, spec: RobotSpec, log: MotionLog, result: TwinR
             text = f"{when:.1f} of {log.duration:.1f} s, {result.rms:.3g} rad or m (rms) apart"
             page.show(when, log.position[row], np.stack(values), result.positions[row], text)
 
+        # Again and again, as a person looks at one joint after the other.
         try:
             while True:
                 play(log, result, show, time.sleep, settings.speed)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +13,7 @@ from rich.table import Table
 from tyro.conf import Positional, UseAppendAction, arg
 
 from orbit_core.backends import backend, default_backend
-from orbit_core.cli.making import check_actor
+from orbit_core.cli.making import check_actor, configured_task
 from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.settings import EnvironmentSettings, check_positive, make_folder, parse_settings
 from orbit_core.configuration import assignments
@@ -24,9 +25,13 @@ from orbit_learn.acting import SCHEMES
 from orbit_learn.cli.trained import PlaySettings
 
 if TYPE_CHECKING:
+    from orbit_learn.evaluation.films import Film
     from orbit_learn.evaluation.results import Block, Plan
 
 _RESULTS, _PAGE = "results.jsonl", "index.html"
+# A film of nine is as wide as a page.
+_MOST_FILMED = 9
+_NAMED = re.compile(r"(?P<recipe>[\w.-]+)=(?P<policy>.+)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +39,8 @@ class EvaluateSettings(EnvironmentSettings):
     """Evaluate policies from the same starts, on several engines and under disturbances, with intervals."""
 
     policies: Annotated[Positional[tuple[str, ...]], arg(metavar="POLICY")]
-    """Policies' files, trainings' folders, names of kept policies, expert, or addresses of policy servers (ws://)."""
+    """Policies' files, trainings' folders, names of kept policies, expert, or addresses of policy servers (ws://);
+    NAME=POLICY for several trainings of one recipe, each with another seed."""
     task: Annotated[str | None, arg(metavar="NAME")] = None
     """Task; that of the first policy if left out."""
     backend: Annotated[tuple[str, ...], arg(metavar="NAME")] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -45,6 +51,11 @@ class EvaluateSettings(EnvironmentSettings):
     """Episodes of each policy, engine, variant and seed, all stepped together."""
     variant: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME:KEY=VALUE,...")] = ()
     """A disturbance, evaluated beside the task as it is, such as 'slippery:cube.friction=0.3'; repeatable."""
+    axis: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME[:LEVEL]")] = ()
+    """A disturbance in levels 1 to 3, all if none is named: light, texture, camera, start, appearance (of the robot) or
+    language; repeatable."""
+    videos: int = 0
+    """Failures of each kind to film, by running one block of the kind again; the films are on the page."""
     jobs: Annotated[int | None, arg(metavar="INT")] = None
     """Processes side by side, each with environments of its own; one for each core if left out."""
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/evaluation")
@@ -70,12 +81,16 @@ def evaluate(settings: EvaluateSettings) -> None:
     check_positive("seeds", settings.seeds)
     if settings.jobs is not None:
         check_positive("jobs", settings.jobs)
+    if not 0 <= settings.videos <= _MOST_FILMED:
+        raise ConfigurationError(f"videos must be from 0 to {_MOST_FILMED}, not {settings.videos}")
+    recipes, policies = _recipes(settings.policies)
+    settings = replace(settings, policies=policies)
     if len(set(settings.policies)) != len(settings.policies):
         raise ConfigurationError("a policy is named twice: name each once")
     for policy in settings.policies:
         check_actor(policy)
     own = {policy: _settings_of(policy, settings) for policy in settings.policies}
-    plan = _plan(settings, own)
+    plan = _plan(settings, own, recipes)
     make_folder(settings.output / _RESULTS)
     results = ResultFile(settings.output / _RESULTS, plan)
     left = results.left()
@@ -94,10 +109,31 @@ def evaluate(settings: EvaluateSettings) -> None:
             console().print(f"{results.path} keeps what has ended: the same command goes on", soft_wrap=True)
             raise
     blocks = [results.blocks[key] for key in plan.blocks()]
+    films = _filmed(plan, blocks, own, settings) if settings.videos else {}
     with written_whole(settings.output / _PAGE) as written:
-        written.write_text(page(plan, blocks), encoding="utf-8")
+        written.write_text(page(plan, blocks, films), encoding="utf-8")
     console().print(_table(plan, blocks))
     console().print(f"{settings.output / _PAGE} shows differences and how episodes fail", soft_wrap=True)
+
+
+def _recipes(words: Sequence[str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Return the recipes of the policies that are given as NAME=POLICY, and all policies."""
+    parted = [(match["recipe"], match["policy"]) if (match := _NAMED.fullmatch(each)) else ("", each) for each in words]
+    return {policy: recipe for recipe, policy in parted if recipe}, tuple(policy for _, policy in parted)
+
+
+def _filmed(
+    plan: Plan, blocks: Sequence[Block], own: Mapping[str, EnvironmentSettings], settings: EvaluateSettings
+) -> dict[str, Film]:
+    """Film failures of each kind, with a progress bar."""
+    from orbit_learn.evaluation.films import film_failures
+    from orbit_learn.evaluation.statistics import failure_kinds
+
+    with progress_bar() as bar:
+        line = bar.add_task(f"{plan.task}: films of failures", total=len(failure_kinds(blocks)))
+        return film_failures(
+            plan, blocks, own, settings.videos, settings.output, lambda kind: bar.update(line, advance=1)
+        )
 
 
 def _settings_of(policy: str, settings: EvaluateSettings) -> EnvironmentSettings:
@@ -114,7 +150,7 @@ def _settings_of(policy: str, settings: EvaluateSettings) -> EnvironmentSettings
     return EnvironmentSettings(**{field.name: getattr(played, field.name) for field in fields(EnvironmentSettings)})
 
 
-def _plan(settings: EvaluateSettings, own: dict[str, EnvironmentSettings]) -> Plan:
+def _plan(settings: EvaluateSettings, own: dict[str, EnvironmentSettings], recipes: dict[str, str]) -> Plan:
     from orbit_core.envs.configuration import configure
     from orbit_learn.evaluation.results import BASE, Plan
 
@@ -138,13 +174,41 @@ def _plan(settings: EvaluateSettings, own: dict[str, EnvironmentSettings]) -> Pl
         variants[name] = tuple(changes.split(","))
         # Before anything runs: a slip in the last variant must not show after hours.
         configure(task_entry(str(task)).task_type(), assignments(variants[name], f"variant '{name}'"))
+    disturbances = _disturbances(settings, own, variants)
     told = {
         field.name: repr(getattr(settings, field.name))
         for field in fields(EnvironmentSettings)
         if field.name not in ("task", "backend", "seed", "config")
     }
     seeds = tuple(range(settings.seed, settings.seed + settings.seeds))
-    return Plan(str(task), settings.policies, tuple(backends), variants, seeds, settings.episodes, told)
+    return Plan(str(task), settings.policies, tuple(backends), variants, seeds, settings.episodes, told,
+                disturbances, recipes)  # fmt: skip
+
+
+def _disturbances(
+    settings: EvaluateSettings, own: Mapping[str, EnvironmentSettings], variants: dict[str, tuple[str, ...]]
+) -> dict[str, tuple[str, int]]:
+    """Return axis and level of each disturbance by its name, and add each to the variants.
+
+    Raises:
+        ConfigurationError: an axis is given twice, or does not apply to a policy.
+    """
+    from orbit_learn.evaluation.disturbances import LANGUAGE, Disturbance
+
+    found: dict[str, tuple[str, int]] = {}
+    for each in (level for words in settings.axis for level in Disturbance.parse(words)):
+        if str(each) in variants:
+            raise ConfigurationError(f"'{each}' is named twice among --axis and --variant: name each once")
+        found[str(each)], variants[str(each)] = (each.axis, each.level), ()
+        for policy in own:
+            if each.axis == LANGUAGE and not policy.startswith(SCHEMES):
+                raise ConfigurationError(
+                    f"axis '{LANGUAGE}' rewords the prompt of policy servers (ws://), and '{policy}' reads none: leave "
+                    "it out"
+                )
+            # Before anything runs: what does not apply to the last policy must not show after hours.
+            each.prepare(configured_task(own[policy]))
+    return found
 
 
 def _table(plan: Plan, blocks: Sequence[Block]) -> Table:

@@ -44,8 +44,8 @@ class TrainSettings(EnvironmentSettings):
     dataset: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
     """Demonstrations, for imitation ('orbit record' makes them); repeatable."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
-    """Teacher for distill: a kept policy's name ('orbit list policies'), a policy's file, a training's folder, or
-    expert, the task's own."""
+    """Teacher for distill, and for imitation one who corrects the policy as it learns (DAgger): a kept policy's name
+    ('orbit list policies'), a policy's file, a training's folder, or expert, the task's own."""
     iterations: Annotated[int | None, arg(metavar="INT")] = None
     """Total iterations of collecting and learning; the task's own number if left out."""
     ppo: KeyValues = ()

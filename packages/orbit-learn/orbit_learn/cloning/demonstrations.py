@@ -13,7 +13,7 @@ from torch import Tensor
 
 from orbit_core.envs.observation_layout import POLICY
 from orbit_core.interfaces import ConfigurationError
-from orbit_data.episodes import ACTIONS, OBSERVED
+from orbit_data.episodes import ACTIONS, OBSERVED, TAUGHT
 from orbit_data.formats import opened
 from orbit_data.manifest.manifest import Kind, Manifest, differences
 from orbit_data.noise import CLEAN
@@ -23,7 +23,7 @@ from orbit_learn.memory import map_seen
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
-    from orbit_data.episodes import Dataset
+    from orbit_data.episodes import Dataset, Episode
 
 _FEWEST_STEPS = 64
 
@@ -75,7 +75,8 @@ def load_demonstrations(path: Path | str, environment: Environment, only_success
     with opened(path, TRUSTED) as dataset:
         check_fit(dataset, environment)
         positions = [i for i, info in enumerate(dataset.episodes) if not (only_successes and info.success is False)]
-        total = sum(dataset.episodes[i].length for i in positions)
+        infos = [dataset.episodes[i] for i in positions]
+        total = sum(info.length if info.taught is None else info.taught for info in infos)
         if total < _FEWEST_STEPS:
             raise ConfigurationError(
                 f"{path} has {total} steps in {len(positions)} episodes to clone, and cloning needs {_FEWEST_STEPS}: "
@@ -122,6 +123,25 @@ def check_fit(dataset: Dataset, environment: Environment) -> None:
         raise ConfigurationError(f"{dataset.path} cannot be cloned for this environment: {'; '.join(wrong)}")
 
 
+def _taught(episode: Episode) -> np.ndarray:
+    """Return the steps of an episode that are learned from: all, or those that a person led in a policy's place."""
+    if episode.info.taught is None:
+        return np.arange(episode.info.length)
+    steps = np.flatnonzero(episode.arrays.get(TAUGHT, ()))
+    if len(steps) != episode.info.taught:
+        raise ConfigurationError(
+            f"episode {episode.info.number} would have {episode.info.taught} steps to learn from, and has {len(steps)} "
+            f"in '{TAUGHT}'"
+        )
+    return steps
+
+
+def _ends(steps: np.ndarray) -> np.ndarray:
+    """Return the place of the last of each stretch of consecutive steps, for each of them."""
+    lasts = np.flatnonzero(np.append(np.diff(steps) != 1, True)) if len(steps) else np.zeros(0, np.int64)
+    return lasts[np.searchsorted(lasts, np.arange(len(steps)))]
+
+
 def _load(
     dataset: Dataset, positions: list[int], total: int, parts: tuple[Part, ...], concatenated: bool,
     environment: Environment,
@@ -133,8 +153,8 @@ def _load(
     begin = 0
     for position in positions:
         episode = dataset.read(position)
-        length = episode.info.length
-        stop = begin + length
+        steps = _taught(episode)
+        stop = begin + len(steps)
         for part in parts:
             value = episode.arrays.get(OBSERVED + part.name)
             if value is None or tuple(value.shape[1:]) != part.shape:
@@ -145,10 +165,10 @@ def _load(
                 )
             if part.name not in arrays:
                 arrays[part.name] = np.empty((total, *value.shape[1:]), value.dtype)
-            arrays[part.name][begin:stop] = value
+            arrays[part.name][begin:stop] = value[steps]
         # Without the noise that was added to disturb the demonstrator, where both were recorded.
-        actions[begin:stop] = episode.arrays.get(CLEAN, episode.arrays[ACTIONS])
-        ends[begin:stop] = stop - 1
+        actions[begin:stop] = episode.arrays.get(CLEAN, episode.arrays[ACTIONS])[steps]
+        ends[begin:stop] = begin + _ends(steps)
         begin = stop
     tensors: Mapping[str, Tensor] = {name: torch.from_numpy(value) for name, value in arrays.items()}
     observation = (

@@ -16,7 +16,8 @@ from torch import Tensor, nn
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_data.manifest.manifest import Manifest
-from orbit_learn.cloning.demonstrations import joined, load_demonstrations
+from orbit_learn.cloning.corrections import gather_corrections
+from orbit_learn.cloning.demonstrations import Demonstrations, joined, load_demonstrations
 from orbit_learn.cloning.encoding import Encoding, encoding_for
 from orbit_learn.cloning.networks import (
     ClonedDiffusion,
@@ -31,10 +32,13 @@ from orbit_learn.distill import copied_actor
 from orbit_learn.ends import EpisodeTally
 from orbit_learn.memory import Remembering, map_seen
 from orbit_learn.networks import ActorNetwork
+from orbit_learn.teacher import teacher_of
 from orbit_learn.trainer import Progress, Trainer, set_half_cosine
 
 _MOST_GRADIENT = 1.0
 _MODES = 5
+# Added to the seed, for the episodes of corrections.
+_CORRECTED = 10_000
 _SHIFT = 4
 """Pixels that pictures are shifted by in training."""
 ALGORITHMS = ("bc", "bc-gmm", "bc-rnn", "bc-rnn-gmm", "act", "diffusion")
@@ -49,6 +53,10 @@ class ImitationSettings:
     """bc, bc-gmm (mixture of Gaussians), bc-rnn, bc-rnn-gmm, act (action chunking with transformers), diffusion."""
     dataset: tuple[str, ...] = ()
     """Paths of the demonstrations, one dataset or several of one kind."""
+    teacher: str = ""
+    """Who corrects the policy while it learns (DAgger): expert, the task's own, a kept policy, or a policy's file."""
+    rounds: int = 4
+    """With a teacher: how often the policy is corrected, each time in an episode of every environment."""
     iterations: int = 40
     """Iterations of ``updates_per_iteration`` gradient steps."""
     updates_per_iteration: int = 200
@@ -79,6 +87,8 @@ class ImitationSettings:
             raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS, "library imitation")
         if self.batch_size < 0:
             raise ConfigurationError(f"imitation setting 'batch_size' is at least 0, not {self.batch_size}")
+        if self.rounds < 1:
+            raise ConfigurationError(f"imitation setting 'rounds' is at least 1, not {self.rounds}")
         for name in ("updates_per_iteration", "learning_rate", "hidden_size", "evaluate_every"):
             if not getattr(self, name) > 0:
                 raise ConfigurationError(f"imitation setting '{name}' is positive, not {getattr(self, name)}")
@@ -94,24 +104,33 @@ class ImitationSettings:
 
 
 class ImitationTrainer(Trainer[ImitationSettings]):
-    """Clones a dataset. The success that is reported is that of whole episodes which the policy played.
+    """Clones a dataset, and with a teacher has the policy corrected where it leads. The success that is reported is
+    that of whole episodes which the policy played.
 
     Raises:
-        ConfigurationError: there is no dataset, or it does not fit the environment.
+        ConfigurationError: there is neither dataset nor teacher, or one does not fit the environment.
     """
 
     name: ClassVar[str] = "imitation"
     settings_type: ClassVar[type[Any]] = ImitationSettings
-    options: ClassVar[tuple[str, ...]] = ("imitation", "algorithm", "dataset")
+    options: ClassVar[tuple[str, ...]] = ("imitation", "algorithm", "dataset", "teacher")
 
     def __init__(self, environment: Environment, settings: ImitationSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
-        if not settings.dataset:
-            raise ConfigurationError("cloning needs demonstrations: give --dataset FILE ('orbit record' makes one)")
+        if not (settings.dataset or settings.teacher):
+            raise ConfigurationError(
+                "cloning needs demonstrations: give --dataset FILE ('orbit record' makes one), or --teacher expert"
+            )
         torch.manual_seed(seed)
         layout = environment.observation["policy"]
+        self._teacher = teacher_of(environment, settings.teacher) if settings.teacher else None
         loaded = [load_demonstrations(path, environment, settings.only_successes) for path in settings.dataset]
+        if not loaded:
+            assert self._teacher is not None
+            loaded.append(gather_corrections(environment, self._teacher, None, seed))
         self._demonstrations = shown = joined(loaded)
+        self._corrections: list[Demonstrations] = []
+        """What was gathered in each round."""
         manifest = Manifest.of(environment, "", seed)
         encoding = encoding_for(manifest, "policy", group_parts(layout), layout.concatenated)
         self._network = _network(settings, encoding)
@@ -135,6 +154,8 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         begin, first, env_steps = time.perf_counter(), self._iteration, 0
         last = first + iterations - 1
         for iteration in range(first, last + 1):
+            if self._teacher is not None and iteration in self._rounds():
+                env_steps += self._correct()
             self._update_all(iteration)
             self._iteration = iteration + 1
             if iteration == last or (iteration + 1) % self.settings.evaluate_every == 0:
@@ -145,10 +166,15 @@ class ImitationTrainer(Trainer[ImitationSettings]):
             report(replace(progress, loss=self._loss, metrics=self._tally.metrics))
 
     def state(self) -> Any:
-        return {"planner": self._planner.state_dict(), "optimizer": self._optimizer.state_dict()}
+        # Corrections are of policies that are gone, so that another run could not gather them again.
+        corrections = [(each.observation, each.actions, each.ends) for each in self._corrections]
+        state = {"planner": self._planner.state_dict(), "optimizer": self._optimizer.state_dict()}
+        return {**state, "corrections": corrections}
 
     def restore(self, state: Any, iteration: int) -> None:
         self._planner.load_state_dict(state["planner"])
+        self._corrections = [Demonstrations(*each) for each in state.get("corrections", ())]
+        self._demonstrations = joined([self._demonstrations, *self._corrections])
         self._optimizer.load_state_dict(state["optimizer"])
         self._iteration = iteration + 1
         # Another seed for each iteration: a resumed training must not repeat the batches of its beginning.
@@ -156,6 +182,22 @@ class ImitationTrainer(Trainer[ImitationSettings]):
 
     def actor(self) -> ActorNetwork:
         return copied_actor(self._network, self._planner)  # pyright: ignore[reportArgumentType]
+
+    def _rounds(self) -> set[int]:
+        """Return the iterations that begin with a correction, spread evenly over the training."""
+        count = self.settings.rounds
+        return {self.settings.iterations * number // (count + 1) for number in range(1, count + 1)} - {0}
+
+    def _correct(self) -> int:
+        """Gather an episode of corrections in every environment; return the steps of all environments."""
+        assert self._teacher is not None
+        environment, number = self.environment, len(self._corrections)
+        planner = copy.deepcopy(self._planner).to(environment.device).eval()
+        # Other episodes in each round, and others than those that the policy is judged by.
+        found = gather_corrections(environment, self._teacher, planner, self.seed + _CORRECTED + number)
+        self._corrections.append(found)
+        self._demonstrations = joined([self._demonstrations, found])
+        return environment.max_episode_steps * environment.num_envs
 
     def _update_all(self, iteration: int) -> None:
         """Take the gradient steps of an iteration."""

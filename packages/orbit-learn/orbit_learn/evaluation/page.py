@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import combinations
 
 from orbit_core.rollout.estimates import Estimate
+from orbit_learn.evaluation.films import Film
 from orbit_learn.evaluation.results import BASE, Block, Plan
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
 
@@ -15,13 +16,20 @@ body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding
 table{border-collapse:collapse;margin:1rem 0;display:block;overflow-x:auto}
 th,td{padding:.3rem .8rem;border-bottom:1px solid #ddd;text-align:left;white-space:nowrap}
 .bar{display:inline-block;height:.6rem;background:#2a7;vertical-align:middle}
+figure{margin:1rem 0}video{max-width:100%}
 .interval{color:#666}.sure{font-weight:600}
 """
 _SURE = 0.05
 
 
-def page(plan: Plan, blocks: Sequence[Block]) -> str:
-    """Return the page as HTML, which needs no other file."""
+def page(plan: Plan, blocks: Sequence[Block], films: Mapping[str, Film] | None = None) -> str:
+    """Return the page as HTML, which needs no other file but the films.
+
+    Args:
+        plan: that the blocks are of.
+        blocks: all results.
+        films: of kinds of failures.
+    """
     engines = sorted({f"{block.key.backend} ({block.engine})" for block in blocks})
     parts = [
         f"<h1>{escape(plan.task)}</h1>",
@@ -35,10 +43,12 @@ def page(plan: Plan, blocks: Sequence[Block]) -> str:
         "side: one in twenty is below 0.05 by chance.</p>",
         table(("first", "second", "difference", "only first", "only second", "p"), _difference_rows(plan, blocks)),
         "<h2>Where success varies</h2>",
-        table(("source", "share of the variance"), _variance_rows(blocks)),
+        *_spread_of_trainings(plan, blocks),
+        table(("source", "share of the variance"), _variance_rows(plan, blocks)),
         "<h2>How episodes fail</h2>",
         "<p>Named by the first reward term that brought less than a tenth of what it brings in a success.</p>",
         table(("kind", "episodes", "where (policy, engine, variant, seed: starts)"), _failure_rows(blocks)),
+        *_films(films or {}),
     ]
     title = f"Evaluation of {escape(plan.task)}"
     return (
@@ -48,10 +58,10 @@ def page(plan: Plan, blocks: Sequence[Block]) -> str:
 
 
 def _different_starts(blocks: Sequence[Block]) -> Iterable[str]:
-    """Yield a warning for each seed whose blocks show other first observations."""
-    for seed in sorted({block.key.seed for block in blocks}):
+    """Yield a warning for each seed whose blocks of one variant show other first observations."""
+    for seed, variant in sorted({(block.key.seed, block.key.variant) for block in blocks}):
         found: dict[str, str] = {}
-        for block in (each for each in blocks if each.key.seed == seed):
+        for block in (each for each in blocks if (each.key.seed, each.key.variant) == (seed, variant)):
             # By the digest of the first observations: engines that start alike are in one group.
             found.setdefault(block.fingerprint, f"{block.key.policy} on {block.key.backend}, {block.key.variant}")
         if len(found) > 1:
@@ -91,8 +101,20 @@ def _difference(first: str, second: str, one: Sequence[Block], other: Sequence[B
     return escape(first), escape(second), told, *discordant, f"{found.p_value:.3f}"
 
 
-def _variance_rows(blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
-    shares = variance_shares(blocks)
+def _spread_of_trainings(plan: Plan, blocks: Sequence[Block]) -> Iterable[str]:
+    """Yield a sentence for each recipe of several trainings: their mean success, least and most."""
+    for recipe in dict.fromkeys(map(plan.recipe, plan.policies)):
+        policies = [policy for policy in plan.policies if plan.recipe(policy) == recipe]
+        if len(policies) > 1:
+            rates = [100.0 * success_of(b for b in blocks if b.key.policy == policy).value for policy in policies]
+            yield (
+                f"<p>{escape(recipe)}: {len(rates)} trainings, {sum(rates) / len(rates):.1f} % in the mean, from "
+                f"{min(rates):.1f} to {max(rates):.1f} %.</p>"
+            )
+
+
+def _variance_rows(plan: Plan, blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
+    shares = variance_shares(blocks, plan.recipes)
     if not shares:
         yield "none: all episodes end alike", ""
     for name, share in shares.items():
@@ -107,6 +129,14 @@ def _failure_rows(blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
             places.setdefault(f"{key.policy}, {key.backend}, {key.variant}, {key.seed}", []).append(index)
         told = "<br>".join(f"{escape(place)}: {_listed(indices)}" for place, indices in places.items())
         yield escape(kind), str(len(found)), told
+
+
+def _films(films: Mapping[str, Film]) -> Iterable[str]:
+    for kind, film in films.items():
+        yield (
+            f'<figure><video controls preload="metadata" src="{escape(film.path)}"></video>'
+            f"<figcaption>{escape(kind)}: {escape(film.caption)}.</figcaption></figure>"
+        )
 
 
 def _listed(indices: Sequence[int], most: int = 12) -> str:

@@ -35,6 +35,14 @@ class Plan:
     """Episodes of each policy, engine, variant and seed."""
     settings: dict[str, str] = field(default_factory=dict)
     """Other settings of the environment from the command line."""
+    disturbances: dict[str, tuple[str, int]] = field(default_factory=dict)
+    """Axis and level of the variants that are levels of an axis (:mod:`orbit_learn.evaluation.disturbances`)."""
+    recipes: dict[str, str] = field(default_factory=dict)
+    """Name of what each policy is a training of; trainings of one recipe differ in their seed."""
+
+    def recipe(self, policy: str) -> str:
+        """Return the recipe of a policy; a policy without one is its own."""
+        return self.recipes.get(policy, policy)
 
     def blocks(self) -> Iterator[BlockKey]:
         """Yield all blocks, those of one environment one after another."""

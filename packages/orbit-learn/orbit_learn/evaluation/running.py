@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from orbit_core.cli.making import make_actor, make_environment
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.envs.actors import RemoteSource
 from orbit_core.envs.observation_layout import leaves_of
+from orbit_learn.evaluation.disturbances import Disturbance
 from orbit_learn.evaluation.results import Block, BlockKey, Plan
 
 if TYPE_CHECKING:
@@ -65,19 +67,45 @@ def _whole_group(plan: Plan, keys: Sequence[BlockKey], settings: EnvironmentSett
 
 def run_group(plan: Plan, keys: Sequence[BlockKey], settings: EnvironmentSettings) -> Iterable[Block]:
     """Yield the blocks of one engine and variant, whose policies act in one kind of environment."""
-    first = keys[0]
-    own = replace(settings, backend=first.backend, set=(*settings.set, *plan.variants[first.variant]))
-    environment = make_environment(own, plan.episodes, reset_diverged=True)
-    try:
+    with block_environment(plan, keys[0], settings) as (environment, disturbance):
         for key in keys:
-            yield _run_block(environment, key)
+            yield run_block(environment, key, disturbance)
+
+
+@contextmanager
+def block_environment(
+    plan: Plan, key: BlockKey, settings: EnvironmentSettings
+) -> Iterator[tuple[Environment, Disturbance | None]]:
+    """Yield the environment of a block, and the disturbance that its variant is; it is closed after that."""
+    own = replace(settings, backend=key.backend, set=(*settings.set, *plan.variants[key.variant]))
+    found = plan.disturbances.get(key.variant)
+    disturbance = None if found is None else Disturbance(*found)
+    change = None if disturbance is None else disturbance.prepare
+    environment = make_environment(own, plan.episodes, reset_diverged=True, change=change)
+    try:
+        if disturbance is not None:
+            disturbance.apply(environment)
+        yield environment, disturbance
     finally:
         environment.close()
 
 
-def _run_block(environment: Environment, key: BlockKey) -> Block:
-    """Run an episode in every environment."""
-    actor = make_actor(key.policy, environment, key.seed)
+def run_block(
+    environment: Environment,
+    key: BlockKey,
+    disturbance: Disturbance | None,
+    before_step: Callable[[], None] = lambda: None,
+) -> Block:
+    """Run an episode in every environment.
+
+    Args:
+        environment: that the policy acts in.
+        key: of the block.
+        disturbance: of the environment.
+        before_step: is called before each step.
+    """
+    name = key.policy if disturbance is None else disturbance.reword(key.policy, environment)
+    actor = make_actor(name, environment, key.seed)
     seen, _ = environment.reset(key.seed)
     # Engines differ in the last bits; a start is the same where it agrees to a tenth of a millimetre.
     rounded = [(value.double() * 1e3).round().long() for value in leaves_of(seen) if value.is_floating_point()]
@@ -89,6 +117,7 @@ def _run_block(environment: Environment, key: BlockKey) -> Block:
     outside = torch.zeros(environment.num_envs, dtype=torch.int64, device=environment.device)
     reached = [0] * environment.num_envs
     for step in range(1, environment.max_episode_steps + 1):
+        before_step()
         *_, info = environment.step(actor.act())
         if "final" in info:
             end = info["final"]

@@ -81,17 +81,32 @@ def _mid_p(only_first: int, only_second: int) -> float:
     return min(1.0, 2.0 * (tail + 0.5 * math.comb(count, fewer) / 2**count))
 
 
-FACTORS = ("start", "policy", "engine", "variant")
+FACTORS = ("start", "policy", "training", "engine", "variant")
 
 
-def variance_shares(blocks: Sequence[Block]) -> Mapping[str, float]:
-    """Split the variance of success into shares of the start, the policy, the engine and the variant, and the rest.
+def variance_shares(blocks: Sequence[Block], recipes: Mapping[str, str] | None = None) -> Mapping[str, float]:
+    """Split the variance of success into shares of start, policy, training, engine and variant, and the rest.
 
     Sums of squares of the main effects of a balanced table over that of all (Fisher, Statistical Methods for Research
-    Workers, 1925); the rest holds what factors do together. Empty where all episodes end alike.
+    Workers, 1925); trainings are nested in the recipe that they share, and their share is zero where each recipe has
+    one. The rest holds what factors do together. Empty where all episodes end alike.
+
+    Args:
+        blocks: of all policies, engines, variants and seeds.
+        recipes: of the policies that are trainings of one; any other is its own.
     """
+    recipes = recipes or {}
     rows = [
-        ((f"{block.key.seed}/{index}", block.key.policy, block.key.backend, block.key.variant), float(success))
+        (
+            (
+                f"{block.key.seed}/{index}",
+                recipes.get(block.key.policy, block.key.policy),
+                block.key.policy,
+                block.key.backend,
+                block.key.variant,
+            ),
+            float(success),
+        )
         for block in blocks
         for index, success in enumerate(block.success)
     ]
@@ -107,6 +122,8 @@ def variance_shares(blocks: Sequence[Block]) -> Mapping[str, float]:
             groups.setdefault(levels[place], []).append(value)
         effect = sum(len(group) * (np.mean(group) - values.mean()) ** 2 for group in groups.values())
         shares[name] = float(effect / total)
+    # A training's own effect is what its recipe does not have.
+    shares["training"] = max(0.0, shares["training"] - shares["policy"])
     # Rounding may leave a rest below zero.
     shares["together and chance"] = max(0.0, 1.0 - sum(shares.values()))
     return shares

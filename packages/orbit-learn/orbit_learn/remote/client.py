@@ -7,7 +7,6 @@ with, terms joined by ``+`` side by side. ``timeout`` is in seconds.
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, urlsplit, urlunsplit
@@ -17,6 +16,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.envs.observation_layout import POLICY
+from orbit_core.envs.task import instruction_of
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_learn.remote.wire import MOST_BYTES, decode, encode
@@ -45,7 +45,7 @@ class ServerAddress:
     keys: tuple[tuple[str, tuple[str, ...]], ...] = ()
     """Key of each input, and the terms that are sent under it; all under their names if empty."""
     prompt: str | None = None
-    """Task in words; the first line of the task's docstring if None."""
+    """Task in words; the task's own if None."""
     timeout: float = _TIMEOUT
     """Seconds in which a server answers."""
 
@@ -161,8 +161,7 @@ class RemoteActor:
                 if name not in terms:
                     raise UnknownNameError("observation term", name, terms, f"server {address.url}")
         self._keys = address.keys or tuple((f"{_TOLD}{name}", (name,)) for name in terms)
-        docstring = inspect.getdoc(type(environment.task)) or type(environment.task).__name__
-        self._prompt = docstring.splitlines()[0] if address.prompt is None else address.prompt
+        self._prompt = instruction_of(environment.task, type(environment.task).__name__, address.prompt)
         count, size = environment.num_envs, environment.action_size
         # One connection now, so that a wrong address is an error at once; the others are opened when they are needed.
         self._servers: list[PolicyServer | None] = [PolicyServer(address), *([None] * (count - 1))]

@@ -1,1 +1,5 @@
 """Commands of orbit-scenes."""
+
+from orbit_core.exports import lazy_modules
+
+__getattr__, __dir__ = lazy_modules(__name__)
