@@ -54,3 +54,15 @@ def test_a_hand_carries_a_full_cup_without_spilling() -> None:
     assert task.metrics(environment)["kept"] >= 0.95
     assert task.success(environment).all()
     environment.close()
+
+
+def test_a_hand_pours_a_cup_into_a_container() -> None:
+    environment = make("Fluid-Pouring", 1, "mujoco", seed=0, **COARSE)
+    task = environment.task
+    expert = task.expert(environment)
+    environment.reset(seed=0)
+    for _ in range(440):
+        environment.step(expert.compute({})["action"])
+    assert task.metrics(environment)["poured"] >= 0.95
+    assert task.success(environment).all()
+    environment.close()
