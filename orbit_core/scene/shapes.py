@@ -181,6 +181,15 @@ class Texture:
         if not 0.0 < self.width < np.inf:
             raise ValueError(f"a texture's width must be above zero metres, not {self.width:g}")
 
+    def __eq__(self, other: object) -> bool:
+        # As of meshes: comparing arrays with == gives an array.
+        return (
+            isinstance(other, Texture) and self.width == other.width and np.array_equal(self.pixels, other.pixels)
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.pixels.shape, self.width))
+
     @property
     def height(self) -> float:
         """Metres that its height spans."""

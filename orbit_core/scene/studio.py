@@ -11,7 +11,7 @@ from orbit_core.scene.scene import AmbientLight, DirectionalLight, Light, Sky
 class Studio:
     """Look of a spectator's pictures. Lights, sky and finishes that a scene sets itself stay as they are."""
 
-    samples: int = 4
+    samples: int = 2
     """Pictures that are averaged for each one."""
     softness: float = 0.02
     """Radius of directional lights as seen from the scene, in radians: how wide the edges of shadows are."""

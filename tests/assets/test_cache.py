@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from orbit_core.scene import (
     Box,
     Compliance,
     DriveGains,
+    Finish,
     Frame,
     Joint,
     JointType,
@@ -30,6 +32,7 @@ from orbit_core.scene import (
     PhysicsMaterial,
     Pose,
     Shape,
+    Texture,
 )
 
 PACKAGE = "numpy"  # any installed distribution will do
@@ -48,6 +51,11 @@ def make() -> Articulation:
     loops = (LoopJoint("weld", "a", "c", type=LoopType.WELD, orientation=(0.6, 0.8, 0.0, 0.0)),)
     drives = (DriveGains("first", 10.0, 1.0),)
     home = (("first", 0.3), ("second", 0.6 + 0.5 * 0.3**2 + 0.1 * 0.3**4))
+    # Noise, so that its pixels are no default; links "a", "b" and "c" share it.
+    picture = Texture(np.random.default_rng(0).integers(0, 256, (9, 7, 3), dtype=np.uint8), 0.5)
+    skin = Mesh(np.eye(3, dtype=np.float32), mesh.faces, coordinates=np.array([[0.0, 0.1], [0.2, 1.0], [0.7, 0.5]]))
+    pictured = Shape(skin, finish=Finish(texture=picture))
+    links = tuple(replace(link, visuals=(*link.visuals, pictured)) for link in links)
     return Articulation("thing", links, joints, frames, True, (("a", "c"),), ("a note",), loops, drives, home)
 
 
@@ -97,7 +105,10 @@ def test_round_trip_is_exact_and_meshes_cannot_be_written(model: Model, builds: 
     mesh = again.root.visuals[0].geometry
     assert isinstance(mesh, Mesh)
     assert not mesh.vertices.flags.writeable
-    assert len(list((cache_folder() / "meshes").iterdir())) == 2, "equal meshes are stored once"
+    assert len(list((cache_folder() / "meshes").iterdir())) == 6, "equal arrays are stored once"
+    picture = again.root.visuals[1].finish.texture
+    assert picture is not None
+    assert picture.pixels.dtype == np.uint8
     assert json.loads(entry().read_text())["licence"] == "BSD"
 
 

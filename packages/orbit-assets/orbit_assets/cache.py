@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -28,6 +28,8 @@ from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
+# Numbers of an array that the JSON file itself holds, if they are no picture's.
+_INLINE = 64
 # Modules and folders whose code does not affect what is read from a file.
 _NO_READERS = {"decomposition.py", "object_kinds.py", "objects.py", "robot_parts.py", "robots", "audit", "cli"}
 
@@ -130,7 +132,10 @@ def _encode(value: Any, folder: Path) -> Any:
         kept = {field.name: _encode(item, folder) for field, item in fields if not _is_default(field, item)}
         return {"is": type(value).__name__, **kept}
     if isinstance(value, np.ndarray):
-        return {"is": "array", "value": value.tolist()}
+        # Inertias and the like are read more quickly with their body than from a file of their own.
+        if value.size <= _INLINE and value.dtype.kind == "f":
+            return {"is": "array", "value": value.tolist()}
+        return _store_array(value, folder)
     if isinstance(value, tuple):
         return [_encode(item, folder) for item in value]
     return value
@@ -156,33 +161,55 @@ def _decode(value: Any, folder: Path) -> Any:
         return _load_mesh(folder, **fields)
     if kind == "array":
         return np.array(fields["value"], dtype=np.float64)
+    if kind == "stored array":
+        return _load_arrays(folder, fields["key"], [fields["shape"]], ["array"])[0]
     return getattr(scene, kind)(**{name: _decode(item, folder) for name, item in fields.items()})
 
 
+def _store_array(array: np.ndarray, folder: Path) -> dict[str, Any]:
+    (array,) = _written(folder, {"array": array})
+    return {"is": "stored array", "key": digest_arrays(array), "shape": array.shape}
+
+
 def _store_mesh(mesh: Mesh, folder: Path) -> dict[str, Any]:
-    arrays = {"vertices": np.ascontiguousarray(mesh.vertices), "faces": np.ascontiguousarray(mesh.faces)}
-    key = digest_arrays(*arrays.values())
-    for name, array in arrays.items():
-        write_cached(_mesh_path(folder, key, name), functools.partial(np.save, arr=array, allow_pickle=False))
+    named = {"vertices": mesh.vertices, "faces": mesh.faces}
+    if mesh.coordinates is not None:
+        named["coordinates"] = mesh.coordinates
+    arrays = _written(folder, named)
     return {
         "is": "stored mesh",
-        "key": key,
+        "key": digest_arrays(*arrays),
         "collision": mesh.collision.value,
-        "shapes": [a.shape for a in arrays.values()],
+        "shapes": [array.shape for array in arrays],
     }
 
 
+def _written(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """Write arrays, a file for each, under the key of their contents; return them as they are in memory order."""
+    contiguous = [np.ascontiguousarray(array) for array in arrays.values()]
+    key = digest_arrays(*contiguous)
+    for name, array in zip(arrays, contiguous, strict=True):
+        write_cached(_array_path(folder, key, name), functools.partial(np.save, arr=array, allow_pickle=False))
+    return contiguous
+
+
 def _load_mesh(folder: Path, key: str, collision: str, shapes: list[list[int]]) -> Mesh:
+    # Meshes of models without pictures have two arrays, those with coordinates on a picture three.
+    vertices, faces, *rest = _load_arrays(folder, key, shapes, ["vertices", "faces", "coordinates"][: len(shapes)])
+    return Mesh(vertices, faces, MeshCollision(collision), *rest)
+
+
+def _load_arrays(folder: Path, key: str, shapes: list[list[int]], names: list[str]) -> list[np.ndarray]:
     # Mapping them would take longer than reading, as the digest touches every page.
-    vertices, faces = (np.load(_mesh_path(folder, key, name), allow_pickle=False) for name in ("vertices", "faces"))
-    for array in (vertices, faces):
-        # Meshes are shared between all articulations that use them: nobody may write to them.
+    arrays = [np.load(_array_path(folder, key, name), allow_pickle=False) for name in names]
+    for array in arrays:
+        # Arrays are shared between all articulations that use them: nobody may write to them.
         array.flags.writeable = False
-    if [list(vertices.shape), list(faces.shape)] != shapes:
-        raise ValueError(f"mesh {key} has another size than its model says")
-    if digest_arrays(vertices, faces) != key:
-        raise ValueError(f"mesh {key} has other contents than when it was stored")
-    return Mesh(vertices, faces, MeshCollision(collision))
+    if [list(array.shape) for array in arrays] != shapes:
+        raise ValueError(f"array {key} has another size than its model says")
+    if digest_arrays(*arrays) != key:
+        raise ValueError(f"array {key} has other contents than when it was stored")
+    return arrays
 
 
 def digest_arrays(*arrays: np.ndarray) -> str:
@@ -194,7 +221,7 @@ def digest_arrays(*arrays: np.ndarray) -> str:
     return digest.hexdigest()[:32]
 
 
-def _mesh_path(folder: Path, key: str, name: str) -> Path:
+def _array_path(folder: Path, key: str, name: str) -> Path:
     return folder / "meshes" / f"{key}.{name}.npy"
 
 
