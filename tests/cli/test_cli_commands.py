@@ -205,7 +205,7 @@ MISTAKES = [
     (["view", "Lift", "--agent", "nobody"], "unknown actor or policy 'nobody'"),
     (["run", "Lift", "--robot", "franka"], "did you mean 'franka_panda'"),
     (["view", "Lift", "--max-steps", "-1"], "max_steps must be at least 1"),
-    (["record", "Lift", "--output", ""], "must end in .hdf5"),
+    (["record", "Lift", "--output", ""], "is not, or not only, a dataset"),
     (["record", "Lift", "--output", "x.hdf5", "--resume", "--overwrite"], "give one of them"),
     (["conformance", "--scenario", "free_fall", "--time-limit", "nan"], "time_limit must be positive and finite"),
 ]

@@ -67,7 +67,7 @@ def test_a_file_can_be_read_without_orbit(tmp_path: Path) -> None:
     assert document["policy"]["versions"] == {"torch": "2.0"}
     assert document["network"] == {
         "name": "perceptron",
-        "settings": {"hidden_sizes": [32], "activation": "elu", "observation_limit": 5.0},
+        "settings": {"hidden_sizes": [32], "activation": "elu", "observation_limit": 5.0, "squashed": False},
     }
     assert {*weights} == {*policy.module.state_dict()}
 

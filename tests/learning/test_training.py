@@ -31,7 +31,7 @@ from tests.faults import no_file_beyond
 
 BACKEND = default_backend()
 STEPS = 25
-PPO_LIBRARIES = [name for name in library_names() if name not in ("distill", "imitation")]
+PPO_LIBRARIES = [name for name in library_names() if name not in ("orbit", "distill", "imitation")]
 SHORT = PpoSettings(iterations=12, steps_per_iteration=STEPS, hidden_sizes=(64, 64), discount=0.9)
 
 

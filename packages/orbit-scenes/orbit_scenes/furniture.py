@@ -734,8 +734,10 @@ def furniture_kinds() -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class FurnitureConfig(ObjectConfig):
-    """A static piece of furniture whose drawers and doors move, its frame on the floor in the middle of its footprint,
-    its front towards -x."""
+    """A static piece of furniture whose drawers and doors move.
+
+    Its frame is on the floor in the middle of its footprint, its front towards -x.
+    """
 
     name: ClassVar[str] = "furniture"
     furniture: str = "base_drawers"

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from orbit_core.scene import Finish
+
 # Limit of the numbers of an array that are written out; larger arrays become digests.
 _LISTED = 64
 # Hexadecimal digits of a digest, 64 bits of SHA-256.
@@ -52,7 +54,8 @@ def as_plain(value: Any, for_digest: bool = False) -> Any:
     Args:
         value: value of any type.
         for_digest: round numbers to nine significant digits (of an array's largest number), and leave out fields that
-            are None, so that a field that is added later changes no digest of data that does not use it.
+            are None or a surface's finish, so that a field that is added later changes no digest of data that does not
+            use it.
     """
     plain = functools.partial(as_plain, for_digest=for_digest)
     if value is None or isinstance(value, bool | int | str):  # of numbers only those without rounding
@@ -68,7 +71,7 @@ def as_plain(value: Any, for_digest: bool = False) -> Any:
         return _array(_rounded(array) if for_digest and array.dtype.kind == "f" else array)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         own = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
-        told = {name: plain(each) for name, each in own.items() if not (for_digest and each is None)}
+        told = {name: plain(each) for name, each in own.items() if not (for_digest and _is_unused(each))}
         name = _name(type(value))
         return {"type": _FIRST_NAMES.get(name, name) if for_digest else name, **told}
     if isinstance(value, Mapping):
@@ -88,6 +91,11 @@ def digest(value: Any) -> str:
     """
     text = json.dumps(as_plain(value, for_digest=True), sort_keys=True)
     return ROUNDED + hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
+
+
+def _is_unused(value: Any) -> bool:
+    """Return True for what a digest leaves out: None, and finishes, whose pictures decoders read in different ways."""
+    return value is None or isinstance(value, Finish)
 
 
 def _number(value: Any, rounded: bool) -> Any:
