@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tests.tiers.revision import Revision
 from tests.tiers.slow_list import TURNS, turns
 
-CHANGE_SECONDS = 150.0
+CHANGE_SECONDS = 60.0
 """Most seconds of slow tests that run because of the change; a change of many packages concerns nearly all of them."""
 
 
