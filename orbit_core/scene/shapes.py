@@ -183,9 +183,7 @@ class Texture:
 
     def __eq__(self, other: object) -> bool:
         # As of meshes: comparing arrays with == gives an array.
-        return (
-            isinstance(other, Texture) and self.width == other.width and np.array_equal(self.pixels, other.pixels)
-        )
+        return isinstance(other, Texture) and self.width == other.width and np.array_equal(self.pixels, other.pixels)
 
     def __hash__(self) -> int:
         return hash((self.pixels.shape, self.width))

@@ -123,7 +123,8 @@ def test_a_task_looks_as_with_mujoco():
     # Every triangle: a mesh as fine as the picture needs may be off by a pixel where it bends away.
     for name, settings in (("mujoco", {"simplify_meshes": False}), ("warp", {})):
         backend = backends.backend(name)
-        source = backend.create_renderer(environment.world.layout, (camera,), backends.backend_config(backend, settings))
+        config = backends.backend_config(backend, settings)
+        source = backend.create_renderer(environment.world.layout, (camera,), config)
         images.append(source.render(camera, pose, environment.world.engine.link_poses, (Channel.RGB, *GEOMETRY)))
         source.close()
     theirs, mine = images
