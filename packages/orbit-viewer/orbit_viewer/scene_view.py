@@ -292,6 +292,10 @@ class SceneView:
         # No environment counts as drawn, so that the next frame draws all of them.
         self._offsets = np.zeros((0, 3), dtype=np.float32)
 
+    def aim(self) -> None:
+        """Aim the camera of new pages at what the next frame shows; it is sent whole."""
+        self._offsets = np.zeros((0, 3), dtype=np.float32)
+
     def _draw(self, frame: Frame) -> None:
         """Send everything again, for other environments or other shapes."""
         self._remove()

@@ -250,6 +250,8 @@ class Viewer:
         """
         left = math.inf if max_steps is None else max_steps
         self._reset()
+        # What was shown before the reset stood where the scene's description has it.
+        self._scene.aim()
         try:
             while left > 0 and not self.controls.stopped:
                 if self._tool:
