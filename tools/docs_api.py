@@ -158,8 +158,10 @@ def term_docstring(annotation: str, value: str, module: str) -> str:
     Returns:
         Docstring; the term's own ``Meaning`` or reason if it has one; empty if the field is no term, or a lambda's.
     """
+    if "Term" not in annotation:  # the documentation's parser writes some other values, such as `{**a}`, wrongly
+        return ""
     call = ast.parse(value, mode="eval").body
-    if "Term" not in annotation or not isinstance(call, ast.Call):
+    if not isinstance(call, ast.Call):
         return ""
     made = ast.unparse(call.func)
     if made.endswith("Term"):
