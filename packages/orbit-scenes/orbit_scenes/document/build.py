@@ -34,6 +34,7 @@ from orbit_core.scene import (
     Pose,
     RobotSpec,
     Scene,
+    SensorSpec,
     Shape,
     Texture,
 )
@@ -79,8 +80,12 @@ class SceneBuilder:
             gravity=document.gravity,
             physics_dt=document.physics_dt,
         )
-        # Here and not only in a world: pictures and files are made of scenes that no engine ever sees.
-        check_data(scene, "scene")
+        # Here and not only in a world: pictures and files are made of scenes that no engine ever sees. Entities were
+        # checked when they were built, which takes a house's meshes most of a second.
+        check_data(replace(scene, robots=(), objects=()), "scene")
+        by_name = {entity.name: entity for entity in entities}
+        for sensor in document.sensors:
+            _check_frame(sensor, by_name)
         return scene
 
     def entity(self, item: Item) -> Entity:
@@ -90,10 +95,11 @@ class SceneBuilder:
             OrbitError: of many kinds; names the item.
         """
         key = _key(item)
+        check_data(item.pose, f"item '{item.name}'")
         if key not in self._entities:
             try:
                 built = _changed(self.source(item), item)
-                check_data(replace(built, pose=item.pose), item.name)
+                check_data(built, item.name)
             except OrbitError as error:
                 prefix = f"item '{item.name}': "
                 if isinstance(error, UnknownNameError) or str(error).startswith(prefix):
@@ -164,6 +170,16 @@ class SceneBuilder:
             name: inside(self._folder, value) if isinstance(value, str) and _takes_path(hints.get(name)) else value
             for name, value in item.parameters.items()
         }
+
+
+def _check_frame(sensor: SensorSpec, entities: Mapping[str, Entity]) -> None:
+    carrier, frame = getattr(sensor, "entity", None), getattr(sensor, "frame", None) or getattr(sensor, "link", None)
+    if carrier is None or frame is None:
+        return
+    body = entities[carrier].articulation
+    known = (*body.link_names, *(each.name for each in body.frames))
+    if frame not in known:
+        raise UnknownNameError("link or frame", frame, known, f"sensor '{sensor.name}' on '{carrier}'")
 
 
 def inside(folder: Path, name: str) -> Path:

@@ -52,15 +52,19 @@ class History:
         """True if the document is the one that was saved last."""
         return self.document == self._saved
 
-    def do(self, label: str, document: SceneDocument) -> bool:
+    def do(self, label: str, document: SceneDocument, merge: bool = False) -> bool:
         """Take an edit's result as the document; return False if it changes nothing.
 
         Args:
             label: the edit in words.
             document: result of the edit.
+            merge: make one step of this edit and the last, if that has the same label: a number that is typed digit by
+                digit is one edit to a person.
         """
         if document == self.document:
             return False
+        if merge and self.undo_label == label and not self._undone:
+            self._done.pop()
         self._done.append(Step(label, document))
         self._undone.clear()
         if len(self._done) > _MOST:

@@ -159,7 +159,7 @@ class SceneDocument:
     """Light from all around."""
     suns: tuple[DirectionalLight, ...] = (DirectionalLight(),)
     """Directional lights, three at most."""
-    sky: Sky = Sky()
+    sky: Sky = field(default_factory=Sky)
     """Background of pictures."""
     gravity: Vector3 = (0.0, 0.0, -9.81)
     """m/s^2"""
@@ -177,9 +177,10 @@ class SceneDocument:
                 if thing.name in seen:
                     raise ConfigurationError(f"two {what}s are called '{thing.name}': rename one")
                 seen.add(thing.name)
-        if self.task is not None:
-            for name in (self.task.robot, *self.task.objects):
-                self.item(name)
+        named = (self.task.robot, *self.task.objects) if self.task is not None else ()
+        carriers = (getattr(sensor, "entity", None) for sensor in self.sensors)
+        for name in (*named, *(carrier for carrier in carriers if carrier is not None)):
+            self.item(name)
 
     def item(self, name: str) -> Item:
         """Return an item by name.

@@ -218,6 +218,8 @@ def task_of_file(path: str) -> type[SceneTask]:
     acting = document.item(asked.robot)
     words = asked.instruction or f"bring {' and '.join(asked.objects)} to the goal".replace("_", " ")
 
+    described = TaskMetadata(instruction=words)
+
     @dataclass(kw_only=True)
     class FileTask(SceneTask):
         file: str = path
@@ -226,7 +228,7 @@ def task_of_file(path: str) -> type[SceneTask]:
         action: str = asked.action
         physics_dt: float = document.physics_dt
         episode_length: float = asked.episode_length
-        metadata: TaskMetadata = TaskMetadata(instruction=words)
+        metadata: TaskMetadata = described
 
     FileTask.__doc__ = f"Task of the scene file {path}."
     FileTask.__name__ = Path(path).stem
