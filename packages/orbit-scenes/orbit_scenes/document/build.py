@@ -100,6 +100,7 @@ class SceneBuilder:
             try:
                 built = _changed(self.source(item), item)
                 check_data(built, item.name)
+                home_positions(built)  # rejects a home outside of the limits, which only a world would otherwise
             except OrbitError as error:
                 prefix = f"item '{item.name}': "
                 if isinstance(error, UnknownNameError) or str(error).startswith(prefix):

@@ -203,7 +203,8 @@ class Editor(Actions):
 
     def _show_status(self) -> None:
         history, playing = self.session.history, self.playing
-        self._panel.show_status(self.session.path.name, history.saved, self._note, playing.words if playing else "")
+        note = self._note or ("" if self.session.document.items else "begin in the tab Add")
+        self._panel.show_status(self.session.path.name, history.saved, note, playing.words if playing else "")
 
     def _refresh(self) -> None:
         """Show the document as it now is."""

@@ -131,7 +131,7 @@ class Panel:
         self._server, self._actions = server, actions
         self._command = command
         gui = server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        gui.configure_theme(show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.set_panel_label(title)
         self._status = gui.add_markdown("")
@@ -192,7 +192,6 @@ class Panel:
             note: last message.
             playing: state of what runs; empty if nothing does.
         """
-        # Star and words: a star alone says nothing to those who do not know the custom.
         state = "saved" if saved else "not saved, kept for recovery"
         content = f"**{file}** {state}  \n{_plain(note)}"
         if self._status.content != content:
