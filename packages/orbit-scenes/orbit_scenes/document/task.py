@@ -175,12 +175,14 @@ class SceneTask(Task):
         document = replace(load_document(Path(self.file)), task=plan)
         document = document if plan.robot == ROBOT else rename(document, plan.robot, ROBOT)
         builder = SceneBuilder(Path(self.file).parent)
+        if not isinstance(builder.entity(document.item(ROBOT)), RobotSpec):
+            raise ConfigurationError(f"'{plan.robot}' of {self.file} is no robot: name one in its task")
         for name in plan.objects:
+            if name == plan.robot:
+                raise ConfigurationError(f"'{name}' of {self.file} is the robot that acts: take another object")
             if not builder.entity(document.item(name)).is_free_body:
                 raise ConfigurationError(f"object of interest '{name}' of {self.file} cannot be moved: take another")
         scene = builder.scene(document)
-        if all(each.name != ROBOT for each in scene.robots):
-            raise ConfigurationError(f"'{plan.robot}' of {self.file} is no robot: name one in its task")
         acting = tuple(self._chosen(each) if each.name == ROBOT else each for each in scene.robots)
         x, y, z = plan.size
         region = Shape(Box((0.5 * x, 0.5 * y, 0.5 * z)), color=(0.15, 0.7, 0.25, 0.25))

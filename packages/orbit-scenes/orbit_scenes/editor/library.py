@@ -115,7 +115,7 @@ def _card(entry: Entry, picture: Picture | None) -> str:
         )
     words = html.escape(entry.words)
     return (
-        f"<div style='display:flex;gap:10px;align-items:center;padding:6px 10px 0 10px'>{box}"
+        f"<div style='display:flex;gap:10px;align-items:center;padding:6px 10px'>{box}"
         f"<div style='font-size:12px;line-height:1.35;min-width:0;overflow-wrap:anywhere'>"
         f"<b>{html.escape(entry.name)}</b><br>"
         f"{words if len(words) < 90 else words[:87] + '...'}</div></div>"
