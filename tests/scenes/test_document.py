@@ -176,12 +176,16 @@ def test_a_rename_reaches_sensors_and_the_task():
     assert [item.name for item in after.items] == ["cup", "robot"]
     assert after.sensors == (replace(imu, entity="robot"),)
     assert after.task == replace(task, robot="robot", objects=("cup",))
+    assert edits.rename(before, "imu", "gyro").sensors == (replace(imu, name="gyro"),)
     with pytest.raises(ConfigurationError, match="'imu' is there already"):
         edits.rename(before, "mug", "imu")
 
 
 def test_removing_a_robot_removes_its_sensors_and_its_task():
-    imu, task = ImuSpec(name="imu", entity="cart", frame="cart"), TaskPlan(robot="cart", objects=("mug",), goal=(0, 0, 0))
+    imu, task = (
+        ImuSpec(name="imu", entity="cart", frame="cart"),
+        TaskPlan(robot="cart", objects=("mug",), goal=(0, 0, 0)),
+    )
     assert edits.remove(document(MUG, CARTPOLE, sensors=(imu,), task=task), ["cart"]) == document(MUG)
 
 
@@ -198,6 +202,19 @@ def test_a_thing_is_put_on_the_highest_thing_below_it(builder: SceneBuilder):
     assert builder.bounds(on)[0][2] == pytest.approx(0.401, abs=1e-3)
     assert builder.bounds(off)[0][2] == pytest.approx(0.001, abs=1e-3)
     assert edits.standing_at(document(), builder, TABLE, 0.0, 0.0).position == pytest.approx((0.0, 0.0, 0.4))
+
+
+def test_what_is_added_stands_beside_robots_and_things_and_not_on_them(builder: SceneBuilder):
+    cart = replace(CARTPOLE, position=(0.0, 0.0, 1.0))
+    near = edits.standing_near(document(TABLE, MUG, cart), builder, replace(MUG, name="cup"), 3.0, 0.0)
+    assert near.position[:2] == pytest.approx((3.0, 0.0), abs=0.01)
+    again = edits.standing_near(document(near), builder, replace(MUG, name="mug"), 3.0, 0.0)
+    assert again.position[2] == pytest.approx(near.position[2])
+    assert 0.05 < math.dist(again.position, near.position) < 0.5
+    arm = Item(name="arm", robot="franka_panda")
+    beside, upon = (edits.standing_near(document(TABLE), builder, arm, 0.0, 0.0, on) for on in ("", "table"))
+    assert beside.position[2] == pytest.approx(0.0, abs=0.01)
+    assert upon.position == pytest.approx((0.0, 0.0, 0.4), abs=0.01)
 
 
 def test_a_drag_snaps_to_grid_and_angle_and_leaves_other_axes_as_they_were():

@@ -51,12 +51,12 @@ def place(document: SceneDocument, name: str, pose: Pose) -> SceneDocument:
     return replace_sensor(document, name, pose=pose)
 
 
-def change(document: SceneDocument, name: str, **changes: Any) -> SceneDocument:
+def change(document: SceneDocument, name: str, /, **changes: Any) -> SceneDocument:
     """Set fields of an item."""
     return replace_item(document, replace(document.item(name), **changes))
 
 
-def change_joint(document: SceneDocument, name: str, joint: str, **changes: float | None) -> SceneDocument:
+def change_joint(document: SceneDocument, name: str, joint: str, /, **changes: float | None) -> SceneDocument:
     """Set fields of the :class:`~orbit_scenes.document.model.JointChange` of an item's joint."""
     item = document.item(name)
     changed = replace(item.joints.get(joint, JointChange()), **changes)
@@ -72,18 +72,18 @@ def add_sensor(document: SceneDocument, sensor: SensorSpec) -> SceneDocument:
     return replace(document, sensors=(*document.sensors, sensor))
 
 
-def replace_sensor(document: SceneDocument, name: str, **changes: Any) -> SceneDocument:
+def replace_sensor(document: SceneDocument, which: str, /, **changes: Any) -> SceneDocument:
     """Set fields of a sensor's specification.
 
     Raises:
         ConfigurationError: the specification rejects a value, or has no such field.
     """
     try:
-        changed = replace(document.sensor(name), **changes)
+        changed = replace(document.sensor(which), **changes)
     except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"sensor '{name}': {error}") from None
+        raise ConfigurationError(f"sensor '{which}': {error}") from None
     check_sensor(changed)
-    return replace(document, sensors=tuple(changed if each.name == name else each for each in document.sensors))
+    return replace(document, sensors=tuple(changed if each.name == which else each for each in document.sensors))
 
 
 def remove(document: SceneDocument, names: Collection[str]) -> SceneDocument:
@@ -161,6 +161,33 @@ def _renamed_carrier(sensor: SensorSpec, old: str, new: str) -> SensorSpec:
 # Placing -------------------------------------------------------------------------------------------------------------
 
 
+# Angle between places around the one that was asked for, and how much farther each is than the one before: a golden
+# angle spreads them evenly.
+_TURN, _STEP, _PLACES = 2.39996, 0.15, 120
+
+
+def standing_near(document: SceneDocument, builder: SceneBuilder, item: Item, x: float, y: float, on: str = "") -> Item:
+    """Return the item at the nearest place that is free: not on a robot, nor on what is free to move.
+
+    Args:
+        document: whose items may carry it.
+        builder: of the document.
+        item: to be placed; a robot stands on the ground, or on ``on``.
+        x: of the place that is asked for, m.
+        y: likewise.
+        on: item that a person has chosen to carry it.
+    """
+    for number in range(_PLACES):
+        away, angle = _STEP * math.sqrt(number), _TURN * number
+        at = (round(x + away * math.cos(angle), 2), round(y + away * math.sin(angle), 2)) if number else (x, y)
+        placed, support = _standing(document, builder, item, *at)
+        carrier = document.item(support) if support else None
+        sound = carrier is None or (builder.entity(carrier).fixed_base and not carrier.robot)
+        if sound and (support in ("", on) or not item.robot):
+            return placed
+    return standing_at(document, builder, item, x, y)
+
+
 def standing_at(document: SceneDocument, builder: SceneBuilder, item: Item, x: float, y: float) -> Item:
     """Return the item on the highest thing below a place, or on the ground.
 
@@ -171,21 +198,28 @@ def standing_at(document: SceneDocument, builder: SceneBuilder, item: Item, x: f
         x: of the middle of its footprint, or of the root link of what is fixed, m.
         y: likewise.
     """
+    return _standing(document, builder, item, x, y)[0]
+
+
+def _standing(document: SceneDocument, builder: SceneBuilder, item: Item, x: float, y: float) -> tuple[Item, str]:
+    """Return the item where :func:`standing_at` has it, and the name of what carries it; empty for the ground."""
     low, high = builder.bounds(item.at(Pose((0.0, 0.0, 0.0), item.orientation)))
     fixed = builder.entity(item).fixed_base
     middle = np.zeros(3) if fixed else (low + high) / 2.0
     left, right = low - middle + (x, y, 0.0), high - middle + (x, y, 0.0)
-    height = document.ground or 0.0
+    height, support = document.ground or 0.0, ""
     for other in document.items:
         if other.name == item.name:
             continue
         below, above = builder.bounds(other)
-        if bool((below[:2] < right[:2]).all() and (left[:2] < above[:2]).all()):
-            height = max(height, float(above[2]))
+        under = bool((below[:2] < right[:2]).all() and (left[:2] < above[:2]).all())
+        if under and above[2] > height:
+            height, support = float(above[2]), other.name
     # The mounting face of a fixed base is its frame's, whatever hangs below it, such as a table's legs.
     bottom = min(low[2], 0.0) if fixed else low[2] - _GAP
     # Whole tenths of a millimetre, so that a file has no digits that mean nothing.
-    return item.at(Pose(tuple(np.round((x - middle[0], y - middle[1], height - bottom), 4)), item.orientation))
+    east, north, up = (round(float(part), 4) for part in (x - middle[0], y - middle[1], height - bottom))
+    return item.at(Pose((east, north, up), item.orientation)), support
 
 
 def snapped(pose: Pose, start: Pose, grid: float, angle: float) -> Pose:

@@ -36,7 +36,8 @@ _TYPING = 1.0
 _DRAWING, _PICTURE_PERIOD = 0.3, 0.2
 # Seconds after which the loop looks at the panel without being woken.
 _IDLE = 0.2
-_START_VIEW = ((-0.4, -0.4, 0.0), (0.6, 0.6, 0.6))
+# Corners of what a page shows of an empty scene, m.
+_START_VIEW = ((-1.0, -1.0, 0.0), (1.0, 1.0, 0.8))
 
 
 class Editor(Actions):
@@ -70,6 +71,8 @@ class Editor(Actions):
         """Name of the selected item, sensor or goal region; empty: nothing."""
         self.playing: Playing | None = None
         """What runs; None while the scene is edited."""
+        self.pictures_drawn = 0
+        """Number of pictures that cameras of the scene have taken."""
         self._stopped = False
         self._note = f"{RECOVERED}: undo goes back to the file" if session.recovered else ""
         self._stage = Stage(self._server, self.select)
@@ -268,7 +271,7 @@ class Editor(Actions):
             self._do(f"add {name}", lambda document: edits.add_sensor(document, sensor))
         else:
             x, y = self._aimed()
-            item = edits.standing_at(document, builder, entry.item(name), x, y)
+            item = edits.standing_near(document, builder, entry.item(name), x, y, self.selected)
             self._do(f"add {name}", lambda document: edits.add_item(document, item))
         self._select(name)
 
@@ -428,9 +431,9 @@ class Editor(Actions):
 
             # Asynchronous callbacks keep the order of a drag's events, which threads would not.
             async def update(event: Any) -> None:
-                position = tuple(float(part) for part in event.target.position)
-                orientation = tuple(float(part) for part in event.target.wxyz)
-                self._put(lambda: self._drag(event.phase, position, orientation))
+                x, y, z = (float(part) for part in event.target.position)
+                w, qx, qy, qz = (float(part) for part in event.target.wxyz)
+                self._put(lambda: self._drag(event.phase, (x, y, z), (w, qx, qy, qz)))
 
             self._gizmo.on_update(update)
         else:
@@ -509,10 +512,15 @@ class Editor(Actions):
         return 0.0, 0.0
 
     def _view(self) -> Pose:
-        """Return the pose of a scene's camera that sees what the page shows."""
+        """Return the pose of a scene's camera that sees what the page shows, from nearer and aside.
+
+        Where the page's own eye is, the camera's frustum would hide everything.
+        """
         for client in self._server.get_clients().values():
-            x, y, z = (round(float(part), 3) for part in client.camera.position)
-            a, b, c = (round(float(part), 3) for part in client.camera.look_at)
+            eye, target = np.asarray(client.camera.position), np.asarray(client.camera.look_at)
+            aside = np.cross(target - eye, (0.0, 0.0, 1.0))
+            x, y, z = (round(float(part), 3) for part in eye + 0.3 * (target - eye) + 0.25 * aside)
+            a, b, c = (round(float(part), 3) for part in target)
             return look_at((x, y, z), (a, b, c))
         return look_at((1.5, 1.0, 1.2), (0.0, 0.0, 0.3))
 
@@ -537,6 +545,7 @@ class Editor(Actions):
             self._say(str(error), "red")
             self._picture_time = math.inf  # until the scene changes
             return
+        self.pictures_drawn += 1
         self._stage.show_seen(camera.name, picture)
         if chosen is not None:
             self._panel.show_picture(picture)

@@ -16,7 +16,7 @@ from orbit_scenes.document.model import SceneDocument, TaskPlan
 from orbit_scenes.editor.catalogue import Entry
 from orbit_scenes.editor.library import Library
 from orbit_scenes.editor.pictures import Picture
-from orbit_scenes.editor.properties import Edit, Properties
+from orbit_scenes.editor.properties import ORDER, Edit, Properties
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -139,7 +139,8 @@ class Panel:
         pressed = {"Undo": actions.undo, "Redo": actions.redo, "Save": actions.save}
         steps.on_click(lambda _: pressed[steps.value]())
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Scene"):
+        self._scene = tabs.add_tab("Scene")
+        with self._scene:
             self._add_scene(builder)
         with tabs.add_tab("Add"):
             self.library = Library(server, renderer, actions.add, actions.wake)
@@ -178,8 +179,7 @@ class Panel:
         if self._selected.value != wanted:
             self._selected.value = wanted
         self._show_tree(names)
-        self._properties.show(document, selected, self._folder)
-        self._folder.label = selected or "Nothing selected"
+        self._properties.show(document, selected, self._scene)
         self._show_lights(document)
         self._show_task(document)
 
@@ -192,12 +192,15 @@ class Panel:
             note: last message.
             playing: state of what runs; empty if nothing does.
         """
+        from viser import Icon
+
         state = "saved" if saved else "not saved, kept for recovery"
         content = f"**{file}** {state}  \n{_plain(note)}"
         if self._status.content != content:
             self._status.content = content
         if self._play.label != (label := "Stop, and restore" if playing else "Play"):
             self._play.label = label
+            self._play.icon = Icon.PLAYER_STOP if playing else Icon.PLAYER_PLAY
         if self._time.content != playing:
             self._time.content = playing
         self._keep.disabled = not playing
@@ -212,7 +215,9 @@ class Panel:
 
     def _add_scene(self, builder: SceneBuilder) -> None:
         gui, actions = self._server.gui, self._actions
-        self._selected = gui.add_dropdown("Selected", (NOTHING,), initial_value=NOTHING, hint="Or click a thing")
+        self._selected: Any = gui.add_dropdown(
+            "Selected", (NOTHING,), initial_value=NOTHING, hint="Or click a thing", order=1.0
+        )
         self._selected.on_update(
             lambda event: (
                 actions.select("" if self._selected.value == NOTHING else self._selected.value)
@@ -220,19 +225,18 @@ class Panel:
                 else None
             )
         )
-        act = gui.add_button_group("Selection", ("Duplicate", "Drop", "Delete"))
+        act = gui.add_button_group("Selection", ("Duplicate", "Drop", "Delete"), order=2.0)
         pressed = {"Duplicate": actions.duplicate, "Drop": actions.drop, "Delete": actions.delete}
         act.on_click(lambda _: pressed[act.value]())
-        self._picture = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="Live picture", visible=False)
-        self._folder = gui.add_folder("Nothing selected")
+        self._picture = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="Live picture", visible=False, order=3.0)
         self._properties = Properties(self._server, builder, actions.do, actions.select)
-        with gui.add_folder("Snap", expand_by_default=False):
+        with gui.add_folder("Snap", expand_by_default=False, order=ORDER + 1.0):
             self._snaps = gui.add_checkbox("Snap", True)
             self._grid = gui.add_number("Grid, m", 0.05, min=0.0, max=10.0, step=0.01)
             self._angle = gui.add_number("Angle, deg", 15.0, min=0.0, max=180.0, step=5.0)
-        self._tree = gui.add_folder("Tree", expand_by_default=False)
+        self._tree = gui.add_folder("Tree", expand_by_default=False, order=ORDER + 2.0)
         self._branches: dict[str, tuple[Any, dict[str, Any]]] = {}
-        self._lights = gui.add_folder("Light", expand_by_default=False)
+        self._lights = gui.add_folder("Light", expand_by_default=False, order=ORDER + 3.0)
         self._light_inputs: list[Any] = []
         self._light_key: tuple[Any, ...] | None = None
 

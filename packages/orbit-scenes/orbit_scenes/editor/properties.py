@@ -26,6 +26,8 @@ Do = Callable[[str, Edit], None]
 """Takes an edit's label and the edit, in any thread."""
 OWN = "as it is"
 """Choice that leaves a look as its source has it."""
+ORDER = 10.0
+"""Place of the folder among what else is in its container."""
 SCENE = "the scene"
 """Carrier of a camera that does not move."""
 # Fields of sensors that have inputs of their own, or none.
@@ -57,13 +59,13 @@ class Properties:
         self._key: tuple[str, ...] = ()
         self._document = SceneDocument()
 
-    def show(self, document: SceneDocument, name: str, folder: Any) -> None:
+    def show(self, document: SceneDocument, name: str, tab: Any) -> None:
         """Show the values of an item or sensor.
 
         Args:
             document: that holds it.
             name: of it; empty shows nothing.
-            folder: container of the inputs.
+            tab: container of the folder of inputs.
         """
         self._document = document
         found = _found(document, name)
@@ -72,7 +74,8 @@ class Properties:
             self._clear()
             self._key = key
             if found is not None:
-                with folder:
+                # A new folder: the page keeps the height of an old one, and hides what is added to it later.
+                with tab, self._keep(self._gui.add_folder(name, order=ORDER)):
                     self._add_name(name)
                     if isinstance(found, Item):
                         self._add_item(found)
