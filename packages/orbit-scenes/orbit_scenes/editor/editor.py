@@ -318,11 +318,13 @@ class Editor(Actions):
 
     def _save(self) -> None:
         self.session.save()
-        self._note = f"saved {self.session.path}"
+        self._note = f"saved {self.session.path.name}"
 
     def _save_usd(self) -> None:
         path, lost = self.session.save_usd()
-        self._say(f"wrote {path}" + (f"; not held: {'; '.join(lost)}" if lost else ""), "yellow" if lost else "green")
+        self._say(
+            f"wrote {path.name}" + (f"; not held: {'; '.join(lost)}" if lost else ""), "yellow" if lost else "green"
+        )
 
     def _stop(self) -> None:
         self._stopped = True
@@ -444,7 +446,7 @@ class Editor(Actions):
             if item.name == self.selected:
                 low, high = self.session.builder.bounds(item)
                 # Larger than the thing, so that its arrows stand out of it, within what fits on the page.
-                return round(min(0.8, max(0.15, 0.75 * float((high - low).max()))), 2)
+                return round(min(0.8, max(0.25, 0.75 * float((high - low).max()))), 2)
         return 0.25
 
     def _remove_gizmo(self) -> None:
@@ -519,7 +521,7 @@ class Editor(Actions):
         for client in self._server.get_clients().values():
             eye, target = np.asarray(client.camera.position), np.asarray(client.camera.look_at)
             aside = np.cross(target - eye, (0.0, 0.0, 1.0))
-            x, y, z = (round(float(part), 3) for part in eye + 0.3 * (target - eye) + 0.25 * aside)
+            x, y, z = (round(float(part), 3) for part in eye + 0.4 * (target - eye) + 0.2 * aside)
             a, b, c = (round(float(part), 3) for part in target)
             return look_at((x, y, z), (a, b, c))
         return look_at((1.5, 1.0, 1.2), (0.0, 0.0, 0.3))

@@ -162,7 +162,7 @@ class Stage:
             handle = self._cameras.get(name)
             if handle is None or (handle.fov, handle.aspect) != shape:
                 handle = self._server.scene.add_camera_frustum(
-                    f"/cameras/{name}", *shape, scale=0.15, color=(30, 90, 200), cast_shadow=False
+                    f"/cameras/{name}", *shape, scale=0.12, thickness=0.004, color=(30, 90, 200), cast_shadow=False
                 )
                 handle.on_click(lambda _, name=name: self._clicked(name))
                 self._cameras[name] = handle
