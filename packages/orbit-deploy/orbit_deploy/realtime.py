@@ -7,7 +7,8 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,25 +24,37 @@ _MOST_BEHIND = 50
 _KEPT = 600_000
 
 
-def prioritize() -> list[str]:
-    """Give this process real-time priority and lock its memory; call it before threads and sockets are made.
+@contextmanager
+def prioritize() -> Iterator[list[str]]:
+    """Give this thread real-time priority and lock the process's memory, until the end of the ``with`` block.
 
-    Threads that are made later inherit the priority, those of ZeroMQ's context among them.
+    Enter it before threads and sockets are made: threads that are made later inherit the priority, those of ZeroMQ's
+    context among them, and keep it.
 
-    Returns:
+    Yields:
         A sentence about each of these that the system does not allow; timing is then as good as an ordinary process's.
     """
     missing: list[str] = []
+    memory = ctypes.CDLL(None, use_errno=True)
+    policy, parameters, locked = None, None, False
     try:
+        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     except (AttributeError, OSError) as error:
         missing.append(f"no real-time priority: {error}")
     try:
-        if ctypes.CDLL(None, use_errno=True).mlockall(_ALL_MEMORY) != 0:
+        locked = memory.mlockall(_ALL_MEMORY) == 0
+        if not locked:
             missing.append(f"memory is not locked: {os.strerror(ctypes.get_errno())}")
-    except (AttributeError, OSError) as error:
+    except AttributeError as error:
         missing.append(f"memory is not locked: {error}")
-    return missing
+    try:
+        yield missing
+    finally:
+        if locked:
+            memory.munlockall()
+        if policy is not None and parameters is not None:
+            os.sched_setscheduler(0, policy, parameters)
 
 
 @dataclass(frozen=True)

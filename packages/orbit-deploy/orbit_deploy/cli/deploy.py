@@ -325,9 +325,12 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
     _count_down(settings.countdown)
     pilot.wait()
     # Threads of libraries exist by now and keep their priority: only the loop of commands gets a higher one.
-    prioritize()
-    environment.reset(settings.seed)
-    with JointTable(engine.link, settings.table) as table, _Watch(settings, environment) as watch:
+    with (
+        prioritize(),
+        JointTable(engine.link, settings.table) as table,
+        _Watch(settings, environment) as watch,
+    ):
+        environment.reset(settings.seed)
 
         def show(state: RobotState) -> None:
             table.show(state)

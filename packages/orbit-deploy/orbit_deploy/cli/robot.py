@@ -85,14 +85,17 @@ def main(words: Sequence[str]) -> None:
         return
     if (settings.robot is None) == (settings.task is None):
         raise ConfigurationError("name a robot, or a task with --task: orbit robot franka_panda")
-    _serve(settings)
+    if settings.realtime:
+        from orbit_deploy.realtime import prioritize
+
+        # Before anything makes a thread: threads inherit the priority.
+        with prioritize() as missing:
+            _serve(settings, missing)
+    else:
+        _serve(settings, [])
 
 
-def _serve(settings: RobotSettings) -> None:
-    from orbit_deploy.realtime import prioritize
-
-    # Before anything makes a thread: threads inherit the priority.
-    missing = prioritize() if settings.realtime else []
+def _serve(settings: RobotSettings, missing: list[str]) -> None:
     import threading
 
     import torch
