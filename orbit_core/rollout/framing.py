@@ -17,6 +17,7 @@ from orbit_core.scene import (
     Cylinder,
     Geometry,
     HeightField,
+    Link,
     Mesh,
     Plane,
     Pose,
@@ -34,7 +35,13 @@ _LEAST = 0.22
 # Metres from the scene's middle beyond which a marker counts as put away.
 _AWAY = 20.0
 # Metres around an end effector that belong to it.
-_HAND = 0.14
+_HAND = 0.1
+# Metres up to which a fixed object, such as a bin or a holed block, is part of what the task is about.
+_SMALL = 0.45
+# Share of a deformable's points that are framed, without the drops and ends that are farthest off.
+_KEPT = 0.98
+# Corners of a cube from -1 to 1.
+_CORNERS = torch.tensor([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 # Seconds of lag of a following camera, sideways and up: steps of a gait stay in the picture, and do not shake it.
 _LAG = (0.2, 0.2, 0.4)
 # Metres from one picture to the next beyond which the camera jumps: the episode began again.
@@ -54,18 +61,19 @@ def framed(world: World, view: Pose, aspect: float, follow: str = "", env: int =
     points = _points(world, follow, env)
     if not len(points):
         return view
+    middle = 0.5 * (points.amin(0) + points.amax(0))
+    points = torch.cat((points, middle + 0.5 * _LEAST * _CORNERS))
     _, orientation = _tensors(view)
-    low, high = points.amin(0), points.amax(0)
-    middle = 0.5 * (low + high)
-    half = (0.5 * (high - low)).clamp_min(0.5 * _LEAST)
-    signs = torch.tensor([[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (-1.0, 1)], dtype=points.dtype)
-    corners = quat_rotate_inverse(orientation.expand(8, 4), signs * half)
+    seen = quat_rotate_inverse(orientation.expand(len(points), 4), points - middle)
     up = math.tan(0.5 * FIELD_OF_VIEW) * _FILLED
-    # A corner at (x, y, z) before the camera's middle is within the frame from a distance of z + |x| / tan and more.
-    distance = (corners[:, 2] + torch.maximum(corners[:, 0].abs() / (up * aspect), corners[:, 1].abs() / up)).max()
-    back = quat_rotate(orientation[None], torch.tensor([[0.0, 0.0, 1.0]], dtype=points.dtype))[0]
-    eye = middle + float(distance) * back
-    x, y, z = eye.tolist()
+    # A camera at (x, y, z) has a point (a, b, c) in its frame if |a - x| <= (z - c) tan: the least z that has all of
+    # them is half the sum, over the tangent, of the two sides' largest a + c tan and -a + c tan.
+    eye = torch.zeros(3)
+    for axis, tangent in enumerate((up * aspect, up)):
+        sides = [float((sign * seen[:, axis] + tangent * seen[:, 2]).max()) for sign in (1.0, -1.0)]
+        eye[axis] = 0.5 * (sides[0] - sides[1])
+        eye[2] = max(float(eye[2]), 0.5 * sum(sides) / tangent)
+    x, y, z = (middle + quat_rotate(orientation[None], eye[None])[0]).tolist()
     return Pose((x, y, z), view.orientation)
 
 
@@ -126,26 +134,37 @@ def _points(world: World, follow: str, env: int) -> Tensor:
         distance = marks.norm(dim=-1)
         # A marker at the very origin was never placed.
         points.append(marks[(distance > 0.0) & (distance < _AWAY)])
-        points += [deformable.positions[env].cpu() for deformable in world.deformables.values()]
+        points += [_most(deformable.positions[env].cpu()) for deformable in world.deformables.values()]
     return torch.cat(points) if points else torch.zeros(0, 3)
 
 
 def _moving_links(layout: SceneLayout, entity: EntityLayout) -> range:
-    """Return links that are framed: of what moves, but of an arm on a fixed base only its hand, which comes apart."""
+    """Return links that are framed: of what moves or is small, but of an arm on a fixed base only its hand, apart."""
     spec = entity.spec
     arm = isinstance(spec, RobotSpec) and bool(spec.end_effectors)
-    if spec.fixed_base and (arm or not spec.articulation.movable_joints):
+    if spec.fixed_base and (arm or not (spec.articulation.movable_joints or _is_small(spec.articulation.root))):
         return range(0)
     return range(entity.links.start, entity.links.stop)
 
 
+def _is_small(link: Link) -> bool:
+    corners = _corners(link.visuals or link.collisions)
+    return len(corners) > 0 and float((corners.amax(0) - corners.amin(0)).max()) <= _SMALL
+
+
+def _most(points: Tensor) -> Tensor:
+    """Return points (P, 3) without the few that are farthest from their median."""
+    away = (points - points.median(0).values).norm(dim=-1)
+    return points[away <= away.quantile(_KEPT)]
+
+
 def _hand(entity: EntityLayout, spec: RobotSpec, frame: str, poses: Tensor) -> Tensor:
-    """Return corners (2, 3) of a box around an end effector's frame."""
+    """Return corners (8, 3) of a box around an end effector's frame."""
     place = spec.articulation.frame(frame)
     link = entity.links.start + spec.articulation.link_names.index(place.link)
     origin = torch.tensor([place.pose.position], dtype=torch.float32)
     middle = transform_points(poses[link][None], origin)
-    return torch.cat((middle - _HAND, middle + _HAND))
+    return middle + _HAND * _CORNERS
 
 
 def _corners(shapes: tuple[Shape, ...]) -> Tensor:
