@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse, transform_points
-from orbit_core.interfaces import EntityLayout, SceneLayout, World
+from orbit_core.interfaces import EntityLayout, World
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -118,16 +118,18 @@ def _points(world: World, follow: str, env: int) -> Tensor:
     """Return (P, 3) corners around what is framed, in the environment's frame."""
     layout, poses = world.layout, world.link_poses[env].cpu()
     points: list[Tensor] = []
+    # An arm without a thing to move is itself what is to be seen.
+    hands = bool(layout.scene.objects) or bool(world.deformables)
     for entity in layout.entities:
         if follow:
             links = range(entity.links.start, entity.links.stop) if entity.name == follow else ()
         else:
-            links = _moving_links(layout, entity)
+            links = _moving_links(entity, hands)
         for link in links:
             corners = _corners(layout.links[link].visuals or layout.links[link].collisions)
             if len(corners):
                 points.append(transform_points(poses[link].expand(len(corners), 7), corners))
-        if not follow and isinstance(entity.spec, RobotSpec) and entity.spec.fixed_base:
+        if not follow and hands and isinstance(entity.spec, RobotSpec) and entity.spec.fixed_base:
             points += [_hand(entity, entity.spec, effector.frame, poses) for effector in entity.spec.end_effectors]
     if not follow:
         marks = world.marker_poses[env, :, :3].cpu()
@@ -138,10 +140,10 @@ def _points(world: World, follow: str, env: int) -> Tensor:
     return torch.cat(points) if points else torch.zeros(0, 3)
 
 
-def _moving_links(layout: SceneLayout, entity: EntityLayout) -> range:
-    """Return links that are framed: of what moves or is small, but of an arm on a fixed base only its hand, apart."""
+def _moving_links(entity: EntityLayout, hands: bool) -> range:
+    """Return links that are framed: of what moves or is small, but none of an arm whose hand is framed apart."""
     spec = entity.spec
-    arm = isinstance(spec, RobotSpec) and bool(spec.end_effectors)
+    arm = hands and isinstance(spec, RobotSpec) and bool(spec.end_effectors)
     if spec.fixed_base and (arm or not (spec.articulation.movable_joints or _is_small(spec.articulation.root))):
         return range(0)
     return range(entity.links.start, entity.links.stop)

@@ -376,6 +376,17 @@ def load_parts(
     return MeshFiles(options, Path(path)).parts(Path(path), scale)
 
 
+@names_file
+def load_surfaces(path: Path | str, *, options: ReadOptions = ReadOptions()) -> list[Any]:
+    """Return the trimesh surfaces of a file as they are in it, placed by its scene graph, in metres.
+
+    Raises:
+        AssetError: as :func:`load_mesh`.
+    """
+    with naming(str(path)), bounded_pictures(options):
+        return _decoded(Path(path), options, Path(path))
+
+
 class MeshFiles:
     """The mesh files of one model: each is decoded once, however many shapes and scales use it.
 
