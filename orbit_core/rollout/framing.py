@@ -34,6 +34,8 @@ _FILLED = 0.7
 _LEAST = 0.22
 # Metres from the scene's middle beyond which a marker counts as put away.
 _AWAY = 20.0
+# Metres from what is followed within which a marker belongs to it, such as the arrow of its command.
+_NEAR = 1.5
 # Metres around an end effector that belong to it.
 _HAND = 0.1
 # Metres up to which a fixed object, such as a bin or a holed block, is part of what the task is about.
@@ -131,13 +133,23 @@ def _points(world: World, follow: str, env: int) -> Tensor:
                 points.append(transform_points(poses[link].expand(len(corners), 7), corners))
         if not follow and hands and isinstance(entity.spec, RobotSpec) and entity.spec.fixed_base:
             points += [_hand(entity, entity.spec, effector.frame, poses) for effector in entity.spec.end_effectors]
+    points.append(_marks(world, follow, env))
     if not follow:
-        marks = world.marker_poses[env, :, :3].cpu()
-        distance = marks.norm(dim=-1)
-        # A marker at the very origin was never placed.
-        points.append(marks[(distance > 0.0) & (distance < _AWAY)])
         points += [_most(deformable.positions[env].cpu()) for deformable in world.deformables.values()]
     return torch.cat(points) if points else torch.zeros(0, 3)
+
+
+def _marks(world: World, follow: str, env: int) -> Tensor:
+    """Return corners (8 M, 3) of boxes around markers; around those near an entity, where one is followed."""
+    places, markers = world.marker_poses[env, :, :3].cpu(), world.layout.scene.markers
+    distance = places.norm(dim=-1)
+    # A marker at the very origin was never placed.
+    shown = (distance > 0.0) & (distance < _AWAY)
+    if follow:
+        root = world.link_poses[env, world.layout.entity(follow).root_link, :3].cpu()
+        shown &= (places - root).norm(dim=-1) < _NEAR
+    half = 0.5 * torch.tensor([marker.size for marker in markers]).reshape(-1, 1, 1)
+    return (places[:, None] + half * _CORNERS)[shown].reshape(-1, 3)
 
 
 def _moving_links(entity: EntityLayout, hands: bool) -> range:

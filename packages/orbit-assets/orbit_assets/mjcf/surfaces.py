@@ -44,6 +44,7 @@ class Surfaces:
         self._mesh_kind = compiled.mujoco.mjtGeom.mjGEOM_MESH
         self._pixels: dict[int, npt.NDArray[np.uint8]] = {}
         self._textures: dict[tuple[float, ...], Texture] = {}
+        self._sides: dict[tuple[int, Geometry], Texture] = {}
         self._meshes: dict[tuple[Any, ...], Mesh] = {}
 
     @property
@@ -137,6 +138,13 @@ class Surfaces:
             red, green, blue = (float(own * part) for own, part in zip(shape.color[:3], tint, strict=True))
             return replace(shape, color=(red, green, blue, shape.color[3]))
         uniform = bool(self._model.mat_texuniform[material])
+        if (pixels.reshape(6, -1) == pixels.reshape(6, -1)[0]).all() and not isinstance(shape.geometry, Box):
+            # A round shape stays what it is, with the one picture laid on each of its sides: nearly what a cube shows.
+            face = (texture, shape.geometry)
+            if face not in self._sides:
+                width = float(np.ptp(_surface(shape.geometry)[0], axis=0).max())
+                self._sides[face] = Texture(np.ascontiguousarray(pixels[: len(pixels) // 6]), width)
+            return replace(shape, finish=replace(shape.finish, texture=self._sides[face]))
         key = (shape.geometry, uniform)
         if key not in self._meshes:
             self._meshes[key] = _on_cube(shape.geometry, uniform)
@@ -144,14 +152,19 @@ class Surfaces:
         return replace(shape, geometry=self._meshes[key], finish=finish)
 
 
+def _surface(geometry: Geometry) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.integer]]:
+    """Return vertices (V, 3) and faces (F, 3) of a geometry."""
+    from orbit_core.plugin_kit.meshes import triangles
+
+    surface = triangles(geometry)
+    return np.asarray(surface.vertices, np.float64), np.asarray(surface.faces)
+
+
 def _on_cube(geometry: Geometry, uniform: bool) -> Mesh:
     """Return the surface of a geometry, each triangle on the face of the cube around it that its middle points to."""
     from trimesh.remesh import subdivide_to_size
 
-    from orbit_core.plugin_kit.meshes import triangles
-
-    surface = triangles(geometry)
-    points, faces = np.asarray(surface.vertices, np.float64), np.asarray(surface.faces)
+    points, faces = _surface(geometry)
     half = 0.5 * np.ptp(points, axis=0)
     if isinstance(geometry, Capsule):
         # MuJoCo's size of a capsule leaves out its caps.
