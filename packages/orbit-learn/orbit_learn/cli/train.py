@@ -39,7 +39,7 @@ class TrainSettings(EnvironmentSettings):
     """Learning library ('orbit list libraries'): rsl-rl if left out, or the one that has the algorithm; distill
     imitates a teacher, imitation clones demonstrations."""
     algorithm: Annotated[str | None, arg(metavar="NAME")] = None
-    """Algorithm: sac or td3 for orbit; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation; other libraries
+    """Algorithm: sac, td3 or ppo for orbit; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation; other libraries
     have ppo."""
     dataset: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
     """Demonstrations, for imitation ('orbit record' makes them); repeatable."""
@@ -93,7 +93,7 @@ def train(settings: TrainSettings) -> Path:
     if leader and settings.output is not None:
         check_new(settings.output)
     library = settings.library or library_for(settings.algorithm)
-    make_trainer = trainer_type(library)
+    make_trainer = trainer_type(library, settings.algorithm)
     algorithm = settings.algorithm
     if algorithm == "ppo" and "algorithm" not in make_trainer.options:
         algorithm = None  # these libraries have no other
