@@ -136,9 +136,9 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
         self._critic_group = critic_group(environment)
         sizes = (groups[ACTOR].size, groups[self._critic_group].size, actions)
         self._network = Perceptron(settings.hidden_sizes)
-        self._actor, self._critic = (
-            cast(NormalizedActor, self._network.build(*shape)).to(device) for shape in ((sizes[0], actions), (sizes[1], 1))
-        )  # fmt: skip
+        shapes = (sizes[0], actions), (sizes[1], 1)
+        networks = (cast(NormalizedActor, self._network.build(*shape)).to(device) for shape in shapes)
+        self._actor, self._critic = networks
         self._log_std = nn.Parameter(torch.full((actions,), math.log(settings.initial_std), device=device))
         self._moments = {
             name: RunningMoments(groups[name].size, device) for name in dict.fromkeys((ACTOR, self._critic_group))
@@ -276,16 +276,17 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
         with torch.autocast(kind, torch.bfloat16, enabled=narrow, cache_enabled=False):
             mean, value = self._actor.layers(samples.seen), self._critic.layers(samples.state).squeeze(1)
         mean, value, log_std = mean.float(), value.float(), self._log_std
-        ratio = (_log_density(samples.action, mean, log_std) - _log_density(samples.action, samples.mean, old_log_std)).exp()
-        surrogate = torch.max(
-            -samples.advantage * ratio, -samples.advantage * ratio.clamp(1.0 - clip, 1.0 + clip)
-        ).mean()
+        old = _log_density(samples.action, samples.mean, old_log_std)
+        ratio = (_log_density(samples.action, mean, log_std) - old).exp()
+        surrogates = -samples.advantage * ratio, -samples.advantage * ratio.clamp(1.0 - clip, 1.0 + clip)
+        surrogate = torch.max(*surrogates).mean()
         near = samples.value + (value - samples.value).clamp(-clip, clip)
         error = torch.max((value - samples.returns).square(), (near - samples.returns).square()).mean()
         entropy = (log_std + 0.5 + _HALF_LOG_TWO_PI).sum()
         loss = surrogate + error - self.settings.entropy_weight * entropy
-        shift = (samples.mean - mean.detach()).square() + (2.0 * old_log_std).exp()
-        divergence = (log_std.detach() - old_log_std + 0.5 * shift * (-2.0 * log_std.detach()).exp() - 0.5).sum(1).mean()
+        with torch.no_grad():  # of two normal distributions
+            scaled = ((samples.mean - mean).square() + (2.0 * old_log_std).exp()) * (-2.0 * log_std).exp()
+            divergence = (log_std - old_log_std + 0.5 * scaled - 0.5).sum(1).mean()
         return loss, torch.stack((surrogate.detach(), error.detach(), entropy.detach(), divergence))
 
     def _adapt_rate(self, divergence: Tensor) -> None:

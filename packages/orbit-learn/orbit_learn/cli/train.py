@@ -39,8 +39,8 @@ class TrainSettings(EnvironmentSettings):
     """Learning library ('orbit list libraries'): rsl-rl if left out, or the one that has the algorithm; distill
     imitates a teacher, imitation clones demonstrations."""
     algorithm: Annotated[str | None, arg(metavar="NAME")] = None
-    """Algorithm: sac, td3 or ppo for orbit; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation; other libraries
-    have ppo."""
+    """Algorithm: sac, td3 or ppo for orbit; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation; other
+    libraries have ppo."""
     dataset: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
     """Demonstrations, for imitation ('orbit record' makes them); repeatable."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
