@@ -138,10 +138,10 @@ def run_one(job: dict[str, Any], gpu: str | None, end: float) -> dict[str, Any]:
 
 def train(job: dict[str, Any], arguments: argparse.Namespace) -> None:
     """Train in this process, and print a line for each phase and iteration."""
-    started = float(os.environ[STARTED])
+    started, output = float(os.environ[STARTED]), sys.stdout
 
     def tell(**values: Any) -> None:
-        print(json.dumps(values), flush=True)
+        print(json.dumps(values), file=output, flush=True)  # libraries redirect what is printed while they learn
 
     def clock() -> float:
         return round(time.time() - started, 3)
@@ -179,7 +179,6 @@ def train(job: dict[str, Any], arguments: argparse.Namespace) -> None:
             tell(**line, value=value, episode_return=_finite(progress.episode_return), episodes=progress.episodes)
             if reached:
                 tell(reached=clock())
-                sys.stdout.flush()
                 os._exit(0)  # nothing of this process is needed any more
 
         # Training writes the curve and checkpoints, as the command does: their time belongs to the clock's.
@@ -201,6 +200,9 @@ def summarize(results: list[dict[str, Any]]) -> None:
     kinds = sorted({(result["task"], result["library"]) for result in results})
     for task, library in kinds:
         own = [r for r in results if (r["task"], r["library"]) == (task, library) and r["curve"]]
+        if not own:
+            print(f"{task:14} {library:8} no iteration was completed", flush=True)
+            continue
         reached = sorted(r["reached"] for r in own if r["reached"])
         first = [r["phases"]["first iteration"] for r in own]
         median = statistics.median(reached) if reached else None

@@ -86,7 +86,7 @@ class EpisodeTally:
         values = [torch.ones_like(returns), returns, end.success, *end.metrics.values()]
         # Not multiplied by the mask: a metric of an environment whose episode goes on may be NaN.
         rows = torch.stack([value.to(returns.dtype) for value in values])
-        self._sums += torch.where(ended, rows, 0.0).sum(1)
+        self._sums += rows.masked_fill(~ended, 0.0).sum(1)
 
     def read(self) -> tuple[float, float, int]:
         """Return mean return, success rate and number of episodes, and reset.

@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 import tarfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -210,12 +210,13 @@ def read_archive(path: Path, cache: Path, gpus: set[int]) -> tuple[int, set[int]
     """
     try:
         with tarfile.open(path, "r:xz") as archive:
-            entry = archive.next()
+            entries = iter(archive)
+            entry = next(entries, None)
             content = archive.extractfile(entry) if entry is not None and entry.name == _MANIFEST else None
             if content is None:
                 raise ConfigurationError(f"{path} is no archive of 'orbit cache export'")
             archs = _checked_manifest(path, json.loads(content.read(1 << 16)), gpus)
-            return _unpack(path, archive, cache), archs
+            return _unpack(path, archive, entries, cache), archs
     except (OSError, EOFError, tarfile.TarError, ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{path} is no archive of 'orbit cache export' ({error})") from None
 
@@ -239,10 +240,10 @@ def _checked_manifest(path: Path, manifest: dict[str, Any], gpus: set[int]) -> s
     return archs
 
 
-def _unpack(path: Path, archive: tarfile.TarFile, cache: Path) -> int:
+def _unpack(path: Path, archive: tarfile.TarFile, entries: Iterator[tarfile.TarInfo], cache: Path) -> int:
     """Write the entries that are compiled modules, and return the number of binaries."""
     size, count, binaries = 0, 0, 0
-    for entry in archive:
+    for entry in entries:
         size, count = size + entry.size, count + 1
         if size > _MOST_BYTES or count > _MOST_FILES:
             raise ConfigurationError(f"{path} unpacks to more than {_MOST_BYTES >> 20} MiB or {_MOST_FILES:,} files")

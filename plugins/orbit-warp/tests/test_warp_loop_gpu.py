@@ -13,7 +13,7 @@ from orbit_core.envs import PpoSettings, make
 from orbit_core.envs.environment import Environment
 
 pytest.importorskip("orbit_learn")
-from orbit_learn.ppo import PpoTrainer  # noqa: E402 - skipped where the distribution is missing
+from orbit_learn.ppo import PpoTrainer
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs the capability of a GPU")
 TASKS = ["Lift", "Velocity-Flat"]

@@ -179,7 +179,7 @@ def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], ppo: PpoSet
     kind = trainer.settings_type
     for option in ("ppo", "distillation", "teacher", "imitation", "off_policy", "algorithm", "dataset"):
         if getattr(settings, option) and option not in trainer.options:
-            raise ConfigurationError(f"library '{settings.library}' takes no --{option}")
+            raise ConfigurationError(f"library '{settings.library}' takes no --{option.replace('_', '-')}")
     # The first option takes KEY=VALUE words, the others are fields by themselves.
     words, *single = trainer.options
     defaults = ppo if isinstance(ppo, kind) else kind()
