@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -89,10 +90,14 @@ def main(words: Sequence[str]) -> None:
 
 
 def _serve(settings: RobotSettings) -> None:
-    from orbit_deploy.realtime import prioritize
+    from orbit_deploy.realtime import prioritized
 
     # Before anything makes a thread: threads inherit the priority.
-    missing = prioritize() if settings.realtime else []
+    with prioritized() if settings.realtime else nullcontext([]) as missing:
+        _run(settings, missing)
+
+
+def _run(settings: RobotSettings, missing: Sequence[str]) -> None:
     import threading
 
     import torch
