@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TypeVar
@@ -37,6 +38,26 @@ class RosNode(ABC):
             latched: also receive the last message that was published before.
         """
 
+    def check(self) -> None:
+        """Look whether the connection still works; those without a server in between do as long as they are.
+
+        Raises:
+            RobotLinkError: it is gone, or its other end has refused something.
+        """
+
     @abstractmethod
     def close(self) -> None:
         """Leave ROS; idempotent."""
+
+
+def call_safely(callback: Callable[[], None], kind: type[IdlStruct]) -> None:
+    """Call a subscriber's function, whose error must not end the thread that hears the next messages.
+
+    Args:
+        callback: function with its message bound.
+        kind: type of the message, for the log.
+    """
+    try:
+        callback()
+    except Exception:
+        logging.getLogger(__name__).exception("a message of type %s could not be used", kind.__name__)
