@@ -119,8 +119,7 @@ class Ros2Node(RosNode):
                         handle: int = sample.sample_info.publication_handle  # pyright: ignore
                         if (handle, reader) not in sources:
                             sources[handle, reader] = _program(reader, handle)
-                        source = sources[handle, reader]
-                        call_safely(lambda: callback(sample, source), type(sample))
+                        call_safely(callback, sample, sources[handle, reader])
 
 
 def _program(reader: DataReader[Any], handle: int) -> str:

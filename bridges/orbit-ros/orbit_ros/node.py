@@ -50,14 +50,15 @@ class RosNode(ABC):
         """Leave ROS; idempotent."""
 
 
-def call_safely(callback: Callable[[], None], kind: type[IdlStruct]) -> None:
+def call_safely(callback: Callable[[Message, str], None], message: Message, source: str) -> None:
     """Call a subscriber's function, whose error must not end the thread that hears the next messages.
 
     Args:
-        callback: function with its message bound.
-        kind: type of the message, for the log.
+        callback: function.
+        message: its message.
+        source: publisher of the message.
     """
     try:
-        callback()
+        callback(message, source)
     except Exception:
-        logging.getLogger(__name__).exception("a message of type %s could not be used", kind.__name__)
+        logging.getLogger(__name__).exception("a message of type %s could not be used", type(message).__name__)

@@ -80,7 +80,7 @@ class RosbridgeNode(RosNode):
         self, topic: str, kind: type[Message], callback: Callable[[Message, str], None], latched: bool = False
     ) -> None:
         def take(message: Any) -> None:
-            call_safely(lambda: callback(from_json(message, kind), self._address), kind)
+            call_safely(callback, from_json(message, kind), self._address)
 
         # A queue of one on the server's side: of states, the newest counts.
         self._topic(topic, kind, queue_length=1).subscribe(take)

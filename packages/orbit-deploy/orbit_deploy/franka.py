@@ -13,7 +13,7 @@ import numpy as np
 
 from orbit_core.installing import install_command
 from orbit_core.interfaces import ConfigurationError
-from orbit_deploy.description import FloatArray, RobotDescription
+from orbit_deploy.description import RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.link import RobotLinkError
@@ -26,7 +26,7 @@ _LOOK = 0.02
 
 
 class FrankaHardware(RobotHardware):
-    """One arm, with or without Franka's hand, at its control box (or at ``franky-sim``, which speaks the same protocol).
+    """One arm, with or without Franka's hand, at its control box or at ``franky-sim``, which speaks the same protocol.
 
     The arm applies ``stiffness (q - measured) + damping (dq - measured)`` of the description as torques, computed by
     franky at 1000 Hz in a thread of its own. The hand moves to a width at once and reports it; it takes no forces.
@@ -47,20 +47,26 @@ class FrankaHardware(RobotHardware):
         if not parts.hostname or parts.path.strip("/") or options or realtime not in ("yes", "no"):
             raise ConfigurationError(f"'{address}' is no address of a Franka robot: give franka://host?realtime=yes")
         arm, hand = description.joints[:_ARM], description.joints[_ARM:]
-        if not all(re.fullmatch(rf"(panda|fr3)_joint{i + 1}", name) for i, name in enumerate(arm)) or len(hand) not in (0, 2):
+        if not all(re.fullmatch(rf"(panda|fr3)_joint{i + 1}", name) for i, name in enumerate(arm)) or len(hand) not in (
+            0,
+            2,
+        ):
             raise ConfigurationError(f"{description.model} is no Franka arm: its joints are {', '.join(arm + hand)}")
         try:
             franky = importlib.import_module("franky")
         except ImportError:
-            raise ConfigurationError(f"Franka's robots need franky: {install_command('orbit-deploy[franka]')}") from None
+            raise ConfigurationError(
+                f"Franka's robots need franky: {install_command('orbit-deploy[franka]')}"
+            ) from None
         self.description = description
         self._address = address
-        self._failures = tuple(
+        # The gripper's network errors arrive as RuntimeError.
+        self._failures = (RuntimeError, *(
             getattr(franky, name)
             for name in ("Exception", "NetworkException", "ControlException", "CommandException", "RealtimeException",
                          "IncompatibleVersionException", "InvalidOperationException", "ProtocolException",
                          "GripperException")
-        )  # fmt: skip
+        ))  # fmt: skip
         config = franky.RealtimeConfig.Enforce if realtime == "yes" else franky.RealtimeConfig.Ignore
         try:
             self._robot = franky.Robot(parts.hostname, realtime_config=config)
@@ -82,7 +88,8 @@ class FrankaHardware(RobotHardware):
             rows = [np.concatenate((row, own)) for row, own in zip(rows, fingers, strict=True)]
         if not all(np.isfinite(row).all() for row in rows):
             raise RobotLinkError(f"the robot at {self._address} reports numbers that are not finite")
-        return Measurement(*rows)
+        positions, velocities, efforts = rows
+        return Measurement(positions, velocities, efforts)
 
     def drive(self, targets: JointTargets) -> None:
         if not self._tracker.is_running:

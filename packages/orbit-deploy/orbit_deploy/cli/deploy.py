@@ -324,7 +324,7 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
     counter = EpisodeCounter(settings.episodes, 1, environment.device)
     _count_down(settings.countdown)
     pilot.wait()
-    # Only the loop of commands gets a higher priority: threads of libraries exist by now, and later ones do not inherit.
+    # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
     with (
         prioritized(inherited=False),
         JointTable(engine.link, settings.table) as table,
