@@ -20,7 +20,7 @@ from orbit_core.envs import Environment, TerminationTerm, make
 from orbit_core.mdp import common
 from orbit_core.scene import Scene
 from orbit_deploy import PathKind, connect, robot_world
-from orbit_deploy.realtime import prioritize
+from orbit_deploy.realtime import prioritized
 from orbit_tasks import walking
 from orbit_tasks.velocity_flat import VelocityFlat, VelocityMemory, projected_gravity
 
@@ -82,5 +82,5 @@ def main(address: str, seconds: float) -> None:
 
 if __name__ == "__main__":
     # Before there are threads, which inherit the priority
-    with prioritize():
+    with prioritized():
         main(sys.argv[1], float(sys.argv[2]))

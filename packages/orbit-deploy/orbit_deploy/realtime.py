@@ -25,36 +25,41 @@ _KEPT = 600_000
 
 
 @contextmanager
-def prioritize() -> Iterator[list[str]]:
-    """Give this thread real-time priority and lock the process's memory, until the end of the ``with`` block.
+def prioritized(inherited: bool = True) -> Iterator[list[str]]:
+    """Give this thread real-time priority and lock the process's memory, until the block ends.
 
-    Enter it before threads and sockets are made: threads that are made later inherit the priority, those of ZeroMQ's
-    context among them, and keep it.
+    Args:
+        inherited: threads and processes that are made within the block get the priority too. A robot's computer enters
+            before it makes sockets, as the threads of ZeroMQ's context need it; a process that spins with it takes a
+            core from everybody.
 
     Yields:
         A sentence about each of these that the system does not allow; timing is then as good as an ordinary process's.
     """
     missing: list[str] = []
-    memory = ctypes.CDLL(None, use_errno=True)
-    policy, parameters, locked = None, None, False
+    before = None
     try:
-        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        policy = os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK)
+        os.sched_setscheduler(0, policy, os.sched_param(_PRIORITY))
     except (AttributeError, OSError) as error:
+        before = None
         missing.append(f"no real-time priority: {error}")
     try:
-        locked = memory.mlockall(_ALL_MEMORY) == 0
-        if not locked:
+        system = ctypes.CDLL(None, use_errno=True)
+        if system.mlockall(_ALL_MEMORY) != 0:
             missing.append(f"memory is not locked: {os.strerror(ctypes.get_errno())}")
-    except AttributeError as error:
+    except (AttributeError, OSError) as error:
+        system = None
         missing.append(f"memory is not locked: {error}")
     try:
         yield missing
     finally:
-        if locked:
-            memory.munlockall()
-        if policy is not None and parameters is not None:
-            os.sched_setscheduler(0, policy, parameters)
+        # A program that goes on, such as a session of tests, must not keep the cores from others.
+        if before is not None:
+            os.sched_setscheduler(0, *before)
+        if system is not None:
+            system.munlockall()
 
 
 @dataclass(frozen=True)

@@ -318,15 +318,15 @@ class _Person:
 def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> dict[str, Any]:
     from orbit_core.rollout.stepping import EpisodeCounter, roll_out
     from orbit_deploy.display import JointTable
-    from orbit_deploy.realtime import prioritize
+    from orbit_deploy.realtime import prioritized
 
     engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
     counter = EpisodeCounter(settings.episodes, 1, environment.device)
     _count_down(settings.countdown)
     pilot.wait()
-    # Threads of libraries exist by now and keep their priority: only the loop of commands gets a higher one.
+    # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
     with (
-        prioritize(),
+        prioritized(inherited=False),
         JointTable(engine.link, settings.table) as table,
         _Watch(settings, environment) as watch,
     ):
