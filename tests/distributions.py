@@ -34,7 +34,7 @@ DISTRIBUTIONS = (
     Distribution("orbit_assets", "packages/orbit-assets/orbit_assets", _CORE),
     Distribution("orbit_motion", "packages/orbit-motion/orbit_motion", _CORE | {"orbit_assets"}, _VIEWER),
     Distribution("orbit_learn", "packages/orbit-learn/orbit_learn", _CORE | {"orbit_data"}),
-    Distribution("orbit_data", "packages/orbit-data/orbit_data", _CORE, _VIEWER),
+    Distribution("orbit_data", "packages/orbit-data/orbit_data", _CORE, _VIEWER | {"orbit_motion"}),
     Distribution("orbit_viewer", "packages/orbit-viewer/orbit_viewer", _CORE),
     Distribution(
         "orbit_deploy",
