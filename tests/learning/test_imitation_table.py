@@ -91,6 +91,37 @@ def test_the_page_adds_parts_up_and_shows_what_was_published(tmp_path: Path) -> 
     assert "| `bc`, published | 1.00, 234 | 0.89, 307 | 0.47, 321 | 0.43, 324 |" in text
 
 
+def test_results_of_several_machines_become_one_table() -> None:
+    from table2_page import merged  # pyright: ignore[reportMissingImports]
+
+    settings = {"demos": 2, "engine": "mujoco"}
+    first = {"settings": settings, "jobs": {"a": {"ended": False}, "b": {"ended": True, "result": 1}}}
+    second = {"settings": settings, "jobs": {"a": {"ended": True, "result": 2}, "b": {"ended": False}}}
+    both = merged([first, second])
+    assert [job["result"] for job in both["jobs"].values()] == [2, 1]
+    with pytest.raises(SystemExit, match="other demos"):
+        merged([first, {"settings": {"demos": 3, "engine": "mujoco"}, "jobs": {}}])
+
+
+def test_what_is_gone_is_made_again_only_where_it_is_needed(tmp_path: Path) -> None:
+    from work import Done, Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
+
+    words = ["list", "libraries"]
+    jobs = [
+        Job("recorded", lambda: words, leaves=tmp_path / "gone"),
+        Job("trained", lambda: words, ("recorded",), leaves=tmp_path / "gone too"),
+        Job("evaluated", lambda: words, ("trained",)),
+        Job("evaluated elsewhere", lambda: words, ("trained",)),
+    ]
+    ledger = Ledger(tmp_path / "results.json", {})
+    ledger.jobs = {job.name: Done(ended=True) for job in jobs}
+    assert run_jobs(jobs, ledger, 1, 600.0, tmp_path / "logs", 0)
+    assert not list((tmp_path / "logs").glob("*.log")), "all is evaluated"
+    ledger.jobs["evaluated elsewhere"] = Done()
+    assert run_jobs(jobs, ledger, 1, 600.0, tmp_path / "logs", 0)
+    assert {log.stem for log in (tmp_path / "logs").glob("*.log")} == {"recorded", "trained", "evaluated elsewhere"}
+
+
 def test_yields_are_read_from_what_augmentations_print(tmp_path: Path) -> None:
     from yields import table, yield_jobs  # pyright: ignore[reportMissingImports]
 
