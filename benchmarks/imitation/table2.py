@@ -201,7 +201,7 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
             )  # fmt: skip
             trained.append(f"train.{label}.{algorithm}.{seed}")
             begin = Job(
-                trained[-1], lambda w=words, f=folder, n=iterations: (*w, *_continued(f, n)), recorded, recipe.cost,
+                trained[-1], lambda w=words, f=folder, n=iterations: (*w, *continued(f, n)), recorded, recipe.cost,
                 leaves=folder,
             )  # fmt: skip
             jobs.append(begin)
@@ -214,11 +214,11 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
                     "--seed", str(_FIRST_START + part), "--jobs", "1", "--output", str(into),
                 )  # fmt: skip
 
-                def outcomes(into: Path = into) -> list[dict[str, object]]:
-                    return _outcomes(into / "results.jsonl")
+                def read(into: Path = into) -> list[dict[str, object]]:
+                    return outcomes(into / "results.jsonl")
 
                 name = f"evaluate.{label}.{algorithm}.{engine}.{part}"
-                jobs.append(Job(name, lambda words=words: words, tuple(trained), 50.0, outcomes))
+                jobs.append(Job(name, lambda words=words: words, tuple(trained), 50.0, read))
     return jobs
 
 
@@ -228,7 +228,7 @@ def _parts(demos: int, size: int) -> list[int]:
     return [demos // count + (part < demos % count) for part in range(count)]
 
 
-def _continued(folder: Path, last: int) -> tuple[str, str]:
+def continued(folder: Path, last: int) -> tuple[str, str]:
     """Return the words that begin a training in a folder, or go on with the one there."""
     newest = newest_file(folder, CHECKPOINT) if folder.is_dir() else None
     if newest is not None and not newest.stem.endswith(f"_{last}"):
@@ -238,7 +238,7 @@ def _continued(folder: Path, last: int) -> tuple[str, str]:
     return "--output", str(folder)
 
 
-def _outcomes(path: Path) -> list[dict[str, object]]:
+def outcomes(path: Path) -> list[dict[str, object]]:
     """Return successes, trials and the mean number of steps until success, of each training."""
     return [
         {
