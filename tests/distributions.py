@@ -42,7 +42,7 @@ DISTRIBUTIONS = (
         _CORE | {"orbit_assets", "orbit_data"},
         frozenset({"orbit_learn", "orbit_viewer"}),
     ),
-    Distribution("orbit_scenes", "packages/orbit-scenes/orbit_scenes", _CORE | {"orbit_assets"}),
+    Distribution("orbit_scenes", "packages/orbit-scenes/orbit_scenes", _CORE | {"orbit_assets"}, _VIEWER),
     Distribution("orbit_zmq", "bridges/orbit-zmq/orbit_zmq", _CORE | {"orbit_deploy"}),
     Distribution("orbit_ros", "bridges/orbit-ros/orbit_ros", _CORE | {"orbit_assets", "orbit_deploy"}),
     Distribution("orbit_policies", "packages/orbit-policies/orbit_policies"),
