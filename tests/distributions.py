@@ -43,6 +43,7 @@ DISTRIBUTIONS = (
         frozenset({"orbit_learn", "orbit_viewer"}),
     ),
     Distribution("orbit_scenes", "packages/orbit-scenes/orbit_scenes", _CORE | {"orbit_assets"}, _VIEWER),
+    Distribution("orbit_sound", "packages/orbit-sound/orbit_sound", _CORE),
     Distribution("orbit_zmq", "bridges/orbit-zmq/orbit_zmq", _CORE | {"orbit_deploy"}),
     Distribution("orbit_ros", "bridges/orbit-ros/orbit_ros", _CORE | {"orbit_assets", "orbit_deploy"}),
     Distribution("orbit_policies", "packages/orbit-policies/orbit_policies"),
@@ -50,7 +51,7 @@ DISTRIBUTIONS = (
     Distribution(
         "orbit_conformance",
         "tests/conformance/orbit_conformance",
-        _CORE | {"orbit_assets", "orbit_data", "orbit_learn"},
+        _CORE | {"orbit_assets", "orbit_data", "orbit_learn", "orbit_sound"},
     ),
 )
 

@@ -235,7 +235,7 @@ def _named(entities: dict[str, EntityLayout], name: str, sensor: str) -> EntityL
 
 
 def _contact_queries(scene: Scene, entities: dict[str, EntityLayout]) -> tuple[ContactQuery, ...]:
-    sensors = [sensor for sensor in scene.sensors if isinstance(sensor, ContactSensorSpec)]
+    sensors = [contacts for sensor in scene.sensors for contacts in sensor.contacts]
     # Engines measure a query once, however many sensors ask for it; dictionaries keep the order.
     return tuple(dict.fromkeys(query for sensor in sensors for query in contact_queries_of(sensor, entities)))
 

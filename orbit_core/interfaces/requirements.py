@@ -14,7 +14,6 @@ from orbit_core.scene import (
     CameraSpec,
     Channel,
     Cloth,
-    ContactSensorSpec,
     DcMotor,
     Entity,
     Fluid,
@@ -184,15 +183,14 @@ def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Cap
 def _sensor_needs(sensor: SensorSpec, looped: AbstractSet[str]) -> Iterator[tuple[Capability, str]]:
     """Yield the needs of a sensor; ``looped`` names the entities with closed loops."""
     culprit = f"sensor '{sensor.name}'"
+    if sensor.contacts:
+        yield Capability.CONTACT_FORCES, culprit
     match sensor:
         case CameraSpec(channels=channels):
             for channel in channels:
                 yield _CHANNEL_NEEDS[channel], culprit
         case TactileSpec():
-            yield Capability.CONTACT_FORCES, culprit
             yield Capability.RAY_CASTS, culprit
-        case ContactSensorSpec():
-            yield Capability.CONTACT_FORCES, culprit
         case ForceTorqueSpec():
             yield Capability.JOINT_WRENCHES, culprit
             if sensor.entity in looped:

@@ -31,6 +31,11 @@ class SensorSpec:
     noise: Noise = field(default_factory=Noise)
     """White noise and a bias that each episode draws."""
 
+    @property
+    def contacts(self) -> tuple[ContactSensorSpec, ...]:
+        """Contact forces that the sensor measures, which the engine must report; none by default."""
+        return ()
+
 
 @dataclass(frozen=True, kw_only=True)
 class JointSensorSpec(SensorSpec):
@@ -67,6 +72,11 @@ class ContactSensorSpec(SensorSpec):
     links: tuple[str, ...] = (".*",)
     # Without filters an engine measures net forces only, which all of them have at no cost per pair.
     filters: tuple[str, ...] = ()
+
+    @property
+    def contacts(self) -> tuple[ContactSensorSpec, ...]:
+        """The sensor's own forces."""
+        return (self,)
 
 
 @dataclass(frozen=True, kw_only=True)

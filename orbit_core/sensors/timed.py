@@ -138,7 +138,6 @@ class TimedSensor(Sensor):
         self._selector = context.random.selector
         self._delay = _delay_in_periods(spec)
         self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
-        # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt
         # Whether the sensor's value is a function of the present state alone, and is measured again when in doubt.
         self._fleeting = self._lazy and not self._noisy and not self.costly
         # True while the value of a fleeting sensor is that of the present state.
@@ -150,12 +149,16 @@ class TimedSensor(Sensor):
         self._some_wait = False
         # (N,) environments that were reset and not measured since
         self._waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        # Values of a fleeting sensor at the present state
         # Values of a fleeting sensor at the present state.
         self._present: Values = {}
         # Last measurements (1 + delay, N, ...) of all other sensors, the newest first.
         self._held = Memory()
         self._bias = Memory()
+
+    @property
+    def stretch(self) -> int | None:
+        """Most physics steps that the engine may run before the sensor looks; None for any number."""
+        return self.period
 
     # The world's side ------------------------------------------------------------------------------------------------
 

@@ -175,7 +175,7 @@ class SimulatedWorld(World):
         """Decide how far the engine runs at a time."""
         # True if something computes before each physics step
         self._singly = self.actuators.explicit or bool(self._servos)
-        periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
+        periods = [sensor.stretch for sensor in self._timed.values() if sensor.stretch is not None]
         if self._singly and self.layout.contact_queries:
             periods.append(1)  # the engine averages contact forces over each call
         # Physics steps whose divisors the engine's stretches are, for they end where a sensor is due

@@ -33,6 +33,7 @@ from orbit_conformance.scenarios import (
     solids,
     springs,
     terrain,
+    touch_sound,
     turning_friction,
 )
 
@@ -56,6 +57,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *fits.SCENARIOS,
     *sensing.SCENARIOS,
     *rays.SCENARIOS,
+    *touch_sound.SCENARIOS,
     *terrain.SCENARIOS,
     *images.SCENARIOS,
     *parameters.SCENARIOS,
