@@ -1,8 +1,8 @@
 """Kernels of tasks compiled for a GPU that need not be here, with several of them compiled side by side.
 
-    python -m orbit_warp.ahead 90 8 Lift Velocity-Flat:unitree_go1
+    python -m orbit_learn.kernels.ahead 90 8 Lift Velocity-Flat:unitree_go1
 
-A process of its own, which :mod:`orbit_warp.cache_command` starts: compiling without a driver leaves Warp in a state
+A process of its own, which :mod:`orbit_learn.cli.cache` starts: compiling without a driver leaves Warp in a state
 that it cannot clean up. Each task is made on the CPU and stepped twice; then a physics step is gone through once more
 as on a GPU, without launching anything. NVRTC compiles what was launched into Warp's cache, and needs no GPU.
 """

@@ -13,8 +13,9 @@ import pytest
 import warp as wp
 
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_warp.ahead import Launches, compile_modules
-from orbit_warp.cache_command import compiled_modules, main, read_archive, write_archive
+from orbit_learn.cli.cache import main
+from orbit_learn.kernels.ahead import Launches, compile_modules
+from orbit_learn.kernels.archives import compiled_modules, read_archive, write_archive
 
 NAMES = ("wp_kernels_0a1b2c3", "wp_others_4d5e6f7")
 
