@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,14 +16,22 @@ from tyro.conf import Positional, arg
 from orbit_core.cli.output import console, new_table
 from orbit_core.cli.settings import check_output, check_positive, parse_words
 from orbit_core.envs.registry import task_entry
-from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_learn.kernels.archives import architecture_names, compiled_modules, read_archive, write_archive
+from orbit_learn.kernels.compilers import KernelCompiler, compiler_of, kernel_compilers
 
 
 @dataclass(frozen=True, kw_only=True)
-class BuildSettings:
-    """Compile the kernels of tasks for a GPU, which need not be in this machine, into Warp's cache."""
+class CacheSettings:
+    """Settings of all commands."""
+
+    backend: Annotated[str | None, arg(metavar="NAME")] = None
+    """Backend whose kernels they are; may be left out if only one is installed that compiles any."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildSettings(CacheSettings):
+    """Compile the kernels of tasks for a GPU, which need not be in this machine, into its cache."""
 
     tasks: Annotated[Positional[tuple[str, ...]], arg(metavar="TASK")]
     """Tasks, or TASK:ROBOT."""
@@ -33,8 +42,8 @@ class BuildSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportSettings:
-    """Pack the kernels of Warp's cache into a file for other machines."""
+class ExportSettings(CacheSettings):
+    """Pack the kernels of the cache into a file for other machines."""
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """Archive to write, .tar.xz."""
@@ -45,16 +54,16 @@ class ExportSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImportSettings:
-    """Unpack kernels of 'orbit cache export' into Warp's cache. They run on the GPU: take archives that you trust."""
+class ImportSettings(CacheSettings):
+    """Unpack kernels of 'orbit cache export' into its cache. They run on the GPU: take archives that you trust."""
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """Archive to read."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShowSettings:
-    """Show what Warp's cache holds for each architecture."""
+class ShowSettings(CacheSettings):
+    """Show what the cache holds for each architecture."""
 
 
 def main(words: Sequence[str]) -> None:
@@ -76,25 +85,12 @@ def main(words: Sequence[str]) -> None:
     run(settings)
 
 
-def _warp() -> Any:
-    """Return the compiler of kernels, initialised without its remarks.
-
-    Raises:
-        ConfigurationError: it is not installed.
-    """
-    try:
-        import warp
-    except ModuleNotFoundError:
-        raise ConfigurationError(
-            f"kernels are compiled by warp, which is not installed: {install_extra('warp')}"
-        ) from None
-    warp.config.log_level = warp.LOG_WARNING
-    warp.init()
-    return warp
+def _compiler(settings: CacheSettings) -> KernelCompiler:
+    return kernel_compilers().get(compiler_of(settings.backend))()
 
 
-def _cache() -> Path:
-    return Path(_warp().config.kernel_cache_dir or "")
+def _versions(compiler: KernelCompiler) -> dict[str, str]:
+    return {name: version(name) for name in compiler.packages}
 
 
 def _build(settings: BuildSettings) -> None:
@@ -104,20 +100,23 @@ def _build(settings: BuildSettings) -> None:
         task_entry(task.partition(":")[0])
     threads = settings.threads or os.cpu_count() or 1
     check_positive("threads", threads)
-    arch = _checked_arch(settings.arch)
-    command = [sys.executable, "-m", "orbit_learn.kernels.ahead", str(arch), str(threads), *settings.tasks]
+    arch = _checked_arch(settings.arch, _compiler(settings))
+    words = (compiler_of(settings.backend), str(arch), str(threads), *settings.tasks)
+    # A process of its own, because a compiler without a driver may not be able to clean up.
+    command = [sys.executable, "-m", "orbit_learn.kernels.ahead", *words]
     if subprocess.run(command, check=False).returncode:
         raise ConfigurationError(f"compiling for sm_{arch} failed; the lines above say why")
 
 
 def _export(settings: ExportSettings) -> None:
     check_output(settings.file, ".xz", settings.overwrite)
-    found = compiled_modules(_cache(), settings.arch)
+    compiler = _compiler(settings)
+    found = compiled_modules(compiler.cache, settings.arch)
     if not found:
         wanted = "" if settings.arch is None else f" for sm_{settings.arch}"
         remedy = f"orbit cache build TASK --arch {settings.arch or 90}"
-        raise ConfigurationError(f"{_cache()} holds no kernels{wanted}: {remedy}")
-    write_archive(settings.file, found)
+        raise ConfigurationError(f"{compiler.cache} holds no kernels{wanted}: {remedy}")
+    write_archive(settings.file, found, _versions(compiler))
     size = settings.file.stat().st_size / 1e6
     console().print(
         f"{settings.file}: {len(found)} modules for {architecture_names({m.arch for m in found})}, {size:.1f} MB"
@@ -125,14 +124,14 @@ def _export(settings: ExportSettings) -> None:
 
 
 def _import(settings: ImportSettings) -> None:
-    gpus = {device.arch for device in _warp().get_cuda_devices()}
-    count, archs = read_archive(settings.file, _cache(), gpus)
-    console().print(f"{count} modules for {architecture_names(archs)} are in {_cache()}")
+    compiler = _compiler(settings)
+    count, archs = read_archive(settings.file, compiler.cache, compiler.gpus, _versions(compiler))
+    console().print(f"{count} modules for {architecture_names(archs)} are in {compiler.cache}")
 
 
 def _show(settings: ShowSettings) -> None:
-    table = new_table("architecture", "modules", "MB", title=str(_cache()))
-    found = compiled_modules(_cache())
+    cache = _compiler(settings).cache
+    table, found = new_table("architecture", "modules", "MB", title=str(cache)), compiled_modules(cache)
     for arch in sorted({module.arch for module in found}):
         own = [module for module in found if module.arch == arch]
         size = sum(module.binary.stat().st_size for module in own) / 1e6
@@ -148,13 +147,12 @@ _COMMANDS: dict[str, tuple[Any, type[Any]]] = {
 }
 
 
-def _checked_arch(arch: int | None) -> int:
-    supported = _warp().get_cuda_supported_archs()
+def _checked_arch(arch: int | None, compiler: KernelCompiler) -> int:
     if arch is None:
-        gpus = _warp().get_cuda_devices()
-        if not gpus:
+        if not compiler.gpus:
             raise ConfigurationError("this machine has no GPU to compile for: name an architecture, such as --arch 90")
-        arch = gpus[0].arch
-    if arch not in supported:
-        raise ConfigurationError(f"arch is {arch}: this Warp compiles for {', '.join(map(str, supported))}")
+        arch = min(compiler.gpus)
+    if arch not in compiler.architectures:
+        known = ", ".join(map(str, compiler.architectures))
+        raise ConfigurationError(f"arch is {arch}: kernels of {compiler.backend} are compiled for {known}")
     return arch

@@ -6,23 +6,19 @@ import io
 import json
 import re
 import tarfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from orbit_core.files import written_whole
-from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 
 FORMAT = 1
 _MANIFEST = "manifest.json"
-# Distributions whose versions enter the names of compiled modules: with others, nothing of an archive would be found.
-_VERSIONED = ("warp-lang", "mujoco-warp")
 # A module's folder, and its compiled form for one architecture or the description that goes with it.
-_BINARY = re.compile(r"(?P<folder>wp_\w+)/(?P<file>wp_\w+)\.sm(?P<arch>\d+)a?\.cubin")
-_META = re.compile(r"wp_\w+/wp_\w+\.meta")
+_BINARY = re.compile(r"\w+/\w+\.sm(?P<arch>\d+)a?\.cubin")
+_META = re.compile(r"\w+/\w+\.meta")
 # Limits of what an archive may unpack to; all tasks together take some 50 MB for an architecture.
 _MOST_BYTES, _MOST_FILES = 1 << 30, 20_000
 
@@ -36,18 +32,18 @@ class CompiledModule:
     binary: Path
     """Compiled code."""
     meta: Path
-    """Description that Warp reads with it."""
+    """Description that is read with it."""
 
 
 def compiled_modules(cache: Path, arch: int | None = None) -> list[CompiledModule]:
     """Return the modules in a cache that are compiled for a GPU.
 
     Args:
-        cache: Warp's cache of one version.
+        cache: folder of compiled modules.
         arch: compute capability; any if None.
     """
     found: list[CompiledModule] = []
-    for path in sorted(cache.glob("wp_*/*.cubin")):
+    for path in sorted(cache.glob("*/*.cubin")):
         match = _BINARY.fullmatch(f"{path.parent.name}/{path.name}")
         meta = path.parent / f"{path.parent.name}.meta"
         if match and meta.exists() and arch in (None, int(match["arch"])):
@@ -55,9 +51,9 @@ def compiled_modules(cache: Path, arch: int | None = None) -> list[CompiledModul
     return found
 
 
-def write_archive(path: Path, modules: Sequence[CompiledModule]) -> None:
+def write_archive(path: Path, modules: Sequence[CompiledModule], versions: Mapping[str, str]) -> None:
     """Write modules, with the versions and architectures that they fit, as .tar.xz."""
-    manifest = {"kernels": FORMAT, "versions": _versions(), "architectures": sorted({m.arch for m in modules})}
+    manifest = {"kernels": FORMAT, "versions": dict(versions), "architectures": sorted({m.arch for m in modules})}
     with written_whole(path) as written, tarfile.open(written, "w:xz") as archive:
         content = json.dumps(manifest).encode()
         entry = tarfile.TarInfo(_MANIFEST)
@@ -67,13 +63,14 @@ def write_archive(path: Path, modules: Sequence[CompiledModule]) -> None:
             archive.add(file, f"{file.parent.name}/{file.name}")
 
 
-def read_archive(path: Path, cache: Path, gpus: set[int]) -> tuple[int, set[int]]:
+def read_archive(path: Path, cache: Path, gpus: Set[int], versions: Mapping[str, str]) -> tuple[int, set[int]]:
     """Unpack an archive into a cache, and return the number of modules and their architectures.
 
     Args:
         path: archive of :func:`write_archive`.
-        cache: Warp's cache.
+        cache: folder of compiled modules.
         gpus: compute capabilities of this machine's GPUs; with none, kernels of any are taken, for another machine.
+        versions: of the distributions here that decide whether a module is found.
 
     Raises:
         ConfigurationError: the file is no such archive, or of other versions or architectures.
@@ -85,17 +82,17 @@ def read_archive(path: Path, cache: Path, gpus: set[int]) -> tuple[int, set[int]
             content = archive.extractfile(entry) if entry is not None and entry.name == _MANIFEST else None
             if content is None:
                 raise ConfigurationError(f"{path} is no archive of 'orbit cache export'")
-            archs = _checked_manifest(path, json.loads(content.read(1 << 16)), gpus)
+            archs = _checked_manifest(path, json.loads(content.read(1 << 16)), gpus, versions)
             return _unpack(path, archive, entries, cache), archs
     except (OSError, EOFError, tarfile.TarError, ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{path} is no archive of 'orbit cache export' ({error})") from None
 
 
-def _checked_manifest(path: Path, manifest: dict[str, Any], gpus: set[int]) -> set[int]:
+def _checked_manifest(path: Path, manifest: dict[str, Any], gpus: Set[int], versions: Mapping[str, str]) -> set[int]:
     """Return the architectures of an archive that fits this machine."""
     if manifest["kernels"] != FORMAT:
         raise ConfigurationError(f"{path} has format {manifest['kernels']}, and {FORMAT} is read: export it again")
-    theirs, ours = {name: str(manifest["versions"][name]) for name in _VERSIONED}, _versions()
+    theirs, ours = {name: str(manifest["versions"][name]) for name in versions}, dict(versions)
     if theirs != ours:
         raise ConfigurationError(
             f"{path} holds kernels of {_words(theirs)}, which {_words(ours)} would not find: build them with the "
@@ -130,19 +127,10 @@ def _unpack(path: Path, archive: tarfile.TarFile, entries: Iterator[tarfile.TarI
     return binaries
 
 
-def _versions() -> dict[str, str]:
-    try:
-        return {name: version(name) for name in _VERSIONED}
-    except PackageNotFoundError as error:
-        raise ConfigurationError(
-            f"kernels need {error.name}, which is not installed: {install_extra('warp')}"
-        ) from None
-
-
-def _words(versions: dict[str, str]) -> str:
+def _words(versions: Mapping[str, str]) -> str:
     return " and ".join(f"{name} {number}" for name, number in versions.items())
 
 
-def architecture_names(archs: set[int]) -> str:
+def architecture_names(archs: Set[int]) -> str:
     """Return architectures as the compiler names them, such as sm_90."""
     return ", ".join(f"sm_{arch}" for arch in sorted(archs))
