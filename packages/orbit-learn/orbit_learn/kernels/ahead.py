@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 
@@ -26,8 +27,9 @@ def note_kernels(task: str, compiler: KernelCompiler, arch: int) -> None:
         arch: compute capability, such as 90.
     """
     name, _, robot = task.partition(":")
+    fields: dict[str, Any] = {"robot": robot} if robot else {}
     with compiler.watching():
-        environment = make(name, num_envs=2, backend=compiler.backend, **({"robot": robot} if robot else {}))
+        environment = make(name, num_envs=2, backend=compiler.backend, **fields)
         for _ in range(2):
             environment.step(torch.zeros(2, environment.action_size))
         environment.reset(env_ids=torch.tensor([0]))
