@@ -41,6 +41,7 @@ OTHERS = {
     "train": ("orbit-learn", "Learn a task: by reinforcement, from a teacher or from demonstrations"),
     "sweep": ("orbit-learn", "Train with varied settings on the machines of a Ray cluster, and compare"),
     "plot": ("orbit-learn", "Draw learning curves of trainings against each other"),
+    "cache": ("orbit-learn", "Compile kernels for a GPU ahead of time, and carry them to other machines"),
     "train-actuator": ("orbit-learn", "Fit a network to logged data of an actuator's joints"),
     "play": ("orbit-learn", "Run a learned policy on any backend, and report how it went"),
     "export": ("orbit-learn", "Write a learned policy as safetensors and ONNX, with its description"),

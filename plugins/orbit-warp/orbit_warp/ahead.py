@@ -1,27 +1,17 @@
-"""Kernels of tasks compiled for a GPU that need not be here, with several of them compiled side by side.
-
-    python -m orbit_warp.ahead 90 8 Lift Velocity-Flat:unitree_go1
-
-A process of its own, which :mod:`orbit_warp.cache_command` starts: compiling without a driver leaves Warp in a state
-that it cannot clean up. Each task is made on the CPU and stepped twice; then a physics step is gone through once more
-as on a GPU, without launching anything. NVRTC compiles what was launched into Warp's cache, and needs no GPU.
-"""
+"""Kernels compiled for a GPU that need not be here, with several modules compiled side by side."""
 
 from __future__ import annotations
 
 import contextlib
-import os
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-import torch
 import warp as wp
 
-from orbit_core.envs import make
+from orbit_warpkit.start import start
 
 # Of an H100; launches are sized by it, what is compiled is not.
 _MULTIPROCESSORS = 132
@@ -86,27 +76,6 @@ def _as_on_a_gpu(launches: Launches, arch: int) -> Iterator[None]:
         wp.get_device, wp.capture_while, wp.get_suggested_block_size = kept
 
 
-def note_launches(task: str, launches: Launches, arch: int) -> None:
-    """Go through all that a task's environments launch.
-
-    Args:
-        task: TASK or TASK:ROBOT.
-        launches: what is found is added here.
-        arch: compute capability, such as 90.
-    """
-    name, _, robot = task.partition(":")
-    with launches.watching():
-        environment = make(name, num_envs=2, backend="warp", **({"robot": robot} if robot else {}))
-        for _ in range(2):
-            environment.step(torch.zeros(2, environment.action_size))
-        environment.reset(env_ids=torch.tensor([0]))
-        with _as_on_a_gpu(launches, arch):
-            engine: Any = environment.world.engine
-            # Under the engine that adds matter's wrenches, if there is any.
-            getattr(engine, "_inner", engine)._advance(1.0)
-        environment.close()
-
-
 def compile_modules(launches: Launches, arch: int, threads: int, report: Callable[[str], None]) -> None:
     """Compile what was noted into Warp's cache; what is there already is left.
 
@@ -135,22 +104,42 @@ def _compile(module: Any, block: int, arch: int) -> tuple[bool, float]:
     return new, time.perf_counter() - begun
 
 
-def main(words: Sequence[str]) -> None:
-    """Compile: the architecture, the number of threads, and tasks."""
-    arch, threads = int(words[0]), int(words[1])
+class WarpKernels:
+    """Compiler of the kernels that this backend launches, for ``orbit cache``.
 
-    def report(line: str) -> None:
-        print(line, flush=True)
+    Compiling without a driver leaves Warp in a state that it cannot clean up: let the process end by ``os._exit``.
+    """
 
-    torch.set_num_threads(1)
-    launches = Launches()
-    for task in words[2:]:
-        report(f"{task}: going through a step on the CPU ...")
-        note_launches(task, launches, arch)
-    compile_modules(launches, arch, threads, report)
+    backend = "warp"
+    """Name of the backend."""
+    packages = ("warp-lang", "mujoco-warp")
+    """Distributions whose versions enter the names of compiled modules: those of others are not found."""
 
+    def __init__(self) -> None:
+        start()
+        self.cache = Path(wp.config.kernel_cache_dir or "")
+        """Folder of compiled modules."""
+        self.architectures = tuple(wp.get_cuda_supported_archs())
+        """Compute capabilities that can be compiled for, such as 90."""
+        self.gpus = frozenset(device.arch for device in wp.get_cuda_devices())
+        """Compute capabilities of this machine's GPUs."""
+        self._launches = Launches()
 
-if __name__ == "__main__":
-    main(sys.argv[1:])
-    sys.stdout.flush()
-    os._exit(0)
+    def watching(self) -> contextlib.AbstractContextManager[None]:
+        """Note the kernels that environments launch on a CPU within this context."""
+        return self._launches.watching()
+
+    def rehearse(self, engine: Any, arch: int) -> None:
+        """Go through a physics step as on a GPU, without launching anything, and note its kernels.
+
+        Args:
+            engine: of an environment on a CPU that was stepped.
+            arch: compute capability.
+        """
+        with _as_on_a_gpu(self._launches, arch):
+            # Under the engine that adds matter's wrenches, if there is any.
+            getattr(engine, "_inner", engine)._advance(1.0)
+
+    def compile(self, arch: int, threads: int, report: Callable[[str], None]) -> None:
+        """Compile the kernels that were noted, ``threads`` modules at a time, and report each in a line."""
+        compile_modules(self._launches, arch, threads, report)
