@@ -17,7 +17,7 @@ import argparse
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +33,7 @@ from orbit_core.mdp import common
 from orbit_core.scene import Pose, Scene
 from orbit_deploy import RobotLink, connect, robot_world
 from orbit_deploy.engine import RobotEngine
-from orbit_deploy.realtime import prioritize
+from orbit_deploy.realtime import prioritized
 from orbit_motion.full_ik import FullIk
 from orbit_motion.planning import JointPlanner, PlannerConfig, TrajectoryFollower, time_optimal
 
@@ -65,8 +65,6 @@ def scene(robot: str, falls: bool) -> Scene:
 
 def serve(robot: str, backend: str, address: str) -> None:
     """Serve the simulated robot until it is interrupted."""
-    # Before there are threads, which inherit the priority
-    prioritize()
     from orbit_deploy.computer import RobotComputer
     from orbit_deploy.link import bridge
     from orbit_deploy.simulated import SimulatedHardware
@@ -234,14 +232,13 @@ def main() -> None:
     parser.add_argument("--port", type=int, default=5555, help="of --serve")
     arguments = parser.parse_args()
     if arguments.serve:
-        serve(arguments.robot, arguments.backend, f"zmq://127.0.0.1:{arguments.port}")
+        # Before there are threads, which inherit the priority
+        with prioritized():
+            serve(arguments.robot, arguments.backend, f"zmq://127.0.0.1:{arguments.port}")
         return
-    prioritize()
     torch.set_num_threads(1)
-    if arguments.bridge is not None:
-        drive(arguments.robot, connect(arguments.bridge, 1.0 / RATE))
-        return
-    with served(arguments.robot, arguments.backend) as address:
+    there = nullcontext(arguments.bridge) if arguments.bridge else served(arguments.robot, arguments.backend)
+    with there as address, prioritized(inherited=False):
         drive(arguments.robot, connect(address, 1.0 / RATE))
 
 
