@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import structs
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_deploy.clocks import StampWatch
 from orbit_deploy.description import JointKind, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
@@ -94,7 +95,7 @@ class RosHardware(RobotHardware):
         self.description = structs.replace(description, rate=rate, arranges=False, direct=True)
         self._node, self._kind, self._prefix = node, kind, prefix
         self._state: Measurement | None = None
-        self._arrived, self._stamp = 0.0, 0.0
+        self._arrived, self._stamp, self._stamps = 0.0, 0.0, StampWatch()
         self._missing: list[str] = list(description.joints)
         self._objects: dict[str, list[float]] = {}
         topic = prefix + (commands or topics.COMMANDS[kind])
@@ -116,6 +117,9 @@ class RosHardware(RobotHardware):
         state, age = self._state, time.monotonic() - self._arrived
         assert state is not None  # waited for when this was made
         self._node.check()
+        if self._stamps.jump:
+            topic = self._prefix + topics.JOINT_STATES
+            raise RobotLinkError(f"the stamps of '{topic}' jumped by {self._stamps.jump:+.3g} s: connect again")
         # Old positions would look like a robot at rest.
         if age > _LOST:
             raise RobotLinkError(f"no joint states on '{self._prefix}{topics.JOINT_STATES}' for {age:.2f} s")
@@ -159,8 +163,7 @@ class RosHardware(RobotHardware):
             efforts = np.array(message.effort, np.float64)[order]
         else:
             efforts = np.zeros(len(order))
-        if not np.isfinite(positions).all():
-            return  # as if it had not come: the robot is lost if it goes on
+        self._stamps.add(stamp, now)
         self._state, self._arrived, self._stamp = Measurement(positions, velocities, efforts), now, stamp
 
     def _track(self, name: str, message: Odometry) -> None:
