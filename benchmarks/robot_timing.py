@@ -17,7 +17,7 @@ import time
 from urllib.parse import urlsplit
 
 from orbit_deploy.clocks import Latencies
-from orbit_deploy.link import connect
+from orbit_deploy.link import RobotLink, connect
 from orbit_deploy.realtime import prioritized
 from orbit_ros.messages import Header, JointState, Time
 from orbit_ros.node import RosNode
@@ -31,29 +31,36 @@ def time_robot(seconds: float) -> None:
     code = "from orbit_core.cli import main; raise SystemExit(main())"
     words = ["robot", "franka_panda", "--backend", "mujoco", "--port", "0", "--realtime"]
     with subprocess.Popen([sys.executable, "-uc", code, *words], stdout=subprocess.PIPE, text=True) as robot:
-        assert robot.stdout is not None
-        link = connect(next(line for line in robot.stdout if " at " in line).split(" at ")[1].split()[0], _PERIOD)
-        begin, due = list(link.state().positions), link.now()
-        # The last command comes at the greatest speed.
-        for step in range(round((math.floor(seconds) + 0.25) / _PERIOD)):
-            turned = 0.3 * (1.0 - math.cos(2.0 * math.pi * step * _PERIOD))
-            link.send([begin[0] + turned, *begin[1:]], [0.0] * 9, [0.0] * 9)
-            due += _PERIOD
-            link.wait(due)
-            link.state()
-        stop = _time_stop(link)
-        print(f"round trip of a command: {link.round_trips} (p50/p99/p99.9); a state is {link.ages} old")
-        print(f"stop: {stop}")
-        link.close()
-        robot.send_signal(signal.SIGINT)
-        print(robot.stdout.read())
+        try:
+            assert robot.stdout is not None
+            address = next(line for line in robot.stdout if " at " in line).split(" at ")[1].split()[0]
+            _swing(connect(address, _PERIOD), seconds)
+        finally:
+            robot.send_signal(signal.SIGINT)
+            print(robot.communicate()[0], flush=True)
 
 
-def _time_stop(link: object) -> str:
+def _swing(link: RobotLink, seconds: float) -> None:
+    """Command one joint, then nothing, and print latencies and the way of the stop."""
+    begin, due = list(link.state().positions), link.now()
+    # The last command comes at the greatest speed.
+    for step in range(round((math.floor(seconds) + 0.25) / _PERIOD)):
+        turned = 0.3 * (1.0 - math.cos(2.0 * math.pi * step * _PERIOD))
+        link.send([begin[0] + turned, *begin[1:]], [0.0] * 9, [0.0] * 9)
+        due += _PERIOD
+        link.wait(due)
+        link.state()
+    stop = _time_stop(link)
+    print(f"round trip of a command: {link.round_trips} (p50/p99/p99.9); a state is {link.ages} old")
+    print(f"stop: {stop}", flush=True)
+    link.close()
+
+
+def _time_stop(link: RobotLink) -> str:
     """Say when the joints, that have no command any more, began to brake, and when they rested."""
     sent, began = time.monotonic(), math.nan
     while time.monotonic() - sent < 2.0:
-        state = link.state()  # type: ignore[attr-defined]
+        state = link.state()
         now = time.monotonic() - sent
         if math.isnan(began) and state.mode in ("stopping", "holding"):
             began = now
