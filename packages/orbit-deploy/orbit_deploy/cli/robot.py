@@ -56,6 +56,8 @@ class RobotSettings:
     """Friction of each driven joint beyond the model's, as a share of its effort limit."""
     noise: float = 0.0
     """Standard deviation of measured joint positions, rad or m."""
+    actuator_network: File = None
+    """File of 'orbit train-actuator' that computes the joints' efforts in place of the drives, at its own --rate."""
     loss: float = 0.0
     """Share of commands and states that are lost, in [0, 1)."""
     drift: float = 0.0
@@ -182,7 +184,12 @@ def _hardware(settings: RobotSettings) -> RobotHardware:
     delay = settings.delay
     if settings.robot is not None and settings.robot.endswith(".json") and not delay:
         delay = read_fitted(Path(settings.robot)).delay
-    imperfections = Imperfections(delay=delay, friction=settings.friction, position_noise=settings.noise)
+    imperfections = Imperfections(
+        delay=delay,
+        friction=settings.friction,
+        position_noise=settings.noise,
+        actuator_network=settings.actuator_network,
+    )
     return SimulatedHardware(
         scene, settings.backend or default_backend(), settings.rate, imperfections, direct=settings.direct
     )
