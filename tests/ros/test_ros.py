@@ -243,9 +243,9 @@ def test_a_program_of_the_real_ros_2_moves_the_arm(domain: int, tmp_path: Path) 
     assert "joint2 reached" in ended.stdout
 
 
-def publish_states(node: Ros2Node, spoilt: Callable[[int, JointState], None]) -> threading.Event:
-    """Publish states of the arm at 100 Hz as its robot, the later ones spoilt, until the event is set."""
-    publish, ended = node.advertise(topics.JOINT_STATES, JointState), threading.Event()
+def publish_states(node: Ros2Node, spoil: Callable[[JointState], None]) -> tuple[threading.Event, threading.Event]:
+    """Publish states of the arm at 100 Hz as its robot, spoilt from the first event on, until the second one."""
+    publish, spoilt, ended = node.advertise(topics.JOINT_STATES, JointState), threading.Event(), threading.Event()
 
     def run() -> None:
         count = 0
@@ -253,36 +253,36 @@ def publish_states(node: Ros2Node, spoilt: Callable[[int, JointState], None]) ->
             names = [f"panda_joint{i + 1}" for i in range(7)] + ["panda_finger_joint1", "panda_finger_joint2"]
             state = JointState(Header(time_of(10**10 + 10**7 * count)), names, [0.0] * 9, [0.0] * 9, [0.0] * 9)
             state.position = [0.0, -0.5, 0.0, -2.8, 0.0, 3.0, 0.7, 0.02, 0.02]
-            spoilt(count, state)
+            if spoilt.is_set():
+                spoil(state)
             publish(state)
             count += 1
 
     threading.Thread(target=run, daemon=True).start()
-    return ended
+    return spoilt, ended
 
 
-def _not_a_number(count: int, state: JointState) -> None:
-    if count > 150:
-        state.velocity = [0.0, float("nan"), *[0.0] * 7]
+def _not_a_number(state: JointState) -> None:
+    state.velocity = [0.0, float("nan"), *[0.0] * 7]
 
 
-def _jumped(count: int, state: JointState) -> None:
-    if count > 150:
-        state.header.stamp = time_of(10**9)
+def _jumped(state: JointState) -> None:
+    state.header.stamp = time_of(10**9)
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "words"),
+    ("spoil", "words"),
     [(_not_a_number, "no finite number for joint panda_joint2"), (_jumped, "joint_states' jumped by -")],
     ids=["nan", "jump"],
 )
 def test_a_robot_of_ros_that_sends_no_numbers_or_jumps_in_time_is_one_error(
-    spoilt: Callable[[int, JointState], None], words: str
+    spoil: Callable[[JointState], None], words: str
 ) -> None:
     number = free_domain()
     node = Ros2Node(number)
-    ended = publish_states(node, spoilt)
+    spoilt, ended = publish_states(node, spoil)
     link = connect(f"ros2://127.0.0.1:{number}?robot=franka_panda", 0.02)
+    spoilt.set()
     try:
         found: list[str] = []
 
