@@ -8,8 +8,9 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
@@ -36,6 +37,7 @@ from orbit_ros.messages import (
     TFMessage,
     Time,
     duration_of,
+    time_of,
 )
 from tests.deploy.rig import eventually
 from tests.ros.rig import free_domain, served
@@ -239,3 +241,71 @@ def test_a_program_of_the_real_ros_2_moves_the_arm(domain: int, tmp_path: Path) 
     assert ended.returncode == 0, ended.stderr[-2000:]
     print(ended.stdout, file=sys.stderr)
     assert "joint2 reached" in ended.stdout
+
+
+def publish_states(node: Ros2Node, spoil: Callable[[JointState], None]) -> tuple[threading.Event, threading.Event]:
+    """Publish states of the arm at 100 Hz as its robot, spoilt from the first event on, until the second one."""
+    publish, spoilt, ended = node.advertise(topics.JOINT_STATES, JointState), threading.Event(), threading.Event()
+
+    def run() -> None:
+        count = 0
+        while not ended.wait(0.01):
+            names = [f"panda_joint{i + 1}" for i in range(7)] + ["panda_finger_joint1", "panda_finger_joint2"]
+            state = JointState(Header(time_of(10**10 + 10**7 * count)), names, [0.0] * 9, [0.0] * 9, [0.0] * 9)
+            state.position = [0.0, -0.5, 0.0, -2.8, 0.0, 3.0, 0.7, 0.02, 0.02]
+            if spoilt.is_set():
+                spoil(state)
+            publish(state)
+            count += 1
+
+    threading.Thread(target=run, daemon=True).start()
+    return spoilt, ended
+
+
+def _not_a_number(state: JointState) -> None:
+    state.velocity = [0.0, float("nan"), *[0.0] * 7]
+
+
+def _jumped(state: JointState) -> None:
+    state.header.stamp = time_of(10**9)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [(_not_a_number, "no finite number for joint panda_joint2"), (_jumped, "joint_states' jumped by -")],
+    ids=["nan", "jump"],
+)
+def test_a_robot_of_ros_that_sends_no_numbers_or_jumps_in_time_is_one_error(
+    spoil: Callable[[JointState], None], words: str
+) -> None:
+    number = free_domain()
+    node = Ros2Node(number)
+    spoilt, ended = publish_states(node, spoil)
+    link = connect(f"ros2://127.0.0.1:{number}?robot=franka_panda", 0.02)
+    spoilt.set()
+    try:
+        found: list[str] = []
+
+        def failed() -> bool:
+            try:
+                link.state()
+            except (RobotFaultError, RobotLinkError) as error:
+                found.append(str(error))
+            return bool(found)
+
+        assert eventually(failed, 10.0)
+        assert words in found[0]
+    finally:
+        link.close()
+        ended.set()
+        node.close()
+
+
+def test_a_robot_whose_description_is_of_another_version_is_one_error() -> None:
+    number = free_domain()
+    node = Ros2Node(number)
+    describe = node.advertise(topics.DESCRIPTION, String, latched=True)
+    describe(String('{"model": "arm", "joints": [], "wings": 2}'))
+    with pytest.raises(RobotLinkError, match=r"cannot be read: .*wings"):
+        connect(f"ros2://127.0.0.1:{number}", 0.02)
+    node.close()

@@ -17,7 +17,7 @@ pytest.importorskip("roslibpy", reason="rosbridge needs roslibpy: pip install or
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.computer import RobotComputer
-from orbit_deploy.link import RobotFaultError, RobotLink, RobotLinkError, connect
+from orbit_deploy.link import RobotFaultError, RobotLink, RobotLinkError, bridge, connect
 from orbit_ros.messages import (
     Empty,
     Header,
@@ -136,6 +136,8 @@ def test_no_server_or_another_one_is_one_clear_error() -> None:
         connect("rosbridge://127.0.0.1:1?robot=franka_panda", 0.02)
     with pytest.raises(ConfigurationError, match="1 or 2, not '3'"):
         connect("rosbridge://127.0.0.1:1?ros=3", 0.02)
+    with pytest.raises(ConfigurationError, match="serve it with --bridge ros1 or ros2"):
+        bridge("rosbridge").serve(None, "rosbridge://127.0.0.1:1")  # type: ignore[arg-type]
     with pytest.raises(ConfigurationError, match="trusted=yes"):
         connect("rosbridge://192.168.1.9", 0.02)
 

@@ -79,10 +79,12 @@ class RosBridge:
     Args:
         node: makes a connection of an address.
         options: of the address that the connection reads.
+        client_only: True if programs of ROS cannot be told apart by it, so that no robot is served.
     """
 
     node: Callable[[RosAddress], RosNode]
     options: tuple[str, ...] = ()
+    client_only: bool = False
 
     def connect(
         self, address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC
@@ -119,6 +121,10 @@ class RosBridge:
         """Serve a robot's computer to ROS (:meth:`orbit_deploy.link.Bridge.serve`)."""
         from orbit_ros.server import RosServer
 
+        if self.client_only:
+            raise ConfigurationError(
+                "rosbridge reaches a robot of ROS: serve it with --bridge ros1 or ros2 next to rosbridge"
+            )
         parts = RosAddress.of(address, keys, self.options)
         return RosServer(computer, self.node(parts), address, parts.prefix)
 
@@ -190,4 +196,4 @@ def _catalogued(name: str) -> RobotDescription:
 
 
 ROS1, ROS2, UNITREE = RosBridge(_ros1), RosBridge(_ros2), UnitreeBridge()
-ROSBRIDGE = RosBridge(_rosbridge, ("ros",))
+ROSBRIDGE = RosBridge(_rosbridge, ("ros",), client_only=True)

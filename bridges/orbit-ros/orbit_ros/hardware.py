@@ -11,11 +11,13 @@ import numpy as np
 from msgspec import structs
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_deploy.clocks import StampWatch
 from orbit_deploy.description import JointKind, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.link import RobotLinkError
 from orbit_ros import topics
+from orbit_ros.base_twist import BaseTwist
 from orbit_ros.body import body_of
 from orbit_ros.messages import (
     Float64MultiArray,
@@ -24,6 +26,7 @@ from orbit_ros.messages import (
     JointTrajectoryPoint,
     Odometry,
     String,
+    Twist,
     duration_of,
     seconds_of,
 )
@@ -44,6 +47,8 @@ class CommandKind(StrEnum):
     """The same of velocities, rad/s or m/s."""
     EFFORTS = "efforts"
     """The same of efforts, N m or N."""
+    TWIST = "twist"
+    """``Twist`` of a mobile base in its own axes, m/s and rad/s; its other joints get nothing."""
 
 
 def served_description(node: RosNode, prefix: str) -> RobotDescription | None:
@@ -94,11 +99,12 @@ class RosHardware(RobotHardware):
         self.description = structs.replace(description, rate=rate, arranges=False, direct=True)
         self._node, self._kind, self._prefix = node, kind, prefix
         self._state: Measurement | None = None
-        self._arrived, self._stamp = 0.0, 0.0
+        self._arrived, self._stamp, self._stamps = 0.0, 0.0, StampWatch()
         self._missing: list[str] = list(description.joints)
         self._objects: dict[str, list[float]] = {}
+        self._twist = BaseTwist.of(description)
         topic = prefix + (commands or topics.COMMANDS[kind])
-        message = JointTrajectory if kind is CommandKind.TRAJECTORY else Float64MultiArray
+        message = _MESSAGES.get(kind, Float64MultiArray)
         self._publish = node.advertise(topic, message)
         node.subscribe(prefix + topics.JOINT_STATES, JointState, self._take)
         for name in description.objects:
@@ -116,6 +122,9 @@ class RosHardware(RobotHardware):
         state, age = self._state, time.monotonic() - self._arrived
         assert state is not None  # waited for when this was made
         self._node.check()
+        if self._stamps.jump:
+            topic = self._prefix + topics.JOINT_STATES
+            raise RobotLinkError(f"the stamps of '{topic}' jumped by {self._stamps.jump:+.3g} s: connect again")
         # Old positions would look like a robot at rest.
         if age > _LOST:
             raise RobotLinkError(f"no joint states on '{self._prefix}{topics.JOINT_STATES}' for {age:.2f} s")
@@ -131,6 +140,12 @@ class RosHardware(RobotHardware):
             # To be reached when the next command is due, so that the controller interpolates between both.
             point = JointTrajectoryPoint(positions, velocities, [], [], duration_of(1.0 / self.description.rate))
             self._publish(JointTrajectory(joint_names=self.description.joints, points=[point]))
+            return
+        if self._kind is CommandKind.TWIST:
+            # Both are there since this was made.
+            assert self._twist is not None
+            assert self._state is not None
+            self._publish(self._twist.twist(targets.velocities, self._state.positions))
             return
         data = {"positions": positions, "velocities": velocities, "efforts": efforts}[self._kind]
         self._publish(Float64MultiArray(data=data))
@@ -159,8 +174,7 @@ class RosHardware(RobotHardware):
             efforts = np.array(message.effort, np.float64)[order]
         else:
             efforts = np.zeros(len(order))
-        if not np.isfinite(positions).all():
-            return  # as if it had not come: the robot is lost if it goes on
+        self._stamps.add(stamp, now)
         self._state, self._arrived, self._stamp = Measurement(positions, velocities, efforts), now, stamp
 
     def _track(self, name: str, message: Odometry) -> None:
@@ -176,7 +190,16 @@ class RosHardware(RobotHardware):
         return f"nobody publishes joints of {self.description.model} on '{topic}'"
 
 
+_MESSAGES = {CommandKind.TRAJECTORY: JointTrajectory, CommandKind.TWIST: Twist}
+
+
 def _check_kind(description: RobotDescription, kind: CommandKind) -> None:
+    if kind is CommandKind.TWIST:
+        if BaseTwist.of(description) is None:
+            raise ConfigurationError(
+                f"{description.model} has no mobile base that takes a twist: choose another ?command="
+            )
+        return
     served = {
         CommandKind.TRAJECTORY: {JointKind.POSITION, JointKind.VELOCITY},
         CommandKind.POSITIONS: {JointKind.POSITION},

@@ -17,6 +17,7 @@ from orbit_deploy.computer import RobotComputer
 from orbit_deploy.description import FloatArray
 from orbit_deploy.messages import Fault, JointCommand, RobotState
 from orbit_ros import topics
+from orbit_ros.base_twist import BaseTwist
 from orbit_ros.body import Accelerometer, imu, odometry, transform
 from orbit_ros.messages import (
     Clock,
@@ -29,6 +30,7 @@ from orbit_ros.messages import (
     Odometry,
     String,
     TFMessage,
+    Twist,
     seconds_of,
     time_of,
 )
@@ -112,6 +114,9 @@ class RosServer:
                 Float64MultiArray,
                 lambda message, source, kind=kind: self._take_array(kind, message, source),
             )
+        self._twist = BaseTwist.of(self._description)
+        if self._twist is not None:
+            node.subscribe(prefix + topics.TWIST, Twist, self._take_twist)
         node.subscribe(prefix + topics.STOP, Empty, lambda _, __: self._stop())
         node.subscribe(prefix + topics.CLEAR, Empty, lambda _, __: self._clear())
         computer.on_state.append(self._keep)
@@ -226,7 +231,18 @@ class RosServer:
         if len(message.data) != joints:
             self._refuse(f"{kind} are ignored: {len(message.data)} numbers for {joints} joints")
             return
-        row, zeros = np.array(message.data, np.float64)[None], np.zeros((1, joints))
+        self._hold(kind, np.array(message.data, np.float64))
+
+    def _take_twist(self, message: Twist, source: str) -> None:
+        assert self._twist is not None  # subscribed to with one only
+        if self._accept(source):
+            state = self._state
+            here = np.array(state.positions if state is not None else self._description.home)
+            self._hold("velocities", self._twist.velocities(message, here))
+
+    def _hold(self, kind: str, values: FloatArray) -> None:
+        """Command values (J,) of one kind until the next ones, half a second at most."""
+        row, zeros = values[None], np.zeros((1, len(values)))
         state = self._state
         held = np.array(state.targets if state is not None else self._description.home)[None]
         tables = {

@@ -19,6 +19,7 @@ COMMANDS = {
     "positions": "position_controller/commands",
     "velocities": "velocity_controller/commands",
     "efforts": "effort_controller/commands",
+    "twist": TWIST,
 }
 """Topics of commands by their kind, as ros2_control's controllers are usually named."""
 WORLD = "world"

@@ -16,7 +16,8 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_deploy.clocks import ClockOffset, Latencies
+from orbit_deploy.clocks import ClockOffset, Latencies, StampWatch
+from orbit_deploy.computer import not_finite
 from orbit_deploy.follower import PathKind
 from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
 from orbit_deploy.messages import PASSING, VERSION, Arrangement, Fault, JointCommand, RobotState
@@ -67,7 +68,7 @@ class ZmqLink(RobotLink):
         self._answers: queue.Queue[Offer | Answer | Refusal] = queue.Queue()
         self._faults: deque[Fault] = deque()
         self._state: RobotState | None = None
-        self._arrived = 0
+        self._arrived, self._stamps = 0, StampWatch()
         self._sent: deque[tuple[int, int]] = deque(maxlen=1000)
         self._sequence = 0
         self._handshake_failed = False
@@ -109,6 +110,15 @@ class ZmqLink(RobotLink):
         state, age = self._state, 1e-9 * (time.monotonic_ns() - self._arrived)
         if state is None or age > _LOST:
             raise RobotLinkError(f"the robot at {self.address} has not answered for {age:.2f} s: it stops on its own")
+        if joint := not_finite(state, self.description):
+            self.stop()
+            raise RobotLinkError(f"the robot at {self.address} sends no finite number for {joint}: it is stopped")
+        if self._stamps.jump:
+            self.stop()
+            raise RobotLinkError(
+                f"the clock of the robot at {self.address} jumped by {self._stamps.jump:+.3g} s: it is stopped, "
+                "connect again"
+            )
         self.ages.add(1e-9 * (time.monotonic_ns() - self.offset.to_ours(state.stamp)))
         return state
 
@@ -212,6 +222,7 @@ class ZmqLink(RobotLink):
 
     def _keep(self, state: RobotState, now: int) -> None:
         self._state, self._arrived = state, now
+        self._stamps.add(1e-9 * state.stamp, 1e-9 * now)
         # A state acknowledges all commands up to its own; only that one's time is a round trip.
         while self._sent and self._sent[0][0] <= state.command:
             number, sent = self._sent.popleft()

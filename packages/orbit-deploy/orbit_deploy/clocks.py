@@ -71,6 +71,38 @@ class ClockOffset:
         return remote - self.offset
 
 
+class StampWatch:
+    """Watch for a remote clock that jumps. Delays of messages, which only make stamps older, are no jumps.
+
+    Args:
+        most: seconds that a clock may be corrected by.
+    """
+
+    def __init__(self, most: float = 0.5) -> None:
+        self._most = most
+        self._last, self._ahead = -np.inf, np.inf
+        self.jump = 0.0
+        """Seconds of the first jump; 0 without one."""
+
+    def add(self, stamp: float, arrived: float) -> None:
+        """Add a message, in the order of sending.
+
+        Args:
+            stamp: its stamp on the remote clock, s; 0 from publishers that leave it out.
+            arrived: our time of its arrival, s.
+        """
+        if not stamp or self.jump:
+            return
+        # The message with the least delay so far says how far the clock is ahead.
+        ahead = stamp - arrived
+        if stamp < self._last - self._most:
+            self.jump = stamp - self._last
+        elif ahead > self._ahead + self._most:
+            self.jump = ahead - self._ahead
+        self._ahead = ahead if np.isinf(self._ahead) else max(self._ahead, ahead)
+        self._last = stamp
+
+
 class Latencies:
     """The last durations of one kind, for their percentiles.
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_deploy.clocks import RobotClock
+from orbit_deploy.description import RobotDescription
 from orbit_deploy.follower import FollowerSettings, JointFollower, JointTargets, PathKind
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.log import RobotLog
@@ -94,7 +95,10 @@ class RobotComputer:
         self._stops_reported = 0
         self._skipped_before = 0
         self._random = random.Random(0)
-        self.follower.rest_at(hardware.read().positions)
+        self._measured = hardware.read()
+        if joint := not_finite(self._measured, self.description):
+            raise ConfigurationError(f"the robot measures no finite number for {joint}: it cannot be driven")
+        self.follower.rest_at(self._measured.positions)
         zero = np.zeros(len(self.description.joints))
         self._given = JointTargets(self.follower.target, zero, zero)
 
@@ -273,6 +277,14 @@ class RobotComputer:
 
     def _state(self, measured: Measurement) -> RobotState:
         follower, now = self.follower, self.clock.now()
+        if joint := not_finite(measured, self.description):
+            # A client would act on it, so that it gets the last numbers that were some, and the fault.
+            measured = self._measured
+            if follower.fault is None:
+                fault = Fault(now, "nan", f"the robot measures no finite number for {joint}")
+                follower.stop(fault)
+                self._report(fault)
+        self._measured = measured
         follower.measured = measured.positions
         return RobotState(
             sequence=self._cycle,
@@ -324,3 +336,19 @@ class RobotComputer:
             return future.result(_ANSWER)
         except TimeoutError:
             raise ConfigurationError(f"the robot's loop has not answered within {_ANSWER:g} s: does it run?") from None
+
+
+def not_finite(measured: Measurement | RobotState, description: RobotDescription) -> str:
+    """Return the name of a joint or object with a number that is none; empty if all are.
+
+    Args:
+        measured: to check.
+        description: of the robot.
+    """
+    rows = np.array((measured.positions, measured.velocities, measured.efforts))
+    if not np.isfinite(rows).all():
+        return f"joint {description.joints[int(np.argmin(np.isfinite(rows).all(0)))]}"
+    for name, numbers in zip(description.objects, measured.objects, strict=False):
+        if not np.isfinite(numbers).all():
+            return f"'{name}'"
+    return ""

@@ -10,6 +10,7 @@ from msgspec import structs
 
 from orbit_assets.catalogue import robot
 from orbit_core.interfaces import UnknownNameError
+from orbit_deploy.clocks import StampWatch
 from orbit_deploy.description import FloatArray, JointKind, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
@@ -100,7 +101,7 @@ class UnitreeHardware(RobotHardware):
         self._command = self._model.command.empty()
         self._prepare()
         self._state: Fixed | None = None
-        self._arrived, self._bad = 0.0, 0
+        self._arrived, self._bad, self._stamps = 0.0, 0, StampWatch()
         self._base: list[float] | None = None
         self._odometry = odometry
         self._publish = node.advertise(COMMAND, self._model.command)
@@ -119,6 +120,8 @@ class UnitreeHardware(RobotHardware):
         assert state is not None  # waited for when this was made
         if age > _LOST:
             raise RobotLinkError(f"no state of the {self._model.robot} on 'rt/{STATE}' for {age:.2f} s")
+        if self._stamps.jump:
+            raise RobotLinkError(f"the ticks of 'rt/{STATE}' jumped by {self._stamps.jump:+.3g} s: connect again")
         motors = state.record["motor_state"][0]
         q, dq, tau = (motors[name][self._motors].astype(np.float64) for name in ("q", "dq", "tau_est"))
         return Measurement(q, dq, tau, [self._base or self._inertial(state)])
@@ -152,6 +155,7 @@ class UnitreeHardware(RobotHardware):
             self._bad += 1
             return
         self._state, self._arrived = message, time.monotonic()
+        self._stamps.add(1e-3 * float(message.record["tick"][0]), self._arrived)
 
     def _track(self, message: Odometry, _: str) -> None:
         self._base = body_of(message)
