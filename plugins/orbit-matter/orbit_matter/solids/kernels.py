@@ -584,8 +584,14 @@ def press(t: Sites, felt: Felt, links: Links, env: int, k: int, share: float):
 @wp.func
 def show(s: Solids, t: Sites, env: int, k: int):
     """Put a site where its nodes are."""
-    t.x[env, k] = of_nodes(s, t, s.x, env, k)
-    t.v[env, k] = of_nodes(s, t, s.v, env, k)
+    # One pass for both: nodes and weights are looked up once.
+    x, v, c = wp.vec3(), wp.vec3(), t.cell[k]
+    for i in range(NODES):
+        node, weight = s.cells[c, i], t.weights[k, i]
+        x += s.x[env, node] * weight
+        v += s.v[env, node] * weight
+    t.x[env, k] = x
+    t.v[env, k] = v
 
 
 # Solve -------------------------------------------------------------------------------------------------------------

@@ -223,7 +223,11 @@ class SolidPart:
         wp.launch(rows.begin, self._n, inputs=[s, solve, gravity, h])
         inputs = [s, t, solve, self._held, links, shapes, self._felt, self._free, h]
         wp.launch(rows.meet, self._n, inputs=inputs)
-        wp.launch(rows.solve_all, self._n, inputs=[s, t, solve, h, self._iterations])
+        wp.launch(rows.ready, self._n, inputs=[s, solve])
+        blocks = (int(self._model.first_row[-1]) // LANES, -(-self._n // int(rows.FOUR)))
+        for iteration in range(self._iterations):
+            wp.launch(rows.precondition, blocks, inputs=[s, solve])
+            wp.launch(rows.iterate, self._n, inputs=[s, t, solve, h, int(iteration == 0)])
         wp.launch(rows.conclude, self._n, inputs=[s, t, solve, links, self._felt, h, share])
 
     def _launch_wide(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
