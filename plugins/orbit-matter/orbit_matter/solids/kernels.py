@@ -36,6 +36,8 @@ FIRST_TURNS = wp.constant(30)
 NONE = wp.constant(-1)
 LANES = 32
 """Rows of the preconditioner that a CPU computes at a time; solids begin at multiples of it."""
+FOUR = wp.constant(4)
+"""Environments that share a pass over the preconditioner."""
 
 Column = wp.types.vector(length=81, dtype=float)
 Lanes = wp.types.vector(length=LANES, dtype=float)

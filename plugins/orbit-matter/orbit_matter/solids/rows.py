@@ -19,9 +19,6 @@ from orbit_matter.solids.inside import MIDDLE, NODES
 from orbit_matter.solids.kernels import Column, Lanes, Sites, Solids, Solve
 from orbit_matter.surfaces import Shapes
 
-FOUR = wp.constant(4)
-"""Environments that share a pass over the preconditioner."""
-
 
 @wp.func
 def pull(s: Solids, c: int, local: Column) -> Column:
@@ -147,8 +144,8 @@ def precondition(s: Solids, solve: Solve):
     before = (row - first) / k.LANES * count
     # Beyond the last environment that one is computed again, by the same thread.
     last = s.x.shape[0] - 1
-    e0, e1 = wp.min(FOUR * group, last), wp.min(FOUR * group + 1, last)
-    e2, e3 = wp.min(FOUR * group + 2, last), wp.min(FOUR * group + 3, last)
+    e0, e1 = wp.min(k.FOUR * group, last), wp.min(k.FOUR * group + 1, last)
+    e2, e3 = wp.min(k.FOUR * group + 2, last), wp.min(k.FOUR * group + 3, last)
     p0, p1, p2, p3 = solve.preset[e0, b], solve.preset[e1, b], solve.preset[e2, b], solve.preset[e3, b]
     if p0 == p1 and p0 == p2 and p0 == p3:
         f0, f1, f2, f3, at = Lanes(), Lanes(), Lanes(), Lanes(), s.inverse_at[b, p0] + before
