@@ -18,9 +18,10 @@ from orbit_core.envs import Environment
 from orbit_core.envs.terms import POSE, EventFunction, TermFunction, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
-from orbit_core.scene import RobotSpec
+from orbit_core.scene import RobotSpec, Scene
 from orbit_motion import workspace as task_robots
 from orbit_tasks.locomotion import LocomotionConfig
+from orbit_tasks.surroundings import surrounded
 
 # The action term that moves a walking robot; other bases' terms are of that name too.
 BASE = "base"
@@ -155,6 +156,14 @@ class Mobile:
     """Kept policy, or path of one, that walks a robot on legs (:class:`~orbit_tasks.locomotion.LocomotionConfig`)."""
     walking_speed: float = 0.5
     """m/s forward at which a robot on legs is led; half of it sideways, and as much in rad/s."""
+    surroundings: str = ""
+    """USD or MJCF file of a room whose fixed objects stand around the task, such as ``orbit scene scan`` writes."""
+    surroundings_place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """x and y in m and heading in rad of that room's origin in the environment's frame."""
+
+    def in_surroundings(self, scene: Scene) -> Scene:
+        """Return the task's scene, in the room of the file if one is named."""
+        return surrounded(scene, self.surroundings, self.surroundings_place) if self.surroundings else scene
 
     def preset_terms(self: Walking, spec: RobotSpec, prefix: str) -> dict[str, ActionTerm]:
         """Return action terms, see :meth:`orbit_core.envs.Task.preset_terms`."""

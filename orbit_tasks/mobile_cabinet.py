@@ -113,7 +113,7 @@ class MobileCabinet(Mobile, Cabinet):
         robot = mobile(self.robot)
         lowest = common.placed_workspace(robot).low[2]
         scene = self.scene_with(robot, cabinet.PLINTH + max(0.0, lowest - BENCH_ARM))
-        return replace(scene, firm_friction=bool(robot.feet))
+        return self.in_surroundings(replace(scene, firm_friction=bool(robot.feet)))
 
     def expert(self, env: Environment) -> Expert:
         # Tight: the arm opens the drawer from here, and its handle must stay within reach.

@@ -159,7 +159,7 @@ class MobileLift(Mobile, Lift):
         robot = mobile(self.robot)
         surface, *_ = _fit(robot)
         board = table("table", (DEPTH, WIDTH, surface), pose=Pose((*TABLE, surface)))
-        return Scene(
+        scene = Scene(
             robots=(robot,),
             objects=(self.cube_at((EDGE + 0.1, 0.0, surface)), board),
             terrain=(common.floor(),),
@@ -167,6 +167,7 @@ class MobileLift(Mobile, Lift):
             physics_dt=self.physics_dt,
             firm_friction=bool(robot.feet),
         )
+        return self.in_surroundings(scene)
 
     def planner(self, robot: RobotSpec, surface: float) -> BasePlannerConfig:
         """Return the planner of paths; they avoid the table, or its legs if a walking robot fits under it."""

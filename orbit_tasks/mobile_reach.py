@@ -133,13 +133,14 @@ class MobileReach(Mobile, Reach):
 
     def scene(self) -> Scene:
         robot = mobile(self.robot, gripper=False)
-        return Scene(
+        scene = Scene(
             robots=(robot,),
             terrain=(common.floor(),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),
             physics_dt=self.physics_dt,
             firm_friction=bool(robot.feet),
         )
+        return self.in_surroundings(scene)
 
     def expert(self, env: Environment) -> Expert:
         return Expert(

@@ -223,14 +223,17 @@ class RoomReorganization(Mobile, Task):
             )
             for thing in things()
         )
-        return Scene(
+        # Surroundings bring walls of their own.
+        walls = () if self.surroundings else room.walls()
+        scene = Scene(
             robots=(robot,),
             objects=(*room.furniture(heights), *self._laid_out()),
-            terrain=(common.floor(), *room.walls()),
+            terrain=(common.floor(), *walls),
             markers=marks,
             physics_dt=self.physics_dt,
             firm_friction=bool(robot.feet),
         )
+        return self.in_surroundings(scene)
 
     def _laid_out(self) -> tuple[ObjectSpec, ...]:
         """The things where they stand until an episode begins: side by side on the floor."""

@@ -1,9 +1,10 @@
 """Draw each task in the midst of an episode, and write the gallery of tasks, robots and sensors.
 
-    python tools/task_gallery.py [--only NAME ...] [--no-pictures]
+    python tools/task_gallery.py [--only NAME ...] [--no-pictures] [--traced]
 
 draws docs/images/tasks/NAME.jpg on MuJoCo, its expert or a kept policy acting, and writes docs/gallery.md. ``--only``
-limits the pictures to these tasks.
+limits the pictures to these tasks. ``--traced`` draws docs/images/traced/NAME.jpg of ten tasks by the path tracer
+``sapien-rt``, which a GPU takes a minute for.
 """
 
 from __future__ import annotations
@@ -24,7 +25,21 @@ from orbit_core.scene import STUDIO
 from orbit_learn.acting import make as create_policy_actor
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE, PICTURES = DOCS / "gallery.md", DOCS / "images" / "tasks"
+PAGE, PICTURES, TRACED = DOCS / "gallery.md", DOCS / "images" / "tasks", DOCS / "images" / "traced"
+PATH_TRACER = "sapien-rt"
+PATH_TRACED = (
+    "Lift",
+    "Stack-Pyramid",
+    "Peg-In-Hole",
+    "Hockey",
+    "Cabinet",
+    "Handover",
+    "Mobile-Lift",
+    "Room-Reorganization",
+    "Velocity-Flat",
+    "In-Hand-Repose",
+)
+"""Tasks whose pictures the path tracer draws, too."""
 WIDTH, HEIGHT = 360, 270
 SEED = 4
 MOMENTS = {"Cloth-Dropping": 0.25, "Hockey": 0.3, "Recover": 0.15, "Reach": 0.2, "Cartpole-Swing-Up": 0.12}
@@ -83,20 +98,25 @@ class GallerySettings:
     """Draw these tasks' pictures only."""
     pictures: bool = True
     """False writes the page only."""
+    traced: bool = False
+    """Draw ten tasks by the path tracer instead."""
 
 
 def main(settings: GallerySettings) -> None:
     """Draw the pictures and write the page."""
     if settings.pictures:
-        PICTURES.mkdir(parents=True, exist_ok=True)
-        for name in settings.only or task_entries():
-            draw(name).save(PICTURES / f"{name}.jpg", quality=82, optimize=True)
+        folder, names = (TRACED, PATH_TRACED) if settings.traced else (PICTURES, tuple(task_entries()))
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in settings.only or names:
+            picture = draw(name, PATH_TRACER if settings.traced else None)
+            picture.save(folder / f"{name}.jpg", quality=82, optimize=True)
     PAGE.write_text(page(), encoding="utf-8")
 
 
-def draw(name: str) -> Image.Image:
-    """Return a picture of an episode of the task."""
-    environment = make(name, num_envs=1, seed=SEED, backend="mujoco", settings={"antialiasing": 4, "shadow_size": 4096})
+def draw(name: str, renderer: str | None = None) -> Image.Image:
+    """Return a picture of an episode of the task, drawn by the physics backend unless a renderer is named."""
+    settings = None if renderer else {"antialiasing": 4, "shadow_size": 4096}
+    environment = make(name, num_envs=1, seed=SEED, backend="mujoco", renderer=renderer, settings=settings)
     actor = create_policy_actor(LEARNED[name], environment, SEED) if name in LEARNED else ExpertActor(environment, SEED)
     environment.reset(seed=SEED)
     with torch.inference_mode():
@@ -120,6 +140,12 @@ def page() -> str:
     for title, more, names in GROUPS:
         lines += [f"## {title}\n", f"[Goals, experts, figures]({more})\n", '<div class="orbit-gallery" markdown>\n']
         lines += [_card(f"images/tasks/{name}.jpg", name, entries[name].description) for name in names]
+        lines += ["\n</div>\n"]
+    traced = [name for name in PATH_TRACED if (TRACED / f"{name}.jpg").exists()]
+    if traced:
+        lines += ["## Path traced\n", "The same tasks by `--renderer sapien-rt` ([Looks](looks.md#path-tracing))\n"]
+        lines += ['<div class="orbit-gallery" markdown>\n']
+        lines += [_card(f"images/traced/{name}.jpg", name, entries[name].description) for name in traced]
         lines += ["\n</div>\n"]
     shown = [name for name in robot_names() if (DOCS / "images" / "robots" / f"{name}.png").exists()]
     lines += ["## Robots\n", "[Joints, masses, drives, licences, verdicts of the checks](robots.md)\n"]

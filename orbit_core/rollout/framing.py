@@ -10,13 +10,14 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse, transform_points
-from orbit_core.interfaces import EntityLayout, SceneLayout, World
+from orbit_core.interfaces import EntityLayout, World
 from orbit_core.scene import (
     Box,
     Capsule,
     Cylinder,
     Geometry,
     HeightField,
+    Link,
     Mesh,
     Plane,
     Pose,
@@ -33,8 +34,16 @@ _FILLED = 0.7
 _LEAST = 0.22
 # Metres from the scene's middle beyond which a marker counts as put away.
 _AWAY = 20.0
+# Metres from what is followed within which a marker belongs to it, such as the arrow of its command.
+_NEAR = 1.5
 # Metres around an end effector that belong to it.
-_HAND = 0.14
+_HAND = 0.1
+# Metres up to which a fixed object, such as a bin or a holed block, is part of what the task is about.
+_SMALL = 0.45
+# Share of a deformable's points that are framed, without the drops and ends that are farthest off.
+_KEPT = 0.98
+# Corners of a cube from -1 to 1.
+_CORNERS = torch.tensor([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 # Seconds of lag of a following camera, sideways and up: steps of a gait stay in the picture, and do not shake it.
 _LAG = (0.2, 0.2, 0.4)
 # Metres from one picture to the next beyond which the camera jumps: the episode began again.
@@ -54,18 +63,19 @@ def framed(world: World, view: Pose, aspect: float, follow: str = "", env: int =
     points = _points(world, follow, env)
     if not len(points):
         return view
+    middle = 0.5 * (points.amin(0) + points.amax(0))
+    points = torch.cat((points, middle + 0.5 * _LEAST * _CORNERS))
     _, orientation = _tensors(view)
-    low, high = points.amin(0), points.amax(0)
-    middle = 0.5 * (low + high)
-    half = (0.5 * (high - low)).clamp_min(0.5 * _LEAST)
-    signs = torch.tensor([[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (-1.0, 1)], dtype=points.dtype)
-    corners = quat_rotate_inverse(orientation.expand(8, 4), signs * half)
+    seen = quat_rotate_inverse(orientation.expand(len(points), 4), points - middle)
     up = math.tan(0.5 * FIELD_OF_VIEW) * _FILLED
-    # A corner at (x, y, z) before the camera's middle is within the frame from a distance of z + |x| / tan and more.
-    distance = (corners[:, 2] + torch.maximum(corners[:, 0].abs() / (up * aspect), corners[:, 1].abs() / up)).max()
-    back = quat_rotate(orientation[None], torch.tensor([[0.0, 0.0, 1.0]], dtype=points.dtype))[0]
-    eye = middle + float(distance) * back
-    x, y, z = eye.tolist()
+    # A camera at (x, y, z) has a point (a, b, c) in its frame if |a - x| <= (z - c) tan: the least z that has all of
+    # them is half the sum, over the tangent, of the two sides' largest a + c tan and -a + c tan.
+    eye = torch.zeros(3)
+    for axis, tangent in enumerate((up * aspect, up)):
+        sides = [float((sign * seen[:, axis] + tangent * seen[:, 2]).max()) for sign in (1.0, -1.0)]
+        eye[axis] = 0.5 * (sides[0] - sides[1])
+        eye[2] = max(float(eye[2]), 0.5 * sum(sides) / tangent)
+    x, y, z = (middle + quat_rotate(orientation[None], eye[None])[0]).tolist()
     return Pose((x, y, z), view.orientation)
 
 
@@ -110,42 +120,65 @@ def _points(world: World, follow: str, env: int) -> Tensor:
     """Return (P, 3) corners around what is framed, in the environment's frame."""
     layout, poses = world.layout, world.link_poses[env].cpu()
     points: list[Tensor] = []
+    # An arm without a thing to move is itself what is to be seen.
+    hands = bool(layout.scene.objects) or bool(world.deformables)
     for entity in layout.entities:
         if follow:
             links = range(entity.links.start, entity.links.stop) if entity.name == follow else ()
         else:
-            links = _moving_links(layout, entity)
+            links = _moving_links(entity, hands)
         for link in links:
             corners = _corners(layout.links[link].visuals or layout.links[link].collisions)
             if len(corners):
                 points.append(transform_points(poses[link].expand(len(corners), 7), corners))
-        if not follow and isinstance(entity.spec, RobotSpec) and entity.spec.fixed_base:
+        if not follow and hands and isinstance(entity.spec, RobotSpec) and entity.spec.fixed_base:
             points += [_hand(entity, entity.spec, effector.frame, poses) for effector in entity.spec.end_effectors]
+    points.append(_marks(world, follow, env))
     if not follow:
-        marks = world.marker_poses[env, :, :3].cpu()
-        distance = marks.norm(dim=-1)
-        # A marker at the very origin was never placed.
-        points.append(marks[(distance > 0.0) & (distance < _AWAY)])
-        points += [deformable.positions[env].cpu() for deformable in world.deformables.values()]
+        points += [_most(deformable.positions[env].cpu()) for deformable in world.deformables.values()]
     return torch.cat(points) if points else torch.zeros(0, 3)
 
 
-def _moving_links(layout: SceneLayout, entity: EntityLayout) -> range:
-    """Return links that are framed: of what moves, but of an arm on a fixed base only its hand, which comes apart."""
+def _marks(world: World, follow: str, env: int) -> Tensor:
+    """Return corners (8 M, 3) of boxes around markers; around those near an entity, where one is followed."""
+    places, markers = world.marker_poses[env, :, :3].cpu(), world.layout.scene.markers
+    distance = places.norm(dim=-1)
+    # A marker at the very origin was never placed.
+    shown = (distance > 0.0) & (distance < _AWAY)
+    if follow:
+        root = world.link_poses[env, world.layout.entity(follow).root_link, :3].cpu()
+        shown &= (places - root).norm(dim=-1) < _NEAR
+    half = 0.5 * torch.tensor([marker.size for marker in markers]).reshape(-1, 1, 1)
+    return (places[:, None] + half * _CORNERS)[shown].reshape(-1, 3)
+
+
+def _moving_links(entity: EntityLayout, hands: bool) -> range:
+    """Return links that are framed: of what moves or is small, but none of an arm whose hand is framed apart."""
     spec = entity.spec
-    arm = isinstance(spec, RobotSpec) and bool(spec.end_effectors)
-    if spec.fixed_base and (arm or not spec.articulation.movable_joints):
+    arm = hands and isinstance(spec, RobotSpec) and bool(spec.end_effectors)
+    if spec.fixed_base and (arm or not (spec.articulation.movable_joints or _is_small(spec.articulation.root))):
         return range(0)
     return range(entity.links.start, entity.links.stop)
 
 
+def _is_small(link: Link) -> bool:
+    corners = _corners(link.visuals or link.collisions)
+    return len(corners) > 0 and float((corners.amax(0) - corners.amin(0)).max()) <= _SMALL
+
+
+def _most(points: Tensor) -> Tensor:
+    """Return points (P, 3) without the few that are farthest from their median."""
+    away = (points - points.median(0).values).norm(dim=-1)
+    return points[away <= away.quantile(_KEPT)]
+
+
 def _hand(entity: EntityLayout, spec: RobotSpec, frame: str, poses: Tensor) -> Tensor:
-    """Return corners (2, 3) of a box around an end effector's frame."""
+    """Return corners (8, 3) of a box around an end effector's frame."""
     place = spec.articulation.frame(frame)
     link = entity.links.start + spec.articulation.link_names.index(place.link)
     origin = torch.tensor([place.pose.position], dtype=torch.float32)
     middle = transform_points(poses[link][None], origin)
-    return torch.cat((middle - _HAND, middle + _HAND))
+    return middle + _HAND * _CORNERS
 
 
 def _corners(shapes: tuple[Shape, ...]) -> Tensor:

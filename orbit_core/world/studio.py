@@ -38,6 +38,8 @@ from orbit_core.world.drawing import OuterRenderer, scene_lights
 # Fractional parts of multiples of these fill a square evenly (Roberts, The R2 sequence, 2018).
 _PLASTIC = (0.7548776662466927, 0.5698402909980532)
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+# Number of pictures from which lights have their full width.
+_FULL = 16
 _FLOOR: Color = (0.80, 0.81, 0.83, 1.0)
 _EARTH: Color = (0.74, 0.71, 0.66, 1.0)
 
@@ -84,8 +86,8 @@ def _surface(shape: Shape, robot: bool) -> Shape:
     if shape.finish != DULL:
         return shape
     red, green, blue, opacity = shape.color
-    # What is brown is taken for wood, and never a robot.
-    brown = not robot and opacity == 1.0 and red > 1.15 * green > 1.3 * blue and blue > 0.12
+    # What is brown, and not red, is taken for wood, and never a robot.
+    brown = not robot and opacity == 1.0 and red > 1.15 * green > 1.3 * blue and blue > 0.12 and green > 0.4 * red
     if brown:
         return replace(shape, color=_lighter(shape.color), finish=Finish(roughness=0.8, texture=wood()))
     return replace(shape, finish=Finish(roughness=0.55 if robot else 0.65))
@@ -158,7 +160,9 @@ class StudioRenderer(OuterRenderer):
         else:
             own = _of_length(self._own, lamps)
         samples = self._samples
-        radius = self._studio.softness * math.sqrt((number + 0.5) / samples) if samples > 1 else 0.0
+        # Few pictures in wide light would show as steps at the edges of shadows.
+        width = self._studio.softness * min(1.0, math.sqrt(samples / _FULL))
+        radius = width * math.sqrt((number + 0.5) / samples) if samples > 1 else 0.0
         angle = _GOLDEN_ANGLE * number
         return LightTable(own.ambient, _turned(own.directions, radius, angle), own.radiance)
 

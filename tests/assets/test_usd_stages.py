@@ -207,7 +207,7 @@ def test_colours_and_textures(tmp_path: Path) -> None:
     bound = 'def Sphere "ball" (prepend apiSchemas = ["MaterialBindingAPI"])\n{\nrel material:binding = </top/paint>\n}'
     got = read_usd(stage(tmp_path, looks + body("a", bound)))
     assert got.root.visuals[0].color == (0.25, 0.5, 0.75, 1.0)
-    assert "the texture of /top/a/ball is left out, and its texture coordinates" in got.notes
+    assert "the picture 'wood.png' of /top/paint/picture is missing, and left out" in got.notes
 
 
 @pytest.mark.parametrize(

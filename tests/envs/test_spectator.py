@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 import torch
@@ -10,6 +12,7 @@ import torch
 from orbit_assets.objects import box
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
 from orbit_core.envs import make
+from orbit_core.interfaces import SceneLayout, World
 from orbit_core.mdp.common import ROBOT
 from orbit_core.plugin_kit.meshes import marker_shapes
 from orbit_core.rollout.framing import FIELD_OF_VIEW, FollowingCamera, framed
@@ -32,11 +35,44 @@ def test_what_moves_fills_most_of_the_picture_and_what_is_fixed_does_not_count()
         up = math.tan(0.5 * FIELD_OF_VIEW)
         across = float((local[:, 0] / -local[:, 2]).abs().max()) / (up * aspect)
         height = float((local[:, 1] / -local[:, 2]).abs().max()) / up
-        assert 0.6 < max(across, height) <= 0.7 + 1e-3
+        assert max(across, height) == pytest.approx(0.7, abs=1e-3)
     empty = simulate(Scene(objects=(table,)), 1, "mujoco")
     assert framed(empty, view, 1.0) == view
     for each in (world, empty):
         each.close()
+
+
+def test_a_small_fixed_object_is_in_the_picture_too() -> None:
+    cube = box("cube", (0.1, 0.1, 0.1), pose=Pose((0.0, 0.0, 0.05)))
+    view = look_at(eye=(0.0, -3.0, 1.0), target=(0.0, 0.0, 0.0))
+    places: list[float] = []
+    for size in (0.3, 1.0):
+        bin_ = box("bin", (size, size, 0.2), fixed_base=True, pose=Pose((1.0, 0.0, 0.1)))
+        world = simulate(Scene(objects=(cube, bin_)), 1, "mujoco")
+        places.append(framed(world, view, 1.0).position[0])
+        world.close()
+    assert places[0] > 0.4, "between the cube and the bin"
+    assert abs(places[1]) < 1e-3, "a table is what things are on"
+
+
+def test_a_drop_that_flew_off_does_not_widen_the_picture() -> None:
+    spread = 0.1 * torch.rand(1, 500, 3, generator=torch.Generator().manual_seed(0))
+    far = spread.clone()
+    far[0, :3] += 5.0
+
+    def distance(points: torch.Tensor) -> float:
+        water = SimpleNamespace(positions=points)
+        world = SimpleNamespace(
+            layout=SceneLayout.of(Scene()),
+            link_poses=torch.zeros(1, 0, 7),
+            marker_poses=torch.zeros(1, 0, 7),
+            deformables={"water": water},
+        )
+        return math.dist(
+            framed(cast(World, world), look_at((0.0, -3.0, 1.0), (0.0, 0.0, 0.0)), 1.0).position, (0, 0, 0)
+        )
+
+    assert distance(far) == pytest.approx(distance(spread), rel=0.05)
 
 
 def test_a_following_camera_lags_by_its_time_constant_and_jumps_when_an_episode_begins_again() -> None:

@@ -201,6 +201,57 @@ def test_gltf_is_read_in_metres_with_y_up(tmp_path: Path):
     assert read_scan(tmp_path / "room.glb").size == pytest.approx((4.0, 3.0, 2.4), abs=1e-5)
 
 
+def _labelled_room(path: Path) -> None:
+    """Write a room with a block, whose faces a PLY file labels 1 and 7, in metres, z up."""
+    scan, inside = _with_block((0.8, 0.8, 0.6), (0.0, 0.0, 0.3)), _box_room()
+    kinds = np.where(np.arange(len(scan.faces)) < len(inside.faces), 1, 7)
+    rows = [f"{x} {y} {z}" for x, y, z in scan.vertices]
+    rows += [f"3 {a} {b} {c} {kind}" for (a, b, c), kind in zip(scan.faces, kinds, strict=True)]
+    head = f"""ply
+format ascii 1.0
+element vertex {len(scan.vertices)}
+property float x
+property float y
+property float z
+element face {len(scan.faces)}
+property list uchar int vertex_indices
+property int object_id
+end_header
+"""
+    path.write_text(head + "\n".join(rows) + "\n")
+
+
+def test_labels_of_faces_outlast_cleaning_cutting_and_decimation_and_become_objects(tmp_path: Path):
+    _labelled_room(tmp_path / "room.ply")
+    scan = on_floor(cleaned(read_scan(tmp_path / "room.ply", unit=1.0, up="z", names={7: "coffee table"})))
+    assert set(scan.names) == {"label_1", "coffee table"}
+    table = scan.part(scan.names.index("coffee table"))
+    assert table.size == pytest.approx((0.8, 0.8, 0.6), abs=1e-3)
+    cut = cut_out(scan, Pose((1.9, 0.0, 1.0)), (0.2, 0.5, 0.5))
+    assert cut.labels is not None
+    assert len(cut.labels) == len(cut.faces) < len(scan.faces)
+    objects = scan_scene(cut, voxel=0.1).objects
+    assert [(each.name, each.semantic_label) for each in objects] == [
+        ("label_1", "label_1"),
+        ("coffee_table", "coffee table"),
+    ]
+    pytest.importorskip("fast_simplification")
+    small = decimated(scan, 400)
+    assert small.part(small.names.index("coffee table")).size == pytest.approx((0.8, 0.8, 0.6), abs=0.02)
+
+
+def test_surfaces_of_a_gltf_file_are_labelled_by_their_names(tmp_path: Path):
+    scan, inside = _with_block((0.8, 0.8, 0.6), (0.0, 0.0, 0.3)), _box_room()
+    parts = {"walls": scan.faces[: len(inside.faces)], "sofa": scan.faces[len(inside.faces) :]}
+    file = trimesh.Scene()
+    for name, faces in parts.items():
+        file.add_geometry(trimesh.Trimesh(scan.vertices[:, [1, 2, 0]], faces, process=False), geom_name=name)
+    file.export(tmp_path / "room.glb")
+    read = read_scan(tmp_path / "room.glb")
+    assert set(read.names) == {"walls", "sofa"}
+    assert len(read.part(read.names.index("sofa")).faces) == 12
+
+
 def test_a_scan_of_too_many_triangles_is_refused_before_it_is_cleaned(tmp_path: Path):
     source = _box_room()
     trimesh.Trimesh(source.vertices, source.faces, process=False).export(tmp_path / "room.ply")

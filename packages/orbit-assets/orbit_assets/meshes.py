@@ -376,6 +376,17 @@ def load_parts(
     return MeshFiles(options, Path(path)).parts(Path(path), scale)
 
 
+@names_file
+def load_surfaces(path: Path | str, *, options: ReadOptions = ReadOptions()) -> list[Any]:
+    """Return the trimesh surfaces of a file as they are in it, placed by its scene graph, in metres.
+
+    Raises:
+        AssetError: as :func:`load_mesh`.
+    """
+    with naming(str(path)), bounded_pictures(options):
+        return _decoded(Path(path), options, Path(path))
+
+
 class MeshFiles:
     """The mesh files of one model: each is decoded once, however many shapes and scales use it.
 
@@ -504,6 +515,32 @@ def _mesh(geometries: list[Any], scale: Vector3, path: Path, merge: bool = True)
     if not merge:
         return Mesh(np.concatenate(vertices), joined.astype(np.int32))
     return Mesh(*merge_vertices(np.concatenate(vertices), joined))
+
+
+def textured_mesh(corners: npt.NDArray[np.floating], coordinates: npt.NDArray[np.floating]) -> Mesh:
+    """Return a mesh of triangles whose corners each have their own texture coordinates.
+
+    Args:
+        corners: (F, 3, 3) m.
+        coordinates: (F, 3, 2), in pictures from the lower left corner.
+    """
+    # Corners are one vertex where they agree in place and coordinates; seams keep two.
+    rows = np.concatenate((corners.reshape(-1, 3), coordinates.reshape(-1, 2)), axis=1).astype(np.float32)
+    distinct, indices = np.unique(rows, axis=0, return_inverse=True)
+    return Mesh(
+        np.ascontiguousarray(distinct[:, :3]),
+        np.ascontiguousarray(indices.reshape(-1, 3), dtype=np.int32),
+        coordinates=distinct[:, 3:].astype(np.float64),
+    )
+
+
+def without_coordinates(shape: Shape) -> Shape:
+    """Return a shape for contact: vertices that only texture coordinates hold apart are merged, so that it closes."""
+    mesh = shape.geometry
+    if not isinstance(mesh, Mesh) or mesh.coordinates is None:
+        return shape
+    vertices, faces = merge_vertices(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces))
+    return replace(shape, geometry=Mesh(vertices, faces, mesh.collision), finish=replace(shape.finish, texture=None))
 
 
 # Most pixels of a texture's sides: finer ones cost memory, and no picture of a robot shows them.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,16 +57,38 @@ def texture_file(path: str | Path, width: float = 0.2) -> Texture:
         AssetError: there is none, it is no picture, or one of more than 64 million pixels; or Pillow is missing.
     """
     try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise AssetError(f"texture '{path}' cannot be read as a picture: {error}") from None
+    return replace(decoded_texture(data, str(path), _LARGEST, finest=None), width=width)
+
+
+def decoded_texture(data: bytes, name: str, pixels: int, finest: int | None = 1024) -> Texture:
+    """Decode the bytes of a picture.
+
+    Args:
+        data: content of a PNG, JPEG, BMP, GIF, PPM, TGA, TIFF or WebP file.
+        name: for messages.
+        pixels: most pixels, which are compared before the picture is decoded.
+        finest: most pixels of a side, to which it is made smaller; None keeps all.
+
+    Raises:
+        AssetError: it is no picture, or one of more pixels; or Pillow is missing.
+    """
+    try:
         from PIL import Image, UnidentifiedImageError
     except ImportError:
-        raise AssetError(f"reading '{path}' needs Pillow: pip install pillow") from None
+        raise AssetError(f"reading '{name}' needs Pillow: pip install pillow") from None
     try:
-        with Image.open(path, formats=_FORMATS) as picture:
-            if picture.width * picture.height > _LARGEST:
-                raise AssetError(f"texture '{path}' is {picture.width} x {picture.height} pixels: make it smaller")
-            return Texture(np.asarray(picture.convert("RGB")), width)
+        with Image.open(io.BytesIO(data), formats=_FORMATS) as picture:
+            if picture.width * picture.height > pixels:
+                raise AssetError(f"texture '{name}' is {picture.width} x {picture.height} pixels: make it smaller")
+            whole = picture.convert("RGB")
     except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
-        raise AssetError(f"texture '{path}' cannot be read as a picture: {error}") from None
+        raise AssetError(f"texture '{name}' cannot be read as a picture: {error}") from None
+    if finest is not None:
+        whole.thumbnail((finest, finest))
+    return Texture(np.asarray(whole))
 
 
 def _gray(values: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ Everything is taken from the compiled model, in which defaults, units, nested fr
 * Friction acts in the directions that ``condim`` opens.
 * Sites become frames. Planes and height fields that do not move are terrain, and terrain is the scene's.
 * Constraints on joints and fixed tendons become mimic joints, ``connect`` and ``weld`` loops.
+* Materials become finishes, with their textures.
 * Actuators become drives, and the keyframe becomes the home pose; a specification takes them over on request.
 """
 
@@ -24,6 +25,7 @@ from orbit_assets.mass_properties import repaired
 from orbit_assets.mjcf.couplings import OWN_SITES, Couplings, Loops
 from orbit_assets.mjcf.joints import Actuators, body_chain, check_root
 from orbit_assets.mjcf.model import Compiled, compile_file, pose_of, vector_of
+from orbit_assets.mjcf.surfaces import Surfaces
 from orbit_assets.mjcf.trees import WORLD, Tree, Trees
 from orbit_assets.options import ReadOptions
 from orbit_assets.placed import PlacedArticulation
@@ -71,6 +73,7 @@ class Geoms:
         self.tree = tree
         """Tree whose geoms they are."""
         self._meshes: dict[tuple[int, MeshCollision], Mesh] = {}
+        self._surfaces = Surfaces(compiled)
         model, kinds = compiled.model, compiled.mujoco.mjtGeom
         endless = np.isin(model.geom_type, (int(kinds.mjGEOM_PLANE), int(kinds.mjGEOM_HFIELD)))
         ours = np.isin(model.geom_bodyid, tree.bodies) & endless
@@ -99,8 +102,12 @@ class Geoms:
         visuals: list[Shape] = []
         for geom in self.of_body(body):
             shape = self._shape(geom)
-            collisions += [shape] if model.geom_contype[geom] or model.geom_conaffinity[geom] else []
-            visuals += [shape] if model.geom_group[geom] < _DRAWN_GROUPS and shape.color[3] > 0 else []
+            drawn = self._surfaces.drawn(geom, shape)
+            if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+                # A geometry that has coordinates on a picture is for the eye only.
+                collisions.append(drawn if drawn.geometry is shape.geometry else shape)
+            if model.geom_group[geom] < _DRAWN_GROUPS and shape.color[3] > 0:
+                visuals.append(drawn)
         return tuple(collisions), tuple(visuals)
 
     def called(self, geom: int) -> str:
@@ -256,7 +263,7 @@ def meet_leftovers(compiled: Compiled, tree: Tree) -> None:
         "sensors": model.nsensor,
         "cameras": model.ncam,
         "skins": model.nskin,
-        "textures": model.ntex,
+        "textures of other than colour": Surfaces(compiled).unread,
         "joints whose springs and limits are soft (solref, solimp or margin)": _soft_joints(model),
         # Every part of the file that is not read is counted, so that nothing is lost in silence.
     }

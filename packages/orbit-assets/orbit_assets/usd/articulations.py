@@ -11,6 +11,7 @@ import numpy as np
 
 from orbit_assets.compose import sort_links
 from orbit_assets.mass_properties import MassProperties, combine, mass_properties
+from orbit_assets.meshes import without_coordinates
 from orbit_assets.placed import PlacedArticulation
 from orbit_assets.usd.contents import ARTICULATION, MASSLESS, STAGE, Contents, collect, is_frame
 from orbit_assets.usd.geometry import Placement, Placements, Shapes
@@ -153,7 +154,7 @@ class Links:
                 continue
             visuals += [shape] if drawn else []
             if collides:
-                collisions.append(shape)
+                collisions.append(without_coordinates(shape))
                 if weighed:
                     material = self.shapes.surfaces.physics_prim(prim)
                     solids.append(solid(prim, body, material, shape, self.reading.units))

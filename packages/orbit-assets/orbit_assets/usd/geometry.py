@@ -1,4 +1,4 @@
-"""Poses, shapes, physics materials and colours of USD prims, in SI units with z up."""
+"""Poses, shapes, physics materials and looks of USD prims, in SI units with z up."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from orbit_assets.meshes import textured_mesh
 from orbit_assets.urdf.reader import is_sizeless
+from orbit_assets.usd.appearance import Picture, Pictures, corner_coordinates, finish_of
 from orbit_assets.usd.contents import STAGE
 from orbit_assets.usd.library import pxr
 from orbit_assets.usd.stage import Reading, Units, applies, array, attribute, axis, label, number
@@ -20,6 +22,7 @@ from orbit_core.scene import (
     Color,
     Compliance,
     Cylinder,
+    Finish,
     Geometry,
     Mesh,
     MeshCollision,
@@ -30,6 +33,7 @@ from orbit_core.scene import (
     Sphere,
 )
 from orbit_core.scene.pose import FloatArray, Quaternion, Vector3, canonical
+from orbit_core.scene.shapes import DULL
 
 
 class Surfaces:
@@ -41,6 +45,7 @@ class Surfaces:
         bound = pxr().UsdShade.MaterialBindingAPI.ComputeBoundMaterials
         self._physics = dict(zip(paths, bound(gprims, "physics")[0], strict=True)) if gprims else {}
         self._drawn = dict(zip(paths, bound(gprims, "")[0], strict=True)) if gprims else {}
+        self._pictures = Pictures(reading)
 
     def material(self, prim: Any) -> PhysicsMaterial:
         """Return the physics material bound to a prim; the default one where none is."""
@@ -106,24 +111,31 @@ class Surfaces:
             if len(colors) > 1:
                 self._reading.note(f"{prim.GetPath()} has {len(colors)} colours and is drawn in the first")
             return _color(colors[0], opacities[0] if opacities else 1.0)
-        material = self._drawn.get(str(prim.GetPath()))
-        surface = material.ComputeSurfaceSource()[0] if material else None
-        return self._surface_color(prim, surface) if surface else Shape(Plane()).color
+        surface = self._surface(prim)
+        return _surface_color(surface) if surface else Shape(Plane()).color
 
-    def _surface_color(self, prim: Any, surface: Any) -> Color:
-        for name in ("diffuseColor", "diffuse_color_constant"):
-            found = surface.GetInput(name)
-            if not found:
-                continue
-            if found.HasConnectedSource():
-                self._reading.note(f"the texture of {prim.GetPath()} is left out, and its texture coordinates")
-            if (value := found.Get()) is not None:
-                opacity = surface.GetInput("opacity")
-                alpha = opacity.Get() if opacity else None
-                return _color(value, 1.0 if alpha is None else alpha)
-        if surface.GetInput("diffuse_texture"):
-            self._reading.note(f"the texture of {prim.GetPath()} is left out, and its texture coordinates")
-        return Shape(Plane()).color
+    def finish(self, prim: Any) -> tuple[Finish, Picture | None]:
+        """Return a prim's roughness and metallic share, and the picture on it.
+
+        Raises:
+            AssetError: the picture's file is where the model may not read, or no picture, or too large.
+        """
+        surface = self._surface(prim)
+        return (finish_of(surface), self._pictures.of(surface)) if surface else (DULL, None)
+
+    def _surface(self, prim: Any) -> Any:
+        material = self._drawn.get(str(prim.GetPath()))
+        return material.ComputeSurfaceSource()[0] if material else None
+
+
+def _surface_color(surface: Any) -> Color:
+    for name in ("diffuseColor", "diffuse_color_constant"):
+        found = surface.GetInput(name)
+        if found and (value := found.Get()) is not None:
+            opacity = surface.GetInput("opacity")
+            alpha = opacity.Get() if opacity else None
+            return _color(value, 1.0 if alpha is None else alpha)
+    return Shape(Plane()).color
 
 
 def _color(rgb: Any, alpha: float) -> Color:
@@ -257,7 +269,36 @@ class Shapes:
             self._reading.note(f"{prim.GetPath()} is drawn with size zero, which shows nothing, and is left out")
             return None
         name = "" if attribute(prim, UNNAMED, False) else label(prim)
-        return Shape(geometry, pose, self.surfaces.material(prim), self.surfaces.color(prim), name)
+        shape = Shape(geometry, pose, self.surfaces.material(prim), self.surfaces.color(prim), name)
+        return self._finished(prim, shape, placement)
+
+    def _finished(self, prim: Any, shape: Shape, placement: Placement) -> Shape:
+        """Return a shape in its material's finish, a mesh with the coordinates of its picture."""
+        finish, picture = self.surfaces.finish(prim)
+        if picture is None:
+            return shape if finish == DULL else replace(shape, finish=finish)
+        color = picture.tint or (1.0, 1.0, 1.0, shape.color[3])
+        if picture.laid:
+            return replace(shape, color=color, finish=replace(finish, texture=picture.texture))
+        geometry = shape.geometry
+        corners = self._corners(prim, placement) if isinstance(geometry, Mesh) else None
+        points = array(prim, "faceVertexIndices", 1, int)[corners] if corners is not None else None
+        laid = (
+            corner_coordinates(prim, picture, points, corners) if corners is not None and points is not None else None
+        )
+        if laid is None or not isinstance(geometry, Mesh):
+            self._reading.note(f"{prim.GetPath()} has no coordinates on its picture, and its colour in place of it")
+            return replace(shape, finish=finish)
+        mesh = replace(textured_mesh(np.asarray(geometry.vertices)[points], laid), collision=geometry.collision)
+        return replace(shape, geometry=mesh, color=color, finish=replace(finish, texture=picture.texture))
+
+    def _corners(self, prim: Any, placement: Placement) -> npt.NDArray[np.int_]:
+        """Return (F, 3) the corners of a mesh's triangles, among those of all its polygons, as they face outward."""
+        counts, indices = (array(prim, name, 1, int) for name in ("faceVertexCounts", "faceVertexIndices"))
+        corners = _triangles(counts, np.arange(len(indices)))
+        # A mirrored mesh and a left-handed one each turn the faces over; both together do not.
+        mirrored = np.linalg.det(placement.stretch) < 0
+        return corners[:, ::-1] if mirrored != (attribute(prim, "orientation") == "leftHanded") else corners
 
     def _mesh(self, prim: Any, placement: Placement, collides: bool) -> Mesh:
         points = array(prim, "points", 3, float)
@@ -273,11 +314,7 @@ class Shapes:
             )
         if len(points) == 0 or len(indices) == 0 or indices.min() < 0 or indices.max() >= len(points):
             raise AssetError(f"{prim.GetPath()} is a mesh without faces, or with faces of vertices that it lacks")
-        faces = _triangles(counts, indices)
-        # A mirrored mesh and a left-handed one each turn the faces over; both together do not.
-        mirrored = np.linalg.det(placement.stretch) < 0
-        if mirrored != (attribute(prim, "orientation") == "leftHanded"):
-            faces = faces[:, ::-1]
+        faces = indices[self._corners(prim, placement)]
         collision = self._collision(prim) if collides else MeshCollision.CONVEX_HULL
         return Mesh(points @ placement.stretch.T, np.ascontiguousarray(faces), collision)
 

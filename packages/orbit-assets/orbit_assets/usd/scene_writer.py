@@ -31,7 +31,6 @@ from orbit_core.scene import (
     Shape,
     look_at,
 )
-from orbit_core.scene.shapes import DULL
 
 
 def write_usd_scene(scene: Scene, path: str | Path) -> tuple[str, ...]:
@@ -49,7 +48,7 @@ def write_usd_scene(scene: Scene, path: str | Path) -> tuple[str, ...]:
         stage = new_stage()
         top = define(stage, None, "scene", "Xform")
         stage.SetDefaultPrim(top)
-        shapes = ShapeWriter(stage)
+        shapes = ShapeWriter(stage, path)
         lost = list(_losses(scene))
         for entity in scene.entities:
             body = _with_state(entity)
@@ -148,8 +147,6 @@ def _losses(scene: Scene) -> Iterator[str]:
     if any(not isinstance(shape.geometry, Plane | HeightField) for shape in scene.terrain):
         yield "terrain other than planes reads back as a fixed object"
     for entity in scene.entities:
-        if any(shape.finish != DULL for link in entity.articulation.links for shape in link.visuals):
-            yield f"{entity.name}: finishes of surfaces are left out; their colours are kept"
         if isinstance(entity, ObjectSpec) and entity.active:
             yield f"{entity.name}: force laws are left out: {', '.join(law.name for law in entity.active)}"
         if isinstance(entity, ObjectSpec) and entity.variants:

@@ -21,6 +21,7 @@ from orbit_assets.mass_properties import mass_properties
 from orbit_assets.meshes import MeshPart, load_mesh, load_parts
 from orbit_assets.options import ReadOptions
 from orbit_assets.source_text import names_file
+from orbit_assets.usd.appearance import FinishWriter
 from orbit_assets.usd.contents import FRAME, MASSLESS
 from orbit_assets.usd.dynamics import HIGHER_POWERS, SPRING, SPRING_REST
 from orbit_assets.usd.geometry import APPROXIMATIONS, UNNAMED
@@ -104,8 +105,8 @@ def mesh_articulation(
     solid = Shape(replace(whole, collision=body.collision), material=material, name="collision")
     visuals = tuple(_visual(part, upright, number) for number, part in enumerate(parts, start=1))
     notes = (f"mesh {path.name} is one rigid body of {properties.mass:.4g} kg",)
-    if any(part.textured for part in parts):
-        notes = (*notes, "textures are left out: the median colour of each replaces it")
+    if any(part.textured and part.texture is None for part in parts):
+        notes = (*notes, "surfaces with a picture but no coordinates on it are drawn in its median colour")
     link = Link(path.stem, properties.mass, properties.center_of_mass, properties.inertia, (solid,), visuals)
     return validate(Articulation(path.stem, (link,), notes=notes))
 
@@ -132,8 +133,7 @@ def _upright(mesh: Mesh, turn: Pose) -> Mesh:
 
 
 def _visual(part: MeshPart, upright: Pose, number: int) -> Shape:
-    shape = Shape(_upright(part.mesh, upright), name=f"visual_{number}")
-    return shape if part.color is None else replace(shape, color=part.color)
+    return part.shown(Shape(_upright(part.mesh, upright), name=f"visual_{number}"))
 
 
 def _check(name: str, value: float | None, *, may_be_zero: bool) -> None:
@@ -295,7 +295,7 @@ def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
         stage = new_stage()
         top = define(stage, None, articulation.name, "Xform")
         stage.SetDefaultPrim(top)
-        ArticulationWriter(articulation, ShapeWriter(stage)).write(top)
+        ArticulationWriter(articulation, ShapeWriter(stage, path)).write(top)
         export(stage, path)
         trap.Clear()
     return tuple(losses(articulation))
@@ -408,8 +408,13 @@ class ShapeWriter:
 
     stage: Any
     """USD stage that is written to."""
+    path: Path
+    """The USD file, next to which pictures are written."""
     materials: dict[PhysicsMaterial, Any] = field(default_factory=dict)
     """Prims of the physics materials that have been written."""
+
+    def __post_init__(self) -> None:
+        self._finishes = FinishWriter(self.stage, self.path)
 
     def write(self, parent: Any, shape: Shape, *, collides: bool = True, drawn: bool = True) -> None:
         """Write a shape in the frame of ``parent``.
@@ -420,6 +425,8 @@ class ShapeWriter:
         prim = self._shape(parent, shape)
         if collides:
             self._make_collider(prim, shape)
+        # A link without visuals shows its collision shapes.
+        self._finishes.write(prim, shape)
         if not drawn:
             prim.GetAttribute("purpose").Set("guide")
 

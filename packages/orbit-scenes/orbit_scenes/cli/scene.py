@@ -165,7 +165,8 @@ def _scan(words: Sequence[str]) -> None:
     out, (x, y, z) = console(), scan.size
     out.print(
         f"{output}: {x:.2f} x {y:.2f} x {z:.2f} m, {len(raw.faces)} triangles made {len(scan.faces)}, "
-        f"{len(scene.objects[0].articulation.root.collisions)} collision shapes, turned level by {scan.tilt:.3f} rad, "
+        f"{len(scan.names)} labels, {sum(len(each.articulation.root.collisions) for each in scene.objects)} collision "
+        f"shapes, turned level by {scan.tilt:.3f} rad, "
         f"{shown.area:.1f} m^2 of free floor, holes of {shown.holes:.2f} m^2 in it"
     )
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from orbit_assets.meshes import load_mesh, merge_vertices
+from orbit_assets.meshes import load_surfaces, merge_vertices
 from orbit_assets.options import ReadOptions
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ArgumentError, AssetError, ConfigurationError
@@ -21,6 +22,8 @@ from orbit_core.scene.pose import FloatArray
 Up = Literal["x", "y", "z"]
 # The only formats whose specification fixes metres and y up.
 _GLTF = (".glb", ".gltf")
+# Properties of faces or vertices by which PLY files of scans label them (ScanNet, Replica, Matterport3D).
+_LABELS = ("label", "category_id", "object_id", "class", "segment")
 # Metres: bins of height in which a floor is sought, and distance from it within which triangles belong to it.
 _BIN, _NEAR = 0.02, 0.03
 # Cosine of the steepest floor; least area (m^2) of a floor, and its share of the fullest level.
@@ -37,6 +40,15 @@ class Scan:
     """(F, 3)"""
     tilt: float = 0.0
     """Angle (rad) by which :func:`on_floor` turned it to make its floor level."""
+    labels: npt.NDArray[np.integer] | None = None
+    """(F,) index of each triangle's label in ``names``, -1 for none; None where the file has no labels."""
+    names: tuple[str, ...] = ()
+    """Semantic labels."""
+
+    def part(self, label: int) -> Scan:
+        """Return the triangles of one label, without labels."""
+        rows = self.labels == label if self.labels is not None else np.full(len(self.faces), label < 0)
+        return replace(_compact(replace(self, labels=None), self.faces[rows]), names=())
 
     @property
     def corners(self) -> FloatArray:
@@ -61,14 +73,23 @@ class Scan:
 
 
 def read_scan(
-    path: str | Path, *, unit: float | None = None, up: Up | None = None, options: ReadOptions = ReadOptions()
+    path: str | Path,
+    *,
+    unit: float | None = None,
+    up: Up | None = None,
+    names: Mapping[int, str] | None = None,
+    options: ReadOptions = ReadOptions(),
 ) -> Scan:
     """Read a scan from an OBJ, PLY, glTF or other mesh file.
+
+    Labels by face are kept: of PLY, a property of faces or vertices; of a file of several named surfaces, such as
+    glTF's meshes, their names.
 
     Args:
         path: the file.
         unit: metres of one unit of the file; glTF is in metres.
         up: the file's axis that points up; y in glTF.
+        names: of a PLY file's numbers; "label_7" for others.
         options: limits on size; a scan of more triangles than ``ReadLimits.vertices`` is refused before it is decoded.
 
     Raises:
@@ -77,8 +98,8 @@ def read_scan(
     """
     path = Path(path)
     gltf = path.suffix.lower() in _GLTF
-    mesh = load_mesh(path, options=options)
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    read = labelled(load_surfaces(path, options=options), names or {})
+    vertices = read.vertices
     if not gltf and (unit is None or up is None):
         extent = " x ".join(f"{length:.4g}" for length in np.ptp(vertices, axis=0))
         raise AssetError(
@@ -88,7 +109,58 @@ def read_scan(
     scale = 1.0 if unit is None else unit
     if not 0.0 < scale < math.inf:
         raise AssetError(f"the unit of scan '{path}' is {unit} m: give a number above zero")
-    return Scan(scale * _upright(vertices, up or "y"), mesh.faces)
+    return replace(read, vertices=scale * _upright(vertices, up or "y"))
+
+
+def labelled(surfaces: Sequence[Any], names: Mapping[int, str]) -> Scan:
+    """Join trimesh surfaces to one scan, in their own units, with the labels that they have.
+
+    Args:
+        surfaces: of one file.
+        names: of the numbers that label faces.
+    """
+    first = 0
+    found: dict[str, int] = {}
+    vertices: list[FloatArray] = []
+    faces: list[npt.NDArray[np.int64]] = []
+    labels: list[npt.NDArray[np.int64]] = []
+    for surface in surfaces:
+        own = np.asarray(surface.faces, dtype=np.int64)
+        numbers = _numbers(surface)
+        kinds = [names.get(int(number), f"label_{number}") for number in numbers]
+        if numbers.size == 0 and len(surfaces) > 1:
+            kinds = [str(surface.metadata.get("name", ""))] * len(own)
+        rows = [found.setdefault(kind, len(found)) if kind else -1 for kind in kinds] or [-1] * len(own)
+        vertices.append(np.asarray(surface.vertices, dtype=np.float64))
+        faces.append(own + first)
+        labels.append(np.asarray(rows, dtype=np.int64))
+        first += len(vertices[-1])
+    joined = Scan(np.concatenate(vertices), np.concatenate(faces))
+    return replace(joined, labels=np.concatenate(labels), names=tuple(found)) if found else joined
+
+
+def _numbers(surface: Any) -> npt.NDArray[np.integer]:
+    """Return (F,) the numbers that a PLY file labels its faces by; none where it does not."""
+    raw = surface.metadata.get("_ply_raw", {})
+    for element in ("face", "vertex"):
+        data = raw.get(element, {}).get("data")
+        held = (getattr(getattr(data, "dtype", None), "names", None) or data or ()) if data is not None else ()
+        for name in _LABELS:
+            if name in held:
+                values = np.asarray(data[name]).reshape(-1).astype(np.int64)
+                # A triangle has the label of its first corner where corners have them.
+                return values if element == "face" else values[np.asarray(surface.faces)[:, 0]]
+    return np.zeros(0, dtype=np.int64)
+
+
+def _relabelled(scan: Scan, source: Scan) -> Scan:
+    """Return a scan whose triangles have the labels of the nearest ones of another."""
+    if source.labels is None:
+        return replace(scan, labels=None)
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(source.corners.mean(1)).query(scan.corners.mean(1))[1]
+    return replace(scan, labels=source.labels[nearest], names=source.names)
 
 
 def _upright(vertices: FloatArray, up: Up) -> FloatArray:
@@ -113,12 +185,12 @@ def cleaned(scan: Scan, least_area: float = 0.02) -> Scan:
     edges = np.concatenate((faces[:, :2], faces[:, 1:]))
     joined = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(len(vertices),) * 2)
     labels = csgraph.connected_components(joined, directed=False)[1]
-    whole = replace(scan, vertices=vertices.astype(np.float64), faces=faces)
+    whole = replace(scan, vertices=vertices.astype(np.float64), faces=faces, labels=None)
     areas = np.bincount(labels[faces[:, 0]], np.linalg.norm(whole.doubled_normals, axis=1) / 2.0)
     kept = faces[areas[labels[faces[:, 0]]] >= least_area]
     if not len(kept):
         raise AssetError(f"the scan has no connected surface of {least_area} m^2: check its unit")
-    return _compact(whole, kept)
+    return _relabelled(_compact(whole, kept), scan)
 
 
 def on_floor(scan: Scan) -> Scan:
@@ -196,7 +268,8 @@ def decimated(scan: Scan, triangles: int) -> Scan:
     points = np.ascontiguousarray(scan.vertices, dtype=np.float32)
     faces = np.ascontiguousarray(scan.faces, dtype=np.int32)
     vertices, kept = fast_simplification.simplify(points, faces, target_count=triangles)
-    return _compact(replace(scan, vertices=np.asarray(vertices, dtype=np.float64)), np.asarray(kept))
+    coarse = replace(scan, vertices=np.asarray(vertices, dtype=np.float64), labels=None)
+    return _relabelled(_compact(coarse, np.asarray(kept)), scan)
 
 
 def cut_out(scan: Scan, pose: Pose, half_extents: tuple[float, float, float]) -> Scan:
@@ -213,7 +286,8 @@ def cut_out(scan: Scan, pose: Pose, half_extents: tuple[float, float, float]) ->
     within = (np.abs(inverse.transform(scan.vertices)) <= half).all(1)
     middles = (np.abs(inverse.transform(scan.corners.mean(1))) <= half).all(1)
     reached = np.asarray(within)[scan.faces].any(1) | middles
-    return _compact(scan, scan.faces[~reached])
+    left = _compact(replace(scan, labels=None), scan.faces[~reached])
+    return left if scan.labels is None else replace(left, labels=scan.labels[~reached])
 
 
 def _compact(scan: Scan, faces: npt.NDArray[np.integer]) -> Scan:

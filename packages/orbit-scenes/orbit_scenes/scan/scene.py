@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -19,6 +20,11 @@ Cells = npt.NDArray[np.bool_]
 # Metres above the floor below which a surface is the floor itself, noise and carpet included.
 _FLOOR = 0.04
 _MATERIAL = PhysicsMaterial(0.8, 0.8)
+# Colours of labelled parts, dull ones that differ.
+_SHADES: tuple[Color, ...] = (
+    (0.72, 0.70, 0.67, 1.0), (0.55, 0.42, 0.30, 1.0), (0.40, 0.50, 0.58, 1.0), (0.62, 0.60, 0.48, 1.0),
+    (0.52, 0.55, 0.45, 1.0), (0.60, 0.45, 0.42, 1.0),
+)  # fmt: skip
 
 
 class ScanCollision(Enum):
@@ -111,6 +117,7 @@ def scan_object(
     collision: ScanCollision = ScanCollision.BOXES,
     voxel: float = 0.05,
     color: Color = (0.72, 0.70, 0.67, 1.0),
+    label: str = "scan",
 ) -> ObjectSpec:
     """Build a fixed object that is drawn as the scan and collides as its triangles or boxes.
 
@@ -120,6 +127,7 @@ def scan_object(
         collision: geometry.
         voxel: edge of the voxels that boxes are made of, m.
         color: of the surface.
+        label: semantic label.
     """
     surface = Shape(scan.mesh(), material=_MATERIAL, color=color, name="surface")
     collisions = (surface,)
@@ -129,8 +137,29 @@ def scan_object(
             Shape(Box(tuple(half)), Pose(tuple(middle)), _MATERIAL, color, f"box_{index}")
             for index, (middle, half) in enumerate(pairs)
         )
-    link = Link(name, collisions=collisions, visuals=(surface,), semantic_label="scan")
-    return ObjectSpec(name=name, articulation=Articulation(name, (link,)), fixed_base=True, semantic_label="scan")
+    link = Link(name, collisions=collisions, visuals=(surface,), semantic_label=label)
+    return ObjectSpec(name=name, articulation=Articulation(name, (link,)), fixed_base=True, semantic_label=label)
+
+
+def scan_objects(
+    scan: Scan, *, collision: ScanCollision = ScanCollision.BOXES, voxel: float = 0.05
+) -> tuple[ObjectSpec, ...]:
+    """Build a fixed object of each label of a scan, and one, ``scan``, of what has none.
+
+    Args:
+        scan: on its floor.
+        collision: geometry of each object.
+        voxel: edge of the voxels that boxes are made of, m.
+    """
+    if scan.labels is None:
+        return (scan_object(scan, collision=collision, voxel=voxel),)
+    built: list[ObjectSpec] = []
+    for label in np.unique(scan.labels).tolist():
+        kind = scan.names[label] if label >= 0 else "scan"
+        name = re.sub(r"\W+", "_", kind)
+        shade = _SHADES[label % len(_SHADES)]
+        built.append(scan_object(scan.part(label), name, collision=collision, voxel=voxel, color=shade, label=kind))
+    return tuple(built)
 
 
 def scan_scene(
@@ -160,8 +189,8 @@ def scan_scene(
         if collision is ScanCollision.BOXES:
             raise AssetError("a scan that collides as boxes leaves its floor to the ground: fill_floor=True")
     ground = (Shape(Plane(), material=_MATERIAL, color=(0.35, 0.38, 0.42, 1.0), name="ground"),)
-    built = scan_object(scan, collision=collision, voxel=voxel)
-    return Scene(objects=(built, *objects), terrain=ground if fill_floor else ())
+    built = scan_objects(scan, collision=collision, voxel=voxel)
+    return Scene(objects=(*built, *objects), terrain=ground if fill_floor else ())
 
 
 def voxel_boxes(scan: Scan, voxel: float) -> list[tuple[FloatArray, FloatArray]]:

@@ -24,12 +24,14 @@ from orbit_core.scene import (
     DirectionalLight,
     Light,
     Link,
+    Mesh,
     MeshCollision,
     ObjectSpec,
     Plane,
     Pose,
     Shape,
     Sky,
+    Sphere,
     look_at,
 )
 from orbit_core.scene.pose import Vector3
@@ -40,6 +42,8 @@ from orbit_data.bounding_boxes import CameraBoxes
 _COLORS = ((0.9, 0.2, 0.1), (0.1, 0.7, 0.2), (0.2, 0.3, 0.9), (0.8, 0.7, 0.1), (0.6, 0.1, 0.7), (0.3, 0.35, 0.4))
 # Distance in metres beyond which nothing is drawn.
 _FAR = 6.0
+# Error of a depth in metres from which a pixel shows another surface.
+_BEHIND = 0.05
 # Cosine of the angle by which the surface may turn from a pixel to the next.
 _ALIKE = 0.9
 
@@ -132,6 +136,25 @@ def _terrain(trial: Trial) -> Mapping[str, float]:
     return {"depth": float(np.abs(found - truth).max())}
 
 
+def _dense_ball() -> Mesh:
+    """Return a ball of 20,480 triangles, within 0.2 mm of a round one of 0.5 m."""
+    from trimesh.creation import icosphere
+
+    surface = icosphere(subdivisions=5, radius=0.5)
+    return Mesh(np.asarray(surface.vertices), np.asarray(surface.faces))
+
+
+def _dense(trial: Trial) -> Mapping[str, float]:
+    pose = Pose((0.0, 0.0, 0.6))
+    view = _photograph(trial, (Channel.DEPTH,), [(_dense_ball(), pose)], Plane())
+    # The round ball is the truth: a ray against each of its triangles would take seconds.
+    hits, sure = _truth([(Sphere(0.5), pose), (Plane(), Pose())], view.camera)
+    found, met = view.images[Channel.DEPTH].double().numpy()[..., 0], np.isfinite(hits.distances)
+    error = np.abs(found[:, met] - hits.distances[met])
+    ball = (sure & (hits.things == 0))[met]
+    return {"depth": float(error[:, ball].max()), "outline": float((error > _BEHIND)[:, ~sure[met]].mean())}
+
+
 def _normals(trial: Trial) -> Mapping[str, float]:
     view = _photograph(trial, (Channel.NORMALS,), _things(), Plane())
     cosines = (view.of(Channel.NORMALS, view.met) * view.truth.normals[view.sure & view.met]).sum(-1)
@@ -180,6 +203,7 @@ def _scenario(
 
 
 _FACETS = "rasterisers draw round shapes as facets"
+_COARSER = "rasterisers draw dense meshes as fine as the picture's height needs, off by a pixel at outlines"
 _BUFFER = "rasterisers keep the reciprocal of depth, in a buffer of finite resolution"
 
 
@@ -391,6 +415,20 @@ SCENARIOS = (
         _terrain,
         (Capability.DEPTH, Capability.HEIGHT_FIELDS),
         Metric(name="depth", unit="m", tolerance=2e-4, meaning="largest error of a depth", looser_because=_BUFFER),
+    ),
+    _scenario(
+        "depth_images_of_dense_meshes",
+        "Does a mesh of many triangles keep its depth and its outline?",
+        _dense,
+        (Capability.DEPTH,),
+        Metric(name="depth", unit="m", tolerance=6e-3, meaning="largest error of a depth", looser_because=_COARSER),
+        Metric(
+            name="outline",
+            unit="",
+            tolerance=0.5,
+            meaning="part of the pixels next to an outline that show what is behind it, or the reverse",
+            looser_because=_COARSER,
+        ),
     ),
     _scenario(
         "normal_images",
