@@ -12,6 +12,7 @@ import argparse
 import json
 import statistics
 import time
+from typing import Any
 
 import torch
 
@@ -32,15 +33,21 @@ def main() -> None:
     parser.add_argument("--compile", action="store_true", help="compile the layer's part of the step")
     parser.add_argument("--profile", action="store_true", help="print the kernels that cost most in ten steps")
     parser.add_argument("--setting", action="append", default=[], help="of orbit-matter, as name=JSON")
+    parser.add_argument("--field", action="append", default=[], help="of all tasks, as name=JSON")
     arguments = parser.parse_args()
     for task in arguments.tasks:
         for num_envs in arguments.num_envs:
             print(json.dumps(measure(arguments, task, num_envs)), flush=True)
 
 
+def _values(items: list[str]) -> dict[str, Any]:
+    """Return values by name of items such as ``name=JSON``."""
+    return {name: json.loads(value) for name, _, value in (item.partition("=") for item in items)}
+
+
 def measure(arguments: argparse.Namespace, task: str, num_envs: int) -> dict[str, object]:
     """Measure one task at one number of environments."""
-    settings = {name: json.loads(value) for name, _, value in (item.partition("=") for item in arguments.setting)}
+    settings, fields = _values(arguments.setting), _values(arguments.field)
     free, begun = _free(arguments.device), time.perf_counter()
     environment = make(
         task,
@@ -49,6 +56,7 @@ def measure(arguments: argparse.Namespace, task: str, num_envs: int) -> dict[str
         device=arguments.device,
         compile=arguments.compile,
         matter_settings=settings,
+        **fields,
     )
     agent = scripted_actor(arguments.agent, environment, 0)
     environment.step(agent.act())

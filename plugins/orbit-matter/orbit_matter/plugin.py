@@ -35,7 +35,8 @@ _DECLARED = {
         "a liquid is particles of one spacing: of six layers of them the volume at rest is within 2 %, the force on a "
         "side 5 % too small, sloshing loses a tenth of its amplitude in half a period, holes should be four spacings "
         "wide; it does not wet, has no surface tension, and meets no cloth, rope or soft body; links and free bodies "
-        "feel it one physics step late, so that what floats swings and lies up to a quarter too deep"
+        "feel it one physics step late; what floats lies up to two fifths of its draught too high, and may diverge "
+        "within seconds"
     ),
     Capability.GPU: EXACT,
     Capability.SNAPSHOTS: EXACT,

@@ -187,6 +187,25 @@ def test_a_side_that_the_world_holds_stays_until_it_is_released(fresh: World) ->
     assert held.positions[0, :, 2].mean() > 0.099
 
 
+def test_an_environment_moves_alike_whatever_others_are_solved_together_with_it() -> None:
+    scene = replace(SCENE, sensors=())
+    # Five environments are one group of four and a rest, and one of them lets go, which changes its preconditioner.
+    five, one = (simulate(scene, num_envs=n, backend="mujoco", matter_settings={"threads": 1}) for n in (5, 1))
+    five.deformables["held"].release(env_ids=torch.tensor([1]))
+    for released in (False, True):
+        one.reset()
+        if released:
+            one.deformables["held"].release()
+        for _ in range(10):
+            one.step()
+            if not released:
+                five.step()
+        alike = [1] if released else [0, 2, 3, 4]
+        for name in ("block", "held"):
+            alone = one.deformables[name].positions.expand(len(alike), -1, -1)
+            assert torch.equal(five.deformables[name].positions[alike], alone)
+
+
 def test_a_block_follows_the_link_that_it_is_held_by(fresh: World) -> None:
     block = fresh.deformables["block"]
     bottom = np.flatnonzero(MESH.vertices[:, 2] < -0.024).tolist()

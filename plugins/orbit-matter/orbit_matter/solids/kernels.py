@@ -36,6 +36,8 @@ FIRST_TURNS = wp.constant(30)
 NONE = wp.constant(-1)
 LANES = 32
 """Rows of the preconditioner that a CPU computes at a time; solids begin at multiples of it."""
+FOUR = wp.constant(4)
+"""Environments that share a pass over the preconditioner."""
 
 Column = wp.types.vector(length=81, dtype=float)
 Lanes = wp.types.vector(length=LANES, dtype=float)
@@ -584,8 +586,14 @@ def press(t: Sites, felt: Felt, links: Links, env: int, k: int, share: float):
 @wp.func
 def show(s: Solids, t: Sites, env: int, k: int):
     """Put a site where its nodes are."""
-    t.x[env, k] = of_nodes(s, t, s.x, env, k)
-    t.v[env, k] = of_nodes(s, t, s.v, env, k)
+    # One pass for both: nodes and weights are looked up once.
+    x, v, c = wp.vec3(), wp.vec3(), t.cell[k]
+    for i in range(NODES):
+        node, weight = s.cells[c, i], t.weights[k, i]
+        x += s.x[env, node] * weight
+        v += s.v[env, node] * weight
+    t.x[env, k] = x
+    t.v[env, k] = v
 
 
 # Solve -------------------------------------------------------------------------------------------------------------

@@ -55,6 +55,11 @@ class SolidPart:
         self._points, self._held = self._make_particles(memory)
         self._felt = self._make_felt(felt)
 
+    @property
+    def _groups(self) -> int:
+        """Number of groups of environments that share a pass over the preconditioner."""
+        return -(-self._n // int(kernels.FOUR))
+
     def _make_solids(self, memory: Mapping[str, Tensor], damping: np.ndarray) -> Any:
         made, model = kernels.Solids(), self._model
         for name, field in (("x", "x"), ("v", "v"), ("before", "before"), ("d", "d")):
@@ -223,7 +228,11 @@ class SolidPart:
         wp.launch(rows.begin, self._n, inputs=[s, solve, gravity, h])
         inputs = [s, t, solve, self._held, links, shapes, self._felt, self._free, h]
         wp.launch(rows.meet, self._n, inputs=inputs)
-        wp.launch(rows.solve_all, self._n, inputs=[s, t, solve, h, self._iterations])
+        wp.launch(rows.ready, self._n, inputs=[s, solve])
+        blocks = (int(self._model.first_row[-1]) // LANES, self._groups)
+        for iteration in range(self._iterations):
+            wp.launch(rows.precondition, blocks, inputs=[s, solve])
+            wp.launch(rows.iterate, self._n, inputs=[s, t, solve, h, int(iteration == 0)])
         wp.launch(rows.conclude, self._n, inputs=[s, t, solve, links, self._felt, h, share])
 
     def _launch_wide(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
@@ -237,7 +246,7 @@ class SolidPart:
         wp.launch(launches.choose, (n, self._bodies), inputs=[s, t, solve, self._held])
         wp.launch(launches.begin, (n, nodes), inputs=[s, t, solve, g, gravity, h])
         for iteration in range(self._iterations):
-            wp.launch(launches.precondition, (n, int(self._model.first_row[-1])), inputs=[s, solve])
+            wp.launch(launches.precondition, (self._groups, int(self._model.first_row[-1])), inputs=[s, solve])
             wp.launch(launches.aim, (n, self._bodies), inputs=[s, solve, int(iteration == 0)])
             wp.launch(launches.direct, (n, nodes), inputs=[s, solve])
             wp.launch(launches.bend, (n, 27 * cells), inputs=[s, solve, g, h])
