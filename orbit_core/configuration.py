@@ -293,7 +293,7 @@ def _from_text(text: str, hint: Any, present: Any, what: str) -> Any:
 def _converted(value: Any, plain: list[Any], what: str, strict: bool, shown: Any = None) -> Any:
     wanted = functools.reduce(lambda left, right: left | right, plain)
     # msgspec would take True for 1, as Python does.
-    if isinstance(value, bool) and bool not in plain:
+    if isinstance(value, bool) and bool not in plain and Any not in plain:
         raise ConfigurationError(f"{what} is {value}, but must be {_words(plain, None)}")
     if isinstance(value, Enum):
         value = value.value

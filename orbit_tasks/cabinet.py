@@ -234,7 +234,7 @@ class Cabinet(Task):
     renamed: ClassVar[Mapping[str, str]] = {"events.sample_goal": "commands.goal"}
     metadata: TaskMetadata = TaskMetadata(
         instruction="open the drawer",
-        subtasks=(Subtask(handle_pose, ajar), Subtask(opened_handle, ajar)),
+        subtasks=(Subtask(handle_pose, ajar), Subtask(opened_handle, ajar, free=False)),
         ppo=PpoSettings(iterations=600, initial_std=0.3),
         view=look_at(eye=(-0.4, 1.7, 1.3), target=(0.5, 0.0, 0.5)),
         exceptions=(TaskException(TaskCheck.START_YAW, "the drawer must open towards the arm to stay in reach"),),

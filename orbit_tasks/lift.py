@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
 
+import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
@@ -154,7 +155,14 @@ class LiftGoal(UniformPositionCommand):
 
 def at_cube(env: Environment[Lift]) -> Tensor:
     """(N, 7) the hand around the cube, fingers along the pair of faces that needs the least turn."""
-    return picking.grasp_square(cube_pose(env))
+    return common.leaning(env, picking.grasp_square(cube_pose(env)))
+
+
+def above_cube(env: Environment[Lift]) -> Tensor:
+    """(N, 7) the hand 10 cm above the cube."""
+    up = torch.tensor([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0], device=env.device)
+    # A hand leans by its height, so that the pose is raised first.
+    return common.leaning(env, picking.grasp_square(cube_pose(env)) + up)
 
 
 def off_table(env: Environment[Lift, LiftMemory]) -> Tensor:
@@ -165,13 +173,14 @@ def off_table(env: Environment[Lift, LiftMemory]) -> Tensor:
 def goal_frame(env: Environment[Lift]) -> Tensor:
     """(N, 7) at the goal, pointing down."""
     # A subtask's frame needs an orientation, which a goal without one gets here.
-    return common.pointing_down(env.commands["goal"])
+    return common.leaning(env, common.pointing_down(env.commands["goal"]))
 
 
 def at_goal(env: Environment[Lift]) -> Tensor:
     """(N, 7) the hand where the cube's centre is at the goal, as the cube sits in the hand now."""
     hand = common.hand_pose(env)
-    return common.pointing_down(env.commands["goal"] + hand[:, :3] - cube_pose(env)[:, :3])
+    target = common.pointing_down(env.commands["goal"] + hand[:, :3] - cube_pose(env)[:, :3])
+    return common.leaning(env, target)
 
 
 GOAL = MarkerSpec("goal", MarkerShape.SPHERE, size=0.03)
@@ -284,7 +293,7 @@ class Lift(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(task_robots.arm(self.robot),),
+            robots=(task_robots.arm(self.robot, leans=True),),
             objects=(self.cube_at((0.5, 0.0, 0.0)), work_bench()),
             terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(GOAL,),
@@ -323,14 +332,18 @@ class Lift(Task):
     def expert(self, env: Environment) -> Expert:
         # At least 0.4 s: the fingers must be still on the cube before it is lifted.
         closing = max(0.4, common.closing_time(env.world))
+        # An arm that leans is a small one, whose jaw lets go of what it jerks up.
+        lead = 0.1 if env.world.robots[common.ROBOT].spec.end_effector.lean is None else 0.03
         return Expert(
             env,
             (
-                Phase(picking.raised(at_cube, 0.1), position_tolerance=0.02, free=True),
+                Phase(above_cube, position_tolerance=0.02, free=True),
                 Phase(at_cube, position_tolerance=0.006, timeout=1.5),
                 Phase(at_cube, gripper_open=False, dwell=closing, timeout=closing + 0.1),
                 Phase(at_goal, gripper_open=False, free=True),
             ),
+            position_lead=lead,
+            rotation_lead=5.0 * lead,
             stage=partial(_stage, opening=common.GripperOpening(env.world)),
         )
 

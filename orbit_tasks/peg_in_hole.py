@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar
 
@@ -16,7 +16,7 @@ from orbit_core.dynamics import transforms
 from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
-from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
+from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
@@ -288,6 +288,11 @@ class PegInHole(tabletop.TabletopTask):
     def metrics(self, env: Environment) -> dict[str, Tensor]:
         return {"distance_m": distances(env).sum(1)}
 
+    def __post_init__(self) -> None:
+        # Their number follows from the shapes.
+        parts = tuple(part for index in range(len(self.shapes)) for part in _parts(index))
+        self.metadata = replace(self.metadata, subtasks=parts)
+
     def expert(self, env: Environment) -> Expert:
         closing = max(0.4, common.closing_time(env.world))
         insertions = [phase for index in range(len(self.shapes)) for phase in _insertion(index, closing)]
@@ -300,6 +305,20 @@ def _stage(env: Environment[PegInHole], opening: common.GripperOpening) -> Tenso
     pairs = enumerate(offsets(env).unbind(1))
     own = [stages.inserting(hand, grasp(env, k), offset, *rim, closed) for k, offset in pairs]
     return stages.following(own, inserted(env) * (vector_norm(hand_to_knobs(env), dim=-1) > ARM), 10)
+
+
+def _parts(index: int) -> tuple[Subtask, Subtask]:
+    """Pick a block up; put it into its hole."""
+    at, seated = partial(grasp, index=index), partial(carried, index=index, height=0.0)
+    return (
+        Subtask(at, lambda env: tabletop.piece_poses(env)[:, index, 2] > 0.01),
+        Subtask(seated, lambda env: (inserted(env)[:, index] > 0.0) & _let_go(env, index)),
+    )
+
+
+def _let_go(env: Environment[PegInHole], index: int) -> Tensor:
+    """(N,) bool: the hand is away from a block."""
+    return vector_norm(hand_to_knobs(env)[:, index], dim=-1) > ARM
 
 
 def _insertion(index: int, closing: float) -> tuple[Phase, ...]:

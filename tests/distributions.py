@@ -34,7 +34,7 @@ DISTRIBUTIONS = (
     Distribution("orbit_assets", "packages/orbit-assets/orbit_assets", _CORE),
     Distribution("orbit_motion", "packages/orbit-motion/orbit_motion", _CORE | {"orbit_assets"}, _VIEWER),
     Distribution("orbit_learn", "packages/orbit-learn/orbit_learn", _CORE | {"orbit_data"}),
-    Distribution("orbit_data", "packages/orbit-data/orbit_data", _CORE, _VIEWER),
+    Distribution("orbit_data", "packages/orbit-data/orbit_data", _CORE, _VIEWER | {"orbit_motion"}),
     Distribution("orbit_viewer", "packages/orbit-viewer/orbit_viewer", _CORE),
     Distribution(
         "orbit_deploy",
@@ -42,7 +42,7 @@ DISTRIBUTIONS = (
         _CORE | {"orbit_assets", "orbit_data"},
         frozenset({"orbit_learn", "orbit_viewer"}),
     ),
-    Distribution("orbit_scenes", "packages/orbit-scenes/orbit_scenes", _CORE | {"orbit_assets"}),
+    Distribution("orbit_scenes", "packages/orbit-scenes/orbit_scenes", _CORE | {"orbit_assets"}, _VIEWER),
     Distribution("orbit_zmq", "bridges/orbit-zmq/orbit_zmq", _CORE | {"orbit_deploy"}),
     Distribution("orbit_ros", "bridges/orbit-ros/orbit_ros", _CORE | {"orbit_assets", "orbit_deploy"}),
     Distribution("orbit_policies", "packages/orbit-policies/orbit_policies"),

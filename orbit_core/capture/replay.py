@@ -7,7 +7,7 @@ import types
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, fx
@@ -205,6 +205,8 @@ class CapturedFunction:
         self._compiles = compile
         self.replay: Callable[[], tuple[Tensor, ...]] | None = None
         """Replays the operations; None until they are traced."""
+        self.trace: Callable[[], tuple[Tensor, ...]] | None = None
+        """Traced operations that are not recorded, to be part of a larger recording; None until they are traced."""
         self.refusal = ""
         """Reason why the operations cannot be repeated without Python; empty if they can, or have not run."""
 
@@ -223,8 +225,8 @@ class CapturedFunction:
         self.refusal = tracer.refusal or frozen
         if not (self.refusal or set_up or tracer.incomplete):  # else a next trace finds what is new
             try:
-                trace = CapturedTrace(world.engine, tracer.stages, outputs, self._build)
-                self.replay = _recorded(trace, world.engine.capture.record)
+                self.trace = CapturedTrace(world.engine, tracer.stages, outputs, self._build)
+                self.replay = _recorded(self.trace, world.engine.capture.record)
             except NotTraceable as reason:
                 self.refusal = str(reason)
         return outputs
@@ -257,6 +259,7 @@ def _recorded(
 
 
 _Keys = tuple[Hashable, ...]
+_Result = TypeVar("_Result")
 
 
 class ScheduledFunction:
@@ -297,13 +300,8 @@ class ScheduledFunction:
     def __call__(self) -> tuple[Tensor, ...]:
         key = self._key()
         # Keyed by all that Python decides, so that a replay never runs a branch that Python would not take.
-        known = self._known.get(key)
-        if known is not None:
-            function, following, steps = known
-            outputs = function()
-            for schedule, own, count in zip(self._schedules, following, steps, strict=True):
-                schedule.move(own, count)
-            return outputs
+        if key in self._known:
+            return self.repeat(CapturedFunction.__call__)
         before = [schedule.count for schedule in self._schedules]
         function = self._capture()
         outputs = function()
@@ -313,5 +311,48 @@ class ScheduledFunction:
             self._known[key] = function, self._key(), steps
         return outputs
 
+    def repeat(self, run: Callable[[CapturedFunction], _Result]) -> _Result:
+        """Return what ``run`` makes of the function of the present key, which was captured, and count its steps."""
+        function, following, steps = self._known[self._key()]
+        outputs = run(function)
+        for schedule, own, count in zip(self._schedules, following, steps, strict=True):
+            schedule.move(own, count)
+        return outputs
+
     def _key(self) -> _Keys:
         return tuple([schedule.key for schedule in self._schedules])
+
+
+Compose = Callable[[Callable[[], tuple[Tensor, ...]]], None]
+"""Function that calls captured operations once, among operations of its own."""
+
+
+class ComposedFunction:
+    """Captured operations among others, together one recording of the engine for each key of their schedules.
+
+    Args:
+        world: whose engine records.
+        scheduled: captured operations.
+        compose: what is recorded. It works on tensors of the engine's device and does not wait for it, writes results
+            in place, and draws no random numbers of torch's, whose generator a recording of the engine cannot hold.
+    """
+
+    def __init__(self, world: World, scheduled: ScheduledFunction, compose: Compose) -> None:
+        self._world, self._scheduled, self._compose = world, scheduled, compose
+        # The function that each recording was made of, because a step that was captured again needs another.
+        self._recordings: dict[CapturedFunction, Callable[[], None]] = {}
+
+    def __call__(self) -> None:
+        """Run once. The operations of the present key must have been captured."""
+        self._scheduled.repeat(self._replay)
+
+    def _replay(self, function: CapturedFunction) -> None:
+        recording = self._recordings.get(function)
+        if recording is None:
+            current = self._scheduled.functions
+            self._recordings = {known: made for known, made in self._recordings.items() if known in current}
+            trace = function.trace
+            assert trace is not None
+            recording = self._world.engine.capture.record(lambda: self._compose(trace))
+            self._recordings[function] = recording
+        recording()

@@ -52,6 +52,7 @@ OTHERS = {
     "identify": ("orbit-deploy", "Fit a robot's friction, damping, armature, delay and payload to a log of its motion"),
     "twin": ("orbit-deploy", "Replay a robot's log in simulation, and show where robot and simulations differ"),
     "bisect": ("orbit-deploy", "Find which difference between two simulations makes a policy fail"),
+    "edit": ("orbit-scenes", "Author a scene in the browser, and make a task in it"),
     "scene": ("orbit-scenes", "Make rooms, houses, tables and bins by seed, check scenes, list household things"),
     "check-asset": ("orbit-assets", "Check an asset file: masses, inertias, limits, shapes, and what was changed"),
     "check-robot": (

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils._pytree import keystr, tree_leaves_with_path
 
 from orbit_core.capture.python_state import REMEDY, Holder, PythonState
-from orbit_core.capture.replay import CapturedFunction, ScheduledFunction, check_compiler
+from orbit_core.capture.replay import CapturedFunction, ComposedFunction, ScheduledFunction, check_compiler
 from orbit_core.envs.action_manager import ActionManager
 from orbit_core.envs.command_manager import CommandManager
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
@@ -159,6 +159,27 @@ class CapturedStep:
         elif len(self.parts) > 1:
             end += seen
             seen = [output.clone() for output in self.parts[1]()]
+        return self._tree(seen), reward, terminated, truncated, self._info(end)
+
+    @property
+    def composable(self) -> bool:
+        """True if a step is one captured part that nothing on the host divides, and its next operations are known."""
+        return len(self.parts) == 1 and self._renews and not self._settles and self.parts[0].ready
+
+    def composed(self, compose: Callable[[Callable[[], StepResult]], None]) -> Callable[[], None]:
+        """Return a function that takes a step as ``compose`` does, as :class:`ComposedFunction` records it.
+
+        Args:
+            compose: calls the step that it is given once; what the step returns holds until it returns.
+        """
+
+        def run(operations: Callable[[], tuple[Tensor, ...]]) -> None:
+            compose(lambda: self._result(operations()))
+
+        return ComposedFunction(self._environment.world, self.parts[0], run)
+
+    def _result(self, tensors: Sequence[Tensor]) -> StepResult:
+        seen, (reward, terminated, truncated, *end) = tensors[: self._leaves], tensors[self._leaves :]
         return self._tree(seen), reward, terminated, truncated, self._info(end)
 
     def holds(self) -> bool:

@@ -49,6 +49,7 @@ from orbit_core.envs.observation_layout import (
 )
 from orbit_core.envs.observation_layout import check_finite as check_observation
 from orbit_core.envs.observation_manager import ObservationManager
+from orbit_core.envs.policy_loop import PolicyLoop
 from orbit_core.envs.premises import PremiseManager
 from orbit_core.envs.registry import episode_starts
 from orbit_core.envs.reward_manager import RewardManager
@@ -266,16 +267,7 @@ class Environment(Generic[TaskT, StateT]):
         if self._over:
             raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
-        # Before the configuration is compared, so that what a modifier sets holds from this step on.
-        if self._modifiers.terms:
-            self._modifiers.run(self.steps)
-        closed = self._closed if self._started else None
-        if closed is None or not closed.holds():
-            if self._watch.changed():
-                self._refresh()
-            if closed is not None:
-                closed.look_again()
-        self.steps += 1
+        closed = self._next_step()
         if closed is not None:
             return self._step_closed(closed)
         self._started = True
@@ -293,6 +285,28 @@ class Environment(Generic[TaskT, StateT]):
             return last, reward, terminated, truncated, {"final": final}
         self.begin(ended)
         return self._observe_new(self.done), reward, terminated, truncated, {"final": final}
+
+    def step_by(self, loop: PolicyLoop) -> None:
+        """Take one step by a policy, as one recording where the engine records (:class:`PolicyLoop`).
+
+        Each observation holds until the next step. Raises what :meth:`step` raises.
+        """
+        closed = self._closed if self._started and not self._checks else None
+        if closed is None or not closed.composable:
+            result = self.step(loop.act(self.observe()))
+            loop.keep(result)
+            loop.take(result[0])
+            return
+        if self._seen is not loop.observation:  # after a reset, or a step of another kind
+            loop.take(self._observe())
+        if self._next_step() is closed and closed.composable:
+            loop.replay(closed)
+        else:  # a value of plain Python has changed: this step captures it again
+            torch.clamp(loop.act(loop.observation), -1.0, 1.0, out=self._action)
+            result = self._step_closed(closed)
+            loop.keep(result)
+            loop.take(result[0])
+        self._seen = loop.observation
 
     def observe(self) -> Observation:
         """Return the observation of the present state, as the last reset or step returned it."""
@@ -356,6 +370,20 @@ class Environment(Generic[TaskT, StateT]):
             return None
         whole, settles = self.device.type != "cpu", self.premises.settle_steps > 0
         return CapturedStep(self, self._compile, whole, settles, self._autoreset)
+
+    def _next_step(self) -> CapturedStep | None:
+        """Take in what was changed since the last step, count the next, and return it if it was captured."""
+        # Before the configuration is compared, so that what a modifier sets holds from this step on.
+        if self._modifiers.terms:
+            self._modifiers.run(self.steps)
+        closed = self._closed if self._started else None
+        if closed is None or not closed.holds():
+            if self._watch.changed():
+                self._refresh()
+            if closed is not None:
+                closed.look_again()
+        self.steps += 1
+        return closed
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()

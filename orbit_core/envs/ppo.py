@@ -9,6 +9,7 @@ from orbit_core.interfaces import ArgumentError
 
 _MOST_UNITS = 2**16
 _CRITIC_FIRST = 10
+_PRECISIONS = ("float32", "tf32", "bfloat16")
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,13 @@ class PpoSettings:
     """Iterations at first in which the critic alone learns, for a beginner's judgement leads astray an actor that is
     good already (Ramrakhya et al., PIRLNav, 2023); needs RSL-RL. None: 10 where ``start`` is given, else none."""
 
+    precision: str = "float32"
+    """Numbers of matrix products in an update: float32, tf32 (10 bits, on a GPU's tensor cores) or bfloat16 (7 bits).
+    Others than float32 need library orbit."""
+    compile_update: bool = False
+    """Whether an update's loss is compiled by torch.compile, which pays after some thousand iterations; needs library
+    orbit."""
+
     def __post_init__(self) -> None:
         """Check the ranges.
 
@@ -70,6 +78,8 @@ class PpoSettings:
         self._check("imitation_steps", 0, math.inf)
         if self.critic_first is not None:
             self._check("critic_first", 0, math.inf)
+        if self.precision not in _PRECISIONS:
+            raise ArgumentError(f"precision is {self.precision!r}: give one of {', '.join(_PRECISIONS)}")
         if not all(1 <= units <= _MOST_UNITS for units in self.hidden_sizes):
             raise ArgumentError(f"hidden_sizes are {self.hidden_sizes}: give each layer 1 to {_MOST_UNITS} units")
 

@@ -1,4 +1,4 @@
-"""Registries of tasks and of sources of starts: entry-point groups ``orbit.tasks`` and ``orbit.starts``."""
+"""Registries of tasks and of sources of starts: groups ``orbit.tasks``, ``orbit.task_files`` and ``orbit.starts``."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TaskEntry:
-    """A task by name. ``factory`` is ``"module:Class"``, imported when the task is made."""
+    """A task by name.
+
+    ``factory`` is ``"module:Class"``, imported when the task is made, or a function that returns the class.
+    """
 
     name: str
     """Name for commands, such as ``Lift``."""
     description: str
     """One line for ``orbit list tasks``."""
-    factory: str
+    factory: str | Callable[[], type[Task]]
 
     def task_type(self) -> type[Task]:
         """The task's class.
@@ -33,6 +36,8 @@ class TaskEntry:
         Raises:
             ConfigurationError: its module cannot be imported, or has no such class.
         """
+        if callable(self.factory):
+            return self.factory()
         module, _, attribute = self.factory.partition(":")
         with faults_named(f"task '{self.name}' ({self.factory})"):
             return getattr(importlib.import_module(module), attribute)
@@ -65,13 +70,25 @@ def task_entries() -> dict[str, TaskEntry]:
 
 
 def task_entry(name: str) -> TaskEntry:
-    """The task of that name.
+    """The task of that name, or the one that a file describes.
+
+    A package reads files that end in ``.NAME`` by an entry point of that name in the group ``orbit.task_files``, a
+    function that takes the path and returns the task's class.
 
     Raises:
         UnknownNameError: there is none.
         ConfigurationError: two packages bring it.
     """
+    _, dot, suffix = name.rpartition(".")
+    if dot and suffix in _task_files().names:
+        read = _task_files().get(suffix)
+        return TaskEntry(name, f"task of the file {name}", lambda: read(name))
     return _installed().get(name)
+
+
+@cache
+def _task_files() -> Registry[Callable[[str], type[Task]]]:
+    return Registry("form of task files", "orbit.task_files")
 
 
 class EpisodeStarts(Protocol):

@@ -99,6 +99,9 @@ class Subtask:
     """(env) -> (N, 7), read when the subtask begins."""
     over: Callable[..., Tensor]
     """(env) -> (N,) bool, True where it is done; not read for the last subtask."""
+    free: bool = True
+    """False where the hand begins in what it has grasped and moves that along a given way, as a drawer: the whole
+    motion counts, and no other way leads to it."""
 
 
 @dataclass(frozen=True)

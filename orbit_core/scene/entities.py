@@ -100,6 +100,28 @@ class Workspace:
 
 
 @dataclass(frozen=True)
+class Lean:
+    """How a hand that cannot point straight down leans out from its arm: that of an arm of five joints.
+
+    A first joint turns the arm about the root's z, two or three move the hand in the plane that this gives, and a last
+    one rolls it about its approach. All lengths are in the root link's frame, which stands upright.
+    """
+
+    workspace: Workspace
+    """Where the hand reaches in this way; tilt and yaw are not used."""
+    angle: float
+    """rad from straight down, at the root's height."""
+    rise: float
+    """rad by which it leans more for each metre above."""
+    pan: tuple[float, float] = (0.0, 0.0)
+    """Axis of the first joint, x and y, m."""
+    aside: tuple[float, float] = (0.0, 0.0)
+    """Hand's frame as seen from the axis of its roll: x and y of the frame, m."""
+    turn: float = 0.0
+    """rad about the vertical from the arm's plane to the hand, in the middle of the roll's range."""
+
+
+@dataclass(frozen=True)
 class EndEffector:
     """The frame that a task moves, the joints that move it, and the gripper on it.
 
@@ -116,6 +138,8 @@ class EndEffector:
     # Optional, because it depends on the whole robot: the same arm reaches elsewhere on another base.
     workspace: Workspace | None = None
     """None: a task computes it (:func:`orbit_motion.workspace.with_workspace`)."""
+    lean: Lean | None = None
+    """None for a hand that points straight down wherever tasks need it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -115,3 +117,29 @@ def test_what_was_there_stays_where_no_attempt_succeeds(dataset: Hdf5Dataset, tm
     same = ["augment", str(dataset.path), "--output", str(dataset.path), "--overwrite"]
     assert main(same) == 2
     assert "is what is read" in capsys.readouterr().err
+
+
+def test_planned_ways_lead_to_pieces_around_what_stands_there(dataset: Hdf5Dataset, tmp_path: Path, capsys) -> None:
+    words = ["augment", str(dataset.path), "--output", str(tmp_path / "many.hdf5"), "--method", "skillgen"]
+    assert main([*words, "--episodes", "3", "--num-envs", "4", "--most-attempts", "16"]) == 0
+    said = capsys.readouterr().out
+    planned = re.search(r"(\d+) ways planned around obstacles", said)
+    assert planned is not None
+    assert int(planned[1]) >= 4, "a way to the cube in each environment, at least"
+    with opened(tmp_path / "many.hdf5") as many:
+        assert all(info.success for info in many.episodes)
+        assert len(many.episodes) == 3
+
+
+def test_a_piece_that_begins_in_a_grasp_is_whole(dataset: Hdf5Dataset, environment: Environment) -> None:
+    """A drawer's way is not cut short where the hand comes near its end."""
+    metadata = environment.task.metadata
+    reach, carry = metadata.subtasks
+    free = cut(environment, dataset, range(4)).lengths
+    environment.task.metadata = replace(metadata, subtasks=(reach, replace(carry, free=False)))
+    try:
+        whole = cut(environment, dataset, range(4)).lengths
+    finally:
+        environment.task.metadata = metadata
+    assert torch.equal(whole[:, 0], free[:, 0])
+    assert (whole[:, 1] > free[:, 1]).any()

@@ -221,7 +221,9 @@ def test_deploy_runs_a_tasks_expert_on_the_robot_and_leaves_it_at_rest(
 
     file = tmp_path / "result.json"
     words = ["deploy", "expert", "--task", "Cartpole-Balance", "--bridge", process[1], "--countdown", "0"]
+    priority = os.sched_getscheduler(0)
     assert main([*words, "--set", "episode_length=1.0", "--json", str(file)]) == 0
+    assert os.sched_getscheduler(0) == priority
     result = msgspec.json.decode(file.read_bytes())
     assert (result["episodes"], result["agent"]) == (1, "expert")
     assert result["steps"] >= 10

@@ -18,7 +18,7 @@ FOLDER = Path(__file__).parents[2] / "benchmarks" / "imitation"
 def scripts(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.syspath_prepend(str(FOLDER))
     yield
-    for name in ("work", "table2", "table2_page"):
+    for name in ("work", "table2", "table2_page", "yields"):
         sys.modules.pop(name, None)
 
 
@@ -89,3 +89,22 @@ def test_the_page_adds_parts_up_and_shows_what_was_published(tmp_path: Path) -> 
     text = page(json.loads(json.dumps({"settings": settings, "jobs": jobs})))
     assert "| `bc` | not run | not run | not run | 0.50 [0.30, 0.70], 150 |" in text
     assert "| `bc`, published | 1.00, 234 | 0.89, 307 | 0.47, 321 | 0.43, 324 |" in text
+
+
+def test_yields_are_read_from_what_augmentations_print(tmp_path: Path) -> None:
+    from yields import table, yield_jobs  # pyright: ignore[reportMissingImports]
+
+    settings: dict[str, Any] = {
+        "tasks": ["Lift", "Stack"], "backends": ["mujoco", "sapien"], "recorded_on": "mujoco", "demonstrations": 3,
+        "attempts": 8, "output": tmp_path,
+    }  # fmt: skip
+    jobs = {job.name: job for job in yield_jobs(argparse.Namespace(**settings))}
+    assert len(jobs) == 2 + 2 * 2 * 2
+    assert all(need in jobs for job in jobs.values() for need in job.needs)
+    (tmp_path / "augment.Lift.mujoco.skillgen.log").write_text("x: 6 kept; 7 of 8 attempts on mujoco\nsucceeded")
+    (tmp_path / "augment.Lift.sapien.skillgen.log").write_text("none of 8 attempts succeeded: use others")
+    (tmp_path / "augment.Stack.sapien.mimicgen.log").write_text("interrupted")
+    head, _, row = table(tmp_path).splitlines()
+    assert head == "| task | method | mujoco | sapien |"
+    assert row.startswith("| Lift | skillgen | 87.5 % [")
+    assert "| 0.0 % [0" in row

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
@@ -34,7 +35,25 @@ needs_compiler = pytest.mark.skipif(
     COMPILER is None, reason="there is no C++ compiler: neither g++ nor c++ is installed"
 )
 
-# The network's place is taken by the test, which answers each observation with ORBIT's action.
+# A folder with include/ and lib/ of onnxruntime; without it, those of the system count
+_PREFIX = Path(os.environ.get("ORBIT_ONNXRUNTIME", "/usr"))
+
+
+def _first(*patterns: str) -> Path | None:
+    return next((found for pattern in patterns for found in sorted(_PREFIX.glob(pattern))), None)
+
+
+HEADER = _first("include/onnxruntime_cxx_api.h", "include/onnxruntime/onnxruntime_cxx_api.h",
+                "include/onnxruntime/core/session/onnxruntime_cxx_api.h")  # fmt: skip
+LIBRARY = _first("lib/libonnxruntime.so*", "lib/*-linux-gnu/libonnxruntime.so*")
+needs_onnxruntime = pytest.mark.skipif(
+    HEADER is None or LIBRARY is None,
+    reason=f"onnxruntime for C++ lacks its {'header onnxruntime_cxx_api.h' if HEADER is None else 'library'} under "
+    f"{_PREFIX}: apt-get install libonnxruntime-dev (Debian 13), or name a folder with include/ and lib/ by "
+    "ORBIT_ONNXRUNTIME",
+)
+
+# Without onnxruntime the test takes the network's place and answers each observation with ORBIT's action.
 PROGRAM = r"""
 #include <iostream>
 #include <cstdio>
@@ -60,7 +79,11 @@ struct Asked : orbit::Network {
 };
 
 int main() {
+#ifdef ORBIT_WITH_ONNXRUNTIME
+  orbit::OnnxNetwork network("policy.onnx");
+#else
   Asked network;
+#endif
   orbit::Runtime policy(orbit::description(), network);
   std::printf("%.17g %zu", policy.period(), policy.action().size());
   for (const std::string& joint : policy.joints()) std::printf(" %s", joint.c_str());
@@ -115,14 +138,22 @@ class Program:
     def reset(self) -> None:
         self._send("reset")
 
+    def measure(self, numbers: Sequence[np.ndarray]) -> None:
+        """Send what was measured."""
+        self._send("step " + _text(np.concatenate([each.reshape(-1) for each in numbers])))
+
     def observe(self, numbers: Sequence[np.ndarray]) -> np.ndarray:
         """Send what was measured, and return the observation that the network is asked with."""
-        self._send("step " + _text(np.concatenate([each.reshape(-1) for each in numbers])))
+        self.measure(numbers)
         return np.array(self._line().split(), np.float64)
 
     def decode(self, action: torch.Tensor) -> dict[str, float]:
         """Give the network's answer, and return targets by joint."""
         self._send(_text(action.numpy()))
+        return self.targets()
+
+    def targets(self) -> dict[str, float]:
+        """Return targets by joint."""
         return dict(zip(self.joints, map(float, self._line().split()), strict=True))
 
     def _send(self, text: str) -> None:
@@ -140,12 +171,13 @@ def _text(values: np.ndarray) -> str:
 
 
 @contextmanager
-def compiled(folder: Path) -> Iterator[Program]:
+def compiled(folder: Path, more: Sequence[str] = ()) -> Iterator[Program]:
     assert COMPILER is not None
     (folder / "main.cpp").write_text(PROGRAM)
     flags = ["-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
-    subprocess.run([COMPILER, *flags, "main.cpp", "-o", "main"], cwd=folder, check=True, capture_output=True, text=True)
-    process = subprocess.Popen([folder / "main"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    words = [COMPILER, *flags, "main.cpp", "-o", "main", *more]
+    subprocess.run(words, cwd=folder, check=True, capture_output=True, text=True)
+    process = subprocess.Popen([folder / "main"], cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         yield Program(process)
     finally:
@@ -153,9 +185,26 @@ def compiled(folder: Path) -> Iterator[Program]:
         process.wait()
 
 
+def numbers_of(environment: Environment, program: Program) -> list[np.ndarray]:
+    """Measured numbers of each term, then positions in the program's order."""
+    robot = environment.world.robots["robot"]
+    measured, positions = measured_of(environment), robot.joint_positions[0].tolist()
+    numbers = [values for name, values in measured.items() if not name.endswith("last_action")]
+    return [*numbers, np.array([positions[robot.joint_names.index(joint)] for joint in program.joints])]
+
+
+def check_targets(targets: dict[str, float], environment: Environment) -> None:
+    """Compare a program's targets with those that ORBIT sent in its last step."""
+    world = environment.world
+    assert len(targets) >= 8
+    for joint, target in targets.items():
+        column = world.layout.joints_by_name.index(("robot", joint))
+        sent = float(world.actuators.position_targets[0, column])  # pyright: ignore[reportAttributeAccessIssue]
+        assert target == pytest.approx(sent, abs=1e-5), joint
+
+
 def compare(program: Program, environment: Environment, policy: Policy, manifest: Manifest) -> None:
     """Run ORBIT and the program next to each other, over the end of an episode too."""
-    world, robot = environment.world, environment.world.robots["robot"]
     assert program.period == pytest.approx(environment.step_dt)
     assert program.action_size == environment.action_size
     actions = runtime_document(policy, manifest, environment)["actions"]
@@ -163,9 +212,7 @@ def compare(program: Program, environment: Environment, policy: Policy, manifest
         if step == 10:
             environment.reset(3)
             program.reset()
-        measured, positions = measured_of(environment), robot.joint_positions[0].tolist()
-        numbers = [values for name, values in measured.items() if not name.endswith("last_action")]
-        numbers.append(np.array([positions[robot.joint_names.index(joint)] for joint in program.joints]))
+        numbers = numbers_of(environment, program)
         jacobians = jacobians_of(environment)
         numbers += [jacobians[each["name"]] for each in actions if each["kind"] == "ik_relative"]
         expected = environment.observe()["policy"]
@@ -174,11 +221,7 @@ def compare(program: Program, environment: Environment, policy: Policy, manifest
         action = policy.module(expected).clamp(-1.0, 1.0).detach()
         targets = program.decode(action[0])
         environment.step(action)
-        assert len(targets) >= 8
-        for joint, target in targets.items():
-            column = world.layout.joints_by_name.index(("robot", joint))
-            sent = float(world.actuators.position_targets[0, column])  # pyright: ignore[reportAttributeAccessIssue]
-            assert target == pytest.approx(sent, abs=1e-5), joint
+        check_targets(targets, environment)
 
 
 @needs_compiler
@@ -189,6 +232,30 @@ def test_a_runtime_in_cpp_acts_as_orbit_does(name: str, tmp_path: Path) -> None:
     policy = load_policy(policy_path(name))
     with compiled(tmp_path) as program:
         compare(program, environment, policy, Manifest.of(environment, policy.description.task, 0))
+    environment.close()
+
+
+@needs_compiler
+@needs_onnxruntime
+@pytest.mark.parametrize("name", ["reach", "lift"])
+def test_a_runtime_in_cpp_with_onnxruntime_acts_as_orbit_does(name: str, tmp_path: Path) -> None:
+    assert HEADER is not None
+    export([name, "--runtime", str(tmp_path)])
+    environment = make_environment(played(PlaySettings(policy=Path(name), backend=BACKEND)), 1)
+    policy = load_policy(policy_path(name))
+    # Another's header need not pass our warnings.
+    flags = ["-DORBIT_WITH_ONNXRUNTIME", "-isystem", str(HEADER.parent), str(LIBRARY), f"-Wl,-rpath,{_PREFIX / 'lib'}"]
+    with compiled(tmp_path, flags) as program:
+        for step in range(20):
+            if step == 10:
+                environment.reset(3)
+                program.reset()
+            program.measure(numbers_of(environment, program))
+            observation = environment.observe()["policy"]
+            assert isinstance(observation, torch.Tensor)
+            # Its own action is the last one that the program observes in its next step.
+            environment.step(policy.module(observation).clamp(-1.0, 1.0).detach())
+            check_targets(program.targets(), environment)
     environment.close()
 
 

@@ -37,12 +37,12 @@ def current_revision(root: Path = ROOT) -> Revision:
     turn = int(chosen) % TURNS if chosen.isdecimal() else None
     count = _git(root, "rev-list", "--count", "HEAD")
     if count is None:
-        return Revision(turn or 0, note="no git history: the first tenth of the slow tests runs, changes are unknown")
+        return Revision(turn or 0, note="no git history: the first turn of slow tests runs, changes are unknown")
     note = ""
     if _git(root, "rev-parse", "--is-shallow-repository") == "true":
         count, note = (
             str(int(_git(root, "rev-parse", "HEAD") or "0", 16)),
-            "a shallow clone: the tenth is drawn by hash",
+            "a shallow clone: the turn is drawn by hash",
         )
     base = _base(root)
     changed: set[str] = set()

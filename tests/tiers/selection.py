@@ -34,7 +34,7 @@ class Selection:
         left = f" ({self.left} more wait for their turn or for `make test-all`)" if self.left else ""
         return (
             f"{len(self.chosen)} of {len(self.listed)} slow ones, {seconds:.0f} of {sum(self.listed.values()):.0f} s: "
-            f"tenth {turn}, and {len(self.by_change - self.by_turn)} more that the change concerns{left}"
+            f"turn {turn} of {TURNS}, and {len(self.by_change - self.by_turn)} more that the change concerns{left}"
         )
 
 

@@ -20,11 +20,11 @@ ROOT = Path(__file__).parents[2]
 LISTED = {f"tests/x/test_{i}.py::test_{i}": 2.0 + i for i in range(60)}
 
 
-def test_ten_commits_in_a_row_run_every_slow_test_once() -> None:
+def test_twenty_commits_in_a_row_run_every_slow_test_once() -> None:
     runs = [select(LISTED, Revision(turn), ()).chosen for turn in range(TURNS)]
     assert sorted(name for run in runs for name in run) == sorted(LISTED)
     shares = [sum(LISTED[name] for name in run) for run in runs]
-    assert max(shares) < 1.1 * min(shares)
+    assert max(shares) < 1.5 * min(shares)
     assert turns(dict(reversed(LISTED.items()))) == turns(LISTED)
 
 
@@ -37,12 +37,12 @@ def test_what_a_change_concerns_runs_whatever_the_turn() -> None:
 
 
 def test_a_change_that_concerns_everything_runs_what_time_allows_and_tells_how_many_it_left() -> None:
-    whole = {f"tests/x/test_{i}.py::test": 10.0 for i in range(100)}
+    whole = {f"tests/x/test_{i}.py::test": 10.0 for i in range(200)}
     selection = select(whole, Revision(3), whole)
     more = selection.chosen - selection.by_turn
     assert sum(whole[name] for name in more) == CHANGE_SECONDS
     assert {turns(whole)[name] for name in more} == {4}
-    assert selection.left == 100 - len(selection.chosen) > 0
+    assert selection.left == 200 - len(selection.chosen) > 0
     assert f"{selection.left} more wait for their turn" in selection.describe(3)
 
 
@@ -102,7 +102,7 @@ def test_a_revision_is_the_commits_turn_and_what_differs_from_the_base(
     (folder / "new.py").touch()
     assert current_revision(folder).changed == {"own.py", "new.py"}
     monkeypatch.setenv("ORBIT_TEST_BASE", "HEAD~2")
-    monkeypatch.setenv("ORBIT_TEST_TURN", "17")
+    monkeypatch.setenv("ORBIT_TEST_TURN", "27")
     assert current_revision(folder) == Revision(7, frozenset({"own.py", "new.py", "1.py"}))
 
 

@@ -20,7 +20,7 @@ from orbit_core.envs import Environment, TerminationTerm, make
 from orbit_core.mdp import common
 from orbit_core.scene import Scene
 from orbit_deploy import PathKind, connect, robot_world
-from orbit_deploy.realtime import prioritize
+from orbit_deploy.realtime import prioritized
 from orbit_tasks import walking
 from orbit_tasks.velocity_flat import VelocityFlat, VelocityMemory, projected_gravity
 
@@ -57,8 +57,6 @@ class Walk(VelocityFlat):
 
 def main(address: str, seconds: float) -> None:
     """Walk forward at 0.6 m/s, and print how far the robot came and how late commands were."""
-    # Before there are threads, which inherit the priority
-    prioritize()
     torch.set_num_threads(1)
     task = Walk(robot="unitree_go2", episode_length=seconds + 60.0)
     period = task.physics_dt * task.decimation
@@ -83,4 +81,6 @@ def main(address: str, seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], float(sys.argv[2]))
+    # Before there are threads, which inherit the priority
+    with prioritized():
+        main(sys.argv[1], float(sys.argv[2]))

@@ -1,4 +1,4 @@
-"""Bridges by the scheme of their addresses: ``ros1://``, ``ros2://`` and ``unitree://``."""
+"""Bridges by the scheme of their addresses: ``ros1://``, ``ros2://``, ``rosbridge://`` and ``unitree://``."""
 
 from __future__ import annotations
 
@@ -74,13 +74,15 @@ class RosAddress:
 
 @dataclass(frozen=True)
 class RosBridge:
-    """Bridge over one version of ROS.
+    """Bridge over one way into ROS.
 
     Args:
         node: makes a connection of an address.
+        options: of the address that the connection reads.
     """
 
     node: Callable[[RosAddress], RosNode]
+    options: tuple[str, ...] = ()
 
     def connect(
         self, address: str, period: float, keys: Path | None = None, path: PathKind = PathKind.QUINTIC
@@ -90,7 +92,7 @@ class RosBridge:
         from orbit_ros.hardware import CommandKind, RosHardware, served_description
         from orbit_ros.hosted import HostedLink
 
-        parts = RosAddress.of(address, keys, ("robot", "command", "topic", "rate"))
+        parts = RosAddress.of(address, keys, ("robot", "command", "topic", "rate", *self.options))
         command = parts.options.get("command", "trajectory")
         if command not in [*CommandKind]:
             raise ConfigurationError(f"command '{command}' is none of {', '.join(CommandKind)}")
@@ -117,7 +119,7 @@ class RosBridge:
         """Serve a robot's computer to ROS (:meth:`orbit_deploy.link.Bridge.serve`)."""
         from orbit_ros.server import RosServer
 
-        parts = RosAddress.of(address, keys, ())
+        parts = RosAddress.of(address, keys, self.options)
         return RosServer(computer, self.node(parts), address, parts.prefix)
 
 
@@ -133,6 +135,15 @@ def _ros2(parts: RosAddress) -> RosNode:
 
     # ROS 2 has domains in the place of ports, and 0 is the usual one.
     return Ros2Node(parts.port or 0, parts.host)
+
+
+def _rosbridge(parts: RosAddress) -> RosNode:
+    from orbit_ros.rosbridge import RosbridgeNode
+
+    version = parts.options.get("ros", "1")
+    if version not in ("1", "2"):
+        raise ConfigurationError(f"ros is the version of ROS behind rosbridge, 1 or 2, not '{version}'")
+    return RosbridgeNode(parts.host, parts.port or 9090, int(version))
 
 
 class UnitreeBridge:
@@ -179,3 +190,4 @@ def _catalogued(name: str) -> RobotDescription:
 
 
 ROS1, ROS2, UNITREE = RosBridge(_ros1), RosBridge(_ros2), UnitreeBridge()
+ROSBRIDGE = RosBridge(_rosbridge, ("ros",))

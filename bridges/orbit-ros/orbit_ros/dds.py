@@ -18,7 +18,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_ros.node import Message, RosNode
+from orbit_ros.node import Message, RosNode, call_safely
 
 LOOPBACK = ("127.0.0.1", "localhost")
 MOST_DOMAINS = 232
@@ -119,7 +119,7 @@ class Ros2Node(RosNode):
                         handle: int = sample.sample_info.publication_handle  # pyright: ignore
                         if (handle, reader) not in sources:
                             sources[handle, reader] = _program(reader, handle)
-                        _call(callback, sample, sources[handle, reader])
+                        call_safely(callback, sample, sources[handle, reader])
 
 
 def _program(reader: DataReader[Any], handle: int) -> str:
@@ -127,11 +127,3 @@ def _program(reader: DataReader[Any], handle: int) -> str:
     found = reader.get_matched_publication_data(handle)
     # A publisher that has left again is itself only.
     return str(found.participant_key) if found is not None else str(handle)
-
-
-def _call(callback: Callable[[Any, str], None], sample: IdlStruct, source: str) -> None:
-    try:
-        callback(sample, source)
-    except Exception:
-        # One bad message must not end the thread that hears the next ones.
-        logging.getLogger(__name__).exception("a message of type %s could not be used", type(sample).__name__)

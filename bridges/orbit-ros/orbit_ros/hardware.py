@@ -57,6 +57,7 @@ def served_description(node: RosNode, prefix: str) -> RobotDescription | None:
 
     node.subscribe(prefix + topics.DESCRIPTION, String, take, latched=True)
     if not heard.wait(2.0):
+        node.check()
         return None
     try:
         return msgspec.json.decode(found[0], type=RobotDescription, strict=False)
@@ -106,6 +107,7 @@ class RosHardware(RobotHardware):
             node.subscribe(topic, Odometry, lambda message, _, name=name: self._track(name, message))
         end = time.monotonic() + _FOUND
         while self._state is None or len(self._objects) < len(description.objects):
+            node.check()
             if time.monotonic() > end:
                 raise RobotLinkError(self._absence())
             time.sleep(0.01)
@@ -113,6 +115,7 @@ class RosHardware(RobotHardware):
     def read(self) -> Measurement:
         state, age = self._state, time.monotonic() - self._arrived
         assert state is not None  # waited for when this was made
+        self._node.check()
         # Old positions would look like a robot at rest.
         if age > _LOST:
             raise RobotLinkError(f"no joint states on '{self._prefix}{topics.JOINT_STATES}' for {age:.2f} s")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TypeVar
@@ -37,6 +38,27 @@ class RosNode(ABC):
             latched: also receive the last message that was published before.
         """
 
+    def check(self) -> None:
+        """Look whether the connection still works; those without a server in between do as long as they are.
+
+        Raises:
+            RobotLinkError: it is gone, or its other end has refused something.
+        """
+
     @abstractmethod
     def close(self) -> None:
         """Leave ROS; idempotent."""
+
+
+def call_safely(callback: Callable[[Message, str], None], message: Message, source: str) -> None:
+    """Call a subscriber's function, whose error must not end the thread that hears the next messages.
+
+    Args:
+        callback: function.
+        message: its message.
+        source: publisher of the message.
+    """
+    try:
+        callback(message, source)
+    except Exception:
+        logging.getLogger(__name__).exception("a message of type %s could not be used", type(message).__name__)

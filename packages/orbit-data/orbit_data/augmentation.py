@@ -1,15 +1,16 @@
 """Augmentation: a few demonstrations become many, by replaying their subtasks relative to where objects are now.
 
-The method is that of MimicGen (Mandlekar and others, MimicGen: A Data Generation System for Scalable Robot Learning
-using Human Demonstrations, CoRL 2023): within a subtask the hand moves relative to one frame, and the demonstrated
-motion is repeated relative to that frame in a new episode.
+Within a subtask the hand moves relative to one frame, and the demonstrated motion is repeated relative to that frame in
+a new episode. On the way to where it begins the hand goes straight (Mandlekar and others, MimicGen: A Data Generation
+System for Scalable Robot Learning using Human Demonstrations, CoRL 2023), or as a planner finds (Garrett and others,
+SkillMimicGen: Automated Demonstration Generation for Efficient Skill Learning and Deployment, CoRL 2024).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import torch
 from torch import Tensor
@@ -58,6 +59,23 @@ class Pieces:
     """(D, K, L) bool"""
     lengths: Tensor
     """(D, K)"""
+
+
+class Transits(Protocol):
+    """Ways of the hand to where pieces begin, such as :class:`orbit_motion.planning.HandTransits`."""
+
+    @property
+    def active(self) -> Tensor:
+        """(N,) bool: the hand is on its way."""
+        ...
+
+    def begin(self, target: Tensor, rows: Tensor, rise: Tensor) -> None:
+        """Begin ways to poses ``target`` (N, 7) where ``rows`` (N,) bool, the hand going up first where ``rise``."""
+        ...
+
+    def act(self, gripper_open: Tensor) -> Tensor:
+        """Return the action (N, A) that leads on, with the gripper as it is given (N,) bool."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -110,12 +128,12 @@ def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) ->
             f"a subtask never ends in demonstration {int((stage < len(subtasks) - 1).nonzero()[0])} of {dataset.path}: "
             "keep those that succeed (orbit data filter --success)"
         )
-    return _pieces(torch.stack(hands), torch.stack(frames), torch.stack(grips), torch.stack(stages), len(subtasks))
+    return _pieces(torch.stack(hands), torch.stack(frames), torch.stack(grips), torch.stack(stages), subtasks)
 
 
-def _pieces(hands: Tensor, frames: Tensor, grips: Tensor, stages: Tensor, count: int) -> Pieces:
+def _pieces(hands: Tensor, frames: Tensor, grips: Tensor, stages: Tensor, subtasks: Sequence[Subtask]) -> Pieces:
     """Compute the hand relative to where the subtask's frame was when the subtask began, of tensors (T, D, ...)."""
-    steps, demos = stages.shape
+    (steps, demos), count = stages.shape, len(subtasks)
     lengths = torch.stack([(stages == k).sum(0) for k in range(count)], 1)
     first = lengths.cumsum(1) - lengths
     within = torch.arange(int(lengths.max()), device=hands.device)
@@ -127,7 +145,8 @@ def _pieces(hands: Tensor, frames: Tensor, grips: Tensor, stages: Tensor, count:
     relative = pose_multiply(pose_inverse(origin), hands[index, demo[:, None, None]])
     opened = grips[index, demo[:, None, None]]
     # The approach from a distant start is not part of the subtask, and elsewhere it may lead out of the arm's reach.
-    skipped = (relative[..., :3].norm(dim=-1) < _REACH).long().argmax(-1)
+    free = torch.tensor([subtask.free for subtask in subtasks], device=hands.device)
+    skipped = (relative[..., :3].norm(dim=-1) < _REACH).long().argmax(-1) * free
     left = torch.minimum(skipped[..., None] + within, lengths[..., None] - 1).clamp_min(0)
     relative = relative.gather(2, left[..., None].expand(*left.shape, 7))
     return Pieces(relative, opened.gather(2, left), lengths - skipped)
@@ -174,11 +193,13 @@ class PiecewiseActor:
         environment: environment to act in.
         pieces: pieces of demonstrations.
         seed: seed of the random choice.
+        transits: ways to where pieces begin; None goes straight.
     """
 
-    def __init__(self, environment: Environment, pieces: Pieces, seed: int) -> None:
-        self._environment, self._pieces = environment, pieces
+    def __init__(self, environment: Environment, pieces: Pieces, seed: int, transits: Transits | None = None) -> None:
+        self._environment, self._pieces, self._transits = environment, pieces, transits
         self._subtasks = subtasks_of(environment)
+        self._free = torch.tensor([subtask.free for subtask in self._subtasks], device=environment.device)
         self._draw = torch.Generator().manual_seed(seed)
         count, device = environment.num_envs, environment.device
         self._rows = torch.arange(count, device=device)
@@ -199,10 +220,19 @@ class PiecewiseActor:
         onward = ~begun & last & (self._stage < len(self._subtasks) - 1)
         self._stage = torch.where(begun, 0, self._stage + onward)
         self._enter(begun | onward)
+        if self._transits is not None:
+            entered = (begun | onward) & self._free[self._stage]
+            self._transits.begin(self._at(torch.zeros_like(self._step)), entered, ~begun)
         pose = self._beyond(hand, self._at(self._step + _AHEAD * (self._step > 0)))
         grip = self._pieces.gripper_open[self._demo, self._stage, self._index(self._step)]
         action = torch.cat([generator.encode(pose, grip) for generator in generators], 1)
-        self._advance(hand)  # after the action, so that each pose is commanded for a step at least
+        away = torch.zeros_like(begun)
+        if self._transits is not None:
+            led = self._transits.act(grip)
+            # Read after it acted, which ends ways: the piece begins in the same step.
+            away = self._transits.active
+            action = torch.where(away[:, None], led, action)
+        self._advance(hand, away)  # after the action, so that each pose is commanded for a step at least
         return action.clamp(-1.0, 1.0)
 
     def _enter(self, new: Tensor) -> None:
@@ -212,13 +242,13 @@ class PiecewiseActor:
         self._step = torch.where(new, 0, self._step)
         self._waited = torch.where(new, 0, self._waited)
 
-    def _advance(self, hand: Tensor) -> None:
-        """Go on to the next pose once this one is reached, or the wait for it is over."""
+    def _advance(self, hand: Tensor, away: Tensor) -> None:
+        """Go on to the next pose once this one is reached, or the wait for it is over; not where ``away`` (N,)."""
         error = pose_error(hand, self._at(self._step))
         near = (error[:, :3].norm(dim=1) < _NEAR[0]) & (error[:, 3:].norm(dim=1) < _NEAR[1])
         due = near | (self._waited >= torch.where(self._step == 0, *_PATIENCE))
-        self._step = self._step + due
-        self._waited = torch.where(due, 0, self._waited + 1)
+        self._step = self._step + (due & ~away)
+        self._waited = torch.where(due | away, 0, self._waited + 1)
 
     def _beyond(self, hand: Tensor, target: Tensor) -> Tensor:
         """Return a pose (N, 7) on the straight line from the hand through the target and beyond it."""
@@ -248,6 +278,7 @@ def augment(
     most_attempts: int,
     progress: Callable[[int], None] = lambda kept: None,
     instruction: str = "",
+    transits: Transits | None = None,
 ) -> Augmented:
     """Repeat the pieces of demonstrations in new episodes, and record those that succeed.
 
@@ -261,6 +292,7 @@ def augment(
         most_attempts: attempts after which to stop, even with fewer episodes.
         progress: called after each step with the number of kept episodes.
         instruction: what the episodes show, in words.
+        transits: ways to where pieces begin; None goes straight.
     """
     manifest = Manifest.of(environment, task, seed)
     check_recordable(file.path, manifest)
@@ -283,7 +315,7 @@ def augment(
     def complete() -> bool:
         return recorder.kept >= episodes or int(recorder.ended.sum()) >= most_attempts
 
-    roll_out(environment, PiecewiseActor(environment, pieces, seed), (recorder, Teller()), complete)
+    roll_out(environment, PiecewiseActor(environment, pieces, seed, transits), (recorder, Teller()), complete)
     progress(recorder.kept)
     attempts = int(recorder.ended.sum())
     if not recorder.kept:

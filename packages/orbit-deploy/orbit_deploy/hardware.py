@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from urllib.parse import urlsplit
 
-from orbit_core.interfaces import UnsupportedCapabilityError
+from orbit_core.interfaces import ConfigurationError, UnsupportedCapabilityError
+from orbit_core.registry import Registry
 from orbit_deploy.description import FloatArray, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.messages import Arrangement
@@ -58,3 +62,26 @@ class RobotHardware(ABC):
 
     def close(self) -> None:
         """Release the robot; idempotent."""
+
+
+@functools.cache
+def _drivers() -> Registry[Callable[[str, RobotDescription], RobotHardware]]:
+    return Registry("robot driver", "orbit.robot_hardware")
+
+
+def open_hardware(address: str, description: RobotDescription) -> RobotHardware:
+    """Open a real robot by its address, whose scheme names a driver of the entry-point group ``orbit.robot_hardware``.
+
+    Args:
+        address: such as ``franka://172.16.0.2``.
+        description: of the robot, as the catalogue has it.
+
+    Raises:
+        ConfigurationError: the address has no scheme.
+        UnknownNameError: no driver of that scheme is installed.
+        RobotLinkError: the robot does not answer.
+    """
+    scheme = urlsplit(address).scheme
+    if "://" not in address or not scheme:
+        raise ConfigurationError(f"'{address}' is no robot's address: give one such as franka://172.16.0.2")
+    return _drivers().get(scheme)(address, description)

@@ -221,8 +221,9 @@ def payload_link_of(spec: RobotSpec) -> str:
     articulation = spec.articulation
     masses = {link.name: link.mass for link in articulation.links}
     parents = {joint.child: joint.parent for joint in articulation.joints}
-    # Frames of hands are often links without a mass, which no payload can scale.
     name = spec.end_effectors[0].frame if spec.end_effectors else articulation.links[-1].name
+    # A hand's frame has no mass: the link that carries it has.
+    name = {frame.name: frame.link for frame in articulation.frames}.get(name, name)
     # A payload multiplies the link's inertia, which a link without a mass has not.
     while name in parents and masses.get(name, 0.0) <= 0.0:
         name = parents[name]

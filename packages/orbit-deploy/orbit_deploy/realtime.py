@@ -7,7 +7,8 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,25 +24,42 @@ _MOST_BEHIND = 50
 _KEPT = 600_000
 
 
-def prioritize() -> list[str]:
-    """Give this process real-time priority and lock its memory; call it before threads and sockets are made.
+@contextmanager
+def prioritized(inherited: bool = True) -> Iterator[list[str]]:
+    """Give this thread real-time priority and lock the process's memory, until the block ends.
 
-    Threads that are made later inherit the priority, those of ZeroMQ's context among them.
+    Args:
+        inherited: threads and processes that are made within the block get the priority too. A robot's computer enters
+            before it makes sockets, as the threads of ZeroMQ's context need it; a process that spins with it takes a
+            core from everybody.
 
-    Returns:
+    Yields:
         A sentence about each of these that the system does not allow; timing is then as good as an ordinary process's.
     """
     missing: list[str] = []
+    before = None
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        policy = os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK)
+        os.sched_setscheduler(0, policy, os.sched_param(_PRIORITY))
     except (AttributeError, OSError) as error:
+        before = None
         missing.append(f"no real-time priority: {error}")
     try:
-        if ctypes.CDLL(None, use_errno=True).mlockall(_ALL_MEMORY) != 0:
+        system = ctypes.CDLL(None, use_errno=True)
+        if system.mlockall(_ALL_MEMORY) != 0:
             missing.append(f"memory is not locked: {os.strerror(ctypes.get_errno())}")
     except (AttributeError, OSError) as error:
+        system = None
         missing.append(f"memory is not locked: {error}")
-    return missing
+    try:
+        yield missing
+    finally:
+        # A program that goes on, such as a session of tests, must not keep the cores from others.
+        if before is not None:
+            os.sched_setscheduler(0, *before)
+        if system is not None:
+            system.munlockall()
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
 from msgspec import structs
 
 from orbit_core.interfaces import ConfigurationError, JointTarget, UnknownNameError
-from orbit_core.scene import CameraSpec, Scene
+from orbit_core.scene import ActuatorNetwork, CameraSpec, ImplicitPd, RobotSpec, Scene
 from orbit_core.world import simulate
 from orbit_deploy.description import RobotDescription
 from orbit_deploy.follower import JointTargets
@@ -32,6 +33,9 @@ class Imperfections:
     """Standard deviation of measured velocities, rad/s or m/s."""
     object_noise: float = 0.0
     """Standard deviation of measured positions of objects, m."""
+    actuator_network: Path | None = None
+    """File of 'orbit train-actuator' that computes the efforts of the joints whose drives follow positions, such as a
+    series-elastic actuator's, in place of these drives; None keeps them. The robot's rate must be the network's."""
     seed: int = 0
     """Seed of the noise."""
 
@@ -77,7 +81,12 @@ class SimulatedHardware(RobotHardware):
             raise ConfigurationError(f"a simulated robot's computer serves no pictures: leave out '{drawn[0].name}'")
         self.imperfections = imperfections or Imperfections()
         # Sensors cost time in each cycle and are computed by the client from joints and objects.
-        self._world = simulate(replace(scene, sensors=(), physics_dt=1.0 / rate), 1, backend, settings=settings)
+        simulated = replace(scene, sensors=(), physics_dt=1.0 / rate)
+        if self.imperfections.actuator_network is not None:
+            # Clients see the drives of the description, which the network imitates with what lies behind them.
+            robot = _with_network(scene.robots[0], self.imperfections.actuator_network)
+            simulated = replace(simulated, robots=(robot,))
+        self._world = simulate(simulated, 1, backend, settings=settings)
         self._robot = self._world.robots[scene.robots[0].name]
         # A robot that walks or drives is tracked too, in place of an estimator of its base.
         things = (self._robot, *self._world.objects.values())
@@ -159,6 +168,31 @@ class SimulatedHardware(RobotHardware):
         self._robot.set_joint_parameters(
             friction=_row(own + self.imperfections.friction * limits[driven]), joints=driven
         )
+
+
+def _with_network(spec: RobotSpec, file: Path) -> RobotSpec:
+    """Return a robot whose drives of positions are an actuator network.
+
+    Raises:
+        ConfigurationError: it has no such drives.
+    """
+    drives = [isinstance(group, ImplicitPd) and group.stiffness > 0.0 for group in spec.actuators]
+    if not any(drives):
+        raise ConfigurationError(f"no drive of '{spec.articulation.name}' follows positions, as the network does")
+    groups = (
+        ActuatorNetwork(
+            joints=group.joints,
+            file=str(file),
+            effort_limit=group.effort_limit,
+            velocity_limit=group.velocity_limit,
+            armature=group.armature,
+            friction=group.friction,
+        )
+        if drive
+        else group
+        for group, drive in zip(spec.actuators, drives, strict=True)
+    )
+    return replace(spec, actuators=tuple(groups))
 
 
 def _row(values: np.ndarray) -> torch.Tensor:

@@ -54,9 +54,11 @@ class EpisodeTally:
     """
 
     def __init__(self, device: torch.device) -> None:
+        # Number, return, success, then the metrics; made with the first episodes, which say how many metrics there are.
+        # Always written in place, because a recorded step repeats its writes to this memory.
         self._sums = torch.zeros(3, device=device)
+        self._names: tuple[str, ...] | None = None
         self._last = (math.nan, math.nan, 0)
-        self._metrics: dict[str, Tensor] = {}
         self.metrics: dict[str, float] = {}
         """Means of the task's metrics over the episodes of the last reading, by name."""
 
@@ -76,10 +78,15 @@ class EpisodeTally:
         ended = ended & end.usual
         if counts is not None:
             ended = ended & counts
+        if self._names != tuple(end.metrics):  # a curriculum that begins adds a metric
+            known = dict(zip(self._names or (), self._sums[3:], strict=True))
+            self._sums = torch.stack([*self._sums[:3], *(known.get(n, self._sums.new_zeros(())) for n in end.metrics)])
+            self._names = tuple(end.metrics)
         returns = torch.stack(list(end.rewards.values())).sum(0)
-        self._sums += (torch.stack([torch.ones_like(returns), returns, end.success.float()]) * ended).sum(1)
-        for name, values in end.metrics.items():
-            self._metrics[name] = self._metrics.get(name, 0.0) + (values * ended).sum()
+        values = [torch.ones_like(returns), returns, end.success, *end.metrics.values()]
+        # Not multiplied by the mask: a metric of an environment whose episode goes on may be NaN.
+        rows = torch.stack([value.to(returns.dtype) for value in values])
+        self._sums += rows.masked_fill(~ended, 0.0).sum(1)
 
     def read(self) -> tuple[float, float, int]:
         """Return mean return, success rate and number of episodes, and reset.
@@ -87,12 +94,11 @@ class EpisodeTally:
         If no episode has ended, the result is that of the last reading.
         """
         # One transfer for all sums, because each waits for the device.
-        episodes, returns, successes = self._sums.tolist()
+        episodes, returns, successes, *metrics = self._sums.tolist()
         if episodes:
             self._last = (returns / episodes, successes / episodes, round(episodes))
-            self.metrics = {name: float(total) / episodes for name, total in self._metrics.items()}
+            self.metrics = {name: total / episodes for name, total in zip(self._names or (), metrics, strict=True)}
             self._sums.zero_()
-            self._metrics.clear()
         return self._last
 
 

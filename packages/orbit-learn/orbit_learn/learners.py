@@ -29,7 +29,10 @@ _LIBRARIES = {
     "skrl": ("skrl:SkrlTrainer", "PPO, asymmetric critics, pictures"),
     "rl-games": ("rl_games:RlGamesTrainer", "PPO, asymmetric critics"),
     "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
-    "orbit": ("off_policy:OffPolicyTrainer", "SAC and TD3 with large batches, asymmetric critics; part of ORBIT"),
+    "orbit": (
+        "off_policy:OffPolicyTrainer",
+        "SAC and TD3 with large batches, PPO recorded on a GPU, asymmetric critics; part of ORBIT",
+    ),
     "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
     "imitation": (
         "cloning.trainer:ImitationTrainer",
@@ -37,6 +40,8 @@ _LIBRARIES = {
     ),
 }
 
+# Trainers of algorithms that have a class of their own in a library of several.
+_TRAINERS = {("orbit", "ppo"): "ppo:PpoTrainer"}
 # Library that is used where an algorithm is named and no library.
 _ALGORITHMS = {
     "ppo": "rsl-rl", "sac": "orbit", "td3": "orbit",
@@ -75,8 +80,12 @@ def library_description(name: str) -> str:
     return _LIBRARIES[name][1] if name in _LIBRARIES else learners().origin(name)
 
 
-def trainer_type(library: str) -> type[Trainer[Any]]:
+def trainer_type(library: str, algorithm: str | None = None) -> type[Trainer[Any]]:
     """Return a library's trainer.
+
+    Args:
+        library: name of the library.
+        algorithm: name of the algorithm, for a library that has a trainer for each; the library's own if None.
 
     Raises:
         UnknownNameError: the library is unknown; the message gives the nearest name.
@@ -84,7 +93,8 @@ def trainer_type(library: str) -> type[Trainer[Any]]:
     """
     from orbit_learn.trainer import Trainer
 
-    kind = learners().get(library)  # the import happens here
+    place = _TRAINERS.get((library, algorithm or ""))
+    kind = _own_trainer(library, place) if place else learners().get(library)  # the import happens here
     if not (isinstance(kind, type) and issubclass(kind, Trainer)):
         raise ConfigurationError(f"learning library '{library}' ({learners().origin(library)}) is no Trainer: {kind!r}")
     return kind

@@ -94,6 +94,8 @@ class Trainer(ABC, Generic[Settings]):
     """Whether the trainer can first imitate the task's expert, :attr:`PpoSettings.imitation_steps`."""
     begins_with_policies: ClassVar[bool] = False
     """Whether the actor can begin with a policy, :attr:`PpoSettings.start`, and the critic learn alone at first."""
+    chooses_arithmetic: ClassVar[bool] = False
+    """Whether the trainer takes :attr:`PpoSettings.precision` and :attr:`PpoSettings.compile_update`."""
     settings_type: ClassVar[type[Any]] = PpoSettings
     """Class of the algorithm's settings."""
     options: ClassVar[tuple[str, ...]] = ("ppo",)
@@ -114,6 +116,12 @@ class Trainer(ABC, Generic[Settings]):
             raise ConfigurationError(
                 f"library '{self.name}' lets no critic learn alone: use --library rsl-rl, or --ppo critic_first=0"
             )
+        for setting, only in (("precision", "float32"), ("compile_update", False)):
+            if not self.chooses_arithmetic and (value := getattr(settings, setting, only)) != only:
+                raise ConfigurationError(
+                    f"library '{self.name}' has no {setting}={value}: use --library orbit --algorithm ppo, or leave "
+                    f"--ppo {setting} out"
+                )
         self.environment = environment
         self.settings = settings
         self.folder = as_path(folder)
@@ -165,6 +173,10 @@ class LoopTrainer(Trainer[Settings]):
         """Return the mean loss of the last iteration, if the algorithm has a single one; else NaN."""
         return math.nan
 
+    def numbers(self) -> Mapping[str, float]:
+        """Return further numbers of the last iteration for TensorBoard, by name."""
+        return {}
+
     @abstractmethod
     def load(self, state: Any) -> None:
         """Restore the result of :meth:`state`."""
@@ -185,6 +197,8 @@ class LoopTrainer(Trainer[Settings]):
                 progress = Progress(iteration, done, seconds, returns, success_rate, episodes, **measured)
                 board.add_scalar("episode/return", progress.episode_return, iteration)
                 board.add_scalar("episode/success_rate", progress.success_rate, iteration)
+                for name, value in self.numbers().items():
+                    board.add_scalar(f"learning/{name}", value, iteration)
                 # An algorithm without a single loss has no curve to draw.
                 if not math.isnan(progress.loss):
                     board.add_scalar("loss", progress.loss, iteration)

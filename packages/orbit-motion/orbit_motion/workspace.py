@@ -205,12 +205,22 @@ def _largest_box(good: npt.NDArray[np.bool_]) -> tuple[tuple[int, ...], tuple[in
 
 # Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more.
 ROOM: Vector3 = (0.15, 0.3, 0.2)
+# The same for hands that lean, whose arms are small ones for a desk.
+_LEANING_ROOM: Vector3 = (0.1, 0.2, 0.12)
 
 
 def arm(
-    name: str, gripper: bool = True, agent: str = ROBOT, pose: Pose | None = None, room: Vector3 = ROOM
+    name: str,
+    gripper: bool = True,
+    agent: str = ROBOT,
+    pose: Pose | None = None,
+    room: Vector3 = ROOM,
+    leans: bool = False,
 ) -> RobotSpec:
     """A robot of the catalogue with an end effector, and a gripper on it where that is needed, as an agent of the task.
+
+    A task that leads hands through :func:`orbit_core.mdp.common.leaning` says that it ``leans``: it gets small arms
+    that cannot point straight down, with the workspace of their :class:`orbit_core.scene.Lean`.
 
     Raises:
         UnknownNameError: there is none of that name.
@@ -232,6 +242,11 @@ def arm(
         lacking = "gripper"
     if lacking:
         raise ConfigurationError(f"robot '{name}' has no {lacking}, which this task needs: choose another robot")
+    lean = spec.end_effector.lean
+    if leans and lean is not None:
+        first, *others = spec.end_effectors
+        spec = replace(spec, end_effectors=(replace(first, workspace=lean.workspace), *others))
+        room = _LEANING_ROOM
     spec = with_workspace(spec)
     box = placed_workspace(spec)
     size = [high - low for low, high in zip(box.low, box.high, strict=True)]

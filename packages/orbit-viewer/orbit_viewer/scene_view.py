@@ -149,6 +149,25 @@ def browser_light(linear: npt.NDArray[np.float64]) -> tuple[tuple[int, int, int]
     return (red, green, blue), math.pi * brightest
 
 
+def add_plane(server: ViserServer, index: int, plane: Shape) -> None:
+    """Add a plane as an endless grid, in the place of the one that has the same index."""
+    color = _bytes(plane.color)
+    server.scene.add_grid(
+        f"/planes/{index}",
+        infinite_grid=True,
+        cell_size=0.25,
+        section_size=1.0,
+        cell_color=_mixed(color, 255, 0.25),
+        section_color=_mixed(color, 255, 0.5),
+        plane_color=color,
+        plane_opacity=1.0,
+        shadow_opacity=0.35,
+        fade_distance=30.0,
+        position=plane.pose.position,
+        wxyz=plane.pose.orientation,
+    )
+
+
 FloatArray = npt.NDArray[np.float32]
 
 VIEW_DIRECTION = np.array((0.35, 0.83, 0.43)) / math.hypot(0.35, 0.83, 0.43)
@@ -220,7 +239,7 @@ class SceneView:
         server.scene.set_up_direction("+z")
         add_lights(server, layout.scene)
         for index, plane in enumerate(planes):
-            self._draw_plane(index, plane)
+            add_plane(server, index, plane)
         self._draw_links()
 
     @property
@@ -372,23 +391,6 @@ class SceneView:
             return [liquid_surface(each, spec.spacing) for each in particles]
         surface = self._surfaces[index]
         return [(vertices, surface.faces) for vertices in surface.vertices(torch.from_numpy(particles)).numpy()]
-
-    def _draw_plane(self, index: int, plane: Shape) -> None:
-        color = _bytes(plane.color)
-        self._server.scene.add_grid(
-            f"/planes/{index}",
-            infinite_grid=True,
-            cell_size=0.25,
-            section_size=1.0,
-            cell_color=_mixed(color, 255, 0.25),
-            section_color=_mixed(color, 255, 0.5),
-            plane_color=color,
-            plane_opacity=1.0,
-            shadow_opacity=0.35,
-            fade_distance=30.0,
-            position=plane.pose.position,
-            wxyz=plane.pose.orientation,
-        )
 
     # How it looks
 

@@ -5,8 +5,11 @@ that a message is one record in C's layout, which the checksum needs too, and a 
 """
 
 import functools
+import types
+import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self, get_args, get_type_hints
+from typing import Any, Self, TypeVar, get_args, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -15,14 +18,27 @@ from cyclonedds.idl.annotations import autoid, final
 from cyclonedds.idl.types import array, float32, int16, int32, uint8, uint16, uint32
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_ros.unitree.checksum import checksum
 
 Record = npt.NDArray[Any]
 SERVO = 1
 """Mode of a motor that follows its command."""
 NO_POSITION, NO_VELOCITY = 2.146e9, 16000.0
 """Values of Go2's motors that follow no position, and no velocity."""
+# Bits of each byte in the opposite order: zlib computes the reflected form of the same polynomial.
+_REVERSED = np.array([int(f"{byte:08b}"[::-1], 2) for byte in range(256)], np.uint8)
 _CDR = {False: bytes((0, 1, 0, 0)), True: bytes((0, 7, 0, 0))}
+
+
+def checksum(data: npt.NDArray[np.uint8]) -> int:
+    """Return Unitree's checksum of little-endian words: CRC-32, unreflected, without a final inversion.
+
+    Args:
+        data: (4 n,) bytes of the C layout without its last word.
+    """
+    # Words are taken in from their highest bit, so their bytes change places.
+    words = _REVERSED[data.reshape(-1, 4)[:, ::-1]]
+    reflected = zlib.crc32(words.tobytes()) ^ 0xFFFFFFFF
+    return int(f"{reflected:032b}"[::-1], 2)
 
 
 class Fixed(IdlStruct):
@@ -66,7 +82,10 @@ class Fixed(IdlStruct):
         body = np.frombuffer(data, np.uint8, offset=4 if has_header else 0)[: len(places)]
         # The lowest bit of the encapsulation's second byte marks little-endian numbers.
         if len(body) < len(places) or (has_header and not data[1] & 1):
-            raise ConfigurationError(f"{len(data)} bytes are no {cls.__name__}, which has {len(places) + 4}")
+            package = cls.__idl_typename__.split(".")[0]
+            raise ConfigurationError(
+                f"{len(data)} bytes are no {cls.__name__} of {package}, which has {len(places) + 4}"
+            )
         record = np.zeros(_layout(cls).itemsize, np.uint8)
         kept = ~padding
         record[places[kept]] = body[kept]
@@ -141,203 +160,88 @@ def _places(kind: type) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
     return np.array(places), np.array(padding)
 
 
-@dataclass
-@final
-@autoid("sequential")
-class GoMotorCmd(IdlStruct, typename="unitree_go.msg.dds_.MotorCmd_"):
-    """Command of one motor: ``tau + kp (q - measured) + kd (dq - measured)``."""
-
-    mode: uint8
-    q: float32
-    dq: float32
-    tau: float32
-    kp: float32
-    kd: float32
-    reserve: array[uint32, 3]
+_Struct = TypeVar("_Struct", bound=IdlStruct)
 
 
-@dataclass
-@final
-@autoid("sequential")
-class GoBmsCmd(IdlStruct, typename="unitree_go.msg.dds_.BmsCmd_"):
-    """Command of the battery."""
+def _struct(name: str, members: Mapping[str, Any], base: type[_Struct] = IdlStruct) -> type[_Struct]:
+    """Return the type of a vendor's struct. Its members are flat: the robot's own type has no base to inherit from.
 
-    off: uint8
-    reserve: array[uint8, 3]
-
-
-@dataclass
-@final
-@autoid("sequential")
-class GoLowCmd(Fixed, typename="unitree_go.msg.dds_.LowCmd_"):
-    """Command of Go2's motors."""
-
-    head: array[uint8, 2]
-    level_flag: uint8
-    frame_reserve: uint8
-    sn: array[uint32, 2]
-    version: array[uint32, 2]
-    bandwidth: uint16
-    motor_cmd: array[GoMotorCmd, 20]
-    bms_cmd: GoBmsCmd
-    wireless_remote: array[uint8, 40]
-    led: array[uint8, 12]
-    fan: array[uint8, 2]
-    gpio: uint8
-    reserve: uint32
-    crc: uint32
+    Args:
+        name: package and type, such as ``unitree_go LowCmd``.
+        members: type of each member, in order.
+        base: class that the type extends.
+    """
+    package, short = name.split()
+    fields = {"__annotations__": dict(members), "__module__": __name__}
+    kind = types.new_class(
+        short, (base,), {"typename": f"{package}.msg.dds_.{short}_"}, lambda body: body.update(fields)
+    )
+    return autoid("sequential")(final(dataclass(kind)))
 
 
-@dataclass
-@final
-@autoid("sequential")
-class GoImuState(IdlStruct, typename="unitree_go.msg.dds_.IMUState_"):
-    """Orientation (w, x, y, z), rad/s, m/s^2, and roll, pitch and yaw."""
+# The packages unitree_go (Go2) and unitree_hg (G1) share these parts, and differ in what follows them.
+_TARGET = {"mode": uint8, "q": float32, "dq": float32, "tau": float32, "kp": float32, "kd": float32}
+_MEASURED = {"mode": uint8, "q": float32, "dq": float32, "ddq": float32, "tau_est": float32}
+# Orientation (w, x, y, z), rad/s, m/s^2, and roll, pitch and yaw
+_INERTIAL = {
+    "quaternion": array[float32, 4], "gyroscope": array[float32, 3], "accelerometer": array[float32, 3],
+    "rpy": array[float32, 3],
+}  # fmt: skip
+_HEAD = {
+    "head": array[uint8, 2], "level_flag": uint8, "frame_reserve": uint8, "sn": array[uint32, 2],
+    "version": array[uint32, 2], "bandwidth": uint16,
+}  # fmt: skip
+_REMOTE = {"wireless_remote": array[uint8, 40]}
+_CLOSE = {"reserve": uint32, "crc": uint32}
 
-    quaternion: array[float32, 4]
-    gyroscope: array[float32, 3]
-    accelerometer: array[float32, 3]
-    rpy: array[float32, 3]
-    temperature: uint8
+_GO_COMMAND = _struct("unitree_go MotorCmd", {**_TARGET, "reserve": array[uint32, 3]})
+_GO_BATTERY_COMMAND = _struct("unitree_go BmsCmd", {"off": uint8, "reserve": array[uint8, 3]})
+_GO_STATE = _struct(
+    "unitree_go MotorState",
+    {**_MEASURED, "q_raw": float32, "dq_raw": float32, "ddq_raw": float32, "temperature": uint8, "lost": uint32,
+     "reserve": array[uint32, 2]},
+)  # fmt: skip
+_GO_BATTERY = _struct(
+    "unitree_go BmsState",
+    {"version_high": uint8, "version_low": uint8, "status": uint8, "soc": uint8, "current": int32, "cycle": uint16,
+     "bq_ntc": array[uint8, 2], "mcu_ntc": array[uint8, 2], "cell_vol": array[uint16, 15]},
+)  # fmt: skip
+_GO_INERTIAL = _struct("unitree_go IMUState", {**_INERTIAL, "temperature": uint8})
+_HG_COMMAND = _struct("unitree_hg MotorCmd", {**_TARGET, "reserve": uint32})
+_HG_STATE = _struct(
+    "unitree_hg MotorState",
+    {**_MEASURED, "temperature": array[int16, 2], "vol": float32, "sensor": array[uint32, 2], "motorstate": uint32,
+     "reserve": array[uint32, 4]},
+)  # fmt: skip
+_HG_INERTIAL = _struct("unitree_hg IMUState", {**_INERTIAL, "temperature": int16})
+_HG_CLOSE = {"reserve": array[uint32, 4], "crc": uint32}
 
-
-@dataclass
-@final
-@autoid("sequential")
-class GoMotorState(IdlStruct, typename="unitree_go.msg.dds_.MotorState_"):
-    """State of one motor."""
-
-    mode: uint8
-    q: float32
-    dq: float32
-    ddq: float32
-    tau_est: float32
-    q_raw: float32
-    dq_raw: float32
-    ddq_raw: float32
-    temperature: uint8
-    lost: uint32
-    reserve: array[uint32, 2]
-
-
-@dataclass
-@final
-@autoid("sequential")
-class GoBmsState(IdlStruct, typename="unitree_go.msg.dds_.BmsState_"):
-    """State of the battery."""
-
-    version_high: uint8
-    version_low: uint8
-    status: uint8
-    soc: uint8
-    current: int32
-    cycle: uint16
-    bq_ntc: array[uint8, 2]
-    mcu_ntc: array[uint8, 2]
-    cell_vol: array[uint16, 15]
-
-
-@dataclass
-@final
-@autoid("sequential")
-class GoLowState(Fixed, typename="unitree_go.msg.dds_.LowState_"):
-    """State of Go2."""
-
-    head: array[uint8, 2]
-    level_flag: uint8
-    frame_reserve: uint8
-    sn: array[uint32, 2]
-    version: array[uint32, 2]
-    bandwidth: uint16
-    imu_state: GoImuState
-    motor_state: array[GoMotorState, 20]
-    bms_state: GoBmsState
-    foot_force: array[int16, 4]
-    foot_force_est: array[int16, 4]
-    tick: uint32
-    wireless_remote: array[uint8, 40]
-    bit_flag: uint8
-    adc_reel: float32
-    temperature_ntc1: uint8
-    temperature_ntc2: uint8
-    power_v: float32
-    power_a: float32
-    fan_frequency: array[uint16, 4]
-    reserve: uint32
-    crc: uint32
-
-
-@dataclass
-@final
-@autoid("sequential")
-class HgMotorCmd(IdlStruct, typename="unitree_hg.msg.dds_.MotorCmd_"):
-    """Command of one motor: ``tau + kp (q - measured) + kd (dq - measured)``."""
-
-    mode: uint8
-    q: float32
-    dq: float32
-    tau: float32
-    kp: float32
-    kd: float32
-    reserve: uint32
-
-
-@dataclass
-@final
-@autoid("sequential")
-class HgLowCmd(Fixed, typename="unitree_hg.msg.dds_.LowCmd_"):
-    """Command of G1's motors."""
-
-    mode_pr: uint8
-    mode_machine: uint8
-    motor_cmd: array[HgMotorCmd, 35]
-    reserve: array[uint32, 4]
-    crc: uint32
-
-
-@dataclass
-@final
-@autoid("sequential")
-class HgImuState(IdlStruct, typename="unitree_hg.msg.dds_.IMUState_"):
-    """Orientation (w, x, y, z), rad/s, m/s^2, and roll, pitch and yaw."""
-
-    quaternion: array[float32, 4]
-    gyroscope: array[float32, 3]
-    accelerometer: array[float32, 3]
-    rpy: array[float32, 3]
-    temperature: int16
-
-
-@dataclass
-@final
-@autoid("sequential")
-class HgMotorState(IdlStruct, typename="unitree_hg.msg.dds_.MotorState_"):
-    """State of one motor."""
-
-    mode: uint8
-    q: float32
-    dq: float32
-    ddq: float32
-    tau_est: float32
-    temperature: array[int16, 2]
-    vol: float32
-    sensor: array[uint32, 2]
-    motorstate: uint32
-    reserve: array[uint32, 4]
-
-
-@dataclass
-@final
-@autoid("sequential")
-class HgLowState(Fixed, typename="unitree_hg.msg.dds_.LowState_"):
-    """State of G1."""
-
-    version: array[uint32, 2]
-    mode_pr: uint8
-    mode_machine: uint8
-    tick: uint32
-    imu_state: HgImuState
-    motor_state: array[HgMotorState, 35]
-    wireless_remote: array[uint8, 40]
-    reserve: array[uint32, 4]
-    crc: uint32
+GoLowCmd = _struct(
+    "unitree_go LowCmd",
+    {**_HEAD, "motor_cmd": array[_GO_COMMAND, 20], "bms_cmd": _GO_BATTERY_COMMAND, **_REMOTE, "led": array[uint8, 12],
+     "fan": array[uint8, 2], "gpio": uint8, **_CLOSE},
+    Fixed,
+)  # fmt: skip
+"""Command of Go2's motors: each applies ``tau + kp (q - measured) + kd (dq - measured)``."""
+GoLowState = _struct(
+    "unitree_go LowState",
+    {**_HEAD, "imu_state": _GO_INERTIAL, "motor_state": array[_GO_STATE, 20], "bms_state": _GO_BATTERY,
+     "foot_force": array[int16, 4], "foot_force_est": array[int16, 4], "tick": uint32, **_REMOTE, "bit_flag": uint8,
+     "adc_reel": float32, "temperature_ntc1": uint8, "temperature_ntc2": uint8, "power_v": float32,
+     "power_a": float32, "fan_frequency": array[uint16, 4], **_CLOSE},
+    Fixed,
+)  # fmt: skip
+"""State of Go2."""
+HgLowCmd = _struct(
+    "unitree_hg LowCmd",
+    {"mode_pr": uint8, "mode_machine": uint8, "motor_cmd": array[_HG_COMMAND, 35], **_HG_CLOSE},
+    Fixed,
+)  # fmt: skip
+"""Command of G1's motors, as those of Go2."""
+HgLowState = _struct(
+    "unitree_hg LowState",
+    {"version": array[uint32, 2], "mode_pr": uint8, "mode_machine": uint8, "tick": uint32, "imu_state": _HG_INERTIAL,
+     "motor_state": array[_HG_STATE, 35], **_REMOTE, **_HG_CLOSE},
+    Fixed,
+)  # fmt: skip
+"""State of G1."""

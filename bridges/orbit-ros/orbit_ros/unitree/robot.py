@@ -1,13 +1,15 @@
-"""A Go2 or G1 as the hardware of our computer: ``rt/lowcmd`` out, ``rt/lowstate`` in."""
+"""Unitree's Go2 and G1 as the hardware of our computer: ``rt/lowcmd`` out, ``rt/lowstate`` in."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec import structs
 
 from orbit_assets.catalogue import robot
+from orbit_core.interfaces import UnknownNameError
 from orbit_deploy.description import FloatArray, JointKind, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
@@ -15,14 +17,60 @@ from orbit_deploy.link import RobotLinkError
 from orbit_ros.body import body_of
 from orbit_ros.messages import Odometry
 from orbit_ros.node import RosNode
-from orbit_ros.unitree.layout import NO_POSITION, NO_VELOCITY, SERVO, Fixed
-from orbit_ros.unitree.models import COMMAND, ODOMETRY, STATE, unitree_model
+from orbit_ros.unitree.layout import (
+    NO_POSITION,
+    NO_VELOCITY,
+    SERVO,
+    Fixed,
+    GoLowCmd,
+    GoLowState,
+    HgLowCmd,
+    HgLowState,
+)
 
+COMMAND, STATE = "lowcmd", "lowstate"
+ODOMETRY = "utlidar/robot_odom"
+"""Topic where the base is, as an estimator of the robot publishes it."""
 RATE = 500.0
 """Rate of commands, Hz, as in Unitree's examples."""
 # Seconds for the robot to be found, and after which a silent one is lost
 _FOUND, _LOST = 8.0, 0.5
 _HEAD, _LOW_LEVEL = (0xFE, 0xEF), 0xFF
+
+
+@dataclass(frozen=True)
+class UnitreeModel:
+    """One model."""
+
+    robot: str
+    """Name in the catalogue."""
+    command: type[Fixed]
+    """Message of all motors' commands."""
+    state: type[Fixed]
+    """Message of all motors' states."""
+    motors: tuple[int, ...]
+    """Motor of each joint, in the catalogue's order."""
+    humanoid: bool
+    """True for messages of ``unitree_hg``."""
+
+
+# The catalogue has legs from left to right, and Go2's motors from right to left.
+MODELS = {
+    "go2": UnitreeModel("unitree_go2", GoLowCmd, GoLowState, (3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8), humanoid=False),
+    "g1": UnitreeModel("unitree_g1", HgLowCmd, HgLowState, tuple(range(29)), humanoid=True),
+}
+
+
+def unitree_model(name: str) -> UnitreeModel:
+    """Return a model by its short name or its name in the catalogue.
+
+    Raises:
+        UnknownNameError: there is no such model.
+    """
+    short = name.removeprefix("unitree_")
+    if short not in MODELS:
+        raise UnknownNameError("Unitree robot", name, [*MODELS])
+    return MODELS[short]
 
 
 class UnitreeHardware(RobotHardware):

@@ -17,8 +17,7 @@ from orbit_ros.body import Accelerometer, odometry, rotation
 from orbit_ros.messages import Header, Odometry, time_of
 from orbit_ros.node import RosNode
 from orbit_ros.unitree.layout import NO_POSITION, SERVO, Fixed
-from orbit_ros.unitree.models import COMMAND, ODOMETRY, STATE, unitree_model
-from orbit_ros.unitree.robot import RATE, gains
+from orbit_ros.unitree.robot import COMMAND, ODOMETRY, RATE, STATE, gains, unitree_model
 
 # States between two of the base's odometry
 _SLOWER = 5

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -16,6 +16,10 @@ from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_data.cli.read_budget import ReadSettings
 from orbit_data.cli.record import check_recording, show_left_out
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+    from orbit_motion.planning import HandTransits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +34,8 @@ class AugmentSettings(ReadSettings):
     """How many of the dataset's first successful ones are cut."""
     episodes: int = 1000
     """How many are wanted."""
+    method: Literal["mimicgen", "skillgen"] = "mimicgen"
+    """How the hand gets to where a piece begins: in a straight line, or on a planned way around what stands there."""
     num_envs: int = 64
     """Environments stepped together; as many as demonstrations at least."""
     most_attempts: Annotated[int | None, arg(metavar="INT")] = None
@@ -89,6 +95,7 @@ def main(words: Sequence[str]) -> None:
         try:
             check_manifest(manifest, environment, str(settings.dataset), groups=())
             pieces = cut(environment, dataset, chosen)
+            transits = _transits(environment) if settings.method == "skillgen" else None
             if settings.overwrite:
                 file.begin_anew()
             most = settings.most_attempts or 10 * settings.episodes
@@ -97,6 +104,7 @@ def main(words: Sequence[str]) -> None:
                 done = augment(
                     environment, pieces, file, manifest.task, settings.episodes, settings.seed, most,
                     lambda kept: bar.update(line, completed=kept), dataset.episodes[chosen[0]].instruction,
+                    transits,
                 )  # fmt: skip
         finally:
             file.release()
@@ -106,4 +114,26 @@ def main(words: Sequence[str]) -> None:
         f"succeeded, {done.share.percent()}, of {len(chosen)} demonstrations",
         soft_wrap=True,
     )
+    if transits is not None:
+        ways = transits.counts
+        console().print(
+            f"{ways.planned} ways planned around obstacles, {ways.straight} without a plan, {ways.unreachable} to "
+            "poses out of reach",
+            soft_wrap=True,
+        )
     show_left_out(file)
+
+
+def _transits(environment: Environment) -> HandTransits:
+    """Return the planned ways of the hand of the robot that acts.
+
+    Raises:
+        ConfigurationError: a package that plans is not installed.
+    """
+    try:
+        from orbit_motion.planning import HandTransits
+    except ImportError:
+        raise ConfigurationError("--method skillgen plans ways: install orbit-motion") from None
+    robot = environment.world.robots[environment.task.agents[0]]
+    generators = [generator for generator in environment.actions.generators if generator.robot is robot]
+    return HandTransits(environment.world, robot, generators)

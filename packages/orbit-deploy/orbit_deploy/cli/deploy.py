@@ -318,16 +318,19 @@ class _Person:
 def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> dict[str, Any]:
     from orbit_core.rollout.stepping import EpisodeCounter, roll_out
     from orbit_deploy.display import JointTable
-    from orbit_deploy.realtime import prioritize
+    from orbit_deploy.realtime import prioritized
 
     engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
     counter = EpisodeCounter(settings.episodes, 1, environment.device)
     _count_down(settings.countdown)
     pilot.wait()
-    # Threads of libraries exist by now and keep their priority: only the loop of commands gets a higher one.
-    prioritize()
-    environment.reset(settings.seed)
-    with JointTable(engine.link, settings.table) as table, _Watch(settings, environment) as watch:
+    # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
+    with (
+        prioritized(inherited=False),
+        JointTable(engine.link, settings.table) as table,
+        _Watch(settings, environment) as watch,
+    ):
+        environment.reset(settings.seed)
 
         def show(state: RobotState) -> None:
             table.show(state)

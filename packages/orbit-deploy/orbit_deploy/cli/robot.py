@@ -1,8 +1,9 @@
-"""``orbit robot``: a robot's computer in a separate process, with a simulated robot behind a bridge."""
+"""``orbit robot``: a robot's computer in a separate process, with a simulated or a real robot behind a bridge."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,12 +23,15 @@ Folder = Annotated[Path | None, arg(metavar="FOLDER")]
 
 @dataclass(frozen=True, kw_only=True)
 class RobotSettings:
-    """Serve a simulated robot to 'orbit deploy' as a robot's computer does: a loop in real time behind a bridge."""
+    """Serve a robot to 'orbit deploy' as a robot's computer does: a loop in real time behind a bridge. The robot is a
+    simulated one, or a real one with --hardware."""
 
     robot: Annotated[Positional[str | None], arg(metavar="ROBOT")] = None
     """Robot of the catalogue ('orbit list robots') or file of a fitted one; or name a task with --task."""
     task: Name = None
     """Task whose scene, with its robot and objects, is simulated; the objects are tracked."""
+    hardware: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Address of the real robot that is driven instead of a simulated one, such as franka://172.16.0.2."""
     backend: Name = None
     """Physics backend; may be left out if only one is installed."""
     bridge: Name = "zmq"
@@ -52,6 +56,8 @@ class RobotSettings:
     """Friction of each driven joint beyond the model's, as a share of its effort limit."""
     noise: float = 0.0
     """Standard deviation of measured joint positions, rad or m."""
+    actuator_network: File = None
+    """File of 'orbit train-actuator' that computes the joints' efforts in place of the drives, at its own --rate."""
     loss: float = 0.0
     """Share of commands and states that are lost, in [0, 1)."""
     drift: float = 0.0
@@ -85,14 +91,20 @@ def main(words: Sequence[str]) -> None:
         return
     if (settings.robot is None) == (settings.task is None):
         raise ConfigurationError("name a robot, or a task with --task: orbit robot franka_panda")
+    if settings.hardware is not None:
+        _check_real(settings)
     _serve(settings)
 
 
 def _serve(settings: RobotSettings) -> None:
-    from orbit_deploy.realtime import prioritize
+    from orbit_deploy.realtime import prioritized
 
     # Before anything makes a thread: threads inherit the priority.
-    missing = prioritize() if settings.realtime else []
+    with prioritized() if settings.realtime else nullcontext([]) as missing:
+        _run(settings, missing)
+
+
+def _run(settings: RobotSettings, missing: Sequence[str]) -> None:
     import threading
 
     import torch
@@ -138,7 +150,16 @@ def _serve(settings: RobotSettings) -> None:
         hardware.close()
 
 
+def _check_real(settings: RobotSettings) -> None:
+    given = {"--task": settings.task, "--backend": settings.backend, "--delay": settings.delay,
+             "--friction": settings.friction, "--noise": settings.noise}  # fmt: skip
+    if words := [word for word, value in given.items() if value]:
+        raise ConfigurationError(f"{', '.join(words)} is for simulated robots: leave it out with --hardware")
+
+
 def _hardware(settings: RobotSettings) -> RobotHardware:
+    from msgspec import structs
+
     from orbit_assets.catalogue import robot
     from orbit_assets.fitted import read_fitted
     from orbit_core.backends import default_backend
@@ -146,8 +167,14 @@ def _hardware(settings: RobotSettings) -> RobotHardware:
     from orbit_core.envs.configuration import configure
     from orbit_core.envs.registry import task_entry
     from orbit_core.scene import Scene
+    from orbit_deploy.description import RobotDescription
+    from orbit_deploy.hardware import open_hardware
     from orbit_deploy.simulated import Imperfections, SimulatedHardware
 
+    if settings.hardware is not None:
+        assert settings.robot is not None  # checked by main
+        described = RobotDescription.of(robot(settings.robot), settings.rate)
+        return open_hardware(settings.hardware, structs.replace(described, direct=settings.direct))
     if settings.task is not None:
         entry = task_entry(settings.task)
         scene = configure(entry.task_type(), assignments(settings.set, f"task {entry.name}")).scene()
@@ -157,7 +184,12 @@ def _hardware(settings: RobotSettings) -> RobotHardware:
     delay = settings.delay
     if settings.robot is not None and settings.robot.endswith(".json") and not delay:
         delay = read_fitted(Path(settings.robot)).delay
-    imperfections = Imperfections(delay=delay, friction=settings.friction, position_noise=settings.noise)
+    imperfections = Imperfections(
+        delay=delay,
+        friction=settings.friction,
+        position_noise=settings.noise,
+        actuator_network=settings.actuator_network,
+    )
     return SimulatedHardware(
         scene, settings.backend or default_backend(), settings.rate, imperfections, direct=settings.direct
     )

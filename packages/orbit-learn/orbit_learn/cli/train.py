@@ -39,8 +39,8 @@ class TrainSettings(EnvironmentSettings):
     """Learning library ('orbit list libraries'): rsl-rl if left out, or the one that has the algorithm; distill
     imitates a teacher, imitation clones demonstrations."""
     algorithm: Annotated[str | None, arg(metavar="NAME")] = None
-    """Algorithm: sac or td3 for orbit; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation; other libraries
-    have ppo."""
+    """Algorithm: sac, td3 or ppo for orbit; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation; other
+    libraries have ppo."""
     dataset: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
     """Demonstrations, for imitation ('orbit record' makes them); repeatable."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
@@ -93,7 +93,7 @@ def train(settings: TrainSettings) -> Path:
     if leader and settings.output is not None:
         check_new(settings.output)
     library = settings.library or library_for(settings.algorithm)
-    make_trainer = trainer_type(library)
+    make_trainer = trainer_type(library, settings.algorithm)
     algorithm = settings.algorithm
     if algorithm == "ppo" and "algorithm" not in make_trainer.options:
         algorithm = None  # these libraries have no other
@@ -179,7 +179,7 @@ def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], ppo: PpoSet
     kind = trainer.settings_type
     for option in ("ppo", "distillation", "teacher", "imitation", "off_policy", "algorithm", "dataset"):
         if getattr(settings, option) and option not in trainer.options:
-            raise ConfigurationError(f"library '{settings.library}' takes no --{option}")
+            raise ConfigurationError(f"library '{settings.library}' takes no --{option.replace('_', '-')}")
     # The first option takes KEY=VALUE words, the others are fields by themselves.
     words, *single = trainer.options
     defaults = ppo if isinstance(ppo, kind) else kind()

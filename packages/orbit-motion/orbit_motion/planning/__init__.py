@@ -10,8 +10,9 @@ from orbit_motion.planning.follower import (
     time_optimal,
 )
 from orbit_motion.planning.joint_planner import JointPlanner, PlannerConfig
+from orbit_motion.planning.transits import HandTransits, TransitCounts
 
 __all__ = [
-    "BasePathFollower", "BasePlanner", "BasePlannerConfig", "JointPlanner", "JointTrajectory", "PlannerConfig",
-    "StillWorld", "TrajectoryFollower", "jerk_limited", "time_optimal",
+    "BasePathFollower", "BasePlanner", "BasePlannerConfig", "HandTransits", "JointPlanner", "JointTrajectory",
+    "PlannerConfig", "StillWorld", "TrajectoryFollower", "TransitCounts", "jerk_limited", "time_optimal",
 ]  # fmt: skip

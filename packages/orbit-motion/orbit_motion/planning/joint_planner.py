@@ -180,12 +180,13 @@ class JointPlanner:
         articulation = self._robot.spec.articulation
         names = articulation.link_names
         joined = {frozenset(pair) for pair in (*articulation.joined_links, *articulation.collision_exclusions)}
-        owners = [names[int(link)] for link in self._clearance.links]
+        owners, carried = [names[int(link)] for link in self._clearance.links], self._carriers()
+        # Fingers that hold each other touch in every posture of the arm, and no path could part them.
         pairs = [
             (a, b)
             for a in range(len(owners))
             for b in range(a)
-            if owners[a] != owners[b] and frozenset((owners[a], owners[b])) not in joined
+            if carried[owners[a]] != carried[owners[b]] and frozenset((owners[a], owners[b])) not in joined
         ]
         first, second = torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2).unbind(1)
         self._pairs = (first.to(self._tree.device), second.to(self._tree.device))
@@ -193,6 +194,16 @@ class JointPlanner:
         # Balls are larger than links, so that neighbours further along the arm may overlap even at home.
         apart = self._own_gaps(home)[0] > self.config.margin
         return self._pairs[0][apart], self._pairs[1][apart]
+
+    def _carriers(self) -> dict[str, str]:
+        """Return the last planned joint between the root and each link, by name; links with the same one are rigid."""
+        articulation = self._robot.spec.articulation
+        planned = {self._robot.joint_names[joint] for joint in self._joints}
+        carriers = {articulation.link_names[0]: ""}
+        # Joints stand in the order of their child links, each behind its parent.
+        for joint in articulation.joints:
+            carriers[joint.child] = joint.name if joint.name in planned else carriers[joint.parent]
+        return carriers
 
     def _own_gaps(self, links: Tensor) -> Tensor:
         """Compute the distances (B, pairs) in m between the robot's own balls."""

@@ -13,6 +13,9 @@
 #   profile   kernels and gaps of a step of Lift                   about 1 minute
 #   experts   each task's expert, 256 environments                 about 3 minutes
 #   soak      16,384 environments of Lift, 10,000 random steps     about 4 minutes
+#   loop      policy, step and storing as one recording; PPO's update as one graph   about 2 minutes
+#   learning  collecting and learning in the steady state, RSL-RL and ORBIT's own    about 8 minutes
+#   clock     seconds from the command to a learned task, on all GPUs                up to 9 minutes
 #   ranks     one world on each of the machine's GPUs              about 2 minutes
 # Logs go to $OUT, or to out/gpu where that is unset.
 set -u
@@ -50,6 +53,9 @@ stage() {
     profile) bench Lift 4096 --action ik_relative --profile "$out/step.json" ;;
     experts) python3 $here/experts.py --num-envs 256 ;;
     soak) bench Lift 16384 --action ik_relative --steps 2000 --blocks 5 ;;
+    loop) python3 -m pytest -q -p no:cacheprovider -rfEs plugins/orbit-warp/tests/test_warp_loop_gpu.py ;;
+    learning) python3 benchmarks/learning/speed.py --json "$out/speed.json" ;;
+    clock) python3 benchmarks/learning/clock.py --seeds 0 1 2 3 4 --limit "${LIMIT:-540}" --output "$out/clock" ;;
     ranks) python3 -m torch.distributed.run --nproc-per-node "$(nvidia-smi -L | wc -l)" $here/ranks.py ;;
     *) echo "no stage '$1'"; return 2 ;;
   esac

@@ -5,7 +5,7 @@
 site=${ORBIT_SITE:-$HOME/site}
 mkdir -p "$site"
 plugins="mjmodel warpkit warp matter mujoco bullet sapien"
-packages="assets motion learn data viewer policies"
+packages="assets motion learn data viewer policies deploy scenes"
 export PYTHONPATH="$site:$PWD:$PWD/tests/conformance" PYTHONUNBUFFERED=1
 for package in $packages; do PYTHONPATH="$PYTHONPATH:$PWD/packages/orbit-$package"; done
 for plugin in $plugins; do PYTHONPATH="$PYTHONPATH:$PWD/plugins/orbit-$plugin"; done

@@ -1,0 +1,1 @@
+"""Editor of scenes in the browser, on the viewer's guarded server."""
