@@ -3,8 +3,9 @@
     python benchmarks/identification.py --made-on mujoco --fitted-on mujoco bullet sapien warp --output out/identified
 
 Three joints of a Panda get friction, damping and armature, its drives a delay, its hand a payload. The log has some
-seconds of steps as fast as the robot's limits allow, which are fitted, then ten of another motion to predict. Each engine's fitted robot is a file that is accepted wherever a
-robot's name is; results are added to ``results.json`` next to it.
+seconds of steps as fast as the robot's limits allow, which are fitted, then ten of another motion to predict. Each
+engine's fitted robot is a file that is accepted wherever a robot's name is; results are appended to ``results.jsonl``
+next to it.
 """
 
 from __future__ import annotations

@@ -1,13 +1,15 @@
 r"""Table II of the Orbit paper, repeated: cloning Lift from fixed and random starts to fixed and random goals.
 
     python benchmarks/imitation/table2.py --jobs 64 --demos 2000 --seeds 3 --episodes 100 --budget 460
-    python benchmarks/imitation/table2.py --page docs/measured/imitation.md
+    python benchmarks/imitation/table2.py --merge docs/figures/table2.json --page docs/measured/imitation.md
     python benchmarks/imitation/table2.py --jobs 64 --demos 400 --seeds 1 --cells both --actions pictures --transfer \
         --algorithms bc --device cuda --renderer-setting shadow_size=0 --budget 460 --output out/table2-pictures
 
 Demonstrations are recorded on one engine, policies are trained from them, and evaluated on that engine and all others
 that are installed: ``orbit record``, ``orbit train`` and ``orbit evaluate``, each in a process of one thread. The same
-command goes on where the budget ended; its settings and results are in ``results.json`` of the output folder.
+command goes on where the budget ended; its settings and results are in ``results.json`` of the output folder. On
+another machine ``--merge`` takes the results of earlier calls, and what they left behind is made again where it is
+needed.
 
 Why: Mittal et al., Orbit: A Unified Simulation Framework for Interactive Robot Learning Environments (2023), table II.
 """
@@ -23,7 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from table2_page import page
+from table2_page import merged, page
 from work import Job, Ledger, run_jobs
 
 from orbit_core.backends import backend_names
@@ -121,9 +123,17 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, help="of each training, to try the script out")
     parser.add_argument("--budget", type=float, default=1e9, help="seconds of wall time")
     parser.add_argument("--output", type=Path, default=Path("out/table2"))
+    parser.add_argument("--merge", type=Path, nargs="+", default=[], help="results.json of other runs, to go on from")
     parser.add_argument("--page", type=Path, help="write the page from the results instead of running")
     arguments = parser.parse_args()
     results = arguments.output / "results.json"
+    if arguments.merge:
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        found = [
+            json.loads(path.read_text()) for path in (results, *arguments.merge) if path != results or path.exists()
+        ]
+        with written_whole(results) as written:
+            written.write_text(json.dumps(merged(found), indent=1))
     if arguments.page is not None:
         text = page(json.loads(results.read_text()))
         with written_whole(arguments.page) as written:
@@ -173,7 +183,7 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
             "record", *task, "--backend", arguments.engine, "--num-envs", str(min(count, action.together)),
             "--episodes", str(count), "--seed", str(part + 1), *noise, "--output", str(file), "--resume",
         )  # fmt: skip
-        jobs.append(Job(f"record.{label}.{part}", lambda words=words: words, cost=1000.0))
+        jobs.append(Job(f"record.{label}.{part}", lambda words=words: words, cost=1000.0, leaves=file))
     recorded = tuple(job.name for job in jobs)
     data = [word for file in files for word in ("--dataset", str(file))]
     for algorithm in arguments.algorithms:
@@ -190,9 +200,11 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
                 *(word for setting in settings for word in ("--imitation", setting)),
             )  # fmt: skip
             trained.append(f"train.{label}.{algorithm}.{seed}")
-            jobs.append(
-                Job(trained[-1], lambda w=words, f=folder, n=iterations: (*w, *_continued(f, n)), recorded, recipe.cost)
-            )
+            begin = Job(
+                trained[-1], lambda w=words, f=folder, n=iterations: (*w, *continued(f, n)), recorded, recipe.cost,
+                leaves=folder,
+            )  # fmt: skip
+            jobs.append(begin)
         for engine in engines:
             for part, begin in enumerate(range(0, arguments.episodes, action.trials)):
                 into = output / label / f"evaluation-{algorithm}-{engine}-{part}"
@@ -202,11 +214,11 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
                     "--seed", str(_FIRST_START + part), "--jobs", "1", "--output", str(into),
                 )  # fmt: skip
 
-                def outcomes(into: Path = into) -> list[dict[str, object]]:
-                    return _outcomes(into / "results.jsonl")
+                def read(into: Path = into) -> list[dict[str, object]]:
+                    return outcomes(into / "results.jsonl")
 
                 name = f"evaluate.{label}.{algorithm}.{engine}.{part}"
-                jobs.append(Job(name, lambda words=words: words, tuple(trained), 50.0, outcomes))
+                jobs.append(Job(name, lambda words=words: words, tuple(trained), 50.0, read))
     return jobs
 
 
@@ -216,7 +228,7 @@ def _parts(demos: int, size: int) -> list[int]:
     return [demos // count + (part < demos % count) for part in range(count)]
 
 
-def _continued(folder: Path, last: int) -> tuple[str, str]:
+def continued(folder: Path, last: int) -> tuple[str, str]:
     """Return the words that begin a training in a folder, or go on with the one there."""
     newest = newest_file(folder, CHECKPOINT) if folder.is_dir() else None
     if newest is not None and not newest.stem.endswith(f"_{last}"):
@@ -226,7 +238,7 @@ def _continued(folder: Path, last: int) -> tuple[str, str]:
     return "--output", str(folder)
 
 
-def _outcomes(path: Path) -> list[dict[str, object]]:
+def outcomes(path: Path) -> list[dict[str, object]]:
     """Return successes, trials and the mean number of steps until success, of each training."""
     return [
         {

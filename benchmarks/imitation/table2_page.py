@@ -34,6 +34,23 @@ class _Outcome:
         return f"{rate.value:.2f} [{rate.low:.2f}, {rate.high:.2f}], {length:.0f}"
 
 
+def merged(ledgers: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return one ledger with the jobs of several; of a job that several have, one that is done.
+
+    Raises:
+        SystemExit: their settings differ.
+    """
+    settings, jobs = ledgers[0]["settings"], {}
+    for ledger in ledgers:
+        changed = sorted(name for name in settings if ledger["settings"].get(name) != settings[name])
+        if changed:
+            raise SystemExit(f"results of other {', '.join(changed)} are not merged")
+        for name, done in ledger["jobs"].items():
+            if name not in jobs or (done["ended"] and not jobs[name]["ended"]):
+                jobs[name] = done
+    return {"settings": settings, "jobs": jobs}
+
+
 def page(results: Mapping[str, Any]) -> str:
     """Return the page of a ledger as it was read from its file."""
     settings, jobs = results["settings"], results["jobs"]

@@ -32,6 +32,8 @@ class Job:
     """Expected core seconds: of two that could begin, the costlier one does."""
     read: Callable[[], object] = lambda: None
     """Gives what is kept of its results, as JSON."""
+    leaves: Path | None = None
+    """File or folder that other jobs read; where it is gone, as on another machine, the job is done again for them."""
 
 
 @dataclass
@@ -97,7 +99,7 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
     """
     begin = time.monotonic()
     logs.mkdir(parents=True, exist_ok=True)
-    left = {job.name: job for job in jobs if not ledger.ended(job.name)}
+    left = _left(jobs, ledger)
     running: list[_Running] = []
     failed: set[str] = set()
     last_gpu = 0
@@ -118,6 +120,21 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
     done = sum(ledger.ended(job.name) for job in jobs)
     print(f"{done} of {len(jobs)} done, {len(failed)} failed, {time.monotonic() - begin:.0f} s", flush=True)
     return done == len(jobs)
+
+
+def _left(jobs: Sequence[Job], ledger: Ledger) -> dict[str, Job]:
+    """Return the jobs to do by name: those that are not done, and those whose results are gone and needed."""
+    known = {job.name: job for job in jobs}
+    left = {name: job for name, job in known.items() if not ledger.ended(name)}
+    unseen = list(left.values())
+    while unseen:
+        for name in unseen.pop().needs:
+            need = known[name]
+            if name not in left and need.leaves is not None and not need.leaves.exists():
+                ledger.jobs[name].ended = False
+                left[name] = need
+                unseen.append(need)
+    return left
 
 
 def _interrupt(running: list[_Running], ledger: Ledger, failed: set[str], logs: Path) -> None:

@@ -74,11 +74,18 @@ def deployed(
     return deploy(settings), states
 
 
+def test_the_kept_policy_lifts_the_cube_within_the_limits_of_a_panda(monkeypatch: pytest.MonkeyPatch) -> None:
+    hardware = SimulatedHardware(configure(task_entry("Lift").task_type(), {}).scene(), default_backend())
+    settings = DeploySettings(agent="lift_cloned", path="drive", countdown=0.0, seed=1, table=False)
+    results, _ = deployed(monkeypatch, hardware, settings)
+    assert results["success_rate"] == 1.0
+    # Limits of acceleration and jerk hold back a policy that was trained without them nearly all the time.
+    assert results["held_back"] < 0.2
+
+
 def test_a_policy_walks_on_series_elastic_actuators_at_200_hz(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = configure(task_entry("Velocity-Flat").task_type(), {"robot": "anymal_b"}).scene()
-    hardware = SimulatedHardware(
-        scene, default_backend(), 200.0, Imperfections(actuator_network=NETWORK), direct=True
-    )
+    hardware = SimulatedHardware(scene, default_backend(), 200.0, Imperfections(actuator_network=NETWORK), direct=True)
     # Clients command positions at 50 Hz and see the drives that the network imitates.
     assert {*hardware.description.kinds} == {JointKind.POSITION}
     results, _ = deployed(

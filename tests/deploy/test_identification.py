@@ -118,6 +118,15 @@ def test_engines_without_joint_parameters_per_world_are_given_robots_with_these_
     together.close()
 
 
+@pytest.mark.parametrize(
+    ("name", "link"), [("franka_panda", "panda_link7"), ("ur10", "wrist_3_link"), ("kuka_iiwa7", "lbr_iiwa_link_7")]
+)
+def test_the_link_behind_a_hands_frame_carries_the_payload(name: str, link: str) -> None:
+    spec = robot(name)
+    assert payload_link_of(spec) == link
+    FittedRobot(robot=name, source="", payload_link=link, payload=0.5).apply(spec)
+
+
 def test_what_a_log_does_not_determine_is_named(log: MotionLog) -> None:
     still = replace(log, target=log.target[:1] + 0.0 * log.target, position=log.position[:1] + 0.0 * log.position)
     with pytest.raises(ConfigurationError, match=r"no joint of 'three_joints' moved by more than 0\.05"):

@@ -18,7 +18,7 @@ FOLDER = Path(__file__).parents[2] / "benchmarks" / "imitation"
 def scripts(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.syspath_prepend(str(FOLDER))
     yield
-    for name in ("work", "table2", "table2_page", "yields"):
+    for name in ("work", "table2", "table2_page", "yields", "pictures"):
         sys.modules.pop(name, None)
 
 
@@ -89,6 +89,53 @@ def test_the_page_adds_parts_up_and_shows_what_was_published(tmp_path: Path) -> 
     text = page(json.loads(json.dumps({"settings": settings, "jobs": jobs})))
     assert "| `bc` | not run | not run | not run | 0.50 [0.30, 0.70], 150 |" in text
     assert "| `bc`, published | 1.00, 234 | 0.89, 307 | 0.47, 321 | 0.43, 324 |" in text
+
+
+def test_results_of_several_machines_become_one_table() -> None:
+    from table2_page import merged  # pyright: ignore[reportMissingImports]
+
+    settings = {"demos": 2, "engine": "mujoco"}
+    first = {"settings": settings, "jobs": {"a": {"ended": False}, "b": {"ended": True, "result": 1}}}
+    second = {"settings": settings, "jobs": {"a": {"ended": True, "result": 2}, "b": {"ended": False}}}
+    both = merged([first, second])
+    assert [job["result"] for job in both["jobs"].values()] == [2, 1]
+    with pytest.raises(SystemExit, match="other demos"):
+        merged([first, {"settings": {"demos": 3, "engine": "mujoco"}, "jobs": {}}])
+
+
+def test_what_is_gone_is_made_again_only_where_it_is_needed(tmp_path: Path) -> None:
+    from work import Done, Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
+
+    words = ["list", "libraries"]
+    jobs = [
+        Job("recorded", lambda: words, leaves=tmp_path / "gone"),
+        Job("trained", lambda: words, ("recorded",), leaves=tmp_path / "gone too"),
+        Job("evaluated", lambda: words, ("trained",)),
+        Job("evaluated elsewhere", lambda: words, ("trained",)),
+    ]
+    ledger = Ledger(tmp_path / "results.json", {})
+    ledger.jobs = {job.name: Done(ended=True) for job in jobs}
+    assert run_jobs(jobs, ledger, 1, 600.0, tmp_path / "logs", 0)
+    assert not list((tmp_path / "logs").glob("*.log")), "all is evaluated"
+    ledger.jobs["evaluated elsewhere"] = Done()
+    assert run_jobs(jobs, ledger, 1, 600.0, tmp_path / "logs", 0)
+    assert {log.stem for log in (tmp_path / "logs").glob("*.log")} == {"recorded", "trained", "evaluated elsewhere"}
+
+
+def test_a_policy_of_pictures_is_recorded_in_parts_trained_and_evaluated(tmp_path: Path) -> None:
+    from pictures import picture_jobs, table  # pyright: ignore[reportMissingImports]
+
+    settings: dict[str, Any] = {
+        "output": tmp_path, "demos": 8, "parts": 4, "backend": "warp", "device": "cuda", "renderer_setting": [],
+        "cameras": ["front:84x84"], "algorithms": ["act"], "iterations": 2, "episodes": 10,
+    }  # fmt: skip
+    jobs = {job.name: job for job in picture_jobs(argparse.Namespace(**settings))}
+    assert ["--noise" in jobs[f"record.{part}"].words() for part in range(4)] == [False, True, False, True]
+    assert jobs["record.3"].needs == ("record.0",), "the first compiles kernels"
+    assert jobs["train.act"].needs == tuple(f"record.{part}" for part in range(4))
+    assert list(jobs["train.act"].words()).count("--dataset") == 4
+    result = [{"successes": 8, "trials": 10}]
+    assert "| act | 80.0 % [" in table({"evaluate.act": {"ended": True, "result": result}})
 
 
 def test_yields_are_read_from_what_augmentations_print(tmp_path: Path) -> None:

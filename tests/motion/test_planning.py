@@ -73,6 +73,15 @@ def test_what_stands_against_a_plan_is_told() -> None:
     arm.world.close()
 
 
+def test_fingers_that_hold_each_other_are_no_obstacle_to_the_arm() -> None:
+    arm, left, right = beside_the_wall(BACKENDS[0])
+    closed = torch.zeros(1, 2)
+    arm.robot.set_joint_state(closed, joints=arm.robot.find_joints("panda_finger.*"))
+    planner = JointPlanner(arm.world, arm.robot, arm.generator.joints)
+    torch.testing.assert_close(planner.plan(right)[0], left, atol=1e-4, rtol=0.0)
+    arm.world.close()
+
+
 def test_timings_keep_to_their_limits_at_every_sample() -> None:
     speeds, rates, jerks = LIMITS
     dt = 0.002

@@ -215,8 +215,8 @@ def drive(robot: str, link: RobotLink) -> Report:
         assert isinstance(engine, RobotEngine)
         print(report)
         print(
-            f"{engine.times.overruns} of {engine.times.steps} steps late, {state.stops} stops, {state.clamped} commands "
-            f"clamped, {state.limited} cycles held back; commands acknowledged after {link.round_trips}"
+            f"{engine.times.overruns} of {engine.times.steps} steps late, {state.stops} stops, {state.clamped} "
+            f"commands clamped, {state.limited} cycles held back; commands acknowledged after {link.round_trips}"
         )
         link.stop()
         link.finish_motion(2.0)

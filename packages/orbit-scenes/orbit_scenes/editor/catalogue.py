@@ -1,4 +1,4 @@
-"""Everything that can be added to a scene, with search: robots, things, furniture, other objects and sensors."""
+"""Catalogue with search of all that can be added to a scene: robots, things, furniture, objects and sensors."""
 
 from __future__ import annotations
 

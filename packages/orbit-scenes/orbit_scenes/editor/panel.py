@@ -28,7 +28,7 @@ NOTHING = "nothing"
 
 
 class Actions(Protocol):
-    """What the panel's inputs do; all methods may be called from any thread and return at once."""
+    """Interface of the effects of the panel's inputs; all methods may be called from any thread and return at once."""
 
     def do(self, label: str, edit: Edit) -> None:
         """Make an edit."""

@@ -13,7 +13,7 @@ from orbit_core.scene import Pose, Scene
 
 
 class Playing(Protocol):
-    """Something that runs until it is stopped."""
+    """Interface of physics or episodes that run until they are stopped."""
 
     step_dt: float
     """Seconds that :meth:`step` advances."""

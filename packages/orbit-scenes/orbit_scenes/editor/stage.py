@@ -29,7 +29,7 @@ _GOAL = (40, 180, 70)
 
 @dataclass(eq=False)
 class _Drawn:
-    """What is shown of one entity."""
+    """Drawing of one entity."""
 
     articulation: Articulation
     handles: list[tuple[int, Any]] = field(default_factory=list)
