@@ -19,6 +19,11 @@ from orbit_core.scene import Articulation, Mesh, ObjectSpec, RobotSpec, Shape
 
 _Entity = TypeVar("_Entity", RobotSpec, ObjectSpec)
 
+SIMPLIFIED = (
+    "dense meshes are drawn as fine as the picture's height needs: a ball of 0.5 m in 72 rows of pixels is off by 8.8 "
+    "mm of depth at most, and at 1.3 % of its outline by a pixel; with simplify_meshes=false by 0.3 mm and at 0.4 %"
+)
+"""Reason of renderers that draw simplified meshes for missing a depth."""
 # Meshes of fewer triangles are drawn as they are.
 _FEW = 400
 # Cells along a mesh's diagonal for each pixel of the picture's height.

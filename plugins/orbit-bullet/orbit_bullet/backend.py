@@ -20,6 +20,7 @@ from orbit_core.interfaces import (
     approximate,
     unsupported,
 )
+from orbit_core.plugin_kit.simplify import SIMPLIFIED
 
 if TYPE_CHECKING:
     import torch
@@ -246,6 +247,8 @@ _CONTACT = (
 
 _IMAGES = (
     Gap("normal_images", "normal", 0.5, "normals are those of the drawn facets, from the depth of neighbouring pixels"),
+    Gap("depth_images_of_dense_meshes", "depth", 0.012, SIMPLIFIED),
+    Gap("depth_images_of_dense_meshes", "outline", 0.03, SIMPLIFIED),
 )
 
 _LIGHT = (

@@ -17,6 +17,7 @@ from orbit_core.interfaces import (
     approximate,
     unsupported,
 )
+from orbit_core.plugin_kit.simplify import SIMPLIFIED
 from orbit_mjmodel.capabilities import shared_support
 from orbit_mjmodel.gaps import CONTACT, MOTION
 from orbit_mujoco.config import MujocoConfig
@@ -91,7 +92,12 @@ _FIELDS = (
     Gap("height_field_bowl", "amplitude", 0.3, _PRISMS),
 )
 
-GAPS: tuple[Gap, ...] = (*MOTION, *CONTACT, *_FIELDS, *_MATTER)
+_IMAGES = (
+    Gap("depth_images_of_dense_meshes", "depth", 0.012, SIMPLIFIED),
+    Gap("depth_images_of_dense_meshes", "outline", 0.03, SIMPLIFIED),
+)
+
+GAPS: tuple[Gap, ...] = (*MOTION, *CONTACT, *_FIELDS, *_MATTER, *_IMAGES)
 
 
 class MujocoBackend(Backend):
