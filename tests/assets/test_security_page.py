@@ -77,7 +77,7 @@ def Cube "c" (
 """
 
 
-@pytest.mark.parametrize(("suffix", "text"), [("urdf", URDF), ("sdf", SDF), ("usda", USD)])
+@pytest.mark.parametrize(("suffix", "text"), [("urdf", URDF), ("sdf", SDF)])
 def test_textures_of_materials_are_not_opened(tmp_path: Path, suffix: str, text: str) -> None:
     (tmp_path / "skin.png").write_bytes(b"\x89PNG")
     path = tmp_path / f"robot.{suffix}"
@@ -85,6 +85,20 @@ def test_textures_of_materials_are_not_opened(tmp_path: Path, suffix: str, text:
     with watched([tmp_path / "skin.png", path]) as opened:
         assert len(load_articulation(path).links) == 1
     assert opened == [str(path)]
+
+
+def test_pictures_of_usd_materials_are_opened_in_the_models_folder_alone(tmp_path: Path) -> None:
+    (tmp_path / "model").mkdir()
+    (tmp_path / "skin.png").write_bytes(b"\x89PNG")
+    path = tmp_path / "model" / "robot.usda"
+    path.write_text(USD.replace("@skin.png@", "@../skin.png@"))
+    with watched([tmp_path / "skin.png"]) as opened, pytest.raises(AssetError, match="outside"):
+        load_articulation(path)
+    assert opened == []
+    (tmp_path / "model" / "skin.png").write_bytes(b"\x89PNG")
+    path.write_text(USD)
+    with pytest.raises(AssetError, match=r"'skin\.png' cannot be read as a picture"):
+        load_articulation(path)
 
 
 def test_devices_that_a_model_names_are_not_opened(tmp_path: Path) -> None:

@@ -152,9 +152,9 @@ def test_a_training_resumes_where_it_ended(tmp_path: Path) -> None:
     """Weights, rate and the optimiser's moments: the next update is the one that the first trainer would have made."""
     environment = reach(4)
     learn(made := PpoTrainer(environment, SHORT, tmp_path, 0), 2)
-    again = PpoTrainer(environment, SHORT, tmp_path, 0)
+    again = PpoTrainer(environment, replace(SHORT, learning_rate=0.1), tmp_path, 0)
     again.restore(read_checkpoint(tmp_path / "checkpoint_1.safetensors", "orbit"), 1)
-    assert again._rate.item() == made._rate.item() != pytest.approx(SHORT.learning_rate)
+    assert again._rate.item() == made._rate.item()
     for name in ("seen", "state", "action", "mean", "reward", "ended", "late"):
         getattr(again._rollout, name).copy_(getattr(made._rollout, name))
     again._order.copy_(made._order), again._loop.take(made._loop.observation)

@@ -118,7 +118,7 @@ CAPABILITIES = Capabilities(
             "from a map of twice the picture's width, over what casts them in it, up to 3 m around the middle of what "
             "moves; single pixels beside edges differ"
         ),
-        Capability.DEPTH: EXACT,
+        Capability.DEPTH: approximate(SIMPLIFIED),
         Capability.NORMALS: approximate("computed from the depth image: blurred at the edges of things"),
         Capability.ALBEDO: EXACT,
         Capability.SEGMENTATION: EXACT,

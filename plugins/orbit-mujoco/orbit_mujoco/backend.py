@@ -57,6 +57,7 @@ CAPABILITIES = Capabilities(
             "a chain of stiff capsules on ball joints, which does not stretch, resists twist as it resists bending, "
             "does not roll, and does not meet the links that it is attached to in the scene; its friction creeps"
         ),
+        Capability.DEPTH: approximate(SIMPLIFIED),
         Capability.GPU: unsupported("this backend simulates on the CPU"),
     }
 )

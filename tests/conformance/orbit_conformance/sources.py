@@ -61,7 +61,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
         found[_robot(name)] = _digest((), *(f"{package} {installed_version(package)}" for package in packages))
     named = {name for job in jobs for name in sources_of(job)}
     for name in (name for name in settings.tasks if _task(name) in named):
-        found[_task(name)] = _digest(_files(task_entry(name).factory.partition(":")[0].partition(".")[0]))
+        found[_task(name)] = _digest(_files(task_entry(name).task_type().__module__.partition(".")[0]))
     for name in settings.policies:
         found[_policy(name)] = _digest(_below(pretrained_policy(name).folder))
     return found

@@ -171,7 +171,7 @@ def _on_cube(geometry: Geometry, uniform: bool) -> Mesh:
         half[2] = max(geometry.half_length, 1e-9)
     # The sides of a box are the faces of its cube; other triangles reach over several of them.
     if uniform or not isinstance(geometry, Box):
-        points, faces = subdivide_to_size(points, faces, _FINE * float(half.max()), max_iter=20)
+        points, faces = subdivide_to_size(points, faces, _FINE * float(half.max()), max_iter=20)[:2]
     corners = points[faces]
     ways = corners if uniform else corners / np.maximum(half, 1e-9)
     middle = ways.mean(axis=1)

@@ -162,13 +162,13 @@ def _tint(shader: Any) -> Color | None:
 
 def finish_of(surface: Any) -> Finish:
     """Return the roughness and the metallic share of a preview surface, where they are numbers of the file."""
-    given: dict[str, float] = {}
-    for name in ("roughness", "metallic"):
+
+    def share(name: str, default: float) -> float:
         found = surface.GetInput(name)
         value = found.Get() if found and _source(found) is None else None
-        if isinstance(value, float) and 0.0 <= value <= 1.0:
-            given[name] = value
-    return Finish(**given)
+        return value if isinstance(value, float) and 0.0 <= value <= 1.0 else default
+
+    return Finish(share("roughness", Finish.roughness), share("metallic", Finish.metallic))
 
 
 def corner_coordinates(

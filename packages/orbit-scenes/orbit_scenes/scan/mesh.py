@@ -144,7 +144,9 @@ def _numbers(surface: Any) -> npt.NDArray[np.integer]:
     raw = surface.metadata.get("_ply_raw", {})
     for element in ("face", "vertex"):
         data = raw.get(element, {}).get("data")
-        held = (getattr(getattr(data, "dtype", None), "names", None) or data or ()) if data is not None else ()
+        if data is None:
+            continue
+        held = getattr(getattr(data, "dtype", None), "names", None) or data or ()
         for name in _LABELS:
             if name in held:
                 values = np.asarray(data[name]).reshape(-1).astype(np.int64)
@@ -157,9 +159,9 @@ def _relabelled(scan: Scan, source: Scan) -> Scan:
     """Return a scan whose triangles have the labels of the nearest ones of another."""
     if source.labels is None:
         return replace(scan, labels=None)
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    nearest = cKDTree(source.corners.mean(1)).query(scan.corners.mean(1))[1]
+    nearest = KDTree(source.corners.mean(1)).query(scan.corners.mean(1))[1]
     return replace(scan, labels=source.labels[nearest], names=source.names)
 
 
