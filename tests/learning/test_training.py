@@ -248,6 +248,24 @@ def test_a_training_that_was_killed_while_it_wrote_a_line_resumes(tmp_path: Path
     environment.close()
 
 
+def test_a_training_that_is_killed_between_its_line_and_its_checkpoint_loses_neither(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A training that is killed while it writes a checkpoint has the line of that iteration already."""
+    lines: list[int] = []
+
+    def count(self: Training, iteration: int) -> None:
+        lines.append((tmp_path / "curve.jsonl").read_text().count("\n"))
+        save(self, iteration)
+
+    save = Training._save
+    monkeypatch.setattr(Training, "_save", count)
+    environment = reach(2)
+    learn(trainer("sb3", environment, tmp_path), 2)
+    environment.close()
+    assert lines == [1, 2]
+
+
 def test_a_disk_that_fills_ends_a_training_in_one_error_and_it_resumes(tmp_path: Path) -> None:
     environment = reach(2)
     learn(trainer("sb3", environment, tmp_path), 1)

@@ -165,9 +165,12 @@ class Training:
             # Before saving, so that the last checkpoint is always one to resume from.
             self._check_weights(progress.iteration)
             self._done = progress.iteration
+            # The curve first: a line without a checkpoint is written again by a resumption, and none is missing.
+            total = self._add_to_curve(progress) if self.leader else progress
             if self._done % save_every == 0 or self._done == iterations - 1:
                 self._save(self._done)
-            self._report(progress, report)
+            if self.leader:  # only the leading process's library counts episodes
+                report(total)
 
         try:
             self.trainer.learn(iterations - begin, done)
@@ -301,21 +304,20 @@ class Training:
             )
         return count
 
-    def _report(self, progress: Progress, report: Callable[[Progress], None]) -> None:
-        if not self.leader:  # only the leading process's library counts episodes
-            return
-        progress = replace(
+    def _add_to_curve(self, progress: Progress) -> Progress:
+        """Write an iteration's line, and return its progress counted from the first start of the training."""
+        total = replace(
             progress,
             diverged=self._diverged() + self._diverged_before,
             env_steps=progress.env_steps + self._steps_before,
             seconds=progress.seconds + self._seconds_before,
         )
         # Before any episode has ended there is no number, and JSON has no NaN.
-        values = asdict(progress)
+        values = asdict(total)
         for numbers in (values, values["metrics"]):
             numbers.update({name: None for name, value in numbers.items() if value != value})
         append_line(self.trainer.folder / CURVE, json.dumps(values))
-        report(progress)
+        return total
 
 
 def check_new(folder: Path) -> None:
