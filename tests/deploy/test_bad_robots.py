@@ -118,7 +118,7 @@ def test_another_computer_that_sends_nan_is_one_error_and_is_stopped() -> None:
 def test_a_robot_whose_clock_jumps_is_one_error_and_rests(seconds: float) -> None:
     with served() as (_, _, clock, link):
         clock.jump(seconds)
-        # A loop that catches up with a clock far ahead is silent meanwhile, on a busy machine for longer than links wait.
+        # A loop that catches up with a clock far ahead is silent meanwhile, and may be so for longer than links wait.
         causes = r"clock of the robot .* jumped|off the robot's clock" + ("|has not answered" if seconds > 2.0 else "")
         with pytest.raises((RobotLinkError, RobotFaultError), match=causes):
             command(link)
