@@ -144,10 +144,12 @@ def _marks(world: World, follow: str, env: int) -> Tensor:
     places, markers = world.marker_poses[env, :, :3].cpu(), world.layout.scene.markers
     distance = places.norm(dim=-1)
     # A marker at the very origin was never placed.
-    shown = (distance > 0.0) & (distance < _AWAY)
+    shown = distance > 0.0
     if follow:
         root = world.link_poses[env, world.layout.entity(follow).root_link, :3].cpu()
         shown &= (places - root).norm(dim=-1) < _NEAR
+    else:
+        shown &= distance < _AWAY
     half = 0.5 * torch.tensor([marker.size for marker in markers]).reshape(-1, 1, 1)
     return (places[:, None] + half * _CORNERS)[shown].reshape(-1, 3)
 

@@ -50,11 +50,13 @@ class Session:
         self._lock_path = self.path.with_name(f".{self.path.name}.lock")
         self._lock = self._locked()
         try:
+            # Half-written files of a session that was killed; under the lock, so that none of a live one goes.
             sweep(self.path.parent)
             self.builder = SceneBuilder(self.path.parent)
             """Builder of the document's scene."""
             self.history = History(document)
             """The document, with undo and redo."""
+            # A scene that was read from USD or MJCF is not in its own file before it is saved.
             if not self.path.exists():
                 self.history.mark_saved(False)
             self.recovered = self._recover()
@@ -145,6 +147,7 @@ class Session:
                 f"{error}; it holds what a session that was lost had not saved: fix it by hand, or delete it to "
                 f"begin with {self.path}"
             ) from error
+        # As an edit, so that undo leads to what was saved last.
         return self.history.do(RECOVERED, found)
 
     def _locked(self) -> int:
@@ -160,6 +163,7 @@ class Session:
 
     def _unlock(self) -> None:
         if self._lock >= 0:
+            # Before the lock is given up: another session must not find a file that then goes.
             with suppress(OSError):
                 self._lock_path.unlink()
             os.close(self._lock)

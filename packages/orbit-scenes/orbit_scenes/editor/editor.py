@@ -179,6 +179,7 @@ class Editor(Actions):
         else:
             drawn = self._panel.library.draw_next()
         self._show_pictures()
+        # Sleep only where nothing moves and no picture of the catalogue waits to be drawn.
         wait = 0.0 if drawn or self.playing is not None else _IDLE
         while True:
             try:
@@ -186,6 +187,7 @@ class Editor(Actions):
             except queue.Empty:
                 break
             self._try(action)
+            # What came meanwhile is done before the page is shown again.
             wait = 0.0
         self._show_status()
 
@@ -198,6 +200,7 @@ class Editor(Actions):
 
     def _say(self, words: str, color: Any = None) -> None:
         """Show a message in the panel, and errors also as a notification."""
+        # The status line has one line; errors of engines may have several.
         words = " ".join(words.split())
         self._note = words
         if color is not None:
@@ -219,6 +222,7 @@ class Editor(Actions):
 
     def _show_selection(self) -> None:
         document, name = self.session.document, self.selected
+        # An undo may have taken away what was selected.
         known = {each.name for each in (*document.items, *document.sensors)} | ({GOAL} if document.task else set())
         if name not in known:
             self.selected = name = ""
@@ -237,6 +241,7 @@ class Editor(Actions):
     def _do(self, label: str, edit: Edit) -> None:
         self._refuse_while_playing()
         now = time.monotonic()
+        # A person who types or drags a slider makes one edit, which one undo takes back.
         merge = self._edited[0] == label and now - self._edited[1] < _TYPING
         try:
             if self.session.do(label, edit, merge):
@@ -248,6 +253,7 @@ class Editor(Actions):
 
     def _step_back(self, label: str, what: str) -> None:
         self._refuse_while_playing()
+        # The next edit stands by itself, whatever it is called.
         self._edited = ("", -math.inf)
         self._note = f"{what}: {label}" if label else "there is nothing more"
         self._refresh()
@@ -270,6 +276,7 @@ class Editor(Actions):
             sensor = sensor_for(entry.name, name, self._selected_entity(), self._view())
             self._do(f"add {name}", lambda document: edits.add_sensor(document, sensor))
         else:
+            # Where the person looks, beside what is selected, so that nothing is added out of sight or inside another.
             x, y = self._aimed()
             item = edits.standing_near(document, builder, entry.item(name), x, y, self.selected)
             self._do(f"add {name}", lambda document: edits.add_item(document, item))
@@ -278,6 +285,7 @@ class Editor(Actions):
     def _add_file(self, name: str) -> None:
         from orbit_scenes.document.build import inside
 
+        # Read once, before the edit: a file that is refused leaves no step to undo.
         found = imported(inside(self.session.path.parent, name))
 
         def edit(document: SceneDocument) -> SceneDocument:
@@ -356,6 +364,7 @@ class Editor(Actions):
     def _keep(self) -> None:
         if self.playing is None:
             return
+        # Read before the engine is closed, which frees them.
         states = self.playing.states()
         self._end_play()
         if states:
@@ -397,6 +406,7 @@ class Editor(Actions):
             raise ConfigurationError("a task needs a robot: add one")
         if self.selected not in free:
             raise ConfigurationError("select an object that is free to move: the task is to bring it to the goal")
+        # A quarter of a metre aside: near enough to be reached, and far enough to be seen.
         x, y, z = self.session.document.item(self.selected).position
         task = TaskPlan(robot=robots[0], objects=(self.selected,), goal=(round(x, 3), round(y + 0.25, 3), round(z, 3)))
         self._do("make a task", lambda document: replace(document, task=task))
@@ -455,6 +465,7 @@ class Editor(Actions):
             self._gizmo = None
 
     def _drag(self, phase: str, position: Vector3, orientation: Quaternion) -> None:
+        # Events of a drag may arrive after its thing was deleted or physics began.
         start = self._gizmo_pose()
         if start is None or self._gizmo is None or self.playing is not None:
             return

@@ -52,6 +52,7 @@ class PhysicsPlay(Playing):
     def __init__(self, scene: Scene, backend: str) -> None:
         from orbit_core.world import simulate
 
+        # Sensors would draw pictures in each step that nobody looks at.
         self._world = simulate(replace(scene, sensors=(), markers=()), 1, backend)
         # About fifty pictures a second: browsers show no more.
         self._steps = max(1, round(0.02 / scene.physics_dt))
@@ -75,6 +76,7 @@ class PhysicsPlay(Playing):
                 continue
             x, y, z, *orientation = body.root_pose[0].tolist()
             w, qx, qy, qz = orientation
+            # Joints that mimic others have no home to set.
             leaders = {joint.name for joint in body.spec.articulation.movable_joints if joint.mimic is None}
             joints = dict(zip(body.joint_names, body.joint_positions[0].tolist(), strict=True))
             limits = {joint.name: (joint.lower_limit, joint.upper_limit) for joint in body.spec.articulation.joints}
@@ -125,6 +127,7 @@ class TaskPlay(Playing):
         if final := info.get("final"):
             self._episodes += len(final.success)
             self._successes += int(final.success.sum())
+            # The next episode has begun within this step.
             self._return = 0.0
         self.words = (
             f"{self._agent} agent, return {self._return:.2f}, {self._successes} of {self._episodes} episodes successful"

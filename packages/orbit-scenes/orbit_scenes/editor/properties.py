@@ -69,6 +69,7 @@ class Properties:
         """
         self._document = document
         found = _found(document, name)
+        # Inputs are made again only where others are needed: making them takes the focus from what is typed in.
         key = () if found is None else (name, type(found).__name__, _structure(found))
         if key != self._key:
             self._clear()
@@ -88,6 +89,7 @@ class Properties:
                 shown.handle.value = value
 
     def _clear(self) -> None:
+        # Inputs before the folders that hold them.
         for made in reversed(self._made):
             made.remove()
         self._made, self._inputs = [], []
@@ -115,6 +117,7 @@ class Properties:
             "fixed",
             bool,
         )
+        # A body of several links has the mass that its item says in all, in the proportions of its links.
         mass = sum(link.mass for link in entity.articulation.links)
         self._input(
             self._gui.add_number("Mass, kg", round(mass, 6), min=0.0, step=0.01),
@@ -130,6 +133,7 @@ class Properties:
         if item.object:
             with self._folder(f"Parameters of {item.object}", False):
                 self._add_parameters(item)
+        # Joints that mimic follow others and have no home or drive of their own.
         movable = [joint for joint in entity.articulation.movable_joints if joint.mimic is None]
         if movable:
             with self._folder("Joints", False):
@@ -140,6 +144,7 @@ class Properties:
     ) -> None:
         position = self._keep(self._gui.add_vector3("Position, m", read().position, step=0.01))
         turn = self._keep(self._gui.add_vector3("Rotation, deg", euler(read().orientation), step=5.0))
+        # Read from the document, not the inputs: a drag of the gizmo changes it as well.
         self._inputs += [_Shown(position, lambda: read().position), _Shown(turn, lambda: euler(read().orientation))]
 
         def move(_: object) -> None:
@@ -180,6 +185,7 @@ class Properties:
             for name in field_types(type(defaults))
             if _is_plain(getattr(defaults, name))
         }
+        # Only what was changed is written, so that the file holds no defaults, which may change.
         before = {name: text.value for name, text in texts.items()}
         button = self._keep(self._gui.add_button("Apply parameters", color="gray"))
 
@@ -289,6 +295,7 @@ class Properties:
         self._inputs.append(_Shown(handle, read))
 
         def change(_: object) -> None:
+            # Taken now: the edit may be done again later, when the input shows something else.
             given = value(handle.value)
             self._do(f"change {field} of {name}", lambda document: edits.change(document, name, **{field: given}))
 
