@@ -69,6 +69,8 @@ class JointPlanner:
         # OMPL needs finite bounds: two turns either way hold every posture.
         self._low, self._high = low.clamp_min(-2.0 * torch.pi).numpy(), high.clamp_max(2.0 * torch.pi).numpy()
         self._pairs = self._own_pairs() if config.self_collisions else None
+        # Each plan leaves out those that touch at its start and that no path could part.
+        self._all_pairs = self._pairs
 
     def plan(self, goal: Tensor, env: int = 0, start: Tensor | None = None) -> Tensor:
         """Plan joint positions (P, k), between which straight lines keep the margin to everything.
@@ -83,6 +85,7 @@ class JointPlanner:
         """
         here = self._robot.joint_positions[env, self._joints] if start is None else start
         ends = [part.double().cpu().numpy() for part in (here, goal)]
+        self._pairs = self._parted(here, env)
         for what, position in zip(("start", "goal"), ends, strict=True):
             self._check_end(what, position, env)
         path = self._search(ends[0], ends[1], env)
@@ -180,13 +183,12 @@ class JointPlanner:
         articulation = self._robot.spec.articulation
         names = articulation.link_names
         joined = {frozenset(pair) for pair in (*articulation.joined_links, *articulation.collision_exclusions)}
-        owners, carried = [names[int(link)] for link in self._clearance.links], self._carriers()
-        # Fingers that hold each other touch in every posture of the arm, and no path could part them.
+        owners = [names[int(link)] for link in self._clearance.links]
         pairs = [
             (a, b)
             for a in range(len(owners))
             for b in range(a)
-            if carried[owners[a]] != carried[owners[b]] and frozenset((owners[a], owners[b])) not in joined
+            if owners[a] != owners[b] and frozenset((owners[a], owners[b])) not in joined
         ]
         first, second = torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2).unbind(1)
         self._pairs = (first.to(self._tree.device), second.to(self._tree.device))
@@ -194,6 +196,27 @@ class JointPlanner:
         # Balls are larger than links, so that neighbours further along the arm may overlap even at home.
         apart = self._own_gaps(home)[0] > self.config.margin
         return self._pairs[0][apart], self._pairs[1][apart]
+
+    def _parted(self, start: Tensor, env: int) -> tuple[Tensor, Tensor] | None:
+        """Return the pairs of balls without those that touch at the start and that no planned joint moves apart.
+
+        Fingers that hold each other touch in every posture of the arm.
+        """
+        if self._all_pairs is None or not len(self._all_pairs[0]):
+            return self._all_pairs
+        self._pairs = self._all_pairs
+        full = self._robot.joint_positions[env].clone()
+        full[self._joints] = start.to(full)
+        gaps = self._own_gaps(self._tree.forward(self._robot.root_pose[env][None], full[None]))[0]
+        carriers = self._carriers()
+        carried = [carriers[self._robot.spec.articulation.link_names[int(link)]] for link in self._clearance.links]
+        first, second = self._all_pairs
+        rigid = torch.tensor(
+            [carried[a] == carried[b] for a, b in zip(first.tolist(), second.tolist(), strict=True)],
+            device=first.device,
+        )
+        kept = ~(rigid & (gaps < self.config.margin))
+        return first[kept], second[kept]
 
     def _carriers(self) -> dict[str, str]:
         """Return the last planned joint between the root and each link, by name; links with the same one are rigid."""
