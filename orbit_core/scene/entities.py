@@ -101,14 +101,14 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Lean:
-    """How a hand that cannot point straight down leans out from its arm: that of an arm of five joints.
+    """Lean of a hand that cannot point straight down, out from its arm: that of an arm of five joints.
 
     A first joint turns the arm about the root's z, two or three move the hand in the plane that this gives, and a last
     one rolls it about its approach. All lengths are in the root link's frame, which stands upright.
     """
 
     workspace: Workspace
-    """Where the hand reaches in this way; tilt and yaw are not used."""
+    """Range that the hand reaches in this way; tilt and yaw are not used."""
     angle: float
     """rad from straight down, at the root's height."""
     rise: float

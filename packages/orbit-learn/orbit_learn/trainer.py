@@ -95,7 +95,7 @@ class Trainer(ABC, Generic[Settings]):
     begins_with_policies: ClassVar[bool] = False
     """Whether the actor can begin with a policy, :attr:`PpoSettings.start`, and the critic learn alone at first."""
     chooses_arithmetic: ClassVar[bool] = False
-    """Whether the trainer takes :attr:`PpoSettings.precision` and :attr:`PpoSettings.compile_update`."""
+    """True for a trainer that takes :attr:`PpoSettings.precision` and :attr:`PpoSettings.compile_update`."""
     settings_type: ClassVar[type[Any]] = PpoSettings
     """Class of the algorithm's settings."""
     options: ClassVar[tuple[str, ...]] = ("ppo",)

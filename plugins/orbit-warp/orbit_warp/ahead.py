@@ -26,7 +26,7 @@ class Launches:
         self.found: dict[tuple[Any, int], None] = {}
         """Modules and threads in a block, in the order of the first launches."""
         self.dry = False
-        """Whether launches are only noted."""
+        """True while launches are only noted."""
         self._launch, self._launch_tiled = wp.launch, wp.launch_tiled
 
     @contextlib.contextmanager

@@ -12,7 +12,7 @@ import torch
 from orbit_core.envs import PpoSettings, make
 from orbit_core.envs.environment import Environment
 
-pytest.importorskip("orbit_learn")
+pytest.importorskip("orbit_learn", reason="capability 'learning' is not installed: pip install orbit-learn")
 from orbit_learn.ppo import PpoTrainer
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs the capability of a GPU")

@@ -35,7 +35,7 @@ class AugmentSettings(ReadSettings):
     episodes: int = 1000
     """How many are wanted."""
     method: Literal["mimicgen", "skillgen"] = "mimicgen"
-    """How the hand gets to where a piece begins: in a straight line, or on a planned way around what stands there."""
+    """Way of the hand to the begin of a piece: in a straight line, or on a planned way around what stands there."""
     num_envs: int = 64
     """Environments stepped together; as many as demonstrations at least."""
     most_attempts: Annotated[int | None, arg(metavar="INT")] = None

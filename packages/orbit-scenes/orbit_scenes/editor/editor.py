@@ -70,7 +70,7 @@ class Editor(Actions):
         self.selected = ""
         """Name of the selected item, sensor or goal region; empty: nothing."""
         self.playing: Playing | None = None
-        """What runs; None while the scene is edited."""
+        """Physics or task that runs; None while the scene is edited."""
         self.pictures_drawn = 0
         """Number of pictures that cameras of the scene have taken."""
         self._stopped = False
