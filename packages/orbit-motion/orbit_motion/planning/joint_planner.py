@@ -68,9 +68,11 @@ class JointPlanner:
         low, high = robot.position_limits[self._joints].double().cpu().unbind(1)
         # OMPL needs finite bounds: two turns either way hold every posture.
         self._low, self._high = low.clamp_min(-2.0 * torch.pi).numpy(), high.clamp_max(2.0 * torch.pi).numpy()
-        self._pairs = self._own_pairs() if config.self_collisions else None
+        none = torch.zeros(0, dtype=torch.int64, device=world.device)
+        self._all_pairs = self._own_pairs() if config.self_collisions else (none, none)
+        self._rigid = self._carried_alike(*self._all_pairs)
         # Each plan leaves out those that touch at its start and that no path could part.
-        self._all_pairs = self._pairs
+        self._pairs = self._all_pairs
 
     def plan(self, goal: Tensor, env: int = 0, start: Tensor | None = None) -> Tensor:
         """Plan joint positions (P, k), between which straight lines keep the margin to everything.
@@ -93,16 +95,13 @@ class JointPlanner:
 
     def clearances(self, positions: Tensor, env: int = 0) -> Tensor:
         """Compute the free distance (B,) in m at joint positions (B, k), negative where the robot overlaps."""
-        count = positions.shape[0]
-        full = self._robot.joint_positions[env].repeat(count, 1)
-        full[:, self._joints] = positions.to(full)
-        links = self._tree.forward(self._robot.root_pose[env].expand(count, 7), full)
+        links = self._links(positions, env)
         least = self._clearance.gaps(links, env).flatten(1)
         parts = [least] if least.shape[1] else []
-        if self._pairs is not None and len(self._pairs[0]):
-            parts.append(self._own_gaps(links))
+        if len(self._pairs[0]):
+            parts.append(self._own_gaps(links, self._pairs))
         if not parts:
-            return torch.full((count,), torch.inf, device=full.device)
+            return torch.full((len(links),), torch.inf, device=links.device)
         return torch.cat(parts, 1).amin(1)
 
     def touched(self, positions: Tensor, env: int = 0) -> str:
@@ -169,9 +168,7 @@ class JointPlanner:
             raise PlanningError(f"at the {what} {self.touched(torch.as_tensor(position), env)}")
 
     def _nearest(self, position: Tensor, env: int) -> str:
-        full = self._robot.joint_positions[env].clone()
-        full[self._joints] = position.to(full)
-        gaps = self._clearance.gaps(self._tree.forward(self._robot.root_pose[env][None], full[None]), env)[0]
+        gaps = self._clearance.gaps(self._links(position[None], env), env)[0]
         if not gaps.numel() or float(gaps.min()) >= self.config.margin:
             return "itself"
         ball, obstacle = divmod(int(gaps.argmin()), gaps.shape[1])
@@ -191,32 +188,28 @@ class JointPlanner:
             if owners[a] != owners[b] and frozenset((owners[a], owners[b])) not in joined
         ]
         first, second = torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2).unbind(1)
-        self._pairs = (first.to(self._tree.device), second.to(self._tree.device))
+        first, second = first.to(self._tree.device), second.to(self._tree.device)
         home = self._tree.forward(self._robot.root_pose[:1], self._robot.home_positions[None])
         # Balls are larger than links, so that neighbours further along the arm may overlap even at home.
-        apart = self._own_gaps(home)[0] > self.config.margin
-        return self._pairs[0][apart], self._pairs[1][apart]
+        apart = self._own_gaps(home, (first, second))[0] > self.config.margin
+        return first[apart], second[apart]
 
-    def _parted(self, start: Tensor, env: int) -> tuple[Tensor, Tensor] | None:
+    def _parted(self, start: Tensor, env: int) -> tuple[Tensor, Tensor]:
         """Return the pairs of balls without those that touch at the start and that no planned joint moves apart.
 
         Fingers that hold each other touch in every posture of the arm.
         """
-        if self._all_pairs is None or not len(self._all_pairs[0]):
-            return self._all_pairs
-        self._pairs = self._all_pairs
-        full = self._robot.joint_positions[env].clone()
-        full[self._joints] = start.to(full)
-        gaps = self._own_gaps(self._tree.forward(self._robot.root_pose[env][None], full[None]))[0]
-        carriers = self._carriers()
-        carried = [carriers[self._robot.spec.articulation.link_names[int(link)]] for link in self._clearance.links]
         first, second = self._all_pairs
-        rigid = torch.tensor(
-            [carried[a] == carried[b] for a, b in zip(first.tolist(), second.tolist(), strict=True)],
-            device=first.device,
-        )
-        kept = ~(rigid & (gaps < self.config.margin))
+        gaps = self._own_gaps(self._links(start[None], env), self._all_pairs)[0]
+        kept = ~(self._rigid & (gaps < self.config.margin))
         return first[kept], second[kept]
+
+    def _carried_alike(self, first: Tensor, second: Tensor) -> Tensor:
+        """Return (pairs,) whether no planned joint moves the balls of a pair against each other."""
+        names, carriers = self._robot.spec.articulation.link_names, self._carriers()
+        carried = [carriers[names[int(link)]] for link in self._clearance.links]
+        alike = [carried[a] == carried[b] for a, b in zip(first.tolist(), second.tolist(), strict=True)]
+        return torch.tensor(alike, dtype=torch.bool, device=first.device)
 
     def _carriers(self) -> dict[str, str]:
         """Return the last planned joint between the root and each link, by name; links with the same one are rigid."""
@@ -228,10 +221,16 @@ class JointPlanner:
             carriers[joint.child] = joint.name if joint.name in planned else carriers[joint.parent]
         return carriers
 
-    def _own_gaps(self, links: Tensor) -> Tensor:
-        """Compute the distances (B, pairs) in m between the robot's own balls."""
-        assert self._pairs is not None
-        first, second = self._pairs
+    def _links(self, positions: Tensor, env: int) -> Tensor:
+        """Compute the poses (B, L, 7) of the robot's links at positions (B, k) of the planned joints."""
+        count = positions.shape[0]
+        full = self._robot.joint_positions[env].repeat(count, 1)
+        full[:, self._joints] = positions.to(full)
+        return self._tree.forward(self._robot.root_pose[env].expand(count, 7), full)
+
+    def _own_gaps(self, links: Tensor, pairs: tuple[Tensor, Tensor]) -> Tensor:
+        """Compute the distances (B, pairs) in m between pairs of the robot's own balls."""
+        first, second = pairs
         points, radii = self._clearance.points(links), self._clearance.radii
         distance = torch.linalg.vector_norm(points[:, first] - points[:, second], dim=-1)
         return distance - radii[first] - radii[second]
