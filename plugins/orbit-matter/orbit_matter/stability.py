@@ -134,12 +134,8 @@ def floating(layout: SceneLayout) -> tuple[Approximation, ...]:
             floats = any(link.mass < spec.density * _room(link) for link in links)
             # Those that are lighter still are reported as tossed about.
             if floats and lightest.mass >= _FLOATS * particle:
-                got = (
-                    f"lies up to {0.5e3 * spec.spacing:.2g} mm too high, and may drift, sink or diverge within seconds"
-                )
-                why = (
-                    f"the first layer of particles below it stays half of a spacing of {spec.spacing:g} m too far away"
-                )
+                got = f"lies up to {0.5e3 * spec.spacing:.2g} mm too high, and may drift or diverge within seconds"
+                why = f"particles below it stay half of a spacing of {spec.spacing:g} m too far away"
                 found.append(Approximation(f"'{body.name}'", f"floating on '{spec.name}'", got, why))
     return tuple(found)
 
