@@ -188,6 +188,11 @@ class Sites:
     """(N, contacts) link on which a point sticks, from step to step, or NONE."""
     place: wp.array2d[wp.vec3]
     """Where it sticks, in the frame of that link; of a solid, in that of its mesh."""
+    press: wp.array2d[wp.vec2]
+    """(N, contacts) N along the normal at the end of the step, and m^2 that it acts on; 0 where a point touches
+    nothing."""
+    per_area: wp.array[float]
+    """(B,) N/m of contacts on a square metre of each solid."""
     blocked: wp.array2d[float]
     """(N, F) part in which the engine holds each free body, between fingers or on a floor."""
     set: wp.array[int]
@@ -494,6 +499,7 @@ def touch(
     if deepest <= 0.0:
         t.link[env, k] = NONE
         t.stuck[env, k] = NONE
+        t.press[env, k] = wp.vec2()
         return False
     link, pressed_on = int(0), t.mate[env, k]
     other, friction = s.cell_body[wp.max(pressed_on, 0)], float(0.0)
@@ -561,6 +567,9 @@ def let_slip(s: Solids, t: Sites, links: Links, solve: Solve, env: int, k: int):
         return
     n, firm = t.normal[env, k], wp.max(t.whole[env, k], 1.0e-9)
     link, c = t.link[env, k], t.mate[env, k]
+    # Firmness over that of a square metre is the area that faces the surface.
+    area = firm / t.per_area[s.cell_body[t.cell[k]]]
+    t.press[env, k] = wp.vec2(wp.max(wp.dot(n, force), 0.0), area)
     x = t.x[env, k] + of_nodes(s, t, s.d, env, k) + of_nodes(s, t, solve.delta, env, k)
     slip = x - stuck_at(s, t, links, s.d, env, k, link)
     if c != NONE:

@@ -140,6 +140,8 @@ class SolidPart:
         made.normal, made.last, made.pull = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
         made.firm, made.limit = wp.zeros(shape, dtype=wp.vec2), wp.zeros(shape, dtype=float)
         made.stuck, made.place = wp.from_torch(memory["site_stuck"]), wp.from_torch(memory["site_place"], wp.vec3)
+        made.press = wp.from_torch(memory["site_press"], wp.vec2)
+        made.per_area = wp.array(model.per_area, dtype=float)
         made.count = wp.zeros(self._n, dtype=int)
         made.mate, made.mate_at = wp.full(shape, -1, dtype=int), wp.zeros(shape, dtype=wp.vec3)
         made.rest = wp.array(model.contact_rest, dtype=wp.vec3)
