@@ -182,6 +182,9 @@ class Task(ABC):
     expert_starts: float = 0.0
     """Share of episodes that begin on the expert's way (:class:`orbit_motion.experts.starts.ExpertStarts`), for
     learning what a beginner would not reach."""
+    expert_phase: bool = False
+    """Whether the policy sees the phase that the expert is in (:mod:`orbit_core.envs.expert_phase`), for cloning an
+    expert whose phases end after a time."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""
     metadata: TaskMetadata = TaskMetadata()
