@@ -13,6 +13,7 @@ from orbit_deploy.follower import FollowerSettings, PathKind
 from orbit_deploy.hardware import RobotHardware
 from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.pictures import PictureBox
 
 _CLIENT = "this process"
 # Seconds without a cycle after which the loop has failed
@@ -36,6 +37,7 @@ class HostedLink(RobotLink):
         self.address, self.description = address, hardware.description
         """Robot as its hardware describes it."""
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
+        self.pictures = PictureBox()
         self._hardware, self._error, self._sequence = hardware, "", 0
         self._faults: list[Fault] = []
         self._sent: tuple[int, float] = (-1, 0.0)
@@ -46,6 +48,8 @@ class HostedLink(RobotLink):
         """Computer that a thread of this process runs."""
         self.computer.on_state.append(self._take)
         self.computer.on_fault.append(self._note)
+        self.computer.on_picture.append(self.pictures.put)
+        self.computer.watch()
         self._state = self.computer.open(_CLIENT, period, path)
         self._arrived = time.monotonic()
         # The same clock on both sides

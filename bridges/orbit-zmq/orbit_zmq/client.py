@@ -21,8 +21,21 @@ from orbit_deploy.computer import not_finite
 from orbit_deploy.follower import PathKind
 from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
 from orbit_deploy.messages import PASSING, VERSION, Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.pictures import PictureBox
 from orbit_zmq.keys import CLIENT, ROBOT, check_keys, key_pair, public_key, split_address
-from orbit_zmq.wire import Answer, Codec, FromClient, Hello, MoveTo, Offer, Order, Ping, Pong, Refusal
+from orbit_zmq.wire import (
+    MOST_PICTURE_BYTES,
+    Answer,
+    Codec,
+    FromClient,
+    Hello,
+    MoveTo,
+    Offer,
+    Order,
+    Ping,
+    Pong,
+    Refusal,
+)
 
 _numbers = itertools.count()
 # Seconds in which a robot answers a hello or a request
@@ -57,13 +70,11 @@ class ZmqLink(RobotLink):
         check_keys(host, keys)
         self.address = address
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
+        self.pictures = PictureBox()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.LINGER, 200)
-        self._socket.setsockopt(zmq.IPV6, ":" in host)
-        if keys is not None:
-            self._socket.curve_publickey, self._socket.curve_secretkey = key_pair(keys, CLIENT)
-            self._socket.curve_serverkey = public_key(keys, ROBOT)
+        _secure(self._socket, host, keys)
         self._monitor = self._socket.get_monitor_socket()
         self._answers: queue.Queue[Offer | Answer | Refusal] = queue.Queue()
         self._faults: deque[Fault] = deque()
@@ -93,6 +104,12 @@ class ZmqLink(RobotLink):
             raise
         self.description = offer.description
         """Robot as its computer offered it."""
+        self._viewer = None
+        if offer.pictures:
+            # A thread of its own: reading a large picture must not hold up commands.
+            arguments = (f"tcp://{shown}:{offer.pictures}", host, keys)
+            self._viewer = threading.Thread(target=self._view, args=arguments, name="zmq pictures", daemon=True)
+            self._viewer.start()
 
     # Called by the client's thread
 
@@ -141,6 +158,8 @@ class ZmqLink(RobotLink):
         self._post(Order("leave"))
         self._ended.set()
         self._thread.join(2.0)
+        if (viewer := getattr(self, "_viewer", None)) is not None:
+            viewer.join(2.0)
         self._socket.disable_monitor()
         self._monitor.close(0)
         self._context.destroy(linger=200)
@@ -195,6 +214,22 @@ class ZmqLink(RobotLink):
                 next_ping = now + (_PING if pings > _FIRST_PINGS else 0.005)
                 self._send(codec.encode(Ping(time.monotonic_ns())))
 
+    def _view(self, address: str, host: str, keys: Path | None) -> None:
+        """Keep the newest pictures, in the thread of the pictures."""
+        socket, codec = self._context.socket(zmq.SUB), Codec()
+        _secure(socket, host, keys)
+        socket.setsockopt(zmq.MAXMSGSIZE, MOST_PICTURE_BYTES)
+        socket.setsockopt(zmq.RCVHWM, 2 * len(self.description.cameras))
+        socket.subscribe(b"")
+        socket.connect(address)
+        while not self._ended.is_set():
+            if socket.poll(100):
+                try:
+                    self.pictures.put(codec.picture(socket.recv(copy=True)))
+                except ConfigurationError as error:
+                    self.pictures.fail(str(error))
+        socket.close(0)
+
     def _send(self, data: bytes) -> None:
         try:
             # A robot that refused the keys has no queue, and would block this thread.
@@ -228,3 +263,11 @@ class ZmqLink(RobotLink):
             number, sent = self._sent.popleft()
             if number == state.command:
                 self.round_trips.add(1e-9 * (now - sent))
+
+
+def _secure(socket: zmq.Socket[bytes], host: str, keys: Path | None) -> None:
+    """Set up a connecting socket: its keys, and the version of its address."""
+    socket.setsockopt(zmq.IPV6, ":" in host)
+    if keys is not None:
+        socket.curve_publickey, socket.curve_secretkey = key_pair(keys, CLIENT)
+        socket.curve_serverkey = public_key(keys, ROBOT)

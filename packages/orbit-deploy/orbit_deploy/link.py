@@ -17,6 +17,7 @@ from orbit_deploy.computer import RobotComputer
 from orbit_deploy.description import RobotDescription
 from orbit_deploy.follower import PathKind
 from orbit_deploy.messages import Arrangement, Fault, Mode, RobotState
+from orbit_deploy.pictures import CameraDescription, Picture, PictureBox, PictureKind
 
 # Seconds between looks at a motion that is waited for
 _LOOK = 0.01
@@ -47,6 +48,8 @@ class RobotLink(ABC):
     """Seconds from a command to the first state that says that it was accepted."""
     ages: Latencies
     """Age of the states when they were used, s."""
+    pictures: PictureBox
+    """Newest pictures of the robot's cameras."""
 
     @abstractmethod
     def send(self, positions: Sequence[float], velocities: Sequence[float], efforts: Sequence[float]) -> None:
@@ -66,6 +69,19 @@ class RobotLink(ABC):
             RobotLinkError: the robot no longer answers.
             RobotFaultError: a fault stopped it; :meth:`clear` lets it go on.
         """
+
+    def picture(self, camera: CameraDescription, kind: PictureKind, since: int = 0) -> Picture:
+        """Return the newest picture of a camera, waiting for one that was taken late enough.
+
+        Args:
+            camera: of the robot.
+            kind: quantity.
+            since: ns on the robot's clock before which pictures show what is no longer so.
+
+        Raises:
+            ConfigurationError: the camera is silent.
+        """
+        return self.pictures.newest(camera, kind, since)
 
     @abstractmethod
     def move_to(self, positions: Sequence[float]) -> RobotState:
