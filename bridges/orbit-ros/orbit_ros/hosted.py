@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 
 from orbit_core.interfaces import OrbitError
-from orbit_deploy.clocks import ClockOffset, Latencies
+from orbit_deploy.clocks import ClockOffset, Latencies, RobotClock
 from orbit_deploy.computer import ComputerSettings, RobotComputer
 from orbit_deploy.follower import FollowerSettings, PathKind
 from orbit_deploy.hardware import RobotHardware
@@ -18,6 +18,8 @@ from orbit_deploy.pictures import PictureBox
 _CLIENT = "this process"
 # Seconds without a cycle after which the loop has failed
 _LOST = 0.5
+# Seconds between looks at a clock that the robot publishes
+_TICK = 0.001
 
 
 class HostedLink(RobotLink):
@@ -44,7 +46,8 @@ class HostedLink(RobotLink):
         settings = ComputerSettings(state_rate=hardware.description.rate)
         # The threads of ROS and of the policy share Python's lock with the loop: a late command is no lost link.
         watchdog = max(0.1, 3.0 * period)
-        self.computer = RobotComputer(hardware, FollowerSettings(watchdog=watchdog), settings)
+        self._clock = hardware.clock or RobotClock()
+        self.computer = RobotComputer(hardware, FollowerSettings(watchdog=watchdog), settings, self._clock)
         """Computer that a thread of this process runs."""
         self.computer.on_state.append(self._take)
         self.computer.on_fault.append(self._note)
@@ -93,6 +96,17 @@ class HostedLink(RobotLink):
         self.computer.end()
         self._thread.join(5.0)
         self._hardware.close()
+
+    def now(self) -> float:
+        return super().now() if self._hardware.clock is None else 1e-9 * self._clock.now()
+
+    def wait(self, until: float) -> None:
+        if self._hardware.clock is None:
+            super().wait(until)
+            return
+        # A clock that stands still is a failure of the robot, which its loop reports.
+        while 1e-9 * self._clock.now() < until and not self._error:
+            time.sleep(_TICK)
 
     def _run(self) -> None:
         try:

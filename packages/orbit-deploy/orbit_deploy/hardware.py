@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from orbit_core.interfaces import ConfigurationError, UnsupportedCapabilityError
 from orbit_core.registry import Registry
+from orbit_deploy.clocks import RobotClock
 from orbit_deploy.description import FloatArray, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.messages import Arrangement
@@ -37,6 +38,8 @@ class RobotHardware(ABC):
 
     description: RobotDescription
     """Joints, limits and rate; fixed before the loop begins."""
+    clock: RobotClock | None = None
+    """Clock that the robot's time passes by; None for that of the computer which drives it."""
 
     @abstractmethod
     def read(self) -> Measurement:
