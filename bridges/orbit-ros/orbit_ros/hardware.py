@@ -69,9 +69,11 @@ def served_description(node: RosNode, prefix: str) -> RobotDescription | None:
         node.check()
         return None
     try:
-        return msgspec.json.decode(found[0], type=RobotDescription, strict=False)
-    except msgspec.DecodeError as error:
+        description = msgspec.json.decode(found[0], type=RobotDescription, strict=False)
+        description.check()
+    except (msgspec.DecodeError, ConfigurationError) as error:
         raise RobotLinkError(f"the robot's description on '{topics.DESCRIPTION}' cannot be read: {error}") from None
+    return description
 
 
 class RosHardware(RobotHardware):
@@ -114,6 +116,7 @@ class RosHardware(RobotHardware):
         self._state: Measurement | None = None
         self._arrived, self._stamp, self._stamps = 0.0, 0.0, StampWatch()
         self._missing: list[str] = list(description.joints)
+        self._misfit = ""
         self._objects: dict[str, list[float]] = {}
         self._twist = BaseTwist.of(description)
         topic = prefix + (commands or topics.COMMANDS[kind])
@@ -154,6 +157,8 @@ class RosHardware(RobotHardware):
         state, age = self._state, time.monotonic() - self._arrived
         assert state is not None  # waited for when this was made
         self._node.check()
+        if self._misfit:
+            raise RobotLinkError(f"a message on '{self._prefix}{topics.JOINT_STATES}' {self._misfit}")
         if fault := next((each.fault for each in self._cameras if each.fault), ""):
             raise RobotLinkError(fault)
         if self._clock is not None and self._clock.fault:
@@ -199,6 +204,12 @@ class RosHardware(RobotHardware):
         self._missing = [name for name in self.description.joints if name not in places]
         if self._missing:
             return
+        for what in ("position", "velocity", "effort"):
+            values = getattr(message, what)
+            # Velocities and efforts may be left out.
+            if len(values) != len(message.name) and (len(values) or what == "position"):
+                self._misfit = f"has {len(values)} numbers of {what} for {len(message.name)} names"
+                return
         # Publishers order joints as they like, and may add others.
         order = [places[name] for name in self.description.joints]
         now, stamp = time.monotonic(), seconds_of(message.header.stamp)
@@ -259,6 +270,8 @@ class RosHardware(RobotHardware):
             if self._clock is not None and not self._clock.known:
                 return f"nobody publishes the time on '{topics.CLOCK}'"
             return ""
+        if self._misfit:
+            return f"a message on '{topic}' {self._misfit}"
         if len(self._missing) < len(self.description.joints):
             return f"'{topic}' lacks the joints {', '.join(self._missing)}"
         return f"nobody publishes joints of {self.description.model} on '{topic}'"

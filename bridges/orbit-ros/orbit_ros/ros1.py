@@ -151,7 +151,8 @@ class Ros1Node(RosNode):
         large: bool = False,
     ) -> None:
         def take(message: Any) -> None:
-            call_safely(callback, from_ros1(message), message._connection_header["callerid"])
+            source = message._connection_header["callerid"]
+            call_safely(lambda each, source: callback(from_ros1(each), source), message, source)
 
         # rospy reads at most so many bytes of a message at a time; a picture in small pieces is slow.
         size = {"queue_size": 1, "buff_size": _LARGE} if large else {}

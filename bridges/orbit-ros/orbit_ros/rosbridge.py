@@ -85,7 +85,7 @@ class RosbridgeNode(RosNode):
         large: bool = False,
     ) -> None:
         def take(message: Any) -> None:
-            call_safely(callback, from_json(message, kind), self._address)
+            call_safely(lambda each, source: callback(from_json(each, kind), source), message, self._address)
 
         # A queue of one on the server's side: of states, the newest counts.
         self._topic(topic, kind, queue_length=1).subscribe(take)

@@ -19,7 +19,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.clocks import ClockOffset, Latencies, StampWatch
 from orbit_deploy.computer import not_finite
 from orbit_deploy.follower import PathKind
-from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
+from orbit_deploy.link import RobotLink, RobotLinkError, fault_error, misfit
 from orbit_deploy.messages import PASSING, VERSION, Arrangement, Fault, JointCommand, RobotState
 from orbit_deploy.pictures import PictureBox
 from orbit_zmq.keys import CLIENT, ROBOT, check_keys, key_pair, public_key, split_address
@@ -44,6 +44,8 @@ _ANSWER = 3.0
 _LOST = 0.5
 # Seconds between questions for the robot's clock: many at first, then a few
 _PING, _FIRST_PINGS = 0.1, 20
+# ns: three centuries
+_MOST_TIME = 1 << 63
 _FAILED = (
     zmq.Event.HANDSHAKE_FAILED_AUTH, zmq.Event.HANDSHAKE_FAILED_PROTOCOL, zmq.Event.HANDSHAKE_FAILED_NO_DETAIL,
 )  # fmt: skip
@@ -127,6 +129,9 @@ class ZmqLink(RobotLink):
         state, age = self._state, 1e-9 * (time.monotonic_ns() - self._arrived)
         if state is None or age > _LOST:
             raise RobotLinkError(f"the robot at {self.address} has not answered for {age:.2f} s: it stops on its own")
+        if name := misfit(state, self.description):
+            self.stop()
+            raise RobotLinkError(f"the robot at {self.address} sends '{name}' of another robot: it is stopped")
         if joint := not_finite(state, self.description):
             self.stop()
             raise RobotLinkError(f"the robot at {self.address} sends no finite number for {joint}: it is stopped")
@@ -244,7 +249,9 @@ class ZmqLink(RobotLink):
             self._answers.put(Refusal("message", str(error)))
             return
         if isinstance(message, Pong):
-            self.offset.add(message.sent, message.clock, now)
+            # A clock beyond any could not be sent back in a stamp.
+            if abs(message.clock) < _MOST_TIME:
+                self.offset.add(message.sent, message.clock, now)
         elif isinstance(message, RobotState):
             self._keep(message, now)
         elif isinstance(message, Fault):

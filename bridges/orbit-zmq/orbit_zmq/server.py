@@ -189,7 +189,9 @@ class ZmqServer:
             )
             return
         try:
-            state = self._computer.open(hello.client[:80], hello.period, hello.path)
+            # Others see the name in their terminals.
+            name = "".join(letter if letter.isprintable() else "?" for letter in hello.client[:80])
+            state = self._computer.open(name, hello.period, hello.path)
         except RobotBusyError as error:
             self._refuse(peer, "busy", str(error))
         except OrbitError as error:

@@ -136,6 +136,24 @@ class RobotLink(ABC):
             self.wait(self.now() + _LOOK)
 
 
+def misfit(state: RobotState, description: RobotDescription) -> str:
+    """Return the name of a state's list that does not fit the robot's description; empty if all do.
+
+    Args:
+        state: of another computer, whose numbers may be of another robot.
+        description: of the robot.
+    """
+    joints = len(description.joints)
+    for name in ("positions", "velocities", "efforts", "targets", "target_velocities", "target_efforts"):
+        if len(getattr(state, name)) != joints:
+            return name
+    for name, rows, width in (("objects", description.objects, 13), ("imus", description.imus, 10)):
+        values = getattr(state, name)
+        if len(values) != len(rows) or any(len(row) != width for row in values):
+            return name
+    return ""
+
+
 def fault_error(fault: Fault, address: str) -> RobotFaultError:
     """Return the error of a fault."""
     return RobotFaultError(f"the robot at {address} has stopped ({fault.code}): {fault.text}")
