@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from orbit_tasks.mobile_reach import MobileReach
     from orbit_tasks.nut_bolt import NutBolt
     from orbit_tasks.peg_in_hole import PegInHole
+    from orbit_tasks.peg_in_the_dark import PegInTheDark
     from orbit_tasks.reach import Reach
     from orbit_tasks.recover import Recover
     from orbit_tasks.room_reorganization import RoomReorganization
@@ -64,6 +65,7 @@ __all__ = [
     "MobileReach",
     "NutBolt",
     "PegInHole",
+    "PegInTheDark",
     "Reach",
     "Recover",
     "RoomReorganization",
@@ -105,6 +107,7 @@ __getattr__, __dir__ = lazy_names(
         "mobile_reach": ("MobileReach",),
         "nut_bolt": ("NutBolt",),
         "peg_in_hole": ("PegInHole",),
+        "peg_in_the_dark": ("PegInTheDark",),
         "reach": ("Reach",),
         "recover": ("Recover",),
         "room_reorganization": ("RoomReorganization",),
@@ -138,6 +141,9 @@ def register(registry: TaskRegistry) -> None:
     registry.add("Nut-Bolt", "Set a nut on a bolt and screw it down", "orbit_tasks.nut_bolt:NutBolt")
     registry.add("Jenga", "Pull a block out of a tower and put it on top", "orbit_tasks.jenga:Jenga")
     registry.add("Peg-In-Hole", "Put blocks into the holes that match them", "orbit_tasks.peg_in_hole:PegInHole")
+    registry.add(
+        "Peg-In-The-Dark", "Feel for a hole and put a block into it", "orbit_tasks.peg_in_the_dark:PegInTheDark"
+    )
     registry.add(
         "Beat-The-Buzz", "Lead a ring along a bent rod without a touch", "orbit_tasks.beat_the_buzz:BeatTheBuzz"
     )

@@ -189,8 +189,10 @@ def _sensor_needs(sensor: SensorSpec, looped: AbstractSet[str]) -> Iterator[tupl
         case CameraSpec(channels=channels):
             for channel in channels:
                 yield _CHANNEL_NEEDS[channel], culprit
-        case TactileSpec():
+        case TactileSpec(shear=shear):
             yield Capability.RAY_CASTS, culprit
+            if shear:
+                yield Capability.FRICTION_FORCES, culprit
         case ForceTorqueSpec():
             yield Capability.JOINT_WRENCHES, culprit
             if sensor.entity in looped:
