@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from orbit_tasks.cloth_spreading import ClothSpreading
     from orbit_tasks.dishwasher import Dishwasher
     from orbit_tasks.flag_hoisting import FlagHoisting
+    from orbit_tasks.gentle_lift import GentleLift
     from orbit_tasks.handover import Handover
     from orbit_tasks.hockey import Hockey
     from orbit_tasks.in_hand_repose import InHandRepose
@@ -54,6 +55,7 @@ __all__ = [
     "ClothSpreading",
     "Dishwasher",
     "FlagHoisting",
+    "GentleLift",
     "Handover",
     "Hockey",
     "Humanoid",
@@ -97,6 +99,7 @@ __getattr__, __dir__ = lazy_names(
         "cloth_spreading": ("ClothSpreading",),
         "dishwasher": ("Dishwasher",),
         "flag_hoisting": ("FlagHoisting",),
+        "gentle_lift": ("GentleLift",),
         "handover": ("Handover",),
         "hockey": ("Hockey",),
         "in_hand_repose": ("InHandRepose",),
@@ -143,6 +146,11 @@ def register(registry: TaskRegistry) -> None:
     registry.add("Peg-In-Hole", "Put blocks into the holes that match them", "orbit_tasks.peg_in_hole:PegInHole")
     registry.add(
         "Peg-In-The-Dark", "Feel for a hole and put a block into it", "orbit_tasks.peg_in_the_dark:PegInTheDark"
+    )
+    registry.add(
+        "Gentle-Lift",
+        "Lift a box of unknown weight, gripped no tighter than needed",
+        "orbit_tasks.gentle_lift:GentleLift",
     )
     registry.add(
         "Beat-The-Buzz", "Lead a ring along a bent rod without a touch", "orbit_tasks.beat_the_buzz:BeatTheBuzz"
