@@ -15,7 +15,6 @@ import copy
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, cast
@@ -27,8 +26,8 @@ from torch.nn import functional as F
 from orbit_core.envs.captured_step import StepResult
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import Observation
+from orbit_core.envs.off_policy import OffPolicySettings
 from orbit_core.envs.policy_loop import PolicyLoop
-from orbit_core.interfaces import ArgumentError, UnknownNameError
 from orbit_learn.distill import RunningMoments, copied_actor
 from orbit_learn.ends import true_next
 from orbit_learn.networks import ActorNetwork, NormalizedActor, Perceptron
@@ -36,7 +35,6 @@ from orbit_learn.recorded import RecordedFunction
 from orbit_learn.spaces import ACTOR, check_groups, critic_group
 from orbit_learn.trainer import LoopTrainer
 
-ALGORITHMS = ("sac", "td3")
 # Steps of each environment in a batch, where the settings name no size, and the bounds of that size.
 _BATCH_STEPS, _LEAST_BATCH, _MOST_BATCH = 8, 256, 32_768
 # Bounds of the logarithm of SAC's deviation, before tanh.
@@ -44,82 +42,6 @@ _LOG_STD = (-5.0, 1.0)
 # Noise of TD3's target actions and its bound; Fujimoto et al., section 6.1.
 _TARGET_NOISE, _MOST_NOISE = 0.2, 0.5
 _MOST_DEVIATIONS = 10.0
-_PRECISIONS = ("float32", "tf32")
-
-
-@dataclass(frozen=True)
-class OffPolicySettings:
-    """Soft actor-critic, or twin delayed deep deterministic policy gradients."""
-
-    algorithm: str = "sac"
-    """sac (stochastic, with a learned temperature) or td3 (deterministic, with noise)."""
-    iterations: int = 500
-    """Number of iterations, each of collecting steps and learning from them."""
-    steps_per_iteration: int = 16
-    """Environment steps that every environment contributes to an iteration."""
-    updates_per_step: int = 2
-    """Gradient steps for one step of all environments."""
-    batch_size: int = 0
-    """Transitions in a gradient step; 0 for eight of each environment, between 256 and 32,768."""
-    buffer_size: int = 1_000_000
-    """Transitions that are kept, of all environments together."""
-    warm_up: int = 16
-    """Steps of every environment before the first gradient step."""
-    hidden_sizes: tuple[int, ...] = (256, 256)
-    """Units of the actor's hidden layers."""
-    critic_sizes: tuple[int, ...] = (256, 256)
-    """Units of each critic's hidden layers."""
-    learning_rate: float = 5e-4
-    """Adam's rate for actor, critics and temperature."""
-    discount: float | None = None
-    """Weight of the next step's return, per environment step; that of the task's PPO settings if None."""
-    horizon: int = 3
-    """Steps whose rewards are summed before the critic's estimate; more than 1 is biased by older policies, and
-    faster."""
-    target_rate: float = 0.01
-    """Share by which the target critics follow the critics in a gradient step."""
-    policy_delay: int = 2
-    """Gradient steps of the critics for one of the actor."""
-    target_entropy: float = -1.0
-    """Entropy that SAC's temperature holds, for each component of the action."""
-    temperature: float = 0.01
-    """SAC's weight of entropy at first; it is learned."""
-    noise: tuple[float, float] = (0.05, 0.4)
-    """Smallest and largest deviation of TD3's exploration; each environment draws its own for an episode."""
-    normalize_observations: bool = True
-    """Whether observations are shifted and scaled to mean 0 and deviation 1 by their own statistics."""
-    precision: str = "tf32"
-    """Arithmetic of matrix products on a GPU: tf32 (10 bits of mantissa, on tensor cores) or float32."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            UnknownNameError: there is no such algorithm.
-            ArgumentError: a setting is out of its range.
-        """
-        if self.algorithm not in ALGORITHMS:
-            raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS, "library orbit")
-        if self.precision not in _PRECISIONS:
-            raise UnknownNameError("precision", self.precision, _PRECISIONS, "library orbit")
-        positive = ("iterations", "steps_per_iteration", "updates_per_step", "buffer_size", "warm_up", "horizon")
-        for name in (*positive, "policy_delay"):
-            if getattr(self, name) < 1:
-                raise ArgumentError(f"{name} is {getattr(self, name)!r}: give at least 1")
-        if self.batch_size < 0:
-            raise ArgumentError(f"batch_size is {self.batch_size}: give at least 1, or 0 for the algorithm's own")
-        for name in ("learning_rate", "temperature"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ArgumentError(f"{name} is {getattr(self, name)!r}: give a number above zero")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ArgumentError(f"target_rate is {self.target_rate!r}: give a share above 0 and up to 1")
-        if self.discount is not None and not 0.0 <= self.discount <= 1.0:
-            raise ArgumentError(f"discount is {self.discount!r}: give 0 to 1")
-        if not 0.0 <= self.noise[0] <= self.noise[1]:
-            raise ArgumentError(f"noise is {self.noise}: give two deviations, the smaller first")
-        if not self.critic_sizes or min(self.critic_sizes) < 1:
-            raise ArgumentError(f"critic_sizes are {self.critic_sizes}: give each layer one unit or more")
-        Perceptron(self.hidden_sizes)  # which checks its own sizes
 
 
 class Transitions(NamedTuple):
