@@ -47,8 +47,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
 __all__ = [
     "CommandTerm", "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ModifyTerm",
     "ObservationGroup", "ObservationTerm", "OffPolicySettings", "PpoSettings", "PremiseTerm", "RewardTerm", "Subtask",
-    "Task", "TaskEntry", "TaskMetadata", "TaskRegistry", "TaskState", "TerminationTerm", "buffer", "make", "once_per_state",
-    "task_entries", "task_entry",
+    "Task", "TaskEntry", "TaskMetadata", "TaskRegistry", "TaskState", "TerminationTerm", "buffer", "make",
+    "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 __getattr__, __dir__ = lazy_names(__name__, _MODULES)

@@ -387,4 +387,5 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
 
 def _follow(target: nn.Module, source: nn.Module, rate: float) -> None:
     # One launch for all tensors.
-    torch._foreach_lerp_([*target.parameters()], [*source.parameters()], rate)
+    lerp = torch._foreach_lerp_  # pyright: ignore[reportPrivateImportUsage] - has no other name
+    lerp([*target.parameters()], [*source.parameters()], rate)

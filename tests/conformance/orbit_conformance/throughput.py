@@ -237,9 +237,8 @@ def measure_once(
         start = time.perf_counter() - begin
         grown = _resident_mib() - memory
         raw = _raw_steppers(environment)
-        # Kernels compile in the first trial, so that the second one shows how long steps take.
-        for _ in range(2):
-            trial = _block(environment, agent, raw, min(_TRIAL_STEPS, block_steps))
+        trials = [_block(environment, agent, raw, min(_TRIAL_STEPS, block_steps)) for _ in range(2)]
+        trial = trials[1]  # because kernels compile in the first
         block_steps = max(1, min(block_steps, round(_BLOCK_SECONDS / trial[_ENVIRONMENT])))
         fastest = min((trial[name] for name in raw), default=0.0)
         raw = {name: stepper for name, stepper in raw.items() if trial[name] <= _HOPELESS * fastest}
