@@ -69,6 +69,7 @@ class ParticleMatter(Matter):
             layout.scene.physics_dt, count, sweeps, config.contact_stiffness, solid, config.solid_iterations
         )
         limits.check_stiffness(layout, solid)
+        limits.check_apart(layout)
         self._solids = Solids(layout, num_envs, device, layout.scene.physics_dt / solid)
         self._graphs = Graphs(device, config.capture)
         # Kernels that loop over all particles of an environment run on CPUs only; elsewhere they cost compile time.
