@@ -388,6 +388,21 @@ def test_solids_that_begin_in_each_other_are_refused(way: float) -> None:
         simulate(Scene(deformables=(BLOCK, other)), 1, "mujoco", matter="orbit-matter")
 
 
+WALL = box("wall", (0.05, 0.05, 0.05), fixed_base=True, pose=Pose((0.029, 0.0, 0.026)))
+
+
+@pytest.mark.parametrize(
+    ("scene", "what"),
+    [
+        (Scene(deformables=(BLOCK,), objects=(WALL,)), r"'block' begins 0\.021 m inside link 'wall'"),
+        (Scene(deformables=(replace(BLOCK, pose=Pose()),)), r"'block' begins 0\.025 m inside the terrain"),
+    ],
+)
+def test_a_solid_that_begins_in_a_rigid_thing_is_refused(scene: Scene, what: str) -> None:
+    with pytest.raises(ConfigurationError, match=what):
+        simulate(scene, 1, "mujoco", matter="orbit-matter")
+
+
 def test_the_build_report_names_light_bodies() -> None:
     light = replace(SCENE, objects=(box("plate", (0.1, 0.1, 0.02), mass=0.01, pose=PLATE.pose),), sensors=())
     own = simulate(light, 1, "mujoco", matter="orbit-matter")
