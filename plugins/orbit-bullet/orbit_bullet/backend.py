@@ -82,6 +82,7 @@ CAPABILITIES = Capabilities(
             "planes"
         ),
         Capability.CONTACT_FORCES: EXACT,
+        Capability.FRICTION_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,
         Capability.LOOP_WRENCHES: EXACT,
         Capability.EXTERNAL_WRENCHES: EXACT,

@@ -36,6 +36,8 @@ FIRST_TURNS = wp.constant(30)
 NONE = wp.constant(-1)
 LANES = 32
 """Rows of the preconditioner that a CPU computes at a time; solids begin at multiples of it."""
+PARTS = wp.constant(16)
+"""Threads of a GPU that share a sum: those that need it add up their parts, in one order."""
 FOUR = wp.constant(4)
 """Environments that share a pass over the preconditioner."""
 
@@ -123,6 +125,10 @@ class Solve:
     """The same memory as ``out``."""
     rz: wp.array2d[float]
     """(N, B) product of each solid's residual and what the preconditioner makes of it."""
+    rz_parts: wp.array3d[float]
+    """(N, B, PARTS) the same, on a GPU."""
+    pq_parts: wp.array3d[float]
+    """(N, B, PARTS) product of the direction of search and what the matrix makes of it."""
     step: wp.array2d[float]
     """(N, B) along the direction of search: each group has its own, so that no other's contacts slow it down."""
     turned: wp.array2d[float]
@@ -151,6 +157,8 @@ class Sites:
     """(V,) N/m of what holds vertices."""
     whole: wp.array2d[float]
     """(N, S) N/m of its contact or hold in this step, before anything gives way."""
+    firm_parts: wp.array3d[float]
+    """(N, F, PARTS) sum of ``whole`` on each free body, on a GPU."""
     owner: wp.array[int]
     """(S,) index of the deformable."""
     contacts: int
