@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from orbit_tasks.mobile_reach import MobileReach
     from orbit_tasks.nut_bolt import NutBolt
     from orbit_tasks.peg_in_hole import PegInHole
+    from orbit_tasks.pick_and_place import PickAndPlace
     from orbit_tasks.reach import Reach
     from orbit_tasks.recover import Recover
     from orbit_tasks.room_reorganization import RoomReorganization
@@ -64,6 +65,7 @@ __all__ = [
     "MobileReach",
     "NutBolt",
     "PegInHole",
+    "PickAndPlace",
     "Reach",
     "Recover",
     "RoomReorganization",
@@ -105,6 +107,7 @@ __getattr__, __dir__ = lazy_names(
         "mobile_reach": ("MobileReach",),
         "nut_bolt": ("NutBolt",),
         "peg_in_hole": ("PegInHole",),
+        "pick_and_place": ("PickAndPlace",),
         "reach": ("Reach",),
         "recover": ("Recover",),
         "room_reorganization": ("RoomReorganization",),
@@ -132,6 +135,9 @@ def register(registry: TaskRegistry) -> None:
     """Entry point ``orbit.tasks``: register every task, importing none."""
     registry.add("Reach", "Bring the end effector to a sampled pose", "orbit_tasks.reach:Reach")
     registry.add("Lift", "Lift a cube from the table to a sampled position", "orbit_tasks.lift:Lift")
+    registry.add(
+        "Pick-And-Place", "Put a cube on a mark on the table's other half", "orbit_tasks.pick_and_place:PickAndPlace"
+    )
     registry.add("Stack", "Put one block on another", "orbit_tasks.stack_pyramid:Stack")
     registry.add("Stack-Pyramid", "Build two pyramids of coloured blocks", "orbit_tasks.stack_pyramid:StackPyramid")
     registry.add("Hockey", "Hit a puck with a stick into the net", "orbit_tasks.hockey:Hockey")
