@@ -1,4 +1,4 @@
-"""What a robot of ROS measures besides its joints: programs of the real ROS publish it, and a World of ours has it."""
+"""Measurements of a robot of ROS in addition to its joints: programs of the real ROS publish it, and a World of ours has it."""
 
 from __future__ import annotations
 
