@@ -1,4 +1,4 @@
-"""Measurements of a robot of ROS in addition to its joints: programs of the real ROS publish it, and a World of ours has it."""
+"""Measurements of a robot of ROS other than its joints: programs of the real ROS publish them, a World of ours has them."""
 
 from __future__ import annotations
 

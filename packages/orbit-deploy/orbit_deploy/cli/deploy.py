@@ -327,24 +327,22 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
 
     engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
     counter = EpisodeCounter(settings.episodes, 1, environment.device)
-    _count_down(settings.countdown)
-    pilot.wait()
-    engine.rehearsing = False
-    engine.link.permit = pilot.check
-    # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
-    with (
-        prioritized(inherited=False),
-        JointTable(engine.link, settings.table) as table,
-        _Watch(settings, environment) as watch,
-    ):
-        environment.reset(settings.seed)
+    # The page and the twin take seconds to start, in which nobody waits for the robot to move.
+    with _Watch(settings, environment) as watch:
+        _count_down(settings.countdown)
+        pilot.wait()
+        engine.rehearsing = False
+        engine.link.permit = pilot.check
+        # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
+        with prioritized(inherited=False), JointTable(engine.link, settings.table) as table:
+            environment.reset(settings.seed)
 
-        def show(state: RobotState) -> None:
-            table.show(state)
-            watch.show(state)
+            def show(state: RobotState) -> None:
+                table.show(state)
+                watch.show(state)
 
-        engine.on_step = show
-        roll_out(environment, pilot, (counter,), lambda: counter.complete)
+            engine.on_step = show
+            roll_out(environment, pilot, (counter,), lambda: counter.complete)
     episodes, link, state = counter.episodes(), engine.link, engine.link.state()
     return {
         "task": type(environment.task).__name__,
