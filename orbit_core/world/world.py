@@ -49,7 +49,7 @@ from orbit_core.interfaces.capabilities import IMAGES
 from orbit_core.interfaces.capture import Schedule, is_tracing
 from orbit_core.preparation.scene_data import check_attachments, check_data
 from orbit_core.preparation.scenes import prepared
-from orbit_core.scene import CameraSpec, Scene, SensorSpec, Studio
+from orbit_core.scene import CameraSpec, RayCameraSpec, Scene, SensorSpec, Studio
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.sensors.timed import TimedSensor
 from orbit_core.world.active import ActiveModels
@@ -202,7 +202,12 @@ class SimulatedWorld(World):
     def renderer(self) -> Renderer:
         """Draws the scene's cameras; made on first use."""
         if self._renderer is None:
-            cameras = tuple(spec for spec in self.scene.sensors if isinstance(spec, CameraSpec))
+            cameras = tuple(
+                spec
+                for spec in self.scene.sensors
+                # Rays are cast by the engine.
+                if isinstance(spec, CameraSpec) and not isinstance(spec, RayCameraSpec)
+            )
             self._renderer = self.create_renderer(cameras)
         return self._renderer
 

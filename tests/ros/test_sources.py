@@ -1,4 +1,4 @@
-"""Measurements of a robot of ROS other than its joints: programs of the real ROS publish them, a World of ours has them."""
+"""Measurements of a robot of ROS other than its joints: programs of the real ROS publish them, a World of ours reads."""
 
 from __future__ import annotations
 

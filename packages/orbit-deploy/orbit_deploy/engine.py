@@ -38,9 +38,10 @@ from orbit_deploy.pictures import check_cameras
 _SEEN = (Capability.RGB, Capability.DEPTH, Capability.TEXTURES, Capability.LIGHTING, Capability.SHADOWS)
 # Parts of a world that a simulation has and a robot has not
 _NONE = (
-    Capability.CONTACT_FORCES, Capability.JOINT_WRENCHES, Capability.LOOP_WRENCHES, Capability.EXTERNAL_WRENCHES,
-    Capability.RAY_CASTS, Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_FRICTION,
-    Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_JOINTS, Capability.RANDOMIZE_LIMITS, Capability.RANDOMIZE_GRAVITY,
+    Capability.CONTACT_FORCES, Capability.FRICTION_FORCES, Capability.JOINT_WRENCHES, Capability.LOOP_WRENCHES,
+    Capability.EXTERNAL_WRENCHES, Capability.RAY_CASTS, Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS,
+    Capability.RANDOMIZE_FRICTION, Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_JOINTS, Capability.RANDOMIZE_LIMITS,
+    Capability.RANDOMIZE_GRAVITY,
     Capability.SHAPES_PER_ENVIRONMENT, Capability.SNAPSHOTS, Capability.COPIED_STATES, Capability.DETERMINISTIC,
     Capability.GPU, *MATTER, *(each for each in IMAGES if each not in _SEEN),
 )  # fmt: skip
