@@ -1,4 +1,4 @@
-"""Measurements of a robot of ROS other than its joints: programs of the real ROS publish them, a World of ours reads."""
+"""Measurements of a robot of ROS other than its joints: programs of the real ROS publish them, our World reads them."""
 
 from __future__ import annotations
 
