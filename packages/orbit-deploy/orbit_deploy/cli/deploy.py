@@ -124,7 +124,9 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
             _leave_placing_to_people(task, out.print)
         _leave_out_learning(task)
         # Joints, their order and units are compared when the world is made, the policy's manifest by its actor.
-        environment = make(task, 1, world=robot_world(link, period, contacts=True), seed=settings.seed)
+        # It begins with a reset, and nothing may move before the countdown.
+        world = robot_world(link, period, contacts=True, rehearsing=True)
+        environment = make(task, 1, world=world, seed=settings.seed)
         try:
             _check_differences(environment, settings)
             with _Pilot(settings, environment) as pilot:
@@ -212,7 +214,7 @@ def _leave_out_learning(task: Task) -> None:
 
 
 def _rehearse(environment: Environment, pilot: _Pilot, agent: str) -> None:
-    """Run one step without the robot if the task has contact sensors, to see that the agent does without them.
+    """Run one step if the task has contact sensors, to see that the agent does without them; the robot stays still.
 
     Raises:
         ConfigurationError: it reads contact forces.
@@ -224,14 +226,9 @@ def _rehearse(environment: Environment, pilot: _Pilot, agent: str) -> None:
     sensors = [spec.name for spec in environment.world.scene.sensors if isinstance(spec, ContactSensorSpec)]
     if not sensors or agent == TELEOP:
         return
-    engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
-    engine.rehearsing = True
-    try:
-        # The sensors hold zeros until the first step.
-        environment.step(torch.zeros(1, environment.action_size))
-        action = pilot.rehearse()
-    finally:
-        engine.rehearsing = False
+    # The sensors hold zeros until the first step.
+    environment.step(torch.zeros(1, environment.action_size))
+    action = pilot.rehearse()
     if not bool(action.isfinite().all()):
         raise ConfigurationError(
             f"{agent} reads contact forces ({', '.join(sensors)}), which the robot's computer does not measure: use a "
@@ -282,14 +279,22 @@ class _Pilot:
             if each is not None:
                 each.close()
 
+    def check(self) -> None:
+        """Raise if the dead-man key is not held.
+
+        Raises:
+            ReleasedError: it is not.
+        """
+        if self._key is not None:
+            self._key.check()
+
     def act(self) -> Tensor:
         """Return the next action (1, A).
 
         Raises:
             ReleasedError: the dead-man key was released.
         """
-        if self._key is not None:
-            self._key.check()
+        self.check()
         return self._actor.act()
 
     def rehearse(self) -> Tensor:
@@ -322,22 +327,22 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
 
     engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
     counter = EpisodeCounter(settings.episodes, 1, environment.device)
-    _count_down(settings.countdown)
-    pilot.wait()
-    # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
-    with (
-        prioritized(inherited=False),
-        JointTable(engine.link, settings.table) as table,
-        _Watch(settings, environment) as watch,
-    ):
-        environment.reset(settings.seed)
+    # The page and the twin take seconds to start, in which nobody waits for the robot to move.
+    with _Watch(settings, environment) as watch:
+        _count_down(settings.countdown)
+        pilot.wait()
+        engine.rehearsing = False
+        engine.link.permit = pilot.check
+        # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
+        with prioritized(inherited=False), JointTable(engine.link, settings.table) as table:
+            environment.reset(settings.seed)
 
-        def show(state: RobotState) -> None:
-            table.show(state)
-            watch.show(state)
+            def show(state: RobotState) -> None:
+                table.show(state)
+                watch.show(state)
 
-        engine.on_step = show
-        roll_out(environment, pilot, (counter,), lambda: counter.complete)
+            engine.on_step = show
+            roll_out(environment, pilot, (counter,), lambda: counter.complete)
     episodes, link, state = counter.episodes(), engine.link, engine.link.state()
     return {
         "task": type(environment.task).__name__,
@@ -420,6 +425,7 @@ def _count_down(seconds: float) -> None:
 
 def _rest(link: RobotLink) -> None:
     """Bring the robot to rest; it does so by itself where the link is lost."""
+    link.permit = None
     try:
         link.stop()
         link.finish_motion(2.0)
