@@ -107,7 +107,9 @@ def motion_log(
     source: str,
     description: RobotDescription | None = None,
 ) -> MotionLog:
-    """Check recorded arrays and return their log; what is missing is zero, a missing target the measured position.
+    """Check recorded arrays and return their log; what is missing is zero.
+
+    A missing target is the measured position, a missing velocity its derivative.
 
     Args:
         joints: names in order.
@@ -129,6 +131,9 @@ def motion_log(
     full = {name: columns.get(name, np.zeros_like(columns["position"])) for name in _COLUMNS}
     # A log without targets still shows a motion, and one of a free robot has none.
     full["target"] = columns.get("target", columns["position"])
+    # A replay that begins in motion needs the speed.
+    if "velocity" not in columns:
+        full["velocity"] = np.gradient(columns["position"], times, axis=0)
     for name, values in full.items():
         if not np.isfinite(values).all():
             row = int(np.argmin(np.isfinite(values).all(1)))
