@@ -14,7 +14,7 @@ import pytest
 from orbit_assets.catalogue import robot, robot_info
 from orbit_assets.fitted import FittedRobot, read_fitted
 from orbit_core.backends import default_backend
-from orbit_core.interfaces import AssetError, ConfigurationError, OrbitError
+from orbit_core.interfaces import AssetError, ConfigurationError
 from orbit_core.scene import Scene
 from orbit_deploy.cli.identify import main as identify_command
 from orbit_deploy.description import RobotDescription
@@ -33,8 +33,9 @@ from orbit_deploy.log_replay import (
     resampled,
     rms,
 )
-from orbit_deploy.motion_log import MotionLog, read_log
+from orbit_deploy.motion_log import MotionLog, motion_log, read_log
 from orbit_deploy.simulated import Imperfections, SimulatedHardware
+from orbit_deploy.twin import replay_twin
 from tests.deploy.rig import PERIOD, arm
 
 BACKEND = default_backend()
@@ -63,9 +64,27 @@ def recorded(file: Path, truth: FittedRobot, seconds: float = 1.4) -> MotionLog:
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> MotionLog:
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mcap", reason="the extra orbit-deploy[log] is not installed")
-    return recorded(tmp_path_factory.mktemp("logs") / "arm.mcap", TRUTH)
+    file = tmp_path_factory.mktemp("logs") / "arm.mcap"
+    recorded(file, TRUTH)
+    return file
+
+
+@pytest.fixture(scope="module")
+def log(written: Path) -> MotionLog:
+    return read_log(written)
+
+
+def test_a_gap_in_a_log_is_named_with_the_way_around_it(log: MotionLog) -> None:
+    kept = (log.times < 0.5) | (log.times > 0.8)
+    columns = {name: getattr(log, name)[kept] for name in ("target", "position")}
+    gapped = motion_log(log.joints, log.times[kept], columns, "gapped.csv")
+    with pytest.raises(
+        ConfigurationError, match=r"gapped.csv has a gap from 0\.49\d to 0\.80\d s .* --begin and --seconds"
+    ):
+        replay_twin(gapped, arm(), BACKEND)
+    LogReplay(gapped.selected(0.81), arm(), BACKEND, ParameterNames((), (), ())).close()
 
 
 def test_a_replayed_log_gives_the_motion_that_was_recorded(log: MotionLog) -> None:
@@ -321,7 +340,17 @@ def test_a_file_that_is_no_fitted_robot_is_one_sentence(text: str, message: str,
         ("time,position:a,speed:a\n" + "".join(f"{i},0,0\n" for i in range(30)), "mean nothing here: speed:a"),
         ("time,position:a\n" + "".join(f"{i % 25},0\n" for i in range(30)), "goes back in time at state 25"),
         ("time,position:a\n" + "".join(f"{i},{'nan' if i == 7 else 0}\n" for i in range(30)), "not finite, 7.000 s in"),
+        ("time,position:a\n" + "".join(f"{i},{'inf' if i == 3 else 0}\n" for i in range(30)), "a position that is not"),
+        (
+            "time,position:a\n" + "".join(f"{'nan' if i == 3 else i},0\n" for i in range(30)),
+            "no finite time at state 3",
+        ),
         ("time,target:a\n" + "".join(f"{i},0\n" for i in range(30)), "holds no measured positions"),
+        ("time,position:a\n", "holds 0 states of the robot"),
+        ("time,position:a\n" + "".join(f"{i},0\n" for i in range(30)) + "31", "1 numbers in line 32.*cut off"),
+        ("time,position:a,position:a\n" + "".join(f"{i},0,1\n" for i in range(30)), "several columns of one name"),
+        ("t,q1\n0,1\n", "has no column 'time'"),
+        ("time,position:a\r0,1\r\x00", "is no CSV file|has no column"),
     ],
 )
 def test_a_damaged_log_is_one_sentence(text: str, message: str, tmp_path: Path) -> None:
@@ -331,12 +360,20 @@ def test_a_damaged_log_is_one_sentence(text: str, message: str, tmp_path: Path) 
         read_log(file)
 
 
-def test_other_logs_and_words_are_refused(log: MotionLog, tmp_path: Path) -> None:
-    (tmp_path / "log.mcap").write_bytes(b"\x89MCAP0\r\n and then nothing")
+def test_other_logs_and_words_are_refused(log: MotionLog, written: Path, tmp_path: Path) -> None:
+    whole = written.read_bytes()
+    for name, data in (
+        ("cut", whole[: len(whole) // 2]),
+        ("end", whole[:-20]),
+        ("empty", b""),
+        ("log", b"\x89MCAP0\r\n"),
+    ):
+        (tmp_path / f"{name}.mcap").write_bytes(data)
+        with pytest.raises(ConfigurationError, match=r"is damaged or was cut off: .+"):
+            read_log(tmp_path / f"{name}.mcap")
     log.write_csv(tmp_path / "arm.csv")
-    for path, message in ((tmp_path / "log.mcap", "is damaged"), (tmp_path / "gone.csv", "there is no log")):
-        with pytest.raises(OrbitError, match=message):
-            read_log(path)
+    with pytest.raises(ConfigurationError, match="there is no log"):
+        read_log(tmp_path / "gone.csv")
     with pytest.raises(ConfigurationError, match=r"what is fitted is of friction.*not mass"):
         quantities_of(("mass",))
     with pytest.raises(ConfigurationError, match="no joint of 'franka_panda' moved"):

@@ -18,6 +18,9 @@ from orbit_core.world import simulate
 from orbit_deploy.description import FloatArray, RobotDescription
 from orbit_deploy.motion_log import MotionLog
 
+# s between two rows that count as a gap: targets in between are unknown, and a busy computer pauses 0.1 s now and then
+_GAP = 0.25
+
 
 @dataclass(frozen=True)
 class ParameterNames:
@@ -78,6 +81,7 @@ class LogReplay:
             )
         self.spec, self.names, self.payload_link = spec, names, payload_link
         self.log = log.ordered(tuple(joint.name for joint in spec.articulation.movable_joints))
+        _check_gaps(self.log)
         # A CSV file does not say the cycle: that of ORBIT's computers is 1 ms if not set otherwise.
         rate = log.description.rate if log.description is not None else 1000.0
         self.dt = dt or 1.0 / rate
@@ -269,6 +273,23 @@ def placements(log: MotionLog, description: RobotDescription) -> list[int]:
     way = np.abs(np.diff(log.position, axis=0))
     most = 2.0 * np.array(description.velocity) * np.diff(log.times)[:, None] + 1e-3
     return (np.flatnonzero((way > most).any(1)) + 1).tolist()
+
+
+def _check_gaps(log: MotionLog) -> None:
+    """Check that a log has no gap, in which nobody knows the targets.
+
+    Raises:
+        ConfigurationError: names the first gap, and how to leave it out.
+    """
+    intervals = np.diff(log.times)
+    # Slow recordings have long intervals everywhere.
+    gaps = np.flatnonzero(intervals > max(_GAP, 10.0 * float(np.median(intervals))))
+    if len(gaps):
+        begin, end = log.times[gaps[0]], log.times[gaps[0] + 1]
+        raise ConfigurationError(
+            f"{log.source or 'the log'} has a gap from {begin:.3f} to {end:.3f} s of the part that is replayed: "
+            "choose a part without it by --begin and --seconds"
+        )
 
 
 def predict(log: MotionLog, spec: RobotSpec, backend: str, delay: float = 0.0, dt: float | None = None) -> FloatArray:
