@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_viewer.history import SECONDS
+from orbit_viewer.plots import add_plot
 from orbit_viewer.signals import MOST_COMPONENTS, Numbers, Signal
 
 if TYPE_CHECKING:
@@ -407,19 +408,8 @@ class Panel:
         show()
 
     def _add_plot(self, components: Sequence[str]) -> Any:
-        from viser import uplot
-
-        nothing = np.zeros(1)
-        lines = [
-            uplot.Series(label=name, stroke=_STROKES[number % len(_STROKES)], width=2)
-            for number, name in enumerate(components)
-        ]
-        return self._server.gui.add_uplot(
-            tuple(nothing for _ in range(len(lines) + 1)),
-            (uplot.Series(label="s"), *lines),
-            scales={"x": uplot.Scale(time=False)},
-            aspect=1.8,
-        )
+        lines = {name: _STROKES[number % len(_STROKES)] for number, name in enumerate(components)}
+        return add_plot(self._server.gui, lines, 1.8)
 
     def _add_keys(self, num_envs: int) -> None:
         """Add the keyboard's short-cuts, which the page's command palette lists."""
