@@ -186,7 +186,7 @@ class GentleLift(tabletop.TabletopTask):
         ppo=PpoSettings(iterations=1500, initial_std=0.3, entropy_weight=0.002),
         exceptions=(TaskException(TaskCheck.START_AREA, "the box starts within 10 x 20 cm: its weight differs"),),
     )
-    episode_length: float = 10.0
+    episode_length: float = 12.0
     masses: tuple[float, float] = (0.15, 1.0)
     """Range of the box's mass, kg."""
     height: float = 0.1

@@ -1,4 +1,4 @@
-"""Sound of videos: a track in time with the pictures, and what is refused."""
+"""Sound of videos, in time with their pictures, and waveforms in datasets of every format."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from torch import Tensor
 
 from orbit_assets.objects import box, sphere
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, Task
+from orbit_core.envs.actors import scripted_actor
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Pose, Scene
+from orbit_data.formats import opened
+from orbit_data.recording import RecordingFile, record
 from orbit_motion import workspace
 from orbit_sound import MATERIALS, MicrophoneSpec, SoundSource, heard
 from orbit_viewer.video import VideoRecorder
@@ -129,3 +132,23 @@ def test_a_slow_microphone_is_heard_whole(tmp_path: Path):
         rate = container.streams.audio[0].rate
     onset = int(np.flatnonzero(np.abs(sound) > 0.1 * np.abs(sound).max())[0]) / rate
     assert onset == pytest.approx(math.sqrt(2.0 * HEIGHT / 9.81), abs=0.04)
+
+
+@pytest.mark.parametrize("name", ["falling.hdf5", "falling"])
+def test_a_dataset_holds_the_waveform_at_its_rate(tmp_path: Path, name: str):
+    path = tmp_path / name
+    env = Environment(Falling(episode_length=0.5), num_envs=2, backend="mujoco", seed=0)
+    record(env, lambda: scripted_actor("zero", env, 0), RecordingFile(path), "Falling", 2, 0)
+    env.close()
+    with opened(path) as dataset:
+        # A period of the microphone is a step, and each reading has its samples.
+        assert dataset.manifest is not None
+        rate = 16_000 * dataset.manifest.step_dt
+        assert b"16000 samples a second" in dataset.manifest.encode()
+        for place in range(2):
+            sound = dataset.read(place).arrays["obs/sound"]
+            assert sound.shape == (25, round(rate))
+            wave = sound.ravel()
+            # The first reading is that of before the first step, so that the waveform is one step late.
+            onset = int(np.flatnonzero(np.abs(wave) > 0.1 * np.abs(wave).max())[0]) / 16_000 - 0.02
+            assert onset == pytest.approx(math.sqrt(2.0 * HEIGHT / 9.81) + 0.3 / 343.0, abs=0.0055)
