@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from orbit_tasks.rope_reshaping import RopeReshaping
     from orbit_tasks.running import Ant, Humanoid
     from orbit_tasks.soft_dropping import SoftDropping
+    from orbit_tasks.soft_grasp import SoftGrasp
     from orbit_tasks.soft_lifting import SoftLifting
     from orbit_tasks.soft_placing import SoftPlacing
     from orbit_tasks.soft_stacking import SoftStacking
@@ -73,6 +74,7 @@ __all__ = [
     "RoomReorganization",
     "RopeReshaping",
     "SoftDropping",
+    "SoftGrasp",
     "SoftLifting",
     "SoftPlacing",
     "SoftStacking",
@@ -120,6 +122,7 @@ __getattr__, __dir__ = lazy_names(
             "Humanoid",
         ),
         "soft_dropping": ("SoftDropping",),
+        "soft_grasp": ("SoftGrasp",),
         "soft_lifting": ("SoftLifting",),
         "soft_placing": ("SoftPlacing",),
         "soft_stacking": ("SoftStacking",),
@@ -217,6 +220,7 @@ def register(registry: TaskRegistry) -> None:
         "Soft-Placing", "Put a soft block on a pad, turned as the pad is", "orbit_tasks.soft_placing:SoftPlacing"
     )
     registry.add("Soft-Dropping", "Drop a soft block into a container", "orbit_tasks.soft_dropping:SoftDropping")
+    registry.add("Soft-Grasp", "Lift a fragile fruit with soft fingers", "orbit_tasks.soft_grasp:SoftGrasp")
     registry.add(
         "Tower-Of-Hanoi",
         "Put three soft rings round a rod, in decreasing size",

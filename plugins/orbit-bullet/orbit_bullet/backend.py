@@ -280,6 +280,7 @@ _CLOTH = tuple(
         ("cloth_grasp", ("force", "slip")),
         ("cloth_weight", ("force",)),
         ("cloth_load", ("force", "speed")),
+        ("cloth_hammock", ("force", "depth")),
     )
     for metric in metrics
 )
@@ -296,6 +297,7 @@ _SOLIDS = tuple(
         ("solid_vibration", ("frequency", "decay", "kept")),
         ("solid_compression", ("modulus", "ratio")),
         ("solid_hertz", ("approach",)),
+        ("solid_pressure", ("flat", "round")),
         ("solid_free", ("linear_momentum", "angular_momentum", "energy")),
         ("solid_slope", ("creep", "acceleration")),
         ("solid_grasp", ("force", "slip")),
