@@ -48,8 +48,9 @@ LEARNED = {"Ant": "ant", "Humanoid": "humanoid", "In-Hand-Repose": "in_hand_repo
 """Kept policies that act where a task has no expert."""
 GROUPS = (
     ("Manipulation", "manipulation-tasks.md", (
-        "Reach", "Lift", "Pick-And-Place", "Cabinet", "Handover", "Stack", "Stack-Pyramid", "Peg-In-Hole", "Nut-Bolt",
-        "Jenga", "Hockey", "Beat-The-Buzz", "Dishwasher", "In-Hand-Repose",
+        "Reach", "Lift", "Gentle-Lift", "Pick-And-Place", "Cabinet", "Handover", "Stack", "Stack-Pyramid",
+        "Peg-In-Hole", "Peg-In-The-Dark", "Nut-Bolt", "Jenga", "Hockey", "Beat-The-Buzz", "Dishwasher",
+        "In-Hand-Repose",
     )),
     ("Mobile manipulation", "mobile-tasks.md", (
         "Mobile-Reach", "Mobile-Cabinet", "Mobile-Lift", "Room-Reorganization",
