@@ -60,8 +60,8 @@ GROUPS = (
     ("Locomotion", "legs.md", ("Velocity-Flat", "Velocity-Rough", "Recover")),
     ("Cloth, rope, solids and liquids", "matter.md", (
         "Cloth-Lifting", "Cloth-Dropping", "Cloth-Spreading", "Cloth-Folding", "Flag-Hoisting", "Rope-Reshaping",
-        "Soft-Lifting", "Soft-Stacking", "Soft-Placing", "Soft-Dropping", "Tower-Of-Hanoi", "Fluid-Transport",
-        "Fluid-Pouring",
+        "Soft-Lifting", "Soft-Stacking", "Soft-Placing", "Soft-Dropping", "Soft-Grasp", "Tower-Of-Hanoi",
+        "Fluid-Transport", "Fluid-Pouring",
     )),
     ("Classic control", "classic-control.md", ("Cartpole-Balance", "Cartpole-Swing-Up", "Ant", "Humanoid")),
 )  # fmt: skip

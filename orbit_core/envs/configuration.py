@@ -154,7 +154,7 @@ _COLLECTIONS = ("commands", "rewards", "terminations", "events", "curriculum", "
 # Fields that are read when an environment is made, and never again.
 _FIXED = (
     "robot", "action", "physics_dt", "decimation", "episode_length", "settle_time", "premise_time",
-    "domain_randomization", "curriculum_enabled", "expert_starts",
+    "domain_randomization", "curriculum_enabled", "expert_starts", "expert_phase",
 )  # fmt: skip
 
 

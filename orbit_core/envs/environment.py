@@ -38,6 +38,7 @@ from orbit_core.envs.configuration import (
 )
 from orbit_core.envs.episode import EpisodeEnd, LostEpisodes, StepInfo
 from orbit_core.envs.event_manager import EventManager
+from orbit_core.envs.expert_phase import show_expert_phase
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
 from orbit_core.envs.observation_layout import (
     POLICY,
@@ -124,6 +125,8 @@ class Environment(Generic[TaskT, StateT]):
         self.task = task = copy.deepcopy(task)
         if task.domain_randomization:
             task.randomize()
+        if task.expert_phase:
+            show_expert_phase(task)
         self.max_episode_steps = whole_steps(task)
         """Steps until the time limit."""
         scene = task.scene()

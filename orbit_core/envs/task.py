@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from torch import Tensor
 
+from orbit_core.envs.off_policy import OffPolicySettings
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
 from orbit_core.interfaces import ConfigurationError, Node
@@ -110,6 +111,8 @@ class TaskMetadata:
 
     ppo: PpoSettings = PpoSettings()
     """Settings that ``orbit train`` learns it with."""
+    off_policy: OffPolicySettings = OffPolicySettings()
+    """Those of ``orbit train --algorithm sac`` and td3."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
     """Direction from which pictures and videos are taken, in the environment's frame. The camera stands where what the
     task moves fills the picture; here, if nothing moves."""
@@ -182,6 +185,9 @@ class Task(ABC):
     expert_starts: float = 0.0
     """Share of episodes that begin on the expert's way (:class:`orbit_motion.experts.starts.ExpertStarts`), for
     learning what a beginner would not reach."""
+    expert_phase: bool = False
+    """Whether the policy sees the phase that the expert is in (:mod:`orbit_core.envs.expert_phase`), for cloning an
+    expert whose phases end after a time."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""
     metadata: TaskMetadata = TaskMetadata()

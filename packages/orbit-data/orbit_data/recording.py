@@ -616,6 +616,7 @@ def record(
     progress: Callable[[int], None] = lambda recorded: None,
     noise: float = 0.0,
     instruction: str = "",
+    stray: float = 0.0,
 ) -> Pace:
     """Record episodes until the file contains ``episodes``, including those that are there already.
 
@@ -631,13 +632,14 @@ def record(
         noise: standard deviation of the noise on executed actions, :class:`NoisyActor`; the actor's own actions are
             recorded as ``clean_actions``.
         instruction: what the episodes show, in words.
+        stray: the same as ``noise``, at the start of an episode only.
 
     Raises:
         ConfigurationError: the file was recorded with another environment, or the noise is negative.
         StorageError: the disk is full; finished episodes are kept.
     """
     try:
-        return _record(environment, make_actor, file, task, episodes, seed, groups, progress, noise, instruction)
+        return _record(environment, make_actor, file, task, episodes, seed, groups, progress, noise, instruction, stray)
     finally:
         file.release()
 
@@ -653,6 +655,7 @@ def _record(
     progress: Callable[[int], None],
     noise: float,
     instruction: str,
+    stray: float,
 ) -> Pace:
     file.take_up(Manifest.of(environment, task, seed))
     shares, infos = Shares(episodes, environment), file.infos()
@@ -661,7 +664,7 @@ def _record(
     _skip(environment, begun)
     wanted = max(0, episodes - len(infos))
     actor = make_actor()
-    noisy = NoisyActor(actor, environment, noise, seed) if noise else None
+    noisy = NoisyActor(actor, environment, noise, seed, stray) if noise or stray else None
     clean = None if noisy is None else lambda: noisy.clean
     recorder = DemonstrationRecorder(environment, file.parts, shares, seed, groups, begun, clean, instruction)
 

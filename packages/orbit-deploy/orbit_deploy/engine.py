@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,25 +18,32 @@ from orbit_core.interfaces import (
     Capability,
     ConfigurationError,
     Engine,
+    Renderer,
     SceneLayout,
     UnsupportedCapabilityError,
     approximate,
     unsupported,
 )
 from orbit_core.interfaces.capabilities import IMAGES, MATTER
-from orbit_core.scene import RobotSpec, Scene
+from orbit_core.scene import CameraSpec, ImuSpec, RobotSpec, Scene, SensorSpec
+from orbit_core.sensors.timed import TimedSensor
 from orbit_core.world.world import SimulatedWorld, WorldFactory
 from orbit_deploy.description import RobotDescription, check_robot
 from orbit_deploy.link import RobotFaultError, RobotLink
+from orbit_deploy.measured import MeasuredImu, PictureRenderer
 from orbit_deploy.messages import Arrangement, Mode, RobotState
+from orbit_deploy.pictures import check_cameras
 
+# Kinds of pictures that a robot's cameras take
+_SEEN = (Capability.RGB, Capability.DEPTH, Capability.TEXTURES, Capability.LIGHTING, Capability.SHADOWS)
 # Parts of a world that a simulation has and a robot has not
 _NONE = (
-    Capability.CONTACT_FORCES, Capability.JOINT_WRENCHES, Capability.LOOP_WRENCHES, Capability.EXTERNAL_WRENCHES,
-    Capability.RAY_CASTS, Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_FRICTION,
-    Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_JOINTS, Capability.RANDOMIZE_LIMITS, Capability.RANDOMIZE_GRAVITY,
+    Capability.CONTACT_FORCES, Capability.FRICTION_FORCES, Capability.JOINT_WRENCHES, Capability.LOOP_WRENCHES,
+    Capability.EXTERNAL_WRENCHES, Capability.RAY_CASTS, Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS,
+    Capability.RANDOMIZE_FRICTION, Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_JOINTS, Capability.RANDOMIZE_LIMITS,
+    Capability.RANDOMIZE_GRAVITY,
     Capability.SHAPES_PER_ENVIRONMENT, Capability.SNAPSHOTS, Capability.COPIED_STATES, Capability.DETERMINISTIC,
-    Capability.GPU, *IMAGES, *MATTER,
+    Capability.GPU, *MATTER, *(each for each in IMAGES if each not in _SEEN),
 )  # fmt: skip
 # rad or m: a first target that is farther than this from where the robot is gets a slow way there
 _NEAR = 0.02
@@ -74,6 +81,7 @@ class RobotBackend(Backend):
 
     def __init__(self, link: RobotLink, period: float, contacts: bool = False) -> None:
         self._link, self._period, self._contacts = link, period, contacts
+        self._engine: RobotEngine | None = None
 
     def capabilities(self) -> Capabilities:
         declared = {each: approximate("the robot's own") for each in Capability}
@@ -85,7 +93,15 @@ class RobotBackend(Backend):
     def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: Any) -> Engine:
         if num_envs != 1 or device.type != "cpu":
             raise ConfigurationError(f"a robot is one environment on device 'cpu', not {num_envs} on '{device}'")
-        return RobotEngine(layout, self._link, self._period)
+        cameras = [spec for spec in layout.scene.sensors if isinstance(spec, CameraSpec)]
+        check_cameras(cameras, self._link.description.cameras, self._link.address)
+        self._engine = RobotEngine(layout, self._link, self._period)
+        return self._engine
+
+    def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: Any) -> Renderer:
+        engine = self._engine
+        assert engine is not None  # a world makes its engine first
+        return PictureRenderer(self._link, lambda: engine.placed_at)
 
 
 class RobotEngine(Engine):
@@ -134,6 +150,10 @@ class RobotEngine(Engine):
         self._soft = True
         self.placed = True
         """True in :attr:`on_step` if the robot was put or led elsewhere since the step before, as a reset does."""
+        self.placed_at = 0
+        """Time at which that was done last, ns on the robot's clock."""
+        self.imus: list[list[float]] = []
+        """Newest measurements of the robot's inertial units (10 numbers each)."""
         self.on_step: Callable[[RobotState], None] | None = None
         """Called with each step's state, as a display does."""
         self._take(link.state())
@@ -204,6 +224,7 @@ class RobotEngine(Engine):
 
     def _take(self, state: RobotState) -> None:
         joints = self._robot.joints
+        self._stamp, self.imus = state.stamp, state.imus
         for tensor, values in (
             (self._joint_positions, state.positions),
             (self._joint_velocities, state.velocities),
@@ -291,7 +312,7 @@ class RobotEngine(Engine):
 
     def _forget_time(self) -> None:
         """Begin the next step whenever it comes: time goes on while an episode is prepared."""
-        self._due, self._last_sent, self._soft = None, -1.0, True
+        self._due, self._last_sent, self._soft, self.placed_at = None, -1.0, True, self._stamp
 
     # The rest
 
@@ -344,6 +365,16 @@ class RobotWorld(SimulatedWorld):
         self.settings = None
         self.link = link
         """Session with the robot's computer."""
+
+    def _create_sensor(self, spec: SensorSpec) -> TimedSensor:
+        engine = self._engine
+        assert isinstance(engine, RobotEngine)
+        units = engine.link.description.imus
+        # What an accelerometer measures is worth more than a difference of estimated velocities.
+        if isinstance(spec, ImuSpec) and spec.name in units:
+            place = units.index(spec.name)
+            return MeasuredImu(spec, self._sensing, lambda: engine.imus[place])
+        return super()._create_sensor(spec)
 
 
 def robot_world(link: RobotLink, period: float, contacts: bool = False) -> WorldFactory:

@@ -318,6 +318,11 @@ class ParticleMatter(Matter):
     def contact_forces(self) -> Tensor:
         return self._tensors["forces"]
 
+    def contact_pressures(self, deformable: int) -> Tensor:
+        if not self._solids.has(deformable):
+            return super().contact_pressures(deformable)
+        return self._solids.pressures(deformable, len(self._layout.links))
+
     def diverged(self) -> Tensor:
         # A comparison with NaN is false, so everything outside the bounds is found, NaN too.
         near = (self._tensors["x"].abs() <= MAX_DISTANCE).all(-1)

@@ -252,6 +252,20 @@ class SplitSettings(ReadSettings):
     """Seed of the random choice."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ShowSettings(ReadSettings):
+    """Write episodes as a recording for a viewer: Foxglove's MCAP or Rerun's RRD."""
+
+    dataset: Source
+    """An HDF5 file or a folder of LeRobot's that ORBIT recorded."""
+    output: Annotated[Path, arg(metavar="FILE")]
+    """Ends in .mcap for Foxglove, in .rrd for Rerun."""
+    first: int = 4
+    """Number of episodes, from the dataset's first one on."""
+    overwrite: bool = False
+    """Replace an existing file."""
+
+
 def main(words: Sequence[str]) -> None:
     """Run one of the commands on datasets.
 
@@ -317,6 +331,22 @@ def _filter(words: Sequence[str]) -> None:
         _write(settings, (dataset,), positions)
 
 
+def _show(words: Sequence[str]) -> None:
+    from orbit_data.viewing import SUFFIXES, write_for_viewer
+
+    settings = parse_words(ShowSettings, words, "orbit data show")
+    check_positive("first", settings.first)
+    output = settings.output
+    make_folder(output)
+    check_output(output, output.suffix if output.suffix in SUFFIXES else " or ".join(SUFFIXES), settings.overwrite)
+    with _opened((settings.dataset,), settings.budget) as (dataset,):
+        episodes = map(dataset.read, range(min(settings.first, len(dataset.episodes))))
+        left_out = write_for_viewer(output, episodes, dataset.known())
+    console().print(f"{output} is written", soft_wrap=True)
+    if left_out:
+        console().print(f"not shown: {', '.join(sorted(left_out))}", soft_wrap=True)
+
+
 def _split(words: Sequence[str]) -> None:
     from orbit_data.formats import check_target, divided, write_dataset
 
@@ -337,6 +367,7 @@ def _split(words: Sequence[str]) -> None:
 _COMMANDS: dict[str, tuple[Callable[[Sequence[str]], None], str]] = {
     "info": (_info, "Show what a dataset contains"),
     "convert": (_convert, "Write it in another format: HDF5 as robomimic's, or LeRobot's"),
+    "show": (_show, "Write episodes for a viewer: MCAP for Foxglove, RRD for Rerun"),
     "play": (play, "Replay its episodes on any engine, and measure how far they deviate"),
     "merge": (_merge, "Put datasets together"),
     "filter": (_filter, "Keep the episodes that meet conditions"),

@@ -23,6 +23,7 @@ from orbit_core.files import sweep
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
 
 if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
     from orbit_data.recording import RecordingFile
 
 SUFFIX = ".hdf5"
@@ -45,6 +46,8 @@ class RecordSettings(EnvironmentSettings):
     noise: float = 0.0
     """Standard deviation of noise on the executed actions, in their units, each episode between none and twice this;
     the demonstrator's own actions are kept as clean_actions, the labels that cloning learns."""
+    stray: float = 0.0
+    """The same at the start of each episode only, for up to a fifth of it; the way back is shown without noise."""
     instruction: Annotated[str | None, arg(metavar="TEXT")] = None
     """What the episodes show, in words, as policies of vision and language are asked for it; the task's own if left
     out."""
@@ -102,6 +105,8 @@ def record(settings: RecordSettings) -> None:
     file.check_begun(settings.resume, settings.overwrite)
     environment = make_environment(settings, settings.num_envs)
     check_groups(settings.group, environment)
+    if note := phase_note(environment) if settings.agent == "expert" else "":
+        console().print(note, soft_wrap=True)
     if settings.overwrite:
         file.begin_anew()
     with progress_bar() as bar:
@@ -118,6 +123,7 @@ def record(settings: RecordSettings) -> None:
                 lambda recorded: bar.update(counting, completed=recorded),
                 settings.noise,
                 instruction_of(environment.task, settings.task or "", settings.instruction),
+                settings.stray,
             )
         except (OrbitError, KeyboardInterrupt):
             if kept := len(file.parts.infos()):
@@ -134,6 +140,23 @@ def record(settings: RecordSettings) -> None:
         table.add_row("environment steps per second", f"{pace.env_steps_per_second:,.0f}, recording left out")
     console().print(table)
     show_left_out(file)
+
+
+def phase_note(environment: Environment) -> str:
+    """Return a note where the expert's phases end after a time that a policy would not see; empty if none do."""
+    from orbit_core.envs.expert_phase import EXPERT_PHASE, PhasedExpert
+    from orbit_core.envs.observation_layout import POLICY
+
+    shown = EXPERT_PHASE in environment.observation[POLICY].terms
+    expert = None if shown else environment.expert()
+    if not isinstance(expert, PhasedExpert) or not expert.timed_phases:
+        return ""
+    listed = ", ".join(map(str, expert.timed_phases))
+    return (
+        f"note: {len(expert.timed_phases)} of the expert's {expert.phase_count} phases end after a time ({listed}), "
+        "which a policy does not see. Clone with chunks of actions (the default of orbit train --library imitation), "
+        "show the policy the phase (--set expert_phase=true), and disturb what is executed (--noise, --stray)"
+    )
 
 
 def show_left_out(file: RecordingFile) -> None:

@@ -23,7 +23,7 @@ from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from orbit_core.envs.ppo import PpoSettings
+    from orbit_core.envs.task import TaskMetadata
     from orbit_learn.trainer import Progress, Trainer
     from orbit_learn.training import Training
     from orbit_learn.wandb_log import WandbLog
@@ -102,7 +102,7 @@ def train(settings: TrainSettings) -> Path:
         raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
     environment = make_environment(settings, settings.num_envs, reset_diverged=settings.diverged == "reset")
     try:
-        chosen = _algorithm(settings, make_trainer, environment.task.metadata.ppo)
+        chosen = _algorithm(settings, make_trainer, environment.task.metadata)
         folder = settings.resume or settings.output or _new_folder(settings)
         record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
         trainer = make_trainer(environment, chosen, folder, settings.seed)
@@ -170,7 +170,7 @@ def _processes() -> int:
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
-def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], ppo: PpoSettings) -> Any:
+def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], metadata: TaskMetadata) -> Any:
     """Return the library's settings: the task's own, or the class's defaults, overridden by the user's.
 
     Raises:
@@ -182,7 +182,8 @@ def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], ppo: PpoSet
             raise ConfigurationError(f"library '{settings.library}' takes no --{option.replace('_', '-')}")
     # The first option takes KEY=VALUE words, the others are fields by themselves.
     words, *single = trainer.options
-    defaults = ppo if isinstance(ppo, kind) else kind()
+    presets = (metadata.ppo, metadata.off_policy)
+    defaults = next((preset for preset in presets if isinstance(preset, kind)), None) or kind()
     values: dict[str, Any] = dict(assignments(getattr(settings, words), words, "algorithm setting"))
     for option in single:
         if given := getattr(settings, option):

@@ -165,6 +165,11 @@ class Phase:
         if (self.target is None) == (self.base is None):
             raise ConfigurationError("a phase of an expert leads the hand to its target or drives the base: give one")
 
+    @property
+    def is_timed(self) -> bool:
+        """True if a time decides when it ends, which a policy does not see."""
+        return self.dwell > 0.0 or self.timeout is not None
+
 
 class Expert(Node):
     """State machine that leads each environment through its phases, as actions of the task's own space.
@@ -212,7 +217,14 @@ class Expert(Node):
             raise ConfigurationError(
                 f"an expert needs equally many phases for each agent: {', '.join(env.task.agents)}"
             )
-        self._last = counts.pop() - 1
+        self.phase_count = counts.pop()
+        """Number of phases."""
+        own_phases = tuple(by_agent.values())
+        self.timed_phases = tuple(
+            number for number in range(self.phase_count - 1) if any(own[number].is_timed for own in own_phases)
+        )
+        """Numbers of the phases that end after a time; the last one never ends."""
+        self._last = self.phase_count - 1
         self._retries = [
             (number, phase.retry) for own in by_agent.values() for number, phase in enumerate(own) if phase.retry
         ]
@@ -268,6 +280,30 @@ class Expert(Node):
         self.phase += torch.where(over, 1 - self._back(over), 0)
         self._elapsed.copy_(elapsed.masked_fill(over, 0.0))
         return {"action": torch.cat(commands, dim=1).clamp(-1.0, 1.0)}
+
+    def follow(self, rows: Tensor) -> None:
+        """Advance the phases of the environments in ``rows`` (N,) bool by one step, while another acts.
+
+        It costs the targets and distances of :meth:`compute`, without commands and inverse kinematics.
+
+        Raises:
+            ConfigurationError: a phase drives a base, whose path only the acting expert plans.
+        """
+        if any(arm.base is not None for arm in self._arms):
+            raise ConfigurationError(
+                f"the expert of task {type(self._env.task).__name__} drives a base, and its phases follow from the "
+                "path that it plans: leave expert_phase out"
+            )
+        begun = self._env.state.episode_step == 0
+        self.phase.masked_fill_(begun, 0)
+        self._elapsed.masked_fill_(begun, 0.0)
+        self._tries.masked_fill_(begun[:, None], 0)
+        elapsed = self._elapsed + self._dt
+        over = rows & (self.phase < self._last)
+        for arm in self._arms:
+            over = over & arm.over(self.phase, elapsed)
+        self.phase += torch.where(over, 1 - self._back(over), 0)
+        self._elapsed.copy_(torch.where(rows, elapsed, self._elapsed).masked_fill(over, 0.0))
 
     def _back(self, over: Tensor) -> Tensor:
         """Return the number of phases (N,) to go back, for phases (N,) that are over without their effect."""
@@ -336,12 +372,7 @@ class _Arm:
         ``begun`` (N,) says which of them begin now; ``sag_share`` of what the hand lacks is added to :attr:`sag`.
         Where it ``teaches`` it asks for what phases ask at least.
         """
-        hand = self._robot.frame_pose(self._frame)
-        targets = [hand if own.target is None else own.target(self._env) for own in self._phases]
-        # All phases' targets are computed and one is picked: a branch per environment could not be captured.
-        target = torch.stack(targets)[phase, self._rows]
-        error = pose_error(hand, target)
-        distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
+        hand, target, error, distances = self._errors(phase)
         asked = torch.minimum(distances, self._lead)
         if teaches:
             asked = torch.where(distances > self._tolerances[phase], asked.maximum(self._least[phase]), asked)
@@ -371,8 +402,26 @@ class _Arm:
             commands = [torch.where(led, other, own) for own, other in zip(commands, others, strict=True)]
         if self.base is not None:
             distances = self._drive(self.base, commands, phase, begun, distances)
+        return torch.cat(commands, dim=1), self._ends(phase, elapsed, distances)
+
+    def over(self, phase: Tensor, elapsed: Tensor) -> Tensor:
+        """Return (N,) whether those phases (N,) of a hand are over after ``elapsed`` seconds (N,)."""
+        return self._ends(phase, elapsed, self._errors(phase)[3])
+
+    def _errors(self, phase: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return the hand's pose (N, 7), its target (N, 7) in those phases (N,), the way there (N, 6), and the
+        distances (N, 2) in m and rad.
+        """
+        hand = self._robot.frame_pose(self._frame)
+        targets = [hand if own.target is None else own.target(self._env) for own in self._phases]
+        # All phases' targets are computed and one is picked: a branch per environment could not be captured.
+        target = torch.stack(targets)[phase, self._rows]
+        error = pose_error(hand, target)
+        return hand, target, error, torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
+
+    def _ends(self, phase: Tensor, elapsed: Tensor, distances: Tensor) -> Tensor:
         arrived = (distances <= self._tolerances[phase]).all(1) & (elapsed >= self._dwell[phase])
-        return torch.cat(commands, dim=1), arrived | (elapsed >= self._timeouts[phase])
+        return arrived | (elapsed >= self._timeouts[phase])
 
     def _drive(self, base: DrivenBase, commands: list[Tensor], phase: Tensor, begun: Tensor, hand: Tensor) -> Tensor:
         """Insert the base's command; return distances (N, 2) of the phase's (N,) hand or base."""
