@@ -82,7 +82,7 @@ def main(settings: SheetSettings) -> None:
 
 def draw(environment: Environment, drawn: Drawn) -> Image.Image:
     """Return a spectator's picture of the environment by a renderer."""
-    world = environment.world
+    world: Any = environment.world
     plugin = backends.renderer(drawn.renderer)
     # A world has one renderer; taking its place for a picture saves five worlds a task.
     world._renderer_plugin, world._renderer_config = plugin, backends.backend_config(plugin, drawn.settings)
