@@ -278,6 +278,7 @@ class Panel:
             self._signal = server.gui.add_dropdown("Signal", tuple(self._signals), initial_value=REWARD)
             self._signal.on_update(lambda _: controls.refresh())
         self._plotted = ""
+        self._plotted_environment = 0
         self._renew_plot()
         self._pictures: dict[str, GuiImageHandle] = {}
         self._picture_choice: Any = None
@@ -311,6 +312,10 @@ class Panel:
             reward: of it, in the last step.
         """
         self._renew_plot()
+        if index != self._plotted_environment:
+            # Curves of two environments would join as one.
+            self._points.clear()
+            self._plotted_environment = index
         signal = self._signals[self._plotted]
         values = np.array([reward]) if self._plotted == REWARD else signal.read(index)[:MOST_COMPONENTS]
         self._points.append((seconds, values))
