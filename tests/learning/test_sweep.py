@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import threading
@@ -14,7 +15,7 @@ import pytest
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.interfaces import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
-from orbit_learn.curves import curve_of
+from orbit_learn.curves import curve_of, sparkline
 from orbit_learn.sweep.plan import Range, read_plan
 from orbit_learn.sweep.running import Sweep, best_values
 from orbit_learn.sweep.search import search_of
@@ -196,3 +197,10 @@ def test_curves_are_drawn_against_each_other(tmp_path: Path, capfd: pytest.Captu
     assert main(words) == 2
     assert main([*words, "--overwrite", "--number", "reward"]) == 2
     assert "has no 'reward': it has env_steps, iteration, seconds, success_rate, x" in capfd.readouterr().err
+
+
+def test_a_line_of_text_draws_a_curve() -> None:
+    assert sparkline([]) == sparkline([math.nan]) == ""
+    assert sparkline([2.0, 2.0]) == "▁▁"
+    assert sparkline([0.0, math.nan, 7.0, 3.0]) == "▁█▄"
+    assert sparkline([float(step // 50) for step in range(1000)]) == "▁▁▂▂▂▃▃▄▄▄▅▅▅▆▆▇▇▇██"
