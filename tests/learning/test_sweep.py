@@ -6,8 +6,10 @@ import json
 import math
 import os
 import signal
+import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.interfaces import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
 from orbit_learn.curves import curve_of, sparkline
+from orbit_learn.sweep.cluster import connected
 from orbit_learn.sweep.plan import Range, read_plan
 from orbit_learn.sweep.running import Sweep, best_values
 from orbit_learn.sweep.search import search_of
@@ -114,6 +117,32 @@ def test_a_cluster_that_does_not_answer_is_one_clear_error(tmp_path: Path, capfd
     path = written(tmp_path, "seeds = [0, 1]\n" + TRAIN)
     assert main(["sweep", str(path), "--output", str(tmp_path / "out"), "--ray", "127.0.0.1:1"]) == 2
     assert "no Ray cluster answers at '127.0.0.1:1'" in capfd.readouterr().err
+
+
+class SlowRay(types.ModuleType):
+    """Ray of a busy machine, whose starts take too long at first."""
+
+    def __init__(self, failing: int) -> None:
+        super().__init__("ray")
+        self.left, self.ended = failing, 0
+
+    def init(self, *_: object, **__: object) -> None:
+        if self.left:
+            self.left -= 1
+            raise Exception("The current node timed out during startup.")
+
+    def shutdown(self) -> None:
+        self.ended += 1
+
+
+def test_a_cluster_that_starts_slowly_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    late, never = SlowRay(2), SlowRay(9)
+    monkeypatch.setitem(sys.modules, "ray", late)
+    assert connected("local") is late
+    assert (late.left, late.ended) == (0, 2)
+    monkeypatch.setitem(sys.modules, "ray", never)
+    with pytest.raises(ConfigurationError, match=r"did not start .* in 3 attempts .*timed out.*--ray"):
+        connected("local")
 
 
 def test_a_grid_has_all_combinations_and_random_draws_stay_in_their_ranges(tmp_path: Path) -> None:
