@@ -119,6 +119,10 @@ class Solve:
     """(N, n) N, matrix times the direction of search."""
     rows: wp.array2d[float]
     """(N, D) a vector in the axes of the mesh of each solid, and what the preconditioner makes of it."""
+    fours: wp.array2d[wp.vec4]
+    """(N / 4, D) what ``rows`` holds, of four environments together, on a GPU; an even number of rows."""
+    flat_fours: wp.array3d[float]
+    """(N / 4, D, 4) the same memory."""
     out: wp.array2d[float]
     """(N, D) product of the preconditioner and ``rows``."""
     out_lanes: wp.array2d[Lanes]

@@ -19,6 +19,9 @@ from orbit_matter.solids.inside import MIDDLE, NODES
 from orbit_matter.solids.kernels import PARTS, Sites, Solids, Solve
 from orbit_matter.surfaces import Shapes
 
+EIGHT = wp.constant(8)
+"""Environments that share a pass over the preconditioner."""
+
 
 @wp.struct
 class Gather:
@@ -36,6 +39,8 @@ class Gather:
     """Sites of all cells, one cell after another."""
     pull: wp.array2d[wp.vec3]
     """(N, 27 C) what each cell does to each of its nodes."""
+    busy: wp.array2d[int]
+    """(N, C) 1 where a site of the cell touches or is held in this step."""
 
 
 @wp.func
@@ -65,9 +70,10 @@ def show(s: Solids, t: Sites):
 
 
 @wp.kernel(enable_backward=False)
-def turn(s: Solids):
-    """Update the rotations of cells."""
+def turn(s: Solids, g: Gather):
+    """Update the rotations of cells, whose sites may let go."""
     env, c = wp.tid()
+    g.busy[env, c] = 0
     k.turn_cell(s, env, c)
 
 
@@ -126,9 +132,10 @@ def meet(s: Solids, t: Sites, g: Gather, held: Particles, links: Links, shapes: 
     env, site = wp.tid()
     if site < t.contacts:
         if k.touch(s, t, links, shapes, felt, s.parameters, env, site):
+            g.busy[env, t.cell[site]] = 1
             push_mate(t, g, env, site, t.force[env, site])
-    else:
-        k.grip(s, t, held, links, env, site)
+    elif k.grip(s, t, held, links, env, site):
+        g.busy[env, t.cell[site]] = 1
 
 
 @wp.kernel(enable_backward=False)
@@ -217,10 +224,11 @@ def of_sites(g: Gather, t: Sites, forces: wp.array2d[wp.vec3], env: int, node: i
     # A site is in one cell, of which the node is one corner at most: none is counted twice.
     for n in range(g.first[node], g.first[node + 1]):
         c, i = g.cell[n], g.local[n]
-        for m in range(g.first_site[c], g.first_site[c + 1]):
-            site = g.site[m]
-            if t.link[env, site] != k.NONE:
-                found += forces[env, site] * t.weights[site, i]
+        if g.busy[env, c] == 1:
+            for m in range(g.first_site[c], g.first_site[c + 1]):
+                site = g.site[m]
+                if t.link[env, site] != k.NONE:
+                    found += forces[env, site] * t.weights[site, i]
     return found
 
 
@@ -231,7 +239,7 @@ def begin(s: Solids, t: Sites, solve: Solve, g: Gather, gravity: wp.array[wp.vec
     solve.r[env, i] = k.own_force(s, gravity, env, i, h) + gathered(g, t, t.force, env, i)
     solve.delta[env, i] = wp.vec3()
     s.load[env, i] = wp.vec3()
-    k.to_rows(s, solve, env, i)
+    to_fours(s, solve, env, i)
 
 
 @wp.kernel(enable_backward=False)
@@ -243,39 +251,44 @@ def apply(s: Solids, t: Sites, solve: Solve, g: Gather, h: float):
 
 @wp.kernel(enable_backward=False)
 def precondition(s: Solids, solve: Solve):
-    """Apply one row of the preconditioner in FOUR environments."""
+    """Apply one row of the preconditioner in EIGHT environments."""
     group, row = wp.tid()
-    b = int(0)
+    b, begin, end = int(0), EIGHT * group, wp.min(EIGHT * (group + 1), s.x.shape[0])
     while row >= s.first_row[b + 1]:
         b += 1
     first = s.first_row[b]
     # Neighbouring threads read neighbouring numbers: those of a block of rows in one column.
     count = 3 * (s.first_node[b + 1] - s.first_node[b])
     lane, before = (row - first) % k.LANES, (row - first) / k.LANES * count
-    # Beyond the last environment that one is computed again, by the same thread.
-    last = s.x.shape[0] - 1
-    e0, e1 = wp.min(k.FOUR * group, last), wp.min(k.FOUR * group + 1, last)
-    e2, e3 = wp.min(k.FOUR * group + 2, last), wp.min(k.FOUR * group + 3, last)
-    p0, p1, p2, p3 = solve.preset[e0, b], solve.preset[e1, b], solve.preset[e2, b], solve.preset[e3, b]
-    if p0 == p1 and p0 == p2 and p0 == p3:
-        # Each number is read once for all four: reading them was most of the traffic of a step.
-        f0, f1, f2, f3, at = float(0.0), float(0.0), float(0.0), float(0.0), s.inverse_at[b, p0] + before
+    preset, alike = solve.preset[begin, b], int(1)
+    for env in range(begin + 1, end):
+        if solve.preset[env, b] != preset:
+            alike = 0
+    if alike == 1:
+        # Each number is read once for all eight, and theirs four at a time: reading is most of what this takes.
+        low, high, at = wp.vec4(), wp.vec4(), s.inverse_at[b, preset] + before
         for j in range(count):
             number = s.flat_inverse[at + j, lane]
-            f0 += number * solve.rows[e0, first + j]
-            f1 += number * solve.rows[e1, first + j]
-            f2 += number * solve.rows[e2, first + j]
-            f3 += number * solve.rows[e3, first + j]
-        solve.out[e0, row] = f0
-        solve.out[e1, row] = f1
-        solve.out[e2, row] = f2
-        solve.out[e3, row] = f3
+            low += number * solve.fours[2 * group, first + j]
+            high += number * solve.fours[2 * group + 1, first + j]
+        for env in range(begin, end):
+            solve.out[env, row] = wp.where(env < begin + 4, low[env % 4], high[env % 4])
     else:
-        for env in range(e0, e3 + 1):
+        for env in range(begin, end):
             found, own = float(0.0), s.inverse_at[b, solve.preset[env, b]] + before
             for j in range(count):
-                found += s.flat_inverse[own + j, lane] * solve.rows[env, first + j]
+                found += s.flat_inverse[own + j, lane] * solve.flat_fours[env / 4, first + j, env % 4]
             solve.out[env, row] = found
+
+
+@wp.func
+def to_fours(s: Solids, solve: Solve, env: int, i: int):
+    """Turn a node's residual into the axes of its solid's mesh, next to those of other environments."""
+    b = s.body[i]
+    local = wp.quat_rotate_inv(s.body_turn[env, b], solve.r[env, i])
+    first = s.first_row[b] + 3 * (i - s.first_node[b])
+    for axis in range(3):
+        solve.flat_fours[env / 4, first + axis, env % 4] = local[axis]
 
 
 @wp.func
@@ -330,7 +343,7 @@ def advance(s: Solids, solve: Solve):
     step = k.quotient(solve.rz[env, b], of_group(s, solve, solve.pq_parts, env, b))
     solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
     solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
-    k.to_rows(s, solve, env, i)
+    to_fours(s, solve, env, i)
 
 
 @wp.kernel(enable_backward=False)

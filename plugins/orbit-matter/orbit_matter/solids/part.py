@@ -111,6 +111,8 @@ class SolidPart:
         for name in ("delta", "r", "z", "p", "q"):
             setattr(made, name, wp.zeros((self._n, nodes), dtype=wp.vec3))
         count = int(self._model.first_row[-1])
+        eights = -(-self._n // int(launches.EIGHT))
+        made.fours, made.flat_fours = _shared(np.zeros((2 * eights, count, 4), np.float32), wp.vec4)
         made.rows, made.out = (wp.zeros((self._n, count), dtype=float) for _ in range(2))
         # A CPU writes LANES numbers at a time and reads them one by one.
         blocks = made.out.reshape((self._n, count // LANES, LANES))
@@ -158,6 +160,7 @@ class SolidPart:
         made.first_site = _ints(np.searchsorted(model.site_cells[by_cell], np.arange(len(model.cells) + 1)))
         made.site = _ints(by_cell)
         made.pull = wp.zeros((self._n, len(flat)), dtype=wp.vec3)
+        made.busy = wp.zeros((self._n, len(model.cells)), dtype=int)
         return made
 
     def _make_particles(self, memory: Mapping[str, Tensor]) -> tuple[Any, Any]:
@@ -250,8 +253,9 @@ class SolidPart:
     def _launch_wide(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
         s, t, solve, g, n, h = self._solids, self._sites, self._solve, self._gather, self._n, self._h
         cells, nodes, sites = len(self._model.cells), len(self._model.nodes), len(self._model.site_cells)
+        eights = len(solve.fours) // 2
         wp.launch(launches.turn_bodies, (n, self._bodies), inputs=[s])
-        wp.launch(launches.turn, (n, cells), inputs=[s])
+        wp.launch(launches.turn, (n, cells), inputs=[s, g])
         wp.launch(launches.strain, (n, 27 * cells), inputs=[s, g, h])
         wp.launch(launches.meet, (n, sites), inputs=[s, t, g, self._held, links, shapes, self._felt])
         wp.launch(launches.firmness, (*self._free.link.shape, PARTS), inputs=[t, self._free])
@@ -259,7 +263,7 @@ class SolidPart:
         wp.launch(launches.choose, (n, self._bodies), inputs=[s, t, solve, self._held])
         wp.launch(launches.begin, (n, nodes), inputs=[s, t, solve, g, gravity, h])
         for iteration in range(self._iterations):
-            wp.launch(launches.precondition, (self._groups, int(self._model.first_row[-1])), inputs=[s, solve])
+            wp.launch(launches.precondition, (eights, int(self._model.first_row[-1])), inputs=[s, solve])
             wp.launch(launches.aim, (n, self._bodies, PARTS), inputs=[s, solve])
             wp.launch(launches.direct, (n, nodes), inputs=[s, solve, int(iteration == 0)])
             wp.launch(launches.bend, (n, 27 * cells), inputs=[s, solve, g, h])
