@@ -187,6 +187,8 @@ def train(job: dict[str, Any], arguments: argparse.Namespace) -> None:
             value = numbers.get(goal.number)
             value = None if value is None or value != value else float(value)
             reached = value is not None and (value >= goal.least if goal.least > 0.0 else value <= -goal.least)
+            # Episodes that ended before their time limit was reached once tell of starts alone.
+            reached = reached and progress.env_steps >= arguments.num_envs * environment.max_episode_steps
             tell(**line, value=value, episode_return=_finite(progress.episode_return), episodes=progress.episodes)
             if reached:
                 tell(reached=clock())

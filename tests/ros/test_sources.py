@@ -1,4 +1,4 @@
-"""What a robot of ROS measures besides its joints: programs of the real ROS publish it, and a World of ours has it."""
+"""Measurements of a robot of ROS other than its joints: programs of the real ROS publish them, our World reads them."""
 
 from __future__ import annotations
 

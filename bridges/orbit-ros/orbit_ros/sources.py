@@ -1,4 +1,4 @@
-"""Sources of a robot of ROS besides its joints: cameras, inertial units, frames of bodies, and the clock."""
+"""Sources of a robot of ROS in addition to its joints: cameras, inertial units, frames of bodies, and the clock."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _STILL = 0.5
 
 @dataclass(frozen=True)
 class RosSources:
-    """Topics and frames of what a robot measures besides its joints, by the names that tasks have for them."""
+    """Topics and frames of what a robot measures in addition to its joints, by the names that tasks have for them."""
 
     images: Mapping[str, str] = field(default_factory=dict)
     """Topics of colour pictures by camera; ``.../compressed`` holds JPEG or PNG."""

@@ -71,6 +71,7 @@ class RobotBackend(Backend):
         link: session with the robot's computer; the engine closes it.
         period: seconds between commands.
         contacts: accept contact sensors, although nobody measures them: their forces are NaN.
+        rehearsing: begin without moving the robot (:attr:`RobotEngine.rehearsing`).
     """
 
     name: ClassVar[str] = "robot"
@@ -79,8 +80,8 @@ class RobotBackend(Backend):
     config_type: ClassVar[type] = RobotSettings
     simulates: ClassVar[bool] = False
 
-    def __init__(self, link: RobotLink, period: float, contacts: bool = False) -> None:
-        self._link, self._period, self._contacts = link, period, contacts
+    def __init__(self, link: RobotLink, period: float, contacts: bool = False, rehearsing: bool = False) -> None:
+        self._link, self._period, self._contacts, self._rehearsing = link, period, contacts, rehearsing
         self._engine: RobotEngine | None = None
 
     def capabilities(self) -> Capabilities:
@@ -95,7 +96,7 @@ class RobotBackend(Backend):
             raise ConfigurationError(f"a robot is one environment on device 'cpu', not {num_envs} on '{device}'")
         cameras = [spec for spec in layout.scene.sensors if isinstance(spec, CameraSpec)]
         check_cameras(cameras, self._link.description.cameras, self._link.address)
-        self._engine = RobotEngine(layout, self._link, self._period)
+        self._engine = RobotEngine(layout, self._link, self._period, self._rehearsing)
         return self._engine
 
     def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: Any) -> Renderer:
@@ -114,12 +115,13 @@ class RobotEngine(Engine):
         layout: of the scene, with one robot.
         link: session with the robot's computer.
         period: seconds between commands; what is stepped in smaller parts sends one command in each period.
+        rehearsing: begin without moving the robot (:attr:`rehearsing`).
 
     Raises:
         ConfigurationError: the scene has no robot or several, the robot has other joints, or does not track an object.
     """
 
-    def __init__(self, layout: SceneLayout, link: RobotLink, period: float) -> None:
+    def __init__(self, layout: SceneLayout, link: RobotLink, period: float, rehearsing: bool = False) -> None:
         super().__init__(layout, 1, torch.device("cpu"))
         robots = [entity for entity in layout.entities if isinstance(entity.spec, RobotSpec)]
         if len(robots) != 1:
@@ -143,8 +145,9 @@ class RobotEngine(Engine):
         self._root_velocities = {e.index: torch.zeros(1, 6) for e in layout.entities}
         # No comparison with NaN is true, so that no touch is ever reported, and an action from it is refused.
         self._contact_forces = torch.full((1, len(layout.contact_queries), 3), torch.nan)
-        self.rehearsing = False
-        """True while steps send nothing and take no time, to see what an agent would do."""
+        self.rehearsing = rehearsing
+        """True while steps and resets send nothing and take no time: an environment is made, which begins with a reset,
+        and it is seen what an agent would do."""
         self._due: float | None = None
         self._last_sent = -1.0
         self._soft = True
@@ -269,7 +272,7 @@ class RobotEngine(Engine):
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
         # Masks and indices of no environment write nothing, as on every engine.
-        if positions is None or (env_ids is not None and not len(env_ids)):
+        if self.rehearsing or positions is None or (env_ids is not None and not len(env_ids)):
             return  # a robot's velocities are nobody's to write
         self._joint_positions[:, joints] = positions
         goal = self._joint_positions[0, self._robot.joints].tolist()
@@ -289,6 +292,8 @@ class RobotEngine(Engine):
         if described.spec.fixed_base:
             self._root_poses[entity][:] = pose
             return
+        if self.rehearsing:
+            return
         if not self.link.description.arranges:
             raise UnsupportedCapabilityError(
                 f"'{described.name}' at a real robot is placed by hand: switch off the events that place it"
@@ -303,6 +308,8 @@ class RobotEngine(Engine):
         self.position_targets[:] = home
         self.velocity_targets.zero_()
         self.efforts.zero_()
+        if self.rehearsing:
+            return
         if self.link.description.arranges:
             self._take(self.link.arrange(Arrangement(reset=True)))
         else:
@@ -348,6 +355,7 @@ class RobotWorld(SimulatedWorld):
         device: ``cpu``.
         seed: of the random stream.
         contacts: accept contact sensors, whose forces are NaN.
+        rehearsing: begin without moving the robot (:attr:`RobotEngine.rehearsing`).
     """
 
     def __init__(
@@ -359,8 +367,9 @@ class RobotWorld(SimulatedWorld):
         device: torch.device,
         seed: int,
         contacts: bool = False,
+        rehearsing: bool = False,
     ) -> None:
-        super().__init__(scene, num_envs, RobotBackend(link, period, contacts), device=device, seed=seed)
+        super().__init__(scene, num_envs, RobotBackend(link, period, contacts, rehearsing), device=device, seed=seed)
         # Nothing is simulated here, and a manifest says so.
         self.settings = None
         self.link = link
@@ -377,7 +386,7 @@ class RobotWorld(SimulatedWorld):
         return super()._create_sensor(spec)
 
 
-def robot_world(link: RobotLink, period: float, contacts: bool = False) -> WorldFactory:
+def robot_world(link: RobotLink, period: float, contacts: bool = False, rehearsing: bool = False) -> WorldFactory:
     """Return the factory of a world over a robot, for ``orbit_core.envs.make(..., world=robot_world(link, period))``.
 
     The world has the task's scene. Sensors, action terms, explicit actuators and Jacobians are the core's own, computed
@@ -388,9 +397,11 @@ def robot_world(link: RobotLink, period: float, contacts: bool = False) -> World
         period: seconds between commands: the task's step.
         contacts: accept contact sensors, which a robot has none of: their forces are NaN, so that terms that compare
             them never trigger. For tasks whose rewards or terminations read contacts and whose policy does not.
+        rehearsing: begin without moving the robot, whose environment resets it when it is made otherwise, until
+            ``world.engine.rehearsing`` is set to False.
     """
 
     def factory(scene: Scene, num_envs: int, device: torch.device, seed: int) -> RobotWorld:
-        return RobotWorld(scene, link, period, num_envs, device, seed, contacts)
+        return RobotWorld(scene, link, period, num_envs, device, seed, contacts, rehearsing)
 
     return factory

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import urlsplit
@@ -50,6 +50,8 @@ class RobotLink(ABC):
     """Age of the states when they were used, s."""
     pictures: PictureBox
     """Newest pictures of the robot's cameras."""
+    permit: Callable[[], None] | None = None
+    """Called while a motion is waited for; the robot stops where it raises an error."""
 
     @abstractmethod
     def send(self, positions: Sequence[float], velocities: Sequence[float], efforts: Sequence[float]) -> None:
@@ -121,9 +123,16 @@ class RobotLink(ABC):
 
         Raises:
             RobotLinkError: it still moves after ``timeout`` seconds.
+            OrbitError: :attr:`permit` ended the motion.
         """
         end, held = self.now() + timeout, 0.0
         while True:
+            if self.permit is not None:
+                try:
+                    self.permit()
+                except OrbitError:
+                    self.stop()
+                    raise
             state = self.state()
             # The targets rest first; soft drives follow them for a while.
             resting = state.mode in (Mode.HOLDING, Mode.FAULT)

@@ -70,8 +70,10 @@ class ParticleMatter(Matter):
             layout.scene.physics_dt, count, sweeps, config.contact_stiffness, solid, config.solid_iterations
         )
         limits.check_stiffness(layout, solid)
+        limits.check_apart(layout)
         self._solids = Solids(layout, num_envs, device, layout.scene.physics_dt / solid)
         self._graphs = Graphs(device, config.capture)
+        self._begun = False
         # Kernels that loop over all particles of an environment run on CPUs only; elsewhere they cost compile time.
         by_rows = (rows,) if device.type == "cpu" else ()
         load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
@@ -242,6 +244,13 @@ class ParticleMatter(Matter):
             for part in self._parts:
                 part.hold(chosen)
 
+    def _check_clear(self) -> None:
+        """Refuse solids that the scene puts into other things: only the first environments differ in what these are."""
+        with self._graphs.stream():
+            depths = self._parts[0].depths(limits.farthest(self._layout))
+        if depths is not None:
+            limits.check_clear(self._layout, depths, self._colliders.links[0])
+
     def _orient(self, env_ids: Tensor | None) -> None:
         """Find the rotations of solids from scratch."""
         chosen = self._chosen(env_ids)
@@ -263,6 +272,9 @@ class ParticleMatter(Matter):
         self._solids.reset(env_ids)
         self._fluids.reset(env_ids)
         self._hold(link_poses, env_ids)
+        if not self._begun:
+            self._begun = True
+            self._check_clear()
         for name in ("forces", "torques", "known"):
             write_rows(self._tensors[name], torch.zeros_like(take_rows(self._tensors[name], env_ids)), env_ids)
         write_rows(self._wrenches, torch.zeros_like(take_rows(self._wrenches, env_ids)), env_ids)

@@ -200,6 +200,12 @@ class Part:
         if self._solids is not None:
             self._solids.hold(self._links, self._colliders.shapes, mine)
 
+    def depths(self, farthest: float) -> np.ndarray | None:
+        """Return how deep (m) each deformable that is a solid is in each shape, (D, S); None without solids."""
+        if self._solids is None:
+            return None
+        return self._solids.depths(self._links, self._colliders.shapes, farthest)
+
     def orient(self, chosen: Tensor) -> None:
         """Find the rotations of solids from scratch in chosen environments, of all (N,) bool."""
         if self._solids is not None:
