@@ -41,7 +41,7 @@ class Settings:
     blocks: int = 16
     """Blocks of each kind."""
     block_steps: int = 50
-    """Steps of all environments in a block."""
+    """Most steps of all environments in a block; fewer where they would take more than 1.5 s."""
     seed: int = 0
     """Of the environments and of the actions."""
     json: Path | None = None

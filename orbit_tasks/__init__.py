@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from orbit_tasks.cloth_spreading import ClothSpreading
     from orbit_tasks.dishwasher import Dishwasher
     from orbit_tasks.flag_hoisting import FlagHoisting
+    from orbit_tasks.gentle_lift import GentleLift
     from orbit_tasks.handover import Handover
     from orbit_tasks.hockey import Hockey
     from orbit_tasks.in_hand_repose import InHandRepose
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from orbit_tasks.mobile_reach import MobileReach
     from orbit_tasks.nut_bolt import NutBolt
     from orbit_tasks.peg_in_hole import PegInHole
+    from orbit_tasks.peg_in_the_dark import PegInTheDark
     from orbit_tasks.pick_and_place import PickAndPlace
     from orbit_tasks.reach import Reach
     from orbit_tasks.recover import Recover
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from orbit_tasks.rope_reshaping import RopeReshaping
     from orbit_tasks.running import Ant, Humanoid
     from orbit_tasks.soft_dropping import SoftDropping
+    from orbit_tasks.soft_grasp import SoftGrasp
     from orbit_tasks.soft_lifting import SoftLifting
     from orbit_tasks.soft_placing import SoftPlacing
     from orbit_tasks.soft_stacking import SoftStacking
@@ -54,6 +57,7 @@ __all__ = [
     "ClothSpreading",
     "Dishwasher",
     "FlagHoisting",
+    "GentleLift",
     "Handover",
     "Hockey",
     "Humanoid",
@@ -65,12 +69,14 @@ __all__ = [
     "MobileReach",
     "NutBolt",
     "PegInHole",
+    "PegInTheDark",
     "PickAndPlace",
     "Reach",
     "Recover",
     "RoomReorganization",
     "RopeReshaping",
     "SoftDropping",
+    "SoftGrasp",
     "SoftLifting",
     "SoftPlacing",
     "SoftStacking",
@@ -97,6 +103,7 @@ __getattr__, __dir__ = lazy_names(
         "cloth_spreading": ("ClothSpreading",),
         "dishwasher": ("Dishwasher",),
         "flag_hoisting": ("FlagHoisting",),
+        "gentle_lift": ("GentleLift",),
         "handover": ("Handover",),
         "hockey": ("Hockey",),
         "in_hand_repose": ("InHandRepose",),
@@ -107,6 +114,7 @@ __getattr__, __dir__ = lazy_names(
         "mobile_reach": ("MobileReach",),
         "nut_bolt": ("NutBolt",),
         "peg_in_hole": ("PegInHole",),
+        "peg_in_the_dark": ("PegInTheDark",),
         "pick_and_place": ("PickAndPlace",),
         "reach": ("Reach",),
         "recover": ("Recover",),
@@ -117,6 +125,7 @@ __getattr__, __dir__ = lazy_names(
             "Humanoid",
         ),
         "soft_dropping": ("SoftDropping",),
+        "soft_grasp": ("SoftGrasp",),
         "soft_lifting": ("SoftLifting",),
         "soft_placing": ("SoftPlacing",),
         "soft_stacking": ("SoftStacking",),
@@ -144,6 +153,14 @@ def register(registry: TaskRegistry) -> None:
     registry.add("Nut-Bolt", "Set a nut on a bolt and screw it down", "orbit_tasks.nut_bolt:NutBolt")
     registry.add("Jenga", "Pull a block out of a tower and put it on top", "orbit_tasks.jenga:Jenga")
     registry.add("Peg-In-Hole", "Put blocks into the holes that match them", "orbit_tasks.peg_in_hole:PegInHole")
+    registry.add(
+        "Peg-In-The-Dark", "Feel for a hole and put a block into it", "orbit_tasks.peg_in_the_dark:PegInTheDark"
+    )
+    registry.add(
+        "Gentle-Lift",
+        "Lift a box of unknown weight, gripped no tighter than needed",
+        "orbit_tasks.gentle_lift:GentleLift",
+    )
     registry.add(
         "Beat-The-Buzz", "Lead a ring along a bent rod without a touch", "orbit_tasks.beat_the_buzz:BeatTheBuzz"
     )
@@ -209,6 +226,7 @@ def register(registry: TaskRegistry) -> None:
         "Soft-Placing", "Put a soft block on a pad, turned as the pad is", "orbit_tasks.soft_placing:SoftPlacing"
     )
     registry.add("Soft-Dropping", "Drop a soft block into a container", "orbit_tasks.soft_dropping:SoftDropping")
+    registry.add("Soft-Grasp", "Lift a fragile fruit with soft fingers", "orbit_tasks.soft_grasp:SoftGrasp")
     registry.add(
         "Tower-Of-Hanoi",
         "Put three soft rings round a rod, in decreasing size",

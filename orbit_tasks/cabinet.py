@@ -22,6 +22,7 @@ from orbit_core.envs import (
     RewardTerm,
     Task,
 )
+from orbit_core.envs.off_policy import OffPolicySettings
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Subtask, TaskCheck, TaskException, TaskMetadata
@@ -236,6 +237,7 @@ class Cabinet(Task):
         instruction="open the drawer",
         subtasks=(Subtask(handle_pose, ajar), Subtask(opened_handle, ajar, free=False)),
         ppo=PpoSettings(iterations=600, initial_std=0.3),
+        off_policy=OffPolicySettings(updates_per_step=4),
         view=look_at(eye=(-0.4, 1.7, 1.3), target=(0.5, 0.0, 0.5)),
         exceptions=(TaskException(TaskCheck.START_YAW, "the drawer must open towards the arm to stay in reach"),),
     )

@@ -25,6 +25,7 @@ from orbit_core.envs import (
     Task,
     TerminationTerm,
 )
+from orbit_core.envs.off_policy import OffPolicySettings
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Subtask, TaskMetadata
@@ -278,6 +279,7 @@ class Lift(Task):
         instruction="lift the cube to the goal",
         subtasks=(Subtask(at_cube, off_table), Subtask(goal_frame, lifted)),
         ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
+        off_policy=OffPolicySettings(updates_per_step=4),
     )
     cube: ObjectConfig = BoxConfig(size=(0.05, 0.05, 0.05), mass=0.1, color=(0.8, 0.2, 0.15, 1.0))
     """What is lifted; :func:`orbit_core.objects.object_kinds` has other kinds."""

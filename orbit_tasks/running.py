@@ -23,6 +23,7 @@ from orbit_core.envs import (
     Task,
     TerminationTerm,
 )
+from orbit_core.envs.off_policy import OffPolicySettings
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
 from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
@@ -234,5 +235,8 @@ class Humanoid(Running):
         Running.metadata,
         ppo=PpoSettings(
             iterations=2000, hidden_sizes=(400, 200, 100), initial_std=0.6, entropy_weight=0.0, discount=0.99
+        ),
+        off_policy=OffPolicySettings(
+            hidden_sizes=(512, 256, 128), critic_sizes=(512, 512), updates_per_step=4, target_rate=0.05
         ),
     )

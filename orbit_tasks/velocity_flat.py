@@ -26,6 +26,7 @@ from orbit_core.envs import (
     Task,
     TerminationTerm,
 )
+from orbit_core.envs.off_policy import OffPolicySettings
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
 from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
@@ -230,6 +231,9 @@ class VelocityFlat(Task):
     }
     metadata: TaskMetadata = TaskMetadata(
         ppo=PpoSettings(iterations=600, initial_std=0.6, entropy_weight=0.005, discount=0.99),
+        off_policy=OffPolicySettings(
+            hidden_sizes=(512, 256, 128), critic_sizes=(512, 512), updates_per_step=4, target_rate=0.05
+        ),
         view=look_at(eye=(3.0, 2.2, 1.5), target=(0.0, 0.0, 0.35)),
         follow=common.ROBOT,
         exceptions=(TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),),

@@ -157,7 +157,8 @@ def _started(job: Job, logs: Path, gpu: int | None) -> _Running:
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     environment |= {"PYTHONPYCACHEPREFIX": str(logs.resolve() / "pycache")}
     if gpu is not None:
-        environment["CUDA_VISIBLE_DEVICES"] = str(gpu)
+        allowed = os.environ.get("CUDA_VISIBLE_DEVICES")
+        environment["CUDA_VISIBLE_DEVICES"] = allowed.split(",")[gpu] if allowed else str(gpu)
     with (logs / f"{job.name}.log").open("ab") as log:
         # A group of its own: Ctrl-C reaches this process alone, which then interrupts each once.
         process = subprocess.Popen(

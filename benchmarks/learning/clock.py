@@ -42,14 +42,19 @@ GOALS = {
     "Reach": Goal("success_rate", 0.95, 400),
     "Lift": Goal("success_rate", 0.9, 450),
     "Velocity-Flat": Goal("linear_error_m_s", -0.07, 350),
+    "Humanoid": Goal("success_rate", 0.9, 500),
 }
+# Of off-policy algorithms, whose iterations have fewer steps: until the limit.
+MOST_ITERATIONS = 10_000
 SMALL = Goal("success_rate", 0.95, 3)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", nargs="+", default=list(GOALS))
-    parser.add_argument("--libraries", nargs="+", default=["orbit", "rsl-rl"])
+    parser.add_argument("--tasks", nargs="+", default=list(GOALS)[:3])
+    parser.add_argument(
+        "--libraries", nargs="+", default=["orbit", "rsl-rl"], help="LIBRARY for PPO, or LIBRARY:ALGORITHM"
+    )
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--backend", default="warp")
     parser.add_argument("--device", default="cuda")
@@ -57,6 +62,7 @@ def main() -> None:
     parser.add_argument(
         "--ppo", action="append", default=[], help="KEY=JSON of the algorithm; ORBIT's own takes precision"
     )
+    parser.add_argument("--off-policy", action="append", default=[], help="KEY=JSON of sac and td3")
     parser.add_argument("--iterations", type=int, help="most iterations, in the place of the task's")
     parser.add_argument("--side-by-side", type=int, default=1, help="trainings on one GPU at a time")
     parser.add_argument("--limit", type=float, default=560.0, help="seconds for all")
@@ -153,7 +159,8 @@ def train(job: dict[str, Any], arguments: argparse.Namespace) -> None:
     from orbit_learn.learners import trainer_type
     from orbit_learn.training import Training
 
-    make_trainer = trainer_type(job["library"], "ppo")
+    library, _, algorithm = job["library"].partition(":")
+    make_trainer = trainer_type(library, algorithm or "ppo")
     tell(imported=clock())
     goal = GOALS.get(job["task"], SMALL)
     task = task_entry(job["task"]).task_type()
@@ -162,10 +169,14 @@ def train(job: dict[str, Any], arguments: argparse.Namespace) -> None:
         compile=arguments.compile, reset_diverged=True, **task.metadata.training,
     )  # fmt: skip
     tell(made=clock())
-    words = {key: json.loads(value) for key, _, value in (item.partition("=") for item in arguments.ppo)}
-    if job["library"] != "orbit":
+    given = arguments.off_policy if algorithm else arguments.ppo
+    words = {key: json.loads(value) for key, _, value in (item.partition("=") for item in given)}
+    if library != "orbit":
         words.pop("precision", None), words.pop("compile_update", None)
-    settings = configured(environment.task.metadata.ppo, words, "ppo", "algorithm setting")
+    preset = environment.task.metadata.ppo
+    if algorithm:
+        preset, words["algorithm"] = environment.task.metadata.off_policy, algorithm
+    settings = configured(preset, words, "off_policy" if algorithm else "ppo", "algorithm setting")
     with tempfile.TemporaryDirectory() as folder:
         trainer = make_trainer(environment, settings, folder, job["seed"])
         tell(trainer=clock())
@@ -183,7 +194,7 @@ def train(job: dict[str, Any], arguments: argparse.Namespace) -> None:
 
         # Training writes the curve and checkpoints, as the command does: their time belongs to the clock's.
         training = Training(trainer, job["task"], {})
-        training.run(arguments.iterations or goal.iterations, 100, report)
+        training.run(arguments.iterations or (MOST_ITERATIONS if algorithm else goal.iterations), 100, report)
 
 
 def _finite(value: float) -> float | None:
@@ -191,6 +202,9 @@ def _finite(value: float) -> float | None:
 
 
 def _gpus() -> list[str]:
+    """Return the GPUs that this process may use, as ``CUDA_VISIBLE_DEVICES`` names them."""
+    if allowed := os.environ.get("CUDA_VISIBLE_DEVICES"):
+        return allowed.split(",")
     found = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, check=True).stdout.splitlines()
     return [str(i) for i in range(len(found))]
 
@@ -213,6 +227,20 @@ def summarize(results: list[dict[str, Any]]) -> None:
             f"{statistics.median(rates) if rates else 0:,.0f} steps/s",
             flush=True,
         )
+        for result in own:
+            last, best = result["last"], _best(result)
+            print(
+                f"  seed {result['seed']}: {last['env_steps']:,} steps, {last['clock']:.0f} s; "
+                f"{GOALS.get(task, SMALL).number} at last {last['value']}, best {best}",
+                flush=True,
+            )
+
+
+def _best(result: dict[str, Any]) -> float | None:
+    """Return the best value of a curve."""
+    values = [line["value"] for line in result["curve"] if line["value"] is not None]
+    pick = max if GOALS.get(result["task"], SMALL).least > 0.0 else min
+    return pick(values, default=None)
 
 
 def draw(results: list[dict[str, Any]], folder: Path) -> None:
@@ -224,9 +252,10 @@ def draw(results: list[dict[str, Any]], folder: Path) -> None:
     for task in sorted({result["task"] for result in results}):
         figure = Figure(figsize=(10.0, 4.0), layout="constrained")
         axes: Any = figure.subplots(1, 2, sharey=True)
+        colours: dict[str, str] = {}
         for result in (r for r in results if r["task"] == task and r["curve"]):
             points = [line for line in result["curve"] if line["value"] is not None]
-            colour = "C0" if result["library"] == "orbit" else "C1"
+            colour = colours.setdefault(result["library"], f"C{len(colours)}")
             for axis, key in zip(axes, ("env_steps", "clock"), strict=True):
                 label = f"{result['library']}, seed {result['seed']}"
                 axis.plot(

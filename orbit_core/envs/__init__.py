@@ -12,6 +12,7 @@ from orbit_core.exports import lazy_names
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
     from orbit_core.envs.making import make
+    from orbit_core.envs.off_policy import OffPolicySettings
     from orbit_core.envs.ppo import PpoSettings
     from orbit_core.envs.registry import TaskEntry, TaskRegistry, task_entries, task_entry
     from orbit_core.envs.state import TaskState, buffer
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 _MODULES: dict[str, tuple[str, ...]] = {
     "environment": ("Environment",),
     "making": ("make",),
+    "off_policy": ("OffPolicySettings",),
     "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
     "state": ("TaskState", "buffer"),
@@ -44,9 +46,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 __all__ = [
     "CommandTerm", "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ModifyTerm",
-    "ObservationGroup", "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Subtask", "Task", "TaskEntry",
-    "TaskMetadata", "TaskRegistry", "TaskState", "TerminationTerm", "buffer", "make", "once_per_state", "task_entries",
-    "task_entry",
+    "ObservationGroup", "ObservationTerm", "OffPolicySettings", "PpoSettings", "PremiseTerm", "RewardTerm", "Subtask",
+    "Task", "TaskEntry", "TaskMetadata", "TaskRegistry", "TaskState", "TerminationTerm", "buffer", "make",
+    "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 __getattr__, __dir__ = lazy_names(__name__, _MODULES)

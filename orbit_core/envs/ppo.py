@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from orbit_core.interfaces import ArgumentError
 
-_MOST_UNITS = 2**16
+MOST_UNITS = 2**16
+"""Largest number of units of a network's hidden layer."""
 _CRITIC_FIRST = 10
 _PRECISIONS = ("float32", "tf32", "bfloat16")
 
@@ -80,8 +81,8 @@ class PpoSettings:
             self._check("critic_first", 0, math.inf)
         if self.precision not in _PRECISIONS:
             raise ArgumentError(f"precision is {self.precision!r}: give one of {', '.join(_PRECISIONS)}")
-        if not all(1 <= units <= _MOST_UNITS for units in self.hidden_sizes):
-            raise ArgumentError(f"hidden_sizes are {self.hidden_sizes}: give each layer 1 to {_MOST_UNITS} units")
+        if not all(1 <= units <= MOST_UNITS for units in self.hidden_sizes):
+            raise ArgumentError(f"hidden_sizes are {self.hidden_sizes}: give each layer 1 to {MOST_UNITS} units")
 
     @property
     def iterations_of_critic(self) -> int:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from torch import Tensor
 
+from orbit_core.envs.off_policy import OffPolicySettings
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState
 from orbit_core.interfaces import ConfigurationError, Node
@@ -110,6 +111,8 @@ class TaskMetadata:
 
     ppo: PpoSettings = PpoSettings()
     """Settings that ``orbit train`` learns it with."""
+    off_policy: OffPolicySettings = OffPolicySettings()
+    """Those of ``orbit train --algorithm sac`` and td3."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
     """Direction from which pictures and videos are taken, in the environment's frame. The camera stands where what the
     task moves fills the picture; here, if nothing moves."""

@@ -79,6 +79,7 @@ class Capability(Enum):
     SIGNED_DISTANCE_FIELDS = "mesh collision by signed distance fields"
     HEIGHT_FIELDS = "height field terrain"
     CONTACT_FORCES = "contact forces per link and pair"
+    FRICTION_FORCES = "contact forces with those of friction"
     JOINT_WRENCHES = "joint reaction wrenches"
     LOOP_WRENCHES = "joint reaction wrenches in kinematic loops"
     EXTERNAL_WRENCHES = "external wrenches on links"

@@ -359,6 +359,11 @@ class Engine(Traceable, ABC):
         """Return (N, L, 3) newtons, world axes, that a deformable exerts on each link, at the last physics step."""
         raise self._unsupported("contact forces of deformables")
 
+    @measures()
+    def particle_pressures(self, deformable: int) -> Tensor:
+        """Return (N, L) Pa with which a deformable presses on each link: normal force over area in contact."""
+        raise self._unsupported("contact pressures of deformables")
+
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
     @abstractmethod

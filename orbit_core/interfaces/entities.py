@@ -406,6 +406,15 @@ class Deformable(ABC):
         """
         raise self._unsupported("contact forces")
 
+    def contact_pressure(self, entity: str, link: str) -> Tensor:
+        """Return the mean pressure (N,) in Pa of its contact with a link: normal force over area, last physics step.
+
+        Raises:
+            UnknownNameError: no such robot, object or link.
+            UnsupportedCapabilityError: the engine does not report it, or it is no soft body.
+        """
+        raise self._unsupported("contact pressures")
+
     def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
         """Set one of ``"density"``, ``"stiffness"``, ``"bending"`` (scales of the spec's) and ``"friction"``, (n,).
 

@@ -121,6 +121,18 @@ class Matter(ABC):
     def contact_forces(self) -> Tensor:
         """Forces (N, D, L, 3) of each deformable on each link, mean of the last step: newtons, world axes."""
 
+    # Not abstract: only solvers whose contacts have an area have pressures.
+    def contact_pressures(self, deformable: int) -> Tensor:
+        """Return (N, L) Pa with which a deformable presses on each link: normal force over area, last step's end.
+
+        Raises:
+            UnsupportedCapabilityError: the solver has none of this deformable.
+        """
+        raise UnsupportedCapabilityError(
+            f"{type(self).__name__} computes no pressure of deformable {deformable}: it is no soft body, or the solver "
+            "reports forces only"
+        )
+
     @abstractmethod
     def diverged(self) -> Tensor:
         """Return (N, D) bool: which deformables are beyond the bounds of :mod:`orbit_core.interfaces.errors`."""

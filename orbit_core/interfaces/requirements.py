@@ -24,6 +24,7 @@ from orbit_core.scene import (
     Mesh,
     MeshCollision,
     PhysicsMaterial,
+    RayCameraSpec,
     RayCasterSpec,
     Rope,
     Scene,
@@ -186,14 +187,16 @@ def _sensor_needs(sensor: SensorSpec, looped: AbstractSet[str]) -> Iterator[tupl
     if sensor.contacts:
         yield Capability.CONTACT_FORCES, culprit
     match sensor:
+        case RayCameraSpec() | RayCasterSpec():
+            yield Capability.RAY_CASTS, culprit
         case CameraSpec(channels=channels):
             for channel in channels:
                 yield _CHANNEL_NEEDS[channel], culprit
-        case TactileSpec():
+        case TactileSpec(shear=shear):
             yield Capability.RAY_CASTS, culprit
+            if shear:
+                yield Capability.FRICTION_FORCES, culprit
         case ForceTorqueSpec():
             yield Capability.JOINT_WRENCHES, culprit
             if sensor.entity in looped:
                 yield Capability.LOOP_WRENCHES, culprit
-        case RayCasterSpec():
-            yield Capability.RAY_CASTS, culprit

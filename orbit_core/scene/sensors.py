@@ -106,6 +106,8 @@ class TactileSpec(ContactSensorSpec):
     """Coefficient of friction by which shear is shared between taxels that stick and those that slip."""
     reach: float = 0.004
     """Metres in front of the pad and behind it within which a surface counts as touching."""
+    shear: bool = False
+    """Whether shear must be felt: an engine that reports contact forces without friction refuses the scene."""
 
     def __post_init__(self) -> None:
         lengths = (*self.size, self.young, self.friction, self.reach)
@@ -206,3 +208,45 @@ class CameraSpec(SensorSpec):
     """m along the optical axis; nearer surfaces are not drawn."""
     far: float = 100.0
     """m along the optical axis; farther surfaces are not drawn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayCameraSpec(CameraSpec):
+    """A camera whose pixels are rays against collision shapes, cast by the engine: no renderer draws it.
+
+    It has depth, positions, normals and segmentation. Rays pass through the link that carries the camera, and see what
+    the engine collides with, which may differ from what is drawn.
+
+    Raises:
+        ValueError: a channel is a colour, which rays do not see.
+    """
+
+    channels: tuple[Channel, ...] = (Channel.DEPTH,)
+    """Images that are taken; depth only by default."""
+
+    def __post_init__(self) -> None:
+        if {Channel.RGB, Channel.ALBEDO} & {*self.channels}:
+            raise ValueError(
+                f"ray camera '{self.name}' sees no colours: give channels of depth, position, normals, instance and "
+                "semantic, or a CameraSpec"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class EventCameraSpec(CameraSpec):
+    """A camera that reports changes of brightness: the logarithm's steps of ``threshold`` since the last measurement.
+
+    Raises:
+        ValueError: the threshold is not above zero, the camera has other channels than colour, or noise.
+    """
+
+    threshold: float = 0.2
+    """Change of the natural logarithm of brightness that makes an event."""
+
+    def __post_init__(self) -> None:
+        if not self.threshold > 0.0 or self.channels != (Channel.RGB,) or self.noise != Noise():
+            raise ValueError(
+                f"event camera '{self.name}' has a threshold of {self.threshold:g}, channels "
+                f"{[channel.value for channel in self.channels]} and noise {self.noise}: give a threshold above zero, "
+                "the colour channel only, and no noise"
+            )

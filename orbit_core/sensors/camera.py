@@ -229,11 +229,15 @@ class CameraSensor(TimedSensor):
         if self._displaced is not None:
             pose = pose_multiply(pose, take_rows(self._displaced, env_ids))
         camera = self._camera if self._zoom is None else self._zoom.camera
-        image = self._renderer().render(camera, pose, link_poses, self._drawn, env_ids=env_ids)
+        image = self._picture(camera, pose, link_poses, env_ids)
         if self._zoom is not None:
             image = self._zoom.cut(image, take_rows(self._zoom.fov, env_ids))
         held = {"pose": pose, "link_poses": link_poses}
         return held | {channel.value: self._channel(image, channel) for channel in self._drawn}
+
+    def _picture(self, camera: CameraSpec, pose: Tensor, link_poses: Tensor, env_ids: Tensor | None) -> Image:
+        """Return the channels that are drawn, from poses (n, 7) of the camera and (n, L, 7) of links."""
+        return self._renderer().render(camera, pose, link_poses, self._drawn, env_ids=env_ids)
 
     def _channel(self, image: Image, channel: Channel) -> Tensor:
         if channel in self._tables:

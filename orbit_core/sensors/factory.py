@@ -15,15 +15,18 @@ from orbit_core.registry import Registry
 from orbit_core.scene import (
     CameraSpec,
     ContactSensorSpec,
+    EventCameraSpec,
     ForceTorqueSpec,
     FrameSensorSpec,
     ImuSpec,
     JointSensorSpec,
+    RayCameraSpec,
     RayCasterSpec,
     SensorSpec,
     TactileSpec,
 )
 from orbit_core.sensors.camera import CameraSensor
+from orbit_core.sensors.camera_kinds import EventCamera, RayCamera
 from orbit_core.sensors.contact import ContactSensor
 from orbit_core.sensors.proprioception import ForceTorqueSensor, FrameSensor, ImuSensor, JointSensor
 from orbit_core.sensors.rays import RayCaster
@@ -41,6 +44,8 @@ _OWN: dict[type[SensorSpec], type[TimedSensor]] = {
     ForceTorqueSpec: ForceTorqueSensor,
     RayCasterSpec: RayCaster,
     CameraSpec: CameraSensor,
+    RayCameraSpec: RayCamera,
+    EventCameraSpec: EventCamera,
 }
 
 

@@ -317,6 +317,9 @@ class CoupledEngine(Engine):
     def particle_forces(self, deformable: int) -> Tensor:
         return self._matter.contact_forces[:, deformable]
 
+    def particle_pressures(self, deformable: int) -> Tensor:
+        return self._matter.contact_pressures(deformable)
+
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
     def save_state(self) -> CoupledState:
@@ -366,7 +369,7 @@ class CoveredArea:
     """
 
     def __init__(self, cloth: Cloth, device: torch.device) -> None:
-        vertices, faces = cloth.rest_positions, np.asarray(cloth.mesh.faces)
+        vertices, faces = cloth.rest_positions, np.ascontiguousarray(cloth.mesh.faces)
         corners = vertices[faces]
         longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max())
         # Metres
@@ -510,6 +513,9 @@ class SimulatedDeformable(Deformable):
 
     def contact_force(self, entity: str, link: str) -> Tensor:
         return self._engine.particle_forces(self._index)[:, self._link(entity, link)]
+
+    def contact_pressure(self, entity: str, link: str) -> Tensor:
+        return self._engine.particle_pressures(self._index)[:, self._link(entity, link)]
 
     def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
         find_name(name, PARAMETERS, "parameter", f"'{self.name}'")

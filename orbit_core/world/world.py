@@ -49,8 +49,9 @@ from orbit_core.interfaces.capabilities import IMAGES
 from orbit_core.interfaces.capture import Schedule, is_tracing
 from orbit_core.preparation.scene_data import check_attachments, check_data
 from orbit_core.preparation.scenes import prepared
-from orbit_core.scene import CameraSpec, Scene, Studio
+from orbit_core.scene import CameraSpec, RayCameraSpec, Scene, SensorSpec, Studio
 from orbit_core.sensors import SensorContext, create_sensor
+from orbit_core.sensors.timed import TimedSensor
 from orbit_core.world.active import ActiveModels
 from orbit_core.world.checks import check_build, check_capacity
 from orbit_core.world.drawing import Painting, light_camera, scene_lights, with_frames, with_matter
@@ -164,12 +165,16 @@ class SimulatedWorld(World):
     def _add_sensors(self) -> None:
         # The renderer is passed as a function: a scene whose cameras nobody reads makes none.
         self._sensing = SensorContext(self._engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
-        self._timed = {spec.name: create_sensor(spec, self._sensing) for spec in self.scene.sensors}
+        self._timed = {spec.name: self._create_sensor(spec) for spec in self.scene.sensors}
         self.sensors = NamedThings(self._timed, "sensor", "world.sensors", self._names)
         self._servos: list[Callable[[], None]] = []
         self._guard: DivergenceGuard | None = None
         self._plan_steps()
         self._schedule = _WorldSchedule(self)
+
+    def _create_sensor(self, spec: SensorSpec) -> TimedSensor:
+        """Create a sensor; worlds whose robots measure by themselves replace some."""
+        return create_sensor(spec, self._sensing)
 
     def _plan_steps(self) -> None:
         """Decide how far the engine runs at a time."""
@@ -197,7 +202,12 @@ class SimulatedWorld(World):
     def renderer(self) -> Renderer:
         """Draws the scene's cameras; made on first use."""
         if self._renderer is None:
-            cameras = tuple(spec for spec in self.scene.sensors if isinstance(spec, CameraSpec))
+            cameras = tuple(
+                spec
+                for spec in self.scene.sensors
+                # Rays are cast by the engine.
+                if isinstance(spec, CameraSpec) and not isinstance(spec, RayCameraSpec)
+            )
             self._renderer = self.create_renderer(cameras)
         return self._renderer
 

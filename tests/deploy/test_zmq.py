@@ -17,7 +17,7 @@ from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_deploy.computer import RobotComputer
 from orbit_deploy.link import RobotFaultError, RobotLink, RobotLinkError, connect
-from orbit_deploy.messages import JointCommand, Mode, RobotState
+from orbit_deploy.messages import VERSION, JointCommand, Mode, RobotState
 from tests.deploy.rig import PERIOD, eventually, served
 
 zmq = pytest.importorskip("zmq")
@@ -115,7 +115,7 @@ def test_other_versions_and_messages_that_are_none_are_refused(robot: tuple[Robo
     assert socket.poll(5000)
     context.destroy(linger=0)
     assert [answer.code for answer in answers if isinstance(answer, Refusal)] == ["version", "message", "busy"]
-    assert "speaks version 2 of the messages, and the client 99" in answers[0].text
+    assert f"speaks version {VERSION} of the messages, and the client 99" in answers[0].text
 
 
 def test_nobody_at_the_address_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -110,6 +110,7 @@ def test_a_closed_step_is_the_same_step(whole: bool, action: str) -> None:
         "Hockey",
         "Cloth-Dropping",
         "Rope-Reshaping",
+        "Soft-Grasp",
         "Soft-Lifting",
         "Soft-Placing",
     ],

@@ -270,14 +270,30 @@ def _jumped(state: JointState) -> None:
     state.header.stamp = time_of(10**9)
 
 
+def _shortened(state: JointState) -> None:
+    state.position = [0.0] * 3
+
+
+def _silenced(state: JointState) -> None:
+    # A robot that goes on about joints which are not the arm's says nothing of the arm.
+    state.name = ["wheel"] * 9
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
-    [(_not_a_number, "no finite number for joint panda_joint2"), (_jumped, "joint_states' jumped by -")],
-    ids=["nan", "jump"],
+    [
+        (_not_a_number, "no finite number for joint panda_joint2"),
+        (_jumped, "joint_states' jumped by -"),
+        (_shortened, "has 3 numbers of position for 9 names"),
+        (_silenced, "no joint states on 'joint_states' for"),
+    ],
+    ids=["nan", "jump", "short", "silent"],
 )
 def test_a_robot_of_ros_that_sends_no_numbers_or_jumps_in_time_is_one_error(
-    spoil: Callable[[JointState], None], words: str
+    spoil: Callable[[JointState], None], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if spoil is _silenced:
+        monkeypatch.setattr(hardware_module, "_LOST", 2.0)
     number = free_domain()
     node = Ros2Node(number)
     spoilt, ended = publish_states(node, spoil)

@@ -149,6 +149,31 @@ def test_commands_with_other_gains_or_a_wrong_checksum_are_not_carried_out() -> 
         node.close()
 
 
+def test_commands_of_a_second_program_are_ignored_with_a_fault() -> None:
+    with served_go2() as (domain, faults):
+        link = connect(f"unitree://127.0.0.1:{domain}/go2?odometry=no", 0.02, path=PathKind.DIRECT)
+        try:
+            where, zeros = list(link.state().positions), [0.0] * 12
+            link.send(where, zeros, zeros)
+            node = Ros2Node(domain)
+            publish = node.advertise("lowcmd", GoLowCmd)
+            command = GoLowCmd.empty()
+            command.record["head"] = (0xFE, 0xEF)
+            command.record["motor_cmd"]["mode"] = 1
+            command.seal()
+
+            def ignored() -> bool:
+                link.send(where, zeros, zeros)
+                publish(command)
+                return "busy" in [fault.code for fault in faults]
+
+            assert eventually(ignored)
+            np.testing.assert_allclose(link.state().positions, where, atol=0.1)
+            node.close()
+        finally:
+            link.close()
+
+
 def test_a_robot_that_is_not_there_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_module, "_FOUND", 0.1)
     with pytest.raises(RobotLinkError, match="no unitree_go2 publishes 'rt/lowstate'"):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from orbit_deploy.description import RobotDescription
     from orbit_deploy.link import BridgeServer
     from orbit_ros.node import RosNode
+    from orbit_ros.sources import RosSources
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
@@ -94,7 +95,7 @@ class RosBridge:
         from orbit_ros.hardware import CommandKind, RosHardware, served_description
         from orbit_ros.hosted import HostedLink
 
-        parts = RosAddress.of(address, keys, ("robot", "command", "topic", "rate", *self.options))
+        parts = RosAddress.of(address, keys, ("robot", "command", "topic", "rate", *_SOURCES, *self.options))
         command = parts.options.get("command", "trajectory")
         if command not in [*CommandKind]:
             raise ConfigurationError(f"command '{command}' is none of {', '.join(CommandKind)}")
@@ -109,9 +110,8 @@ class RosBridge:
                     f"no robot at {address} publishes 'orbit/description': say which robot it is with ?robot=NAME "
                     "('orbit list robots'), if there is one"
                 )
-            hardware = RosHardware(
-                node, description, CommandKind(command), rate, parts.prefix, parts.options.get("topic", "")
-            )
+            topic = parts.options.get("topic", "")
+            hardware = RosHardware(node, description, CommandKind(command), rate, parts.prefix, topic, _sources(parts))
         except Exception:
             node.close()
             raise
@@ -172,6 +172,38 @@ class UnitreeBridge:
 
         parts = RosAddress.of(address, keys, ())
         return UnitreeServer(computer, _ros2(parts), address)
+
+
+_SOURCES = ("images", "depths", "imus", "objects", "frames", "world", "odometry", "time")
+
+
+def _sources(parts: RosAddress) -> RosSources:
+    """Return the sources that an address names, as ``images=front:head/color/image_raw,hand``."""
+    from orbit_ros import topics
+    from orbit_ros.sources import RosSources
+
+    odometry, clock = parts.options.get("odometry", "yes"), parts.options.get("time", "wall")
+    if odometry not in ("yes", "no") or clock not in ("wall", "clock"):
+        raise ConfigurationError(f"odometry is yes or no, and time wall or clock, not '{odometry}' and '{clock}'")
+    return RosSources(
+        _named(parts, "images", topics.color_topic),
+        _named(parts, "depths", topics.depth_topic),
+        _named(parts, "imus", lambda _: topics.IMU),
+        _named(parts, "objects", lambda name: f"objects/{name}"),
+        _named(parts, "frames", lambda name: name),
+        parts.options.get("world", topics.WORLD),
+        odometry == "yes",
+        clock == "clock",
+    )
+
+
+def _named(parts: RosAddress, option: str, usual: Callable[[str], str]) -> dict[str, str]:
+    """Return the topics or frames of an option by name; the usual one where only the name is given."""
+    found: dict[str, str] = {}
+    for each in filter(None, parts.options.get(option, "").split(",")):
+        name, _, given = each.partition(":")
+        found[name] = given.lstrip("/") or usual(name)
+    return found
 
 
 def _number(parts: RosAddress, name: str, default: float) -> float:

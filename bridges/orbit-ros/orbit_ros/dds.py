@@ -35,7 +35,8 @@ _LOCAL = (
     "<AllowMulticast>false</AllowMulticast></General>"
 )
 _STREAM = (Policy.Durability.Volatile, Policy.History.KeepLast(10))
-_LATCHED = (Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.Durability.TransientLocal,
+_RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
+_LATCHED = (_RELIABLE, Policy.Durability.TransientLocal,
             Policy.History.KeepLast(1))  # fmt: skip
 
 
@@ -76,19 +77,38 @@ class Ros2Node(RosNode):
         self._thread.start()
 
     def advertise(self, topic: str, kind: type[Message], latched: bool = False) -> Callable[[Message], None]:
-        reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
-        qos = Qos(*_LATCHED) if latched else Qos(reliable, *_STREAM)
+        qos = Qos(*_LATCHED) if latched else Qos(_RELIABLE, *_STREAM)
         writer = DataWriter(self._participant, Topic(self._participant, self._prefix + topic, kind), qos=qos)
         # A latched message is gone with its writer, even if the caller keeps the function.
         self._writers.append(writer)
         return writer.write
 
     def subscribe(
-        self, topic: str, kind: type[Message], callback: Callable[[Message, str], None], latched: bool = False
+        self,
+        topic: str,
+        kind: type[Message],
+        callback: Callable[[Message, str], None],
+        latched: bool = False,
+        large: bool = False,
     ) -> None:
+        named = Topic(self._participant, self._prefix + topic, kind)
         # Readers that ask for no reliability match publishers of either kind, such as those of sensors.
         qos = Qos(*_LATCHED) if latched else Qos(Policy.Reliability.BestEffort, *_STREAM)
-        reader = DataReader(self._participant, Topic(self._participant, self._prefix + topic, kind), qos=qos)
+        if not large:
+            self._read(DataReader(self._participant, named, qos=qos), callback)
+            return
+        # Of a picture's many packets one is lost often; a reader that asks for them again meets reliable publishers
+        # only, so that there is one of each kind.
+        again = DataReader(self._participant, named, qos=Qos(_RELIABLE, *_STREAM[:1], Policy.History.KeepLast(1)))
+        self._read(again, callback)
+
+        def take(message: Message, source: str) -> None:
+            if not again.get_matched_publications():
+                callback(message, source)
+
+        self._read(DataReader(self._participant, named, qos=qos), take)
+
+    def _read(self, reader: DataReader[Any], callback: Callable[[Any, str], None]) -> None:
         condition = ReadCondition(reader, SampleState.NotRead | ViewState.Any | InstanceState.Any)
         with self._lock:
             self._readers.append((reader, callback))
@@ -113,13 +133,23 @@ class Ros2Node(RosNode):
             with self._lock:
                 readers = list(self._readers)
             for reader, callback in readers:
-                for sample in reader.take(20):
+                for sample in _taken(reader):
                     # A publisher that leaves yields a sample without data.
                     if isinstance(sample, IdlStruct):
                         handle: int = sample.sample_info.publication_handle  # pyright: ignore
                         if (handle, reader) not in sources:
                             sources[handle, reader] = _program(reader, handle)
                         call_safely(callback, sample, sources[handle, reader])
+
+
+def _taken(reader: DataReader[Any]) -> list[Any]:
+    """Return new samples; none where one has bytes that are no message of its type."""
+    try:
+        return reader.take(20)
+    except Exception as error:
+        # Whoever sent it, the next messages must be heard.
+        logging.getLogger(__name__).warning("a message of %s could not be read: %s", reader.topic.name, error)
+        return []
 
 
 def _program(reader: DataReader[Any], handle: int) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from enum import StrEnum
 
 import msgspec
@@ -16,11 +17,13 @@ from orbit_deploy.description import JointKind, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.link import RobotLinkError
+from orbit_deploy.pictures import Picture, PictureKind
 from orbit_ros import topics
 from orbit_ros.base_twist import BaseTwist
-from orbit_ros.body import body_of
+from orbit_ros.body import body_of, rotation
 from orbit_ros.messages import (
     Float64MultiArray,
+    Imu,
     JointState,
     JointTrajectory,
     JointTrajectoryPoint,
@@ -31,6 +34,7 @@ from orbit_ros.messages import (
     seconds_of,
 )
 from orbit_ros.node import RosNode
+from orbit_ros.sources import FrameTree, RosCamera, RosClock, RosSources, imu_row
 
 # Seconds for a robot to be found and to say where it is, and after which a silent one is lost
 _FOUND, _LOST = 5.0, 0.5
@@ -65,9 +69,11 @@ def served_description(node: RosNode, prefix: str) -> RobotDescription | None:
         node.check()
         return None
     try:
-        return msgspec.json.decode(found[0], type=RobotDescription, strict=False)
-    except msgspec.DecodeError as error:
+        description = msgspec.json.decode(found[0], type=RobotDescription, strict=False)
+        description.check()
+    except (msgspec.DecodeError, ConfigurationError) as error:
         raise RobotLinkError(f"the robot's description on '{topics.DESCRIPTION}' cannot be read: {error}") from None
+    return description
 
 
 class RosHardware(RobotHardware):
@@ -80,10 +86,11 @@ class RosHardware(RobotHardware):
         rate: at which they are sent, Hz.
         prefix: of the robot's topics, such as ``panda/``.
         commands: topic of the commands; the usual one of their kind if empty.
+        sources: topics and frames of what else the robot measures.
 
     Raises:
         ConfigurationError: the robot's joints take no commands of that kind.
-        RobotLinkError: nobody publishes joint states, or some joints have none.
+        RobotLinkError: nobody publishes joint states or another source, or some joints have none.
     """
 
     def __init__(
@@ -94,43 +101,82 @@ class RosHardware(RobotHardware):
         rate: float = 100.0,
         prefix: str = "",
         commands: str = "",
+        sources: RosSources | None = None,
     ) -> None:
         _check_kind(description, kind)
-        self.description = structs.replace(description, rate=rate, arranges=False, direct=True)
+        self._sources = sources = sources or RosSources()
+        base = topics.base_of(description)
+        # Objects of the robot's description, then those that the address names.
+        own = [name for name in description.objects if sources.odometry or name != base]
+        named: list[str] = list(dict.fromkeys((*own, *sources.objects, *sources.frames, *([base] if base else []))))
+        self.description = structs.replace(
+            description, rate=rate, arranges=False, direct=True, objects=named, imus=[*sources.imus]
+        )
         self._node, self._kind, self._prefix = node, kind, prefix
         self._state: Measurement | None = None
         self._arrived, self._stamp, self._stamps = 0.0, 0.0, StampWatch()
         self._missing: list[str] = list(description.joints)
+        self._misfit = ""
         self._objects: dict[str, list[float]] = {}
         self._twist = BaseTwist.of(description)
         topic = prefix + (commands or topics.COMMANDS[kind])
         message = _MESSAGES.get(kind, Float64MultiArray)
         self._publish = node.advertise(topic, message)
         node.subscribe(prefix + topics.JOINT_STATES, JointState, self._take)
-        for name in description.objects:
-            topic = prefix + topics.body_topic(name, description)
+        self._imus: dict[str, tuple[list[float], float]] = {}
+        self._inertial_base = base if not sources.odometry else ""
+        if self._inertial_base and not sources.imus:
+            raise ConfigurationError("without odometry the base follows an inertial unit: name one, as ?imus=imu")
+        self._tracked = {
+            name: prefix + sources.objects.get(name, topics.body_topic(name, description))
+            for name in named
+            if name not in sources.frames and name != self._inertial_base
+        }
+        for name, topic in self._tracked.items():
             # The default binds the name now; a closure would see the last one of the loop.
             node.subscribe(topic, Odometry, lambda message, _, name=name: self._track(name, message))
+        for name, topic in sources.imus.items():
+            node.subscribe(prefix + topic, Imu, lambda message, _, name=name: self._feel(name, message))
+        self._frames = FrameTree(node, sources.world) if sources.frames else None
+        self.clock = self._clock = RosClock(node) if sources.clock else None
+        self._cameras = _cameras(node, description, sources, prefix)
         end = time.monotonic() + _FOUND
-        while self._state is None or len(self._objects) < len(description.objects):
+        while absence := self._absence():
             node.check()
             if time.monotonic() > end:
-                raise RobotLinkError(self._absence())
+                raise RobotLinkError(absence)
             time.sleep(0.01)
+        cameras = [each.description for each in self._cameras if each.description is not None]
+        self.description = structs.replace(self.description, cameras=cameras)
+
+    def watch(self, sink: Callable[[Picture], None], now: Callable[[], int]) -> None:
+        for camera in self._cameras:
+            camera.watch(sink, now)
 
     def read(self) -> Measurement:
         state, age = self._state, time.monotonic() - self._arrived
         assert state is not None  # waited for when this was made
         self._node.check()
+        if self._misfit:
+            raise RobotLinkError(f"a message on '{self._prefix}{topics.JOINT_STATES}' {self._misfit}")
+        if fault := next((each.fault for each in self._cameras if each.fault), ""):
+            raise RobotLinkError(fault)
+        if self._clock is not None and self._clock.fault:
+            raise RobotLinkError(self._clock.fault)
         if self._stamps.jump:
             topic = self._prefix + topics.JOINT_STATES
             raise RobotLinkError(f"the stamps of '{topic}' jumped by {self._stamps.jump:+.3g} s: connect again")
         # Old positions would look like a robot at rest.
         if age > _LOST:
             raise RobotLinkError(f"no joint states on '{self._prefix}{topics.JOINT_STATES}' for {age:.2f} s")
-        return Measurement(
-            state.positions, state.velocities, state.efforts, [self._objects[name] for name in self.description.objects]
-        )
+        now = time.monotonic()
+        for name, (_, arrived) in self._imus.items():
+            if now - arrived > _LOST:
+                raise RobotLinkError(f"inertial unit '{name}' has sent nothing for {now - arrived:.2f} s")
+        self._look_at_frames()
+        objects = [self._objects[name] for name in self.description.objects]
+        imus = [self._imus[name][0] for name in self.description.imus]
+        return Measurement(state.positions, state.velocities, state.efforts, objects, imus)
 
     def drive(self, targets: JointTargets) -> None:
         positions, velocities, efforts = (
@@ -158,6 +204,12 @@ class RosHardware(RobotHardware):
         self._missing = [name for name in self.description.joints if name not in places]
         if self._missing:
             return
+        for what in ("position", "velocity", "effort"):
+            values = getattr(message, what)
+            # Velocities and efforts may be left out.
+            if len(values) != len(message.name) and (len(values) or what == "position"):
+                self._misfit = f"has {len(values)} numbers of {what} for {len(message.name)} names"
+                return
         # Publishers order joints as they like, and may add others.
         order = [places[name] for name in self.description.joints]
         now, stamp = time.monotonic(), seconds_of(message.header.stamp)
@@ -180,14 +232,72 @@ class RosHardware(RobotHardware):
     def _track(self, name: str, message: Odometry) -> None:
         self._objects[name] = body_of(message)
 
+    def _feel(self, name: str, message: Imu) -> None:
+        row = imu_row(message)
+        self._imus[name] = row, time.monotonic()
+        if self._inertial_base:
+            # At the origin, turned and turning as the first unit says.
+            (first, *_) = self._sources.imus
+            if name == first:
+                turn = rotation(np.array(row[:4]))
+                self._objects[self._inertial_base] = [*[0.0] * 3, *row[:4], *[0.0] * 3, *(turn @ row[4:7]).tolist()]
+
+    def _look_at_frames(self) -> None:
+        for name, frame in self._sources.frames.items():
+            assert self._frames is not None  # made with any frame
+            if (body := self._frames.body(frame)) is not None:
+                self._objects[name] = body
+
     def _absence(self) -> str:
+        """Return the reason why the robot is not complete yet; empty if it is."""
         topic = self._prefix + topics.JOINT_STATES
         if self._state is not None:
-            name = next(each for each in self.description.objects if each not in self._objects)
-            return f"nobody publishes where '{name}' is: '{self._prefix}{topics.body_topic(name, self.description)}'"
+            self._look_at_frames()
+            for name in self.description.objects:
+                if name in self._objects:
+                    continue
+                if name in self._sources.frames:
+                    frame = self._sources.frames[name]
+                    return f"nobody publishes frame '{frame}' of '{name}' in '{self._sources.world}' on '{topics.TF}'"
+                if name != self._inertial_base:
+                    return f"nobody publishes where '{name}' is: '{self._tracked[name]}'"
+            for name, named in self._sources.imus.items():
+                if name not in self._imus:
+                    return f"no inertial unit publishes on '{self._prefix}{named}'"
+            for camera in self._cameras:
+                if camera.description is None:
+                    return camera.fault or f"nobody publishes the calibration of '{camera.name}': '{camera.info}'"
+            if self._clock is not None and not self._clock.known:
+                return f"nobody publishes the time on '{topics.CLOCK}'"
+            return ""
+        if self._misfit:
+            return f"a message on '{topic}' {self._misfit}"
         if len(self._missing) < len(self.description.joints):
             return f"'{topic}' lacks the joints {', '.join(self._missing)}"
         return f"nobody publishes joints of {self.description.model} on '{topic}'"
+
+
+def _cameras(node: RosNode, description: RobotDescription, sources: RosSources, prefix: str) -> list[RosCamera]:
+    """Return the cameras that the robot's description has, or else those that the address names."""
+    if sources.images or sources.depths:
+        return [
+            RosCamera(node, name, _under(prefix, sources.images.get(name)), _under(prefix, sources.depths.get(name)))
+            for name in dict.fromkeys((*sources.images, *sources.depths))
+        ]
+    return [
+        RosCamera(
+            node,
+            each.name,
+            prefix + topics.color_topic(each.name) if PictureKind.RGB in each.kinds else "",
+            prefix + topics.depth_topic(each.name) if PictureKind.DEPTH in each.kinds else "",
+            each,
+        )
+        for each in description.cameras
+    ]
+
+
+def _under(prefix: str, topic: str | None) -> str:
+    return "" if topic is None else prefix + topic
 
 
 _MESSAGES = {CommandKind.TRAJECTORY: JointTrajectory, CommandKind.TWIST: Twist}

@@ -7,16 +7,19 @@ import time
 from collections.abc import Sequence
 
 from orbit_core.interfaces import OrbitError
-from orbit_deploy.clocks import ClockOffset, Latencies
+from orbit_deploy.clocks import ClockOffset, Latencies, RobotClock
 from orbit_deploy.computer import ComputerSettings, RobotComputer
 from orbit_deploy.follower import FollowerSettings, PathKind
 from orbit_deploy.hardware import RobotHardware
 from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.pictures import PictureBox
 
 _CLIENT = "this process"
 # Seconds without a cycle after which the loop has failed
 _LOST = 0.5
+# Seconds between looks at a clock that the robot publishes
+_TICK = 0.001
 
 
 class HostedLink(RobotLink):
@@ -36,16 +39,20 @@ class HostedLink(RobotLink):
         self.address, self.description = address, hardware.description
         """Robot as its hardware describes it."""
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
+        self.pictures = PictureBox()
         self._hardware, self._error, self._sequence = hardware, "", 0
         self._faults: list[Fault] = []
         self._sent: tuple[int, float] = (-1, 0.0)
         settings = ComputerSettings(state_rate=hardware.description.rate)
         # The threads of ROS and of the policy share Python's lock with the loop: a late command is no lost link.
         watchdog = max(0.1, 3.0 * period)
-        self.computer = RobotComputer(hardware, FollowerSettings(watchdog=watchdog), settings)
+        self._clock = hardware.clock or RobotClock()
+        self.computer = RobotComputer(hardware, FollowerSettings(watchdog=watchdog), settings, self._clock)
         """Computer that a thread of this process runs."""
         self.computer.on_state.append(self._take)
         self.computer.on_fault.append(self._note)
+        self.computer.on_picture.append(self.pictures.put)
+        self.computer.watch()
         self._state = self.computer.open(_CLIENT, period, path)
         self._arrived = time.monotonic()
         # The same clock on both sides
@@ -89,6 +96,17 @@ class HostedLink(RobotLink):
         self.computer.end()
         self._thread.join(5.0)
         self._hardware.close()
+
+    def now(self) -> float:
+        return super().now() if self._hardware.clock is None else 1e-9 * self._clock.now()
+
+    def wait(self, until: float) -> None:
+        if self._hardware.clock is None:
+            super().wait(until)
+            return
+        # A clock that stands still is a failure of the robot, which its loop reports.
+        while 1e-9 * self._clock.now() < until and not self._error:
+            time.sleep(_TICK)
 
     def _run(self) -> None:
         try:

@@ -224,6 +224,20 @@ class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
 _CDR, _CDR2 = bytes((0, 1, 0, 0)), bytes((0, 7, 0, 0))
 
 
+def _header_bytes(header: Header) -> bytearray:
+    """Return the beginning of a message's body."""
+    body = bytearray(struct.pack("<iI", header.stamp.sec, header.stamp.nanosec))
+    _put_text(body, header.frame_id)
+    return body
+
+
+def _header(body: memoryview, order: str) -> tuple[Header, int]:
+    """Return a body's header and the place of what follows it."""
+    sec, nanosec = struct.unpack_from(order + "iI", body, 0)
+    frame, at = _text(body, 8, order)
+    return Header(Time(sec, nanosec), frame), at
+
+
 def _put_text(body: bytearray, text: str) -> None:
     data = text.encode() + b"\0"
     body += struct.pack("<I", len(data)) + data
@@ -254,8 +268,7 @@ class Image(IdlStruct, typename="sensor_msgs.msg.dds_.Image_"):
 
     def serialize(self, buffer: Any = None, endianness: Any = None, use_version_2: bool | None = None) -> bytes:
         """Return the message as CDR."""
-        body = bytearray(struct.pack("<iI", self.header.stamp.sec, self.header.stamp.nanosec))
-        _put_text(body, self.header.frame_id)
+        body = _header_bytes(self.header)
         body += struct.pack("<II", self.height, self.width)
         encoding = self.encoding.encode() + b"\0"
         body += struct.pack("<I", len(encoding)) + encoding + bytes((self.is_bigendian,))
@@ -268,14 +281,66 @@ class Image(IdlStruct, typename="sensor_msgs.msg.dds_.Image_"):
         """Return the message of CDR; numbers of big-endian writers are read too."""
         order = "<" if data[1] & 1 else ">"
         body = memoryview(data)[4 if has_header else 0 :]
-        sec, nanosec = struct.unpack_from(order + "iI", body, 0)
-        frame, at = _text(body, 8, order)
+        header, at = _header(body, order)
         height, width = struct.unpack_from(order + "II", body, at)
         encoding, at = _text(body, at + 8, order, 1)
         big, step, length = struct.unpack_from(order + f"B{-(at + 1) % 4}xII", body, at)
         at += 1 + -(at + 1) % 4 + 8
-        header = Header(Time(sec, nanosec), frame)
         return cls(header, height, width, encoding, big, step, bytes(body[at : at + length]))
+
+
+@dataclass
+class CompressedImage(IdlStruct, typename="sensor_msgs.msg.dds_.CompressedImage_"):
+    """Picture as the bytes of a JPEG or PNG file."""
+
+    header: Header = field(default_factory=Header)
+    format: str = "jpeg"
+    data: sequence[uint8] = field(default_factory=list)
+
+    def serialize(self, buffer: Any = None, endianness: Any = None, use_version_2: bool | None = None) -> bytes:
+        """Return the message as CDR."""
+        body = _header_bytes(self.header)
+        _put_text(body, self.format)
+        body += struct.pack("<I", len(self.data))
+        return (_CDR2 if use_version_2 else _CDR) + bytes(body) + bytes(self.data)
+
+    @classmethod
+    def deserialize(cls, data: bytes, has_header: bool = True, use_version_2: bool | None = None) -> "CompressedImage":
+        """Return the message of CDR; numbers of big-endian writers are read too."""
+        order = "<" if data[1] & 1 else ">"
+        body = memoryview(data)[4 if has_header else 0 :]
+        header, at = _header(body, order)
+        kind, at = _text(body, at, order)
+        (length,) = struct.unpack_from(order + "I", body, at)
+        return cls(header, kind, bytes(body[at + 4 : at + 4 + length]))
+
+
+@dataclass
+class RegionOfInterest(IdlStruct, typename="sensor_msgs.msg.dds_.RegionOfInterest_"):
+    """Part of a camera's picture; all zeros for the whole of it."""
+
+    x_offset: uint32 = 0
+    y_offset: uint32 = 0
+    height: uint32 = 0
+    width: uint32 = 0
+    do_rectify: bool = False
+
+
+@dataclass
+class CameraInfo(IdlStruct, typename="sensor_msgs.msg.dds_.CameraInfo_"):
+    """Calibration of a camera; ROS 1 writes ``d``, ``k``, ``r`` and ``p`` in capitals."""
+
+    header: Header = field(default_factory=Header)
+    height: uint32 = 0
+    width: uint32 = 0
+    distortion_model: str = "plumb_bob"
+    d: sequence[float64] = field(default_factory=list)
+    k: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)  # pyright: ignore[reportAssignmentType]
+    r: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)  # pyright: ignore[reportAssignmentType]
+    p: array[float64, 12] = field(default_factory=lambda: [0.0] * 12)  # pyright: ignore[reportAssignmentType]
+    binning_x: uint32 = 0
+    binning_y: uint32 = 0
+    roi: RegionOfInterest = field(default_factory=RegionOfInterest)
 
 
 @dataclass
@@ -288,7 +353,8 @@ class Clock(IdlStruct, typename="rosgraph_msgs.msg.dds_.Clock_"):
 TYPES: tuple[type[IdlStruct], ...] = (
     Time, Duration, Header, String, Empty, MultiArrayDimension, MultiArrayLayout, Float64MultiArray, JointState,
     JointTrajectoryPoint, JointTrajectory, Vector3, Point, Quaternion, Pose, Twist, PoseWithCovariance,
-    TwistWithCovariance, Transform, TransformStamped, TFMessage, Odometry, Imu, Image, Clock,
+    TwistWithCovariance, Transform, TransformStamped, TFMessage, Odometry, Imu, Image, CompressedImage,
+    RegionOfInterest, CameraInfo, Clock,
 )  # fmt: skip
 
 
@@ -300,6 +366,11 @@ def ros_name(message: type[IdlStruct]) -> str:
 
 BY_NAME: dict[str, type[IdlStruct]] = {ros_name(each): each for each in TYPES}
 """Types by their names in ROS 1."""
+
+
+def ros1_member(kind: type[IdlStruct], name: str) -> str:
+    """Return the name that ROS 1 has for a member of a type."""
+    return name.upper() if kind is CameraInfo and len(name) == 1 else name
 
 
 def time_of(nanoseconds: int) -> Time:

@@ -27,7 +27,12 @@ class RosNode(ABC):
 
     @abstractmethod
     def subscribe(
-        self, topic: str, kind: type[Message], callback: Callable[[Message, str], None], latched: bool = False
+        self,
+        topic: str,
+        kind: type[Message],
+        callback: Callable[[Message, str], None],
+        latched: bool = False,
+        large: bool = False,
     ) -> None:
         """Call a function with each message and the identity of its publisher.
 
@@ -36,6 +41,7 @@ class RosNode(ABC):
             kind: type of the messages.
             callback: function.
             latched: also receive the last message that was published before.
+            large: messages are pictures, whose lost parts are sent again where the publisher offers that.
         """
 
     def check(self) -> None:

@@ -18,9 +18,10 @@ from cyclonedds.idl import IdlStruct
 
 from orbit_core.interfaces import OrbitError
 from orbit_deploy.link import RobotLinkError
-from orbit_ros.messages import BY_NAME, Duration, Time, ros_name
-from orbit_ros.node import Message, RosNode
+from orbit_ros.messages import BY_NAME, Duration, Time, ros1_member, ros_name
+from orbit_ros.node import Message, RosNode, call_safely
 
+_LARGE = 1 << 24
 _DEBIAN = Path("/usr/lib/python3/dist-packages")
 _PACKAGES = "python3-rospy python3-sensor-msgs python3-trajectory-msgs python3-nav-msgs python3-tf2-msgs"
 
@@ -57,9 +58,10 @@ def to_ros1(message: IdlStruct) -> Any:
     if isinstance(message, Duration):
         return rospy().Duration(message.sec, message.nanosec)
     made = get_message_class(ros_name(type(message)))()
-    for name in made.__slots__:
-        if hasattr(message, name):  # ROS 1 has 'seq' in headers, which its publisher counts
-            setattr(made, name, _convert(getattr(message, name), to_ros1, IdlStruct))
+    for each in dataclasses.fields(message):  # pyright: ignore[reportArgumentType]
+        # ROS 1 also has 'seq' in headers, which its publisher counts, and no member in Empty.
+        if (name := ros1_member(type(message), each.name)) in made.__slots__:
+            setattr(made, name, _convert(getattr(message, each.name), to_ros1, IdlStruct))
     return made
 
 
@@ -72,10 +74,15 @@ def from_ros1(message: Any) -> Any:
         return kind(message.secs, message.nsecs)
     kind = BY_NAME[message._type]
     # Members that ROS 1 has beyond ROS 2's, such as 'seq', are dropped.
-    names = {each.name for each in dataclasses.fields(kind)}  # pyright: ignore[reportArgumentType]
-    values = {name: getattr(message, name) for name in message.__slots__ if name in names}
+    named = {each.name: ros1_member(kind, each.name) for each in dataclasses.fields(kind)}  # pyright: ignore[reportArgumentType]
     own = (genpy.Message, genpy.TVal)
-    return kind(**{name: _convert(value, from_ros1, own) for name, value in values.items()})
+    return kind(
+        **{
+            name: _convert(getattr(message, theirs), from_ros1, own)
+            for name, theirs in named.items()
+            if theirs in message.__slots__
+        }
+    )
 
 
 def _convert(value: Any, convert: Callable[[Any], Any], kinds: Any) -> Any:
@@ -136,12 +143,20 @@ class Ros1Node(RosNode):
         return lambda message: publisher.publish(to_ros1(message))
 
     def subscribe(
-        self, topic: str, kind: type[Message], callback: Callable[[Message, str], None], latched: bool = False
+        self,
+        topic: str,
+        kind: type[Message],
+        callback: Callable[[Message, str], None],
+        latched: bool = False,
+        large: bool = False,
     ) -> None:
         def take(message: Any) -> None:
-            callback(from_ros1(message), message._connection_header["callerid"])
+            source = message._connection_header["callerid"]
+            call_safely(lambda each, source: callback(from_ros1(each), source), message, source)
 
-        self._own.append(rospy().Subscriber(f"/{topic}", _class_of(kind), take, tcp_nodelay=True))
+        # rospy reads at most so many bytes of a message at a time; a picture in small pieces is slow.
+        size = {"queue_size": 1, "buff_size": _LARGE} if large else {}
+        self._own.append(rospy().Subscriber(f"/{topic}", _class_of(kind), take, tcp_nodelay=True, **size))
 
     def close(self) -> None:
         for each in self._own:

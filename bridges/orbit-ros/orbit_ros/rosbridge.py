@@ -21,7 +21,7 @@ from cyclonedds.idl import IdlStruct
 from orbit_core.installing import install_command
 from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.link import RobotLinkError
-from orbit_ros.messages import Duration, Empty, Time, ros_name
+from orbit_ros.messages import Duration, Empty, Time, ros1_member, ros_name
 from orbit_ros.node import Message, RosNode, call_safely
 
 # Seconds for the server's socket, and for the handshake of the web socket
@@ -77,10 +77,15 @@ class RosbridgeNode(RosNode):
         return publish
 
     def subscribe(
-        self, topic: str, kind: type[Message], callback: Callable[[Message, str], None], latched: bool = False
+        self,
+        topic: str,
+        kind: type[Message],
+        callback: Callable[[Message, str], None],
+        latched: bool = False,
+        large: bool = False,
     ) -> None:
         def take(message: Any) -> None:
-            call_safely(callback, from_json(message, kind), self._address)
+            call_safely(lambda each, source: callback(from_json(each, kind), source), message, self._address)
 
         # A queue of one on the server's side: of states, the newest counts.
         self._topic(topic, kind, queue_length=1).subscribe(take)
@@ -129,7 +134,9 @@ def to_json(message: IdlStruct, ros1: bool) -> dict[str, Any]:
         return {"secs": message.sec, "nsecs": message.nanosec}
     if isinstance(message, Empty):
         return {}
-    return {name: _plain(getattr(message, name), ros1) for name, _ in _members(type(message))}
+    kind = type(message)
+    named = {name: ros1_member(kind, name) if ros1 else name for name, _ in _members(kind)}
+    return {theirs: _plain(getattr(message, name), ros1) for name, theirs in named.items()}
 
 
 def from_json(values: Any, kind: type[_Struct]) -> _Struct:
@@ -143,8 +150,9 @@ def from_json(values: Any, kind: type[_Struct]) -> _Struct:
         return kind(int(values.get("secs", values.get("sec", 0))), int(values.get("nsecs", values.get("nanosec", 0))))
     made = kind()
     for name, element in _members(kind):
-        if name in values:
-            setattr(made, name, _value(values[name], element, getattr(made, name)))
+        theirs = name if name in values else ros1_member(kind, name)
+        if theirs in values:
+            setattr(made, name, _value(values[theirs], element, getattr(made, name)))
     return made
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -16,14 +17,17 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.computer import RobotComputer
 from orbit_deploy.description import FloatArray
 from orbit_deploy.messages import Fault, JointCommand, RobotState
+from orbit_deploy.pictures import Picture, PictureKind
 from orbit_ros import topics
 from orbit_ros.base_twist import BaseTwist
 from orbit_ros.body import Accelerometer, imu, odometry, transform
 from orbit_ros.messages import (
+    CameraInfo,
     Clock,
     Empty,
     Float64MultiArray,
     Header,
+    Image,
     Imu,
     JointState,
     JointTrajectory,
@@ -35,6 +39,7 @@ from orbit_ros.messages import (
     time_of,
 )
 from orbit_ros.node import RosNode
+from orbit_ros.sources import camera_messages
 
 # Seconds between commands to the computer while a trajectory is followed, and that streams are expected to come at
 _PERIOD = 0.02
@@ -105,6 +110,12 @@ class RosServer:
             for name in self._description.objects
         }
         self._imu = node.advertise(prefix + topics.IMU, Imu) if self._base else None
+        self._cameras = {camera.name: camera for camera in self._description.cameras}
+        self._pictures = {
+            (camera.name, kind): _advertise(node, prefix, camera.name, kind)
+            for camera in self._description.cameras
+            for kind in camera.kinds
+        }
         describe = node.advertise(prefix + topics.DESCRIPTION, String, latched=True)
         describe(String(msgspec.json.encode(_finite(self._description)).decode()))
         node.subscribe(prefix + topics.COMMANDS["trajectory"], JointTrajectory, self._take_trajectory)
@@ -121,6 +132,7 @@ class RosServer:
         node.subscribe(prefix + topics.CLEAR, Empty, lambda _, __: self._clear())
         computer.on_state.append(self._keep)
         computer.on_fault.append(self._report)
+        computer.on_picture.append(self._show)
         self._threads = [
             threading.Thread(target=target, name=f"ros {target.__name__}", daemon=True)
             for target in (self._send_states, self._send_commands)
@@ -138,6 +150,7 @@ class RosServer:
             thread.join(2.0)
         self._computer.on_state.remove(self._keep)
         self._computer.on_fault.remove(self._report)
+        self._computer.on_picture.remove(self._show)
         self._computer.leave(self.address)
         self._node.close()
 
@@ -173,6 +186,13 @@ class RosServer:
                 self._imu(imu(body, self._force.update(body, state.stamp), replace(header, frame_id=child)))
         if frames:
             self._frames(TFMessage(frames))
+
+    def _show(self, picture: Picture) -> None:
+        image, info = self._pictures[picture.camera, picture.kind]
+        header = Header(time_of(picture.stamp), picture.camera)
+        message, calibration = camera_messages(self._cameras[picture.camera], picture, header)
+        info(calibration)
+        image(message)
 
     def _report(self, fault: Fault) -> None:
         self._faults(String(f"{fault.code}: {fault.text}"))
@@ -294,6 +314,15 @@ class RosServer:
             numbers = (values.tolist() for values in goal.at(time.monotonic()))
             self._computer.submit(JointCommand(self._sequence, self._computer.clock.now(), *numbers))
             self._sequence += 1
+
+
+def _advertise(
+    node: RosNode, prefix: str, camera: str, kind: PictureKind
+) -> tuple[Callable[[Image], None], Callable[[CameraInfo], None]]:
+    """Return the functions that publish a camera's pictures of one kind, and its calibration next to them."""
+    topic = prefix + (topics.color_topic(camera) if kind is PictureKind.RGB else topics.depth_topic(camera))
+    folder = topic.rpartition("/")[0]
+    return node.advertise(topic, Image), node.advertise(f"{folder}/{topics.CAMERA_INFO}", CameraInfo)
 
 
 def _finite(description: object) -> object:

@@ -7,8 +7,10 @@ from orbit_deploy.description import RobotDescription
 JOINT_STATES = "joint_states"
 CLOCK = "clock"
 TF = "tf"
+TF_STATIC = "tf_static"
 ODOMETRY = "odom"
 IMU = "imu/data"
+CAMERA_INFO = "camera_info"
 TWIST = "cmd_vel"
 DESCRIPTION = "orbit/description"
 FAULTS = "orbit/faults"
@@ -38,3 +40,13 @@ def base_of(description: RobotDescription) -> str:
 def body_topic(name: str, description: RobotDescription) -> str:
     """Return the topic of a tracked body's odometry."""
     return ODOMETRY if name == base_of(description) else f"objects/{name}"
+
+
+def color_topic(camera: str) -> str:
+    """Return the topic of a camera's colour pictures."""
+    return f"{camera}/image_raw"
+
+
+def depth_topic(camera: str) -> str:
+    """Return the topic of a camera's depth pictures."""
+    return f"{camera}/depth/image_raw"

@@ -19,10 +19,23 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.clocks import ClockOffset, Latencies, StampWatch
 from orbit_deploy.computer import not_finite
 from orbit_deploy.follower import PathKind
-from orbit_deploy.link import RobotLink, RobotLinkError, fault_error
+from orbit_deploy.link import RobotLink, RobotLinkError, fault_error, misfit
 from orbit_deploy.messages import PASSING, VERSION, Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.pictures import PictureBox
 from orbit_zmq.keys import CLIENT, ROBOT, check_keys, key_pair, public_key, split_address
-from orbit_zmq.wire import Answer, Codec, FromClient, Hello, MoveTo, Offer, Order, Ping, Pong, Refusal
+from orbit_zmq.wire import (
+    MOST_PICTURE_BYTES,
+    Answer,
+    Codec,
+    FromClient,
+    Hello,
+    MoveTo,
+    Offer,
+    Order,
+    Ping,
+    Pong,
+    Refusal,
+)
 
 _numbers = itertools.count()
 # Seconds in which a robot answers a hello or a request
@@ -31,6 +44,8 @@ _ANSWER = 3.0
 _LOST = 0.5
 # Seconds between questions for the robot's clock: many at first, then a few
 _PING, _FIRST_PINGS = 0.1, 20
+# ns: three centuries
+_MOST_TIME = 1 << 63
 _FAILED = (
     zmq.Event.HANDSHAKE_FAILED_AUTH, zmq.Event.HANDSHAKE_FAILED_PROTOCOL, zmq.Event.HANDSHAKE_FAILED_NO_DETAIL,
 )  # fmt: skip
@@ -57,13 +72,11 @@ class ZmqLink(RobotLink):
         check_keys(host, keys)
         self.address = address
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
+        self.pictures = PictureBox()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.LINGER, 200)
-        self._socket.setsockopt(zmq.IPV6, ":" in host)
-        if keys is not None:
-            self._socket.curve_publickey, self._socket.curve_secretkey = key_pair(keys, CLIENT)
-            self._socket.curve_serverkey = public_key(keys, ROBOT)
+        _secure(self._socket, host, keys)
         self._monitor = self._socket.get_monitor_socket()
         self._answers: queue.Queue[Offer | Answer | Refusal] = queue.Queue()
         self._faults: deque[Fault] = deque()
@@ -93,6 +106,12 @@ class ZmqLink(RobotLink):
             raise
         self.description = offer.description
         """Robot as its computer offered it."""
+        self._viewer = None
+        if offer.pictures:
+            # A thread of its own: reading a large picture must not hold up commands.
+            arguments = (f"tcp://{shown}:{offer.pictures}", host, keys)
+            self._viewer = threading.Thread(target=self._view, args=arguments, name="zmq pictures", daemon=True)
+            self._viewer.start()
 
     # Called by the client's thread
 
@@ -110,6 +129,9 @@ class ZmqLink(RobotLink):
         state, age = self._state, 1e-9 * (time.monotonic_ns() - self._arrived)
         if state is None or age > _LOST:
             raise RobotLinkError(f"the robot at {self.address} has not answered for {age:.2f} s: it stops on its own")
+        if name := misfit(state, self.description):
+            self.stop()
+            raise RobotLinkError(f"the robot at {self.address} sends '{name}' of another robot: it is stopped")
         if joint := not_finite(state, self.description):
             self.stop()
             raise RobotLinkError(f"the robot at {self.address} sends no finite number for {joint}: it is stopped")
@@ -141,6 +163,8 @@ class ZmqLink(RobotLink):
         self._post(Order("leave"))
         self._ended.set()
         self._thread.join(2.0)
+        if (viewer := getattr(self, "_viewer", None)) is not None:
+            viewer.join(2.0)
         self._socket.disable_monitor()
         self._monitor.close(0)
         self._context.destroy(linger=200)
@@ -195,6 +219,22 @@ class ZmqLink(RobotLink):
                 next_ping = now + (_PING if pings > _FIRST_PINGS else 0.005)
                 self._send(codec.encode(Ping(time.monotonic_ns())))
 
+    def _view(self, address: str, host: str, keys: Path | None) -> None:
+        """Keep the newest pictures, in the thread of the pictures."""
+        socket, codec = self._context.socket(zmq.SUB), Codec()
+        _secure(socket, host, keys)
+        socket.setsockopt(zmq.MAXMSGSIZE, MOST_PICTURE_BYTES)
+        socket.setsockopt(zmq.RCVHWM, 2 * len(self.description.cameras))
+        socket.subscribe(b"")
+        socket.connect(address)
+        while not self._ended.is_set():
+            if socket.poll(100):
+                try:
+                    self.pictures.put(codec.picture(socket.recv(copy=True)))
+                except ConfigurationError as error:
+                    self.pictures.fail(str(error))
+        socket.close(0)
+
     def _send(self, data: bytes) -> None:
         try:
             # A robot that refused the keys has no queue, and would block this thread.
@@ -209,7 +249,9 @@ class ZmqLink(RobotLink):
             self._answers.put(Refusal("message", str(error)))
             return
         if isinstance(message, Pong):
-            self.offset.add(message.sent, message.clock, now)
+            # A clock beyond any could not be sent back in a stamp.
+            if abs(message.clock) < _MOST_TIME:
+                self.offset.add(message.sent, message.clock, now)
         elif isinstance(message, RobotState):
             self._keep(message, now)
         elif isinstance(message, Fault):
@@ -228,3 +270,11 @@ class ZmqLink(RobotLink):
             number, sent = self._sent.popleft()
             if number == state.command:
                 self.round_trips.add(1e-9 * (now - sent))
+
+
+def _secure(socket: zmq.Socket[bytes], host: str, keys: Path | None) -> None:
+    """Set up a connecting socket: its keys, and the version of its address."""
+    socket.setsockopt(zmq.IPV6, ":" in host)
+    if keys is not None:
+        socket.curve_publickey, socket.curve_secretkey = key_pair(keys, CLIENT)
+        socket.curve_serverkey = public_key(keys, ROBOT)

@@ -12,6 +12,7 @@ import zmq.auth.thread
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_deploy.computer import RobotBusyError, RobotComputer
 from orbit_deploy.messages import VERSION, Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.pictures import Picture
 from orbit_zmq.keys import CLIENT, ROBOT, check_keys, key_pair, public_key, split_address
 from orbit_zmq.wire import MOST_BYTES, Answer, Codec, FromClient, Hello, MoveTo, Offer, Order, Ping, Pong, Refusal
 
@@ -42,22 +43,20 @@ class ZmqServer:
         self._socket = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MOST_BYTES)
         self._socket.setsockopt(zmq.SNDHWM, _MOST_WAITING)
-        self._socket.setsockopt(zmq.LINGER, 100)
-        self._socket.setsockopt(zmq.IPV6, ":" in host)
-        if keys is not None:
-            self._socket.curve_publickey, self._socket.curve_secretkey = key_pair(keys, ROBOT)
-            # Without this a socket with keys would accept anybody's.
-            self._socket.curve_server = True
+        _secure(self._socket, host, keys)
         shown = f"[{host}]" if ":" in host else host
+        # A name is resolved by connect only.
+        bound = "127.0.0.1" if host == "localhost" else shown
         try:
-            # A name is resolved by connect only.
-            bound = "127.0.0.1" if host == "localhost" else shown
             self._socket.bind(f"tcp://{bound}:{port or '*'}")
         except zmq.ZMQError as error:
             self._free()
             raise ConfigurationError(f"cannot listen at {host}:{port}: {error}") from None
-        port = int(self._socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])
-        self.address = f"zmq://{shown}:{port}"
+        self.address = f"zmq://{shown}:{_port(self._socket)}"
+        self._picture_codec, self._pictures_port = Codec(), 0
+        self._pictures: zmq.Socket[bytes] | None = None
+        if computer.description.cameras:
+            self._publish_pictures(bound, port + 1 if port else 0, keys)
         # The loop wakes this thread by a message, as a queue cannot be polled with a socket.
         inside = f"inproc://robot-{next(_numbers)}"
         self._wake_in, self._wake_out = self._context.socket(zmq.PAIR), self._context.socket(zmq.PAIR)
@@ -80,12 +79,30 @@ class ZmqServer:
         self._thread.join(2.0)
         self._computer.on_state.remove(self._pass_on)
         self._computer.on_fault.remove(self._pass_on)
+        if self._pictures is not None:
+            self._computer.on_picture.remove(self._show)
         self._free()
 
     def _free(self) -> None:
         if self._authenticator is not None:
             self._authenticator.stop()
         self._context.destroy(linger=100)
+
+    def _publish_pictures(self, host: str, port: int, keys: Path | None) -> None:
+        """Open the cameras' own socket: a large picture on that of the states would delay them."""
+        socket = self._pictures = self._context.socket(zmq.PUB)
+        # Of a slow client's pictures, the oldest are sent and newer ones dropped: few may wait.
+        socket.setsockopt(zmq.SNDHWM, 2 * len(self._computer.description.cameras))
+        _secure(socket, host, keys)
+        try:
+            socket.bind(f"tcp://{host}:{port or '*'}")
+        except zmq.ZMQError as error:
+            self._free()
+            raise ConfigurationError(
+                f"cannot listen at {host}:{port} for pictures, which have the port after the robot's: {error}"
+            ) from None
+        self._pictures_port = _port(socket)
+        self._computer.on_picture.append(self._show)
 
     def _require_keys(self, keys: Path) -> zmq.auth.thread.ThreadAuthenticator:
         """Accept only clients with the folder's key."""
@@ -100,6 +117,15 @@ class ZmqServer:
         authenticator.start()
         authenticator.configure_curve_callback(domain="*", credentials_provider=Provider())
         return authenticator
+
+    # The cameras' thread, the only one to use their socket
+
+    def _show(self, picture: Picture) -> None:
+        assert self._pictures is not None  # listened to with the socket only
+        try:
+            self._pictures.send(self._picture_codec.encode(picture), zmq.NOBLOCK, copy=False)
+        except zmq.ZMQError:
+            return
 
     # The loop's thread
 
@@ -163,14 +189,16 @@ class ZmqServer:
             )
             return
         try:
-            state = self._computer.open(hello.client[:80], hello.period, hello.path)
+            # Others see the name in their terminals.
+            name = "".join(letter if letter.isprintable() else "?" for letter in hello.client[:80])
+            state = self._computer.open(name, hello.period, hello.path)
         except RobotBusyError as error:
             self._refuse(peer, "busy", str(error))
         except OrbitError as error:
             self._refuse(peer, "request", str(error))
         else:
             self._peer = peer
-            self._send(peer, self._codec.encode(Offer(self._computer.description, state)))
+            self._send(peer, self._codec.encode(Offer(self._computer.description, state, self._pictures_port)))
 
     def _obey(self, peer: bytes, message: FromClient) -> None:
         computer = self._computer
@@ -207,3 +235,17 @@ class ZmqServer:
             self._socket.send_multipart((peer, data), zmq.NOBLOCK)
         except zmq.ZMQError:
             return  # a client that has gone, or reads too slowly
+
+
+def _port(socket: zmq.Socket[bytes]) -> int:
+    return int(socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])
+
+
+def _secure(socket: zmq.Socket[bytes], host: str, keys: Path | None) -> None:
+    """Set up a listening socket: its keys, and whom it may wait for at the end."""
+    socket.setsockopt(zmq.LINGER, 100)
+    socket.setsockopt(zmq.IPV6, ":" in host)
+    if keys is not None:
+        socket.curve_publickey, socket.curve_secretkey = key_pair(keys, ROBOT)
+        # Without this a socket with keys would accept anybody's.
+        socket.curve_server = True

@@ -13,9 +13,12 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.description import RobotDescription
 from orbit_deploy.follower import PathKind
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.pictures import Picture
 
 MOST_BYTES = 1 << 20
 """Longest message that is read."""
+MOST_PICTURE_BYTES = 1 << 26
+"""Longest picture that is read."""
 
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag="hello"):
@@ -59,6 +62,8 @@ class Offer(msgspec.Struct, frozen=True, tag="offer"):
     """Robot of the session."""
     state: RobotState
     """Newest state of the robot."""
+    pictures: int = 0
+    """Port on which the robot's cameras publish; 0 without cameras."""
 
 
 class Pong(msgspec.Struct, frozen=True, array_like=True, tag="pong"):
@@ -100,6 +105,7 @@ class Codec:
         self._from_client = msgspec.msgpack.Decoder(FromClient)
         self._from_robot = msgspec.msgpack.Decoder(FromRobot)
         self._offer = msgspec.msgpack.Decoder(Offer)
+        self._picture = msgspec.msgpack.Decoder(Picture)
 
     def encode(self, message: object) -> bytes:
         """Return the bytes of a message."""
@@ -124,9 +130,17 @@ class Codec:
             return _read(self._offer, data)
         return _read(self._from_robot, data)
 
+    def picture(self, data: bytes) -> Picture:
+        """Read a picture.
 
-def _read(decoder: msgspec.msgpack.Decoder[_Message], data: bytes) -> _Message:
-    if len(data) > MOST_BYTES:
+        Raises:
+            ConfigurationError: it is none.
+        """
+        return _read(self._picture, data, MOST_PICTURE_BYTES)
+
+
+def _read(decoder: msgspec.msgpack.Decoder[_Message], data: bytes, most: int = MOST_BYTES) -> _Message:
+    if len(data) > most:
         raise ConfigurationError(f"a message of {len(data):,} bytes is longer than any")
     try:
         return decoder.decode(data)

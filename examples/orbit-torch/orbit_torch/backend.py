@@ -26,7 +26,7 @@ _EXACT = (
     Capability.ARTICULATIONS, Capability.EFFORT_LIMITS, Capability.JOINT_DAMPING, Capability.JOINT_SPRINGS,
     Capability.MASSLESS_LINKS,
     Capability.JOINT_FRICTION, Capability.ARMATURE, Capability.SELF_COLLISIONS, Capability.GRAVITY_COMPENSATION,
-    Capability.CONTACT_FORCES, Capability.EXTERNAL_WRENCHES, Capability.RAY_CASTS,
+    Capability.CONTACT_FORCES, Capability.FRICTION_FORCES, Capability.EXTERNAL_WRENCHES, Capability.RAY_CASTS,
     Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_FRICTION,
     Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_GRAVITY, Capability.SNAPSHOTS,
 )  # fmt: skip

@@ -22,6 +22,7 @@ from orbit_deploy.follower import FollowerSettings, JointFollower, JointTargets,
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.log import RobotLog
 from orbit_deploy.messages import Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.pictures import Picture
 from orbit_deploy.realtime import RealtimeLoop
 
 Result = TypeVar("Result")
@@ -84,6 +85,8 @@ class RobotComputer:
         """Called with each state that is published."""
         self.on_fault: list[Callable[[Fault], None]] = []
         """Called with each fault."""
+        self.on_picture: list[Callable[[Picture], None]] = []
+        """Called with each picture of a camera, by the cameras' thread."""
         self._commands: deque[JointCommand] = deque(maxlen=_MOST_WAITING)
         self._requests: deque[Callable[[], None]] = deque()
         self._lock = threading.Lock()
@@ -174,6 +177,18 @@ class RobotComputer:
     def end(self) -> None:
         """Have :meth:`run` bring the robot to rest and return."""
         self._ended.set()
+
+    def watch(self) -> None:
+        """Start the robot's cameras; once, before the loop runs.
+
+        Raises:
+            OrbitError: they cannot be started.
+        """
+        self.hardware.watch(self._show, self.clock.now)
+
+    def _show(self, picture: Picture) -> None:
+        for listener in self.on_picture:
+            listener(picture)
 
     # The loop
 
@@ -303,6 +318,7 @@ class RobotComputer:
             limited=follower.limited,
             late=follower.late,
             stops=follower.stops,
+            imus=measured.imus,
         )
 
     def _publish(self, state: RobotState) -> None:
@@ -339,7 +355,7 @@ class RobotComputer:
 
 
 def not_finite(measured: Measurement | RobotState, description: RobotDescription) -> str:
-    """Return the name of a joint or object with a number that is none; empty if all are.
+    """Return the name of a joint, object or inertial unit with a number that is none; empty if all are.
 
     Args:
         measured: to check.
@@ -348,7 +364,8 @@ def not_finite(measured: Measurement | RobotState, description: RobotDescription
     rows = np.array((measured.positions, measured.velocities, measured.efforts))
     if not np.isfinite(rows).all():
         return f"joint {description.joints[int(np.argmin(np.isfinite(rows).all(0)))]}"
-    for name, numbers in zip(description.objects, measured.objects, strict=False):
-        if not np.isfinite(numbers).all():
-            return f"'{name}'"
+    for names, tables in ((description.objects, measured.objects), (description.imus, measured.imus)):
+        for name, numbers in zip(names, tables, strict=False):
+            if not np.isfinite(numbers).all():
+                return f"'{name}'"
     return ""

@@ -9,8 +9,9 @@ import time
 
 from orbit_core.interfaces import ConfigurationError, OrbitError
 
-# Seconds that the key counts as held after its last character; a terminal repeats after half a second at first
-_HELD = 0.7
+# Seconds that the key counts as held after its first character, as a terminal repeats after half a second at first, and
+# after the next ones, which come every 30 ms or so
+_HELD, _REPEATED = 0.7, 0.25
 
 
 class ReleasedError(OrbitError):
@@ -37,19 +38,27 @@ class DeadManKey:
         self._restore = termios.tcsetattr, (self._file, termios.TCSADRAIN, termios.tcgetattr(self._file))
         tty.setcbreak(self._file)  # characters without waiting for a line; Ctrl-C still interrupts
         # Released until the first press.
-        self._pressed = -_HELD
+        self._until = 0.0
 
     @property
     def held(self) -> bool:
-        """True while the key is held."""
+        """True while the key is held.
+
+        Raises:
+            ReleasedError: the terminal is closed.
+        """
         while select.select([self._file], [], [], 0.0)[0]:
-            typed = os.read(self._file, 1024)
+            try:
+                typed = os.read(self._file, 1024)
+            except OSError:
+                typed = b""
             # The terminal is closed, and would be ready to be read for good.
             if not typed:
-                break
+                raise ReleasedError("the terminal of the dead-man key is closed: the robot stops")
             if b" " in typed:
-                self._pressed = time.monotonic()
-        return time.monotonic() - self._pressed < _HELD
+                now = time.monotonic()
+                self._until = now + (_REPEATED if now < self._until else _HELD)
+        return time.monotonic() < self._until
 
     def check(self) -> None:
         """Raise if the key is not held.

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from orbit_core.interfaces import ConfigurationError, SceneLayout
 from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.scene import ImplicitPd, RobotSpec, Scene
+from orbit_deploy.pictures import CameraDescription
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -70,6 +71,10 @@ class RobotDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Rate of the robot's loop, Hz."""
     objects: list[str] = []
     """Objects whose poses the robot's computer measures, as a motion-capture system does."""
+    imus: list[str] = []
+    """Inertial units of the robot, whose measurements a task's units of the same names have."""
+    cameras: list[CameraDescription] = []
+    """Cameras of the robot, whose pictures a task's cameras of the same names have."""
     arranges: bool = False
     """True for a simulated robot, which puts itself and objects where a client asks."""
     direct: bool = False
@@ -136,6 +141,8 @@ class RobotDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 raise ConfigurationError(f"the robot's '{name}' holds a NaN")
         if not 1.0 <= self.rate <= 10_000.0:
             raise ConfigurationError(f"the robot's rate is {self.rate} Hz, not from 1 to 10,000")
+        for camera in self.cameras:
+            camera.check()
 
 
 class MotionLimits(msgspec.Struct, frozen=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,25 +18,32 @@ from orbit_core.interfaces import (
     Capability,
     ConfigurationError,
     Engine,
+    Renderer,
     SceneLayout,
     UnsupportedCapabilityError,
     approximate,
     unsupported,
 )
 from orbit_core.interfaces.capabilities import IMAGES, MATTER
-from orbit_core.scene import RobotSpec, Scene
+from orbit_core.scene import CameraSpec, ImuSpec, RobotSpec, Scene, SensorSpec
+from orbit_core.sensors.timed import TimedSensor
 from orbit_core.world.world import SimulatedWorld, WorldFactory
 from orbit_deploy.description import RobotDescription, check_robot
 from orbit_deploy.link import RobotFaultError, RobotLink
+from orbit_deploy.measured import MeasuredImu, PictureRenderer
 from orbit_deploy.messages import Arrangement, Mode, RobotState
+from orbit_deploy.pictures import check_cameras
 
+# Kinds of pictures that a robot's cameras take
+_SEEN = (Capability.RGB, Capability.DEPTH, Capability.TEXTURES, Capability.LIGHTING, Capability.SHADOWS)
 # Parts of a world that a simulation has and a robot has not
 _NONE = (
-    Capability.CONTACT_FORCES, Capability.JOINT_WRENCHES, Capability.LOOP_WRENCHES, Capability.EXTERNAL_WRENCHES,
-    Capability.RAY_CASTS, Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_FRICTION,
-    Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_JOINTS, Capability.RANDOMIZE_LIMITS, Capability.RANDOMIZE_GRAVITY,
+    Capability.CONTACT_FORCES, Capability.FRICTION_FORCES, Capability.JOINT_WRENCHES, Capability.LOOP_WRENCHES,
+    Capability.EXTERNAL_WRENCHES, Capability.RAY_CASTS, Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS,
+    Capability.RANDOMIZE_FRICTION, Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_JOINTS, Capability.RANDOMIZE_LIMITS,
+    Capability.RANDOMIZE_GRAVITY,
     Capability.SHAPES_PER_ENVIRONMENT, Capability.SNAPSHOTS, Capability.COPIED_STATES, Capability.DETERMINISTIC,
-    Capability.GPU, *IMAGES, *MATTER,
+    Capability.GPU, *MATTER, *(each for each in IMAGES if each not in _SEEN),
 )  # fmt: skip
 # rad or m: a first target that is farther than this from where the robot is gets a slow way there
 _NEAR = 0.02
@@ -64,6 +71,7 @@ class RobotBackend(Backend):
         link: session with the robot's computer; the engine closes it.
         period: seconds between commands.
         contacts: accept contact sensors, although nobody measures them: their forces are NaN.
+        rehearsing: begin without moving the robot (:attr:`RobotEngine.rehearsing`).
     """
 
     name: ClassVar[str] = "robot"
@@ -72,8 +80,9 @@ class RobotBackend(Backend):
     config_type: ClassVar[type] = RobotSettings
     simulates: ClassVar[bool] = False
 
-    def __init__(self, link: RobotLink, period: float, contacts: bool = False) -> None:
-        self._link, self._period, self._contacts = link, period, contacts
+    def __init__(self, link: RobotLink, period: float, contacts: bool = False, rehearsing: bool = False) -> None:
+        self._link, self._period, self._contacts, self._rehearsing = link, period, contacts, rehearsing
+        self._engine: RobotEngine | None = None
 
     def capabilities(self) -> Capabilities:
         declared = {each: approximate("the robot's own") for each in Capability}
@@ -85,7 +94,15 @@ class RobotBackend(Backend):
     def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: Any) -> Engine:
         if num_envs != 1 or device.type != "cpu":
             raise ConfigurationError(f"a robot is one environment on device 'cpu', not {num_envs} on '{device}'")
-        return RobotEngine(layout, self._link, self._period)
+        cameras = [spec for spec in layout.scene.sensors if isinstance(spec, CameraSpec)]
+        check_cameras(cameras, self._link.description.cameras, self._link.address)
+        self._engine = RobotEngine(layout, self._link, self._period, self._rehearsing)
+        return self._engine
+
+    def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: Any) -> Renderer:
+        engine = self._engine
+        assert engine is not None  # a world makes its engine first
+        return PictureRenderer(self._link, lambda: engine.placed_at)
 
 
 class RobotEngine(Engine):
@@ -98,12 +115,13 @@ class RobotEngine(Engine):
         layout: of the scene, with one robot.
         link: session with the robot's computer.
         period: seconds between commands; what is stepped in smaller parts sends one command in each period.
+        rehearsing: begin without moving the robot (:attr:`rehearsing`).
 
     Raises:
         ConfigurationError: the scene has no robot or several, the robot has other joints, or does not track an object.
     """
 
-    def __init__(self, layout: SceneLayout, link: RobotLink, period: float) -> None:
+    def __init__(self, layout: SceneLayout, link: RobotLink, period: float, rehearsing: bool = False) -> None:
         super().__init__(layout, 1, torch.device("cpu"))
         robots = [entity for entity in layout.entities if isinstance(entity.spec, RobotSpec)]
         if len(robots) != 1:
@@ -127,13 +145,18 @@ class RobotEngine(Engine):
         self._root_velocities = {e.index: torch.zeros(1, 6) for e in layout.entities}
         # No comparison with NaN is true, so that no touch is ever reported, and an action from it is refused.
         self._contact_forces = torch.full((1, len(layout.contact_queries), 3), torch.nan)
-        self.rehearsing = False
-        """True while steps send nothing and take no time, to see what an agent would do."""
+        self.rehearsing = rehearsing
+        """True while steps and resets send nothing and take no time: an environment is made, which begins with a reset,
+        and it is seen what an agent would do."""
         self._due: float | None = None
         self._last_sent = -1.0
         self._soft = True
         self.placed = True
         """True in :attr:`on_step` if the robot was put or led elsewhere since the step before, as a reset does."""
+        self.placed_at = 0
+        """Time at which that was done last, ns on the robot's clock."""
+        self.imus: list[list[float]] = []
+        """Newest measurements of the robot's inertial units (10 numbers each)."""
         self.on_step: Callable[[RobotState], None] | None = None
         """Called with each step's state, as a display does."""
         self._take(link.state())
@@ -204,6 +227,7 @@ class RobotEngine(Engine):
 
     def _take(self, state: RobotState) -> None:
         joints = self._robot.joints
+        self._stamp, self.imus = state.stamp, state.imus
         for tensor, values in (
             (self._joint_positions, state.positions),
             (self._joint_velocities, state.velocities),
@@ -248,7 +272,7 @@ class RobotEngine(Engine):
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
         # Masks and indices of no environment write nothing, as on every engine.
-        if positions is None or (env_ids is not None and not len(env_ids)):
+        if self.rehearsing or positions is None or (env_ids is not None and not len(env_ids)):
             return  # a robot's velocities are nobody's to write
         self._joint_positions[:, joints] = positions
         goal = self._joint_positions[0, self._robot.joints].tolist()
@@ -268,6 +292,8 @@ class RobotEngine(Engine):
         if described.spec.fixed_base:
             self._root_poses[entity][:] = pose
             return
+        if self.rehearsing:
+            return
         if not self.link.description.arranges:
             raise UnsupportedCapabilityError(
                 f"'{described.name}' at a real robot is placed by hand: switch off the events that place it"
@@ -282,6 +308,8 @@ class RobotEngine(Engine):
         self.position_targets[:] = home
         self.velocity_targets.zero_()
         self.efforts.zero_()
+        if self.rehearsing:
+            return
         if self.link.description.arranges:
             self._take(self.link.arrange(Arrangement(reset=True)))
         else:
@@ -291,7 +319,7 @@ class RobotEngine(Engine):
 
     def _forget_time(self) -> None:
         """Begin the next step whenever it comes: time goes on while an episode is prepared."""
-        self._due, self._last_sent, self._soft = None, -1.0, True
+        self._due, self._last_sent, self._soft, self.placed_at = None, -1.0, True, self._stamp
 
     # The rest
 
@@ -327,6 +355,7 @@ class RobotWorld(SimulatedWorld):
         device: ``cpu``.
         seed: of the random stream.
         contacts: accept contact sensors, whose forces are NaN.
+        rehearsing: begin without moving the robot (:attr:`RobotEngine.rehearsing`).
     """
 
     def __init__(
@@ -338,15 +367,26 @@ class RobotWorld(SimulatedWorld):
         device: torch.device,
         seed: int,
         contacts: bool = False,
+        rehearsing: bool = False,
     ) -> None:
-        super().__init__(scene, num_envs, RobotBackend(link, period, contacts), device=device, seed=seed)
+        super().__init__(scene, num_envs, RobotBackend(link, period, contacts, rehearsing), device=device, seed=seed)
         # Nothing is simulated here, and a manifest says so.
         self.settings = None
         self.link = link
         """Session with the robot's computer."""
 
+    def _create_sensor(self, spec: SensorSpec) -> TimedSensor:
+        engine = self._engine
+        assert isinstance(engine, RobotEngine)
+        units = engine.link.description.imus
+        # What an accelerometer measures is worth more than a difference of estimated velocities.
+        if isinstance(spec, ImuSpec) and spec.name in units:
+            place = units.index(spec.name)
+            return MeasuredImu(spec, self._sensing, lambda: engine.imus[place])
+        return super()._create_sensor(spec)
 
-def robot_world(link: RobotLink, period: float, contacts: bool = False) -> WorldFactory:
+
+def robot_world(link: RobotLink, period: float, contacts: bool = False, rehearsing: bool = False) -> WorldFactory:
     """Return the factory of a world over a robot, for ``orbit_core.envs.make(..., world=robot_world(link, period))``.
 
     The world has the task's scene. Sensors, action terms, explicit actuators and Jacobians are the core's own, computed
@@ -357,9 +397,11 @@ def robot_world(link: RobotLink, period: float, contacts: bool = False) -> World
         period: seconds between commands: the task's step.
         contacts: accept contact sensors, which a robot has none of: their forces are NaN, so that terms that compare
             them never trigger. For tasks whose rewards or terminations read contacts and whose policy does not.
+        rehearsing: begin without moving the robot, whose environment resets it when it is made otherwise, until
+            ``world.engine.rehearsing`` is set to False.
     """
 
     def factory(scene: Scene, num_envs: int, device: torch.device, seed: int) -> RobotWorld:
-        return RobotWorld(scene, link, period, num_envs, device, seed, contacts)
+        return RobotWorld(scene, link, period, num_envs, device, seed, contacts, rehearsing)
 
     return factory

@@ -10,9 +10,11 @@ from urllib.parse import urlsplit
 
 from orbit_core.interfaces import ConfigurationError, UnsupportedCapabilityError
 from orbit_core.registry import Registry
+from orbit_deploy.clocks import RobotClock
 from orbit_deploy.description import FloatArray, RobotDescription
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.messages import Arrangement
+from orbit_deploy.pictures import Picture, PictureKind
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,8 @@ class Measurement:
     """N m or N"""
     objects: list[list[float]] = field(default_factory=list)
     """Pose (7) and velocity (6) of each tracked object."""
+    imus: list[list[float]] = field(default_factory=list)
+    """Orientation (4), angular velocity (3) and linear acceleration (3) of each inertial unit, in its own axes."""
 
 
 class RobotHardware(ABC):
@@ -34,6 +38,8 @@ class RobotHardware(ABC):
 
     description: RobotDescription
     """Joints, limits and rate; fixed before the loop begins."""
+    clock: RobotClock | None = None
+    """Clock that the robot's time passes by; None for that of the computer which drives it."""
 
     @abstractmethod
     def read(self) -> Measurement:
@@ -59,6 +65,27 @@ class RobotHardware(ABC):
         raise UnsupportedCapabilityError(
             f"{type(self).__name__} is a real robot: place things by hand, and move it by its joints"
         )
+
+    def watch(self, sink: Callable[[Picture], None], now: Callable[[], int]) -> None:
+        """Start the robot's cameras; those without any have nothing to start.
+
+        Args:
+            sink: gets each picture, from any thread.
+            now: returns ns on the robot's clock, for the pictures' stamps.
+        """
+
+    def look(self, camera: str, kind: PictureKind, stamp: int) -> Picture:
+        """Take one picture at once, for a computer that runs in lockstep with its client.
+
+        Args:
+            camera: name of the camera.
+            kind: quantity.
+            stamp: ns on the robot's clock.
+
+        Raises:
+            UnsupportedCapabilityError: the robot is a real one, whose pictures come when they come.
+        """
+        raise UnsupportedCapabilityError(f"{type(self).__name__} takes no pictures in lockstep")
 
     def close(self) -> None:
         """Release the robot; idempotent."""

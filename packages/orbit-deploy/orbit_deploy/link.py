@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import urlsplit
@@ -17,6 +17,7 @@ from orbit_deploy.computer import RobotComputer
 from orbit_deploy.description import RobotDescription
 from orbit_deploy.follower import PathKind
 from orbit_deploy.messages import Arrangement, Fault, Mode, RobotState
+from orbit_deploy.pictures import CameraDescription, Picture, PictureBox, PictureKind
 
 # Seconds between looks at a motion that is waited for
 _LOOK = 0.01
@@ -47,6 +48,10 @@ class RobotLink(ABC):
     """Seconds from a command to the first state that says that it was accepted."""
     ages: Latencies
     """Age of the states when they were used, s."""
+    pictures: PictureBox
+    """Newest pictures of the robot's cameras."""
+    permit: Callable[[], None] | None = None
+    """Called while a motion is waited for; the robot stops where it raises an error."""
 
     @abstractmethod
     def send(self, positions: Sequence[float], velocities: Sequence[float], efforts: Sequence[float]) -> None:
@@ -66,6 +71,19 @@ class RobotLink(ABC):
             RobotLinkError: the robot no longer answers.
             RobotFaultError: a fault stopped it; :meth:`clear` lets it go on.
         """
+
+    def picture(self, camera: CameraDescription, kind: PictureKind, since: int = 0) -> Picture:
+        """Return the newest picture of a camera, waiting for one that was taken late enough.
+
+        Args:
+            camera: of the robot.
+            kind: quantity.
+            since: ns on the robot's clock before which pictures show what is no longer so.
+
+        Raises:
+            ConfigurationError: the camera is silent.
+        """
+        return self.pictures.newest(camera, kind, since)
 
     @abstractmethod
     def move_to(self, positions: Sequence[float]) -> RobotState:
@@ -105,9 +123,16 @@ class RobotLink(ABC):
 
         Raises:
             RobotLinkError: it still moves after ``timeout`` seconds.
+            OrbitError: :attr:`permit` ended the motion.
         """
         end, held = self.now() + timeout, 0.0
         while True:
+            if self.permit is not None:
+                try:
+                    self.permit()
+                except OrbitError:
+                    self.stop()
+                    raise
             state = self.state()
             # The targets rest first; soft drives follow them for a while.
             resting = state.mode in (Mode.HOLDING, Mode.FAULT)
@@ -118,6 +143,24 @@ class RobotLink(ABC):
             if self.now() > end:
                 raise RobotLinkError(f"the robot at {self.address} is still {state.mode} after {timeout:g} s")
             self.wait(self.now() + _LOOK)
+
+
+def misfit(state: RobotState, description: RobotDescription) -> str:
+    """Return the name of a state's list that does not fit the robot's description; empty if all do.
+
+    Args:
+        state: of another computer, whose numbers may be of another robot.
+        description: of the robot.
+    """
+    joints = len(description.joints)
+    for name in ("positions", "velocities", "efforts", "targets", "target_velocities", "target_efforts"):
+        if len(getattr(state, name)) != joints:
+            return name
+    for name, rows, width in (("objects", description.objects, 13), ("imus", description.imus, 10)):
+        values = getattr(state, name)
+        if len(values) != len(rows) or any(len(row) != width for row in values):
+            return name
+    return ""
 
 
 def fault_error(fault: Fault, address: str) -> RobotFaultError:

@@ -10,6 +10,7 @@ from orbit_deploy.follower import FollowerSettings, PathKind
 from orbit_deploy.hardware import RobotHardware
 from orbit_deploy.link import RobotLink, fault_error
 from orbit_deploy.messages import PASSING, Arrangement, Fault, JointCommand, RobotState
+from orbit_deploy.pictures import CameraDescription, Picture, PictureBox, PictureKind
 
 # ns that the clock starts at, so that no time is negative
 _EPOCH = 10**9
@@ -57,6 +58,7 @@ class LocalLink(RobotLink):
         self.description = self.computer.description
         """Robot as the computer describes it."""
         self.offset, self.round_trips, self.ages = ClockOffset(), Latencies(), Latencies()
+        self.pictures = PictureBox()
         self._faults: list[Fault] = []
         self.computer.on_state.append(self._take)
         self.computer.on_fault.append(self._note)
@@ -73,6 +75,10 @@ class LocalLink(RobotLink):
         if self._faults:
             raise fault_error(self._faults.pop(0), self.address)
         return self._state
+
+    def picture(self, camera: CameraDescription, kind: PictureKind, since: int = 0) -> Picture:
+        # Drawn when it is looked at, so that the same run sees the same pictures.
+        return self.computer.hardware.look(camera.name, kind, self._clock.now())
 
     def move_to(self, positions: Sequence[float]) -> RobotState:
         return self._keep(self.computer.move_to(list(positions)))

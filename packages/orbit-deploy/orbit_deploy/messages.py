@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import msgspec
 
-VERSION = 2
+VERSION = 3
 """Version of these messages; a robot's computer refuses clients of another one."""
 
 
@@ -75,6 +75,9 @@ class RobotState(msgspec.Struct, frozen=True, array_like=True, tag="state"):
     """Commands that arrived after their time, in this session."""
     stops: int
     """Stops for want of commands, in this session."""
+    imus: list[list[float]] = []
+    """Orientation (w, x, y, z), angular velocity (rad/s) and linear acceleration (m/s^2) of each inertial unit, in its
+    own axes and in the order of the description."""
 
 
 class Fault(msgspec.Struct, frozen=True, array_like=True, tag="fault"):

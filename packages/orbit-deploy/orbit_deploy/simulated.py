@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,9 +15,11 @@ from orbit_core.interfaces import ConfigurationError, JointTarget, UnknownNameEr
 from orbit_core.scene import ActuatorNetwork, CameraSpec, ImplicitPd, RobotSpec, Scene
 from orbit_core.world import simulate
 from orbit_deploy.description import RobotDescription
+from orbit_deploy.eyes import SimulatedEyes
 from orbit_deploy.follower import JointTargets
 from orbit_deploy.hardware import Measurement, RobotHardware
 from orbit_deploy.messages import Arrangement
+from orbit_deploy.pictures import Picture, PictureKind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +53,8 @@ class Imperfections:
 class SimulatedHardware(RobotHardware):
     """One robot of a scene in a physics engine, stepped once a cycle.
 
-    Objects of the scene are tracked, as a motion-capture system would; sensors of the scene are left out.
+    Objects of the scene are tracked, as a motion-capture system would. Cameras of the scene take pictures, drawn by
+    another process; its other sensors are left out.
 
     Args:
         scene: with one robot.
@@ -76,9 +80,6 @@ class SimulatedHardware(RobotHardware):
     ) -> None:
         if len(scene.robots) != 1:
             raise ConfigurationError(f"a robot's computer serves one robot, and the scene has {len(scene.robots)}")
-        drawn = tuple(spec for spec in scene.sensors if isinstance(spec, CameraSpec))
-        if drawn:
-            raise ConfigurationError(f"a simulated robot's computer serves no pictures: leave out '{drawn[0].name}'")
         self.imperfections = imperfections or Imperfections()
         # Sensors cost time in each cycle and are computed by the client from joints and objects.
         simulated = replace(scene, sensors=(), physics_dt=1.0 / rate)
@@ -91,9 +92,15 @@ class SimulatedHardware(RobotHardware):
         # A robot that walks or drives is tracked too, in place of an estimator of its base.
         things = (self._robot, *self._world.objects.values())
         self._objects = {thing.name: thing for thing in things if not thing.spec.fixed_base}
+        seen = tuple(spec for spec in scene.sensors if isinstance(spec, CameraSpec))
+        # Explicit actuators need no pictures: the process draws the robot as the scene has it.
+        drawn = replace(scene, sensors=(), physics_dt=1.0 / rate)
+        self._eyes = SimulatedEyes(seen, drawn, self._world, backend, settings, rate)
+        self._now: Callable[[], int] | None = None
         self.description = structs.replace(
             RobotDescription.of(scene.robots[0], rate),
             objects=[*self._objects],
+            cameras=self._eyes.cameras,
             arranges=True,
             direct=direct,
             simulated=backend,
@@ -126,6 +133,16 @@ class SimulatedHardware(RobotHardware):
             for writer, values in zip(self._writers, (due.positions, due.velocities, due.efforts), strict=True):
                 writer(_row(values))
         self._world.step(1)
+        if self._now is not None:
+            self._eyes.offer(self._now())
+
+    def watch(self, sink: Callable[[Picture], None], now: Callable[[], int]) -> None:
+        if self.description.cameras:
+            self._eyes.start(sink)
+            self._now = now
+
+    def look(self, camera: str, kind: PictureKind, stamp: int) -> Picture:
+        return self._eyes.look(camera, kind, stamp)
 
     def arrange(self, arrangement: Arrangement) -> Measurement:
         if arrangement.reset:
@@ -148,6 +165,7 @@ class SimulatedHardware(RobotHardware):
         return self.read()
 
     def close(self) -> None:
+        self._eyes.close()
         self._world.close()
 
     def _tracked(self, pose: torch.Tensor, velocity: torch.Tensor) -> list[float]:

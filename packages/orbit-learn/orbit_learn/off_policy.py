@@ -1,5 +1,8 @@
 """Off-policy algorithms for many environments: SAC and TD3, with large batches and returns over several steps.
 
+On a GPU a step with the policy's action and what is kept of it is one recording, and a gradient step another: the host
+launches both without any Python between their operations.
+
 Haarnoja et al., Soft Actor-Critic Algorithms and Applications (2018); Fujimoto et al., Addressing Function
 Approximation Error in Actor-Critic Methods (2018). Critics with layer normalisation, large batches and exploration of
 another strength in each environment follow Seo et al., FastTD3 (2025).
@@ -7,26 +10,31 @@ another strength in each environment follow Seo et al., FastTD3 (2025).
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from orbit_core.envs.captured_step import StepResult
 from orbit_core.envs.environment import Environment
-from orbit_core.interfaces import ArgumentError, UnknownNameError
+from orbit_core.envs.observation_layout import Observation
+from orbit_core.envs.off_policy import OffPolicySettings
+from orbit_core.envs.policy_loop import PolicyLoop
 from orbit_learn.distill import RunningMoments, copied_actor
 from orbit_learn.ends import true_next
 from orbit_learn.networks import ActorNetwork, NormalizedActor, Perceptron
+from orbit_learn.recorded import RecordedFunction
 from orbit_learn.spaces import ACTOR, check_groups, critic_group
 from orbit_learn.trainer import LoopTrainer
 
-ALGORITHMS = ("sac", "td3")
 # Steps of each environment in a batch, where the settings name no size, and the bounds of that size.
 _BATCH_STEPS, _LEAST_BATCH, _MOST_BATCH = 8, 256, 32_768
 # Bounds of the logarithm of SAC's deviation, before tanh.
@@ -34,77 +42,6 @@ _LOG_STD = (-5.0, 1.0)
 # Noise of TD3's target actions and its bound; Fujimoto et al., section 6.1.
 _TARGET_NOISE, _MOST_NOISE = 0.2, 0.5
 _MOST_DEVIATIONS = 10.0
-
-
-@dataclass(frozen=True)
-class OffPolicySettings:
-    """Soft actor-critic, or twin delayed deep deterministic policy gradients."""
-
-    algorithm: str = "sac"
-    """sac (stochastic, with a learned temperature) or td3 (deterministic, with noise)."""
-    iterations: int = 500
-    """Number of iterations, each of collecting steps and learning from them."""
-    steps_per_iteration: int = 16
-    """Environment steps that every environment contributes to an iteration."""
-    updates_per_step: int = 2
-    """Gradient steps for one step of all environments."""
-    batch_size: int = 0
-    """Transitions in a gradient step; 0 for eight of each environment, between 256 and 32,768."""
-    buffer_size: int = 1_000_000
-    """Transitions that are kept, of all environments together."""
-    warm_up: int = 16
-    """Steps of every environment before the first gradient step."""
-    hidden_sizes: tuple[int, ...] = (256, 256)
-    """Units of the actor's hidden layers."""
-    critic_sizes: tuple[int, ...] = (256, 256)
-    """Units of each critic's hidden layers."""
-    learning_rate: float = 5e-4
-    """Adam's rate for actor, critics and temperature."""
-    discount: float | None = None
-    """Weight of the next step's return, per environment step; that of the task's PPO settings if None."""
-    horizon: int = 3
-    """Steps whose rewards are summed before the critic's estimate; more than 1 is biased by older policies, and
-    faster."""
-    target_rate: float = 0.01
-    """Share by which the target critics follow the critics in a gradient step."""
-    policy_delay: int = 2
-    """Gradient steps of the critics for one of the actor."""
-    target_entropy: float = -1.0
-    """Entropy that SAC's temperature holds, for each component of the action."""
-    temperature: float = 0.01
-    """SAC's weight of entropy at first; it is learned."""
-    noise: tuple[float, float] = (0.05, 0.4)
-    """Smallest and largest deviation of TD3's exploration; each environment draws its own for an episode."""
-    normalize_observations: bool = True
-    """Whether observations are shifted and scaled to mean 0 and deviation 1 by their own statistics."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            UnknownNameError: there is no such algorithm.
-            ArgumentError: a setting is out of its range.
-        """
-        if self.algorithm not in ALGORITHMS:
-            raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS, "library orbit")
-        positive = ("iterations", "steps_per_iteration", "updates_per_step", "buffer_size", "warm_up", "horizon")
-        for name in (*positive, "policy_delay"):
-            if getattr(self, name) < 1:
-                raise ArgumentError(f"{name} is {getattr(self, name)!r}: give at least 1")
-        if self.batch_size < 0:
-            raise ArgumentError(f"batch_size is {self.batch_size}: give at least 1, or 0 for the algorithm's own")
-        for name in ("learning_rate", "temperature"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ArgumentError(f"{name} is {getattr(self, name)!r}: give a number above zero")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ArgumentError(f"target_rate is {self.target_rate!r}: give a share above 0 and up to 1")
-        if self.discount is not None and not 0.0 <= self.discount <= 1.0:
-            raise ArgumentError(f"discount is {self.discount!r}: give 0 to 1")
-        if not 0.0 <= self.noise[0] <= self.noise[1]:
-            raise ArgumentError(f"noise is {self.noise}: give two deviations, the smaller first")
-        if not self.critic_sizes or min(self.critic_sizes) < 1:
-            raise ArgumentError(f"critic_sizes are {self.critic_sizes}: give each layer one unit or more")
-        Perceptron(self.hidden_sizes)  # which checks its own sizes
 
 
 class Transitions(NamedTuple):
@@ -127,7 +64,7 @@ class Transitions(NamedTuple):
 
 
 class TransitionBuffer:
-    """Ring of the last steps of all environments; none of its methods waits for the device.
+    """Ring of the last steps of all environments; no method waits for the device, so that all of them can be recorded.
 
     Args:
         capacity: steps of all environments together; at least two horizons of each are kept.
@@ -147,13 +84,9 @@ class TransitionBuffer:
         self._reward = torch.zeros(self._length, num_envs, device=device)
         self._ended, self._terminated = torch.zeros((2, self._length, num_envs), dtype=torch.bool, device=device)
         self._ahead = torch.arange(horizon, device=device)
-        self._next, self.steps = 0, 0
-        """Steps of each environment that are kept, at most the ring's length."""
-
-    @property
-    def ready(self) -> bool:
-        """Return True if there is a transition of the whole horizon."""
-        return self.steps >= self._horizon
+        # On the device, because a recorded step must find its own place in each replay: (1,) place of the next step,
+        # and number of steps of each environment that are kept.
+        self._next, self._steps = torch.zeros((2, 1), dtype=torch.int64, device=device)
 
     def add(self, rows: tuple[Tensor, ...], reward: Tensor, terminated: Tensor, ended: Tensor) -> None:
         """Copy one step of all environments.
@@ -164,21 +97,23 @@ class TransitionBuffer:
             terminated: (N,) bool, a terminal state was reached.
             ended: (N,) bool, the episode ended, by a terminal state or the time limit.
         """
-        for kept, row in zip(self._rows, rows, strict=True):
-            kept[self._next] = row
-        self._reward[self._next], self._terminated[self._next], self._ended[self._next] = reward, terminated, ended
-        self._next = (self._next + 1) % self._length
-        self.steps = min(self.steps + 1, self._length)
+        kept = (*self._rows, self._reward, self._terminated, self._ended)
+        for memory, row in zip(kept, (*rows, reward, terminated, ended), strict=True):
+            memory.index_copy_(0, self._next, row[None])
+        self._next.add_(1).remainder_(self._length)
+        self._steps.add_(1).clamp_(max=self._length)
 
     def sample(self, count: int, discount: float) -> Transitions:
-        """Return ``count`` transitions that begin at random kept steps.
+        """Return ``count`` transitions that begin at random kept steps, of which there must be a whole horizon.
 
         A transition ends with its episode. The newest steps, which have no whole horizon after them yet, are not
         begun with.
         """
         device = self._reward.device
-        span = self.steps - self._horizon + 1
-        first = torch.randint(span, (count,), device=device) + (self._next - self.steps)
+        span = self._steps - self._horizon + 1
+        # A number below 1 may be rounded up to the span itself.
+        drawn = (torch.rand(count, device=device) * span).long().minimum(span - 1)
+        first = drawn + self._next - self._steps
         return self._transitions(first, torch.randint(self._count, (count,), device=device), discount)
 
     def _transitions(self, first: Tensor, environment: Tensor, discount: float) -> Transitions:
@@ -237,6 +172,7 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
     """
 
     name: ClassVar[str] = "orbit"
+    chooses_arithmetic: ClassVar[bool] = True
     settings_type: ClassVar[type[Any]] = OffPolicySettings
     options: ClassVar[tuple[str, ...]] = ("off_policy", "algorithm")
 
@@ -261,31 +197,42 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
         self._actor_target = copy.deepcopy(self._actor).requires_grad_(False)
         self._log_temperature = torch.tensor(math.log(settings.temperature), device=device, requires_grad=True)
         rate = settings.learning_rate
-        self._actor_optimizer = torch.optim.Adam([*self._actor.parameters(), *self._spread.parameters()], lr=rate)
-        self._critic_optimizer = torch.optim.Adam(self._critic.parameters(), lr=rate)
-        self._temperature_optimizer = torch.optim.Adam([self._log_temperature], lr=rate)
+        adam = partial(torch.optim.Adam, lr=rate, fused=True, capturable=device.type == "cuda")
+        self._actor_optimizer = adam([*self._actor.parameters(), *self._spread.parameters()])
+        self._critic_optimizer = adam(self._critic.parameters())
+        self._temperature_optimizer = adam([self._log_temperature])
         self._moments = {
             name: RunningMoments(groups[name].size, device) for name in dict.fromkeys((ACTOR, self._critic_group))
         }
         self._buffer = TransitionBuffer(settings.buffer_size, environment.num_envs, sizes, settings.horizon, device)
-        self._noise = torch.empty(environment.num_envs, 1, device=device).uniform_(*settings.noise)
-        self._seen, _ = environment.reset(seed)
+        count = environment.num_envs
+        # Normal numbers (N, A) of the next step, and TD3's deviations (N, 1), those of episodes that begin drawn ahead.
+        self._drawn, self._action = torch.zeros((2, count, actions), device=device)
+        self._noise, self._next_noise = torch.empty((2, count, 1), device=device).uniform_(*settings.noise)
+        environment.reset(seed)
         # If all episodes began together, a batch would hold one time of the episode at first.
         environment.state.episode_step.random_(environment.max_episode_steps)
-        self._updates = 0
+        self._loop = PolicyLoop(environment, self._act, self._keep)
+        self._collected, self._updates = 0, 0
         self._loss = torch.zeros((), device=device)
+        self._record()
+
+    def _record(self) -> None:
+        """Have gradient steps recorded, without and with one of the actor."""
+        learn = (partial(self._learn, improves) for improves in (False, True))
+        self._learning = tuple(RecordedFunction(function, self.environment.device) for function in learn)
 
     def iterate(self, iteration: int) -> None:
-        ahead = max(0, max(self.settings.warm_up, self.settings.horizon) - 1 - self._buffer.steps)
+        ahead = max(0, max(self.settings.warm_up, self.settings.horizon) - 1 - self._collected)
         self.steps_ahead += ahead * self.environment.num_envs
         for _ in range(ahead):
             self._collect()
         self._loss.zero_()
         for _ in range(self.settings.steps_per_iteration):
             self._collect()
-            self._take_in_statistics()
             for _ in range(self.settings.updates_per_step):
-                self._update()
+                self._updates += 1
+                self._learning[self._updates % self.settings.policy_delay == 0]()
 
     def loss(self) -> float:
         """Return the critics' mean squared error of the last iteration."""
@@ -308,6 +255,7 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
         for name, moments in self._moments.items():
             moments.load(state["moments"][name])
         self._updates = state["updates"]
+        self._record()  # the optimisers' states have moved
 
     def _saved(self) -> dict[str, Any]:
         return {
@@ -319,32 +267,36 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
     def actor(self) -> ActorNetwork:
         return copied_actor(self._network, self._actor)
 
-    # Collecting ------------------------------------------------------------------------------------------------------
+    # Collecting: both functions are recorded with the environment's step ---------------------------------------------
 
-    @torch.no_grad()
     def _collect(self) -> None:
         """Take one step of all environments, and keep it."""
-        environment, seen, state = self.environment, self._seen[ACTOR], self._seen[self._critic_group]
-        assert isinstance(seen, Tensor)
-        assert isinstance(state, Tensor)
-        for name, moments in self._moments.items():
-            moments.add(self._seen[name])  # pyright: ignore[reportArgumentType] - groups are concatenated
-        action = self._explore(seen)
-        following, reward, terminated, truncated, info = environment.step(action)
-        self.tally.add(info, environment.num_envs)
-        after, ended = true_next(following, info), terminated | truncated
-        rows: Any = (seen, state, action, after[ACTOR], after[self._critic_group])
-        self._buffer.add(rows, reward, terminated, ended)
-        if self.settings.algorithm == "td3":
-            drawn = torch.empty_like(self._noise).uniform_(*self.settings.noise)
-            self._noise = torch.where(ended[:, None], drawn, self._noise)
-        self._seen = following
+        self._drawn.normal_()
+        self._next_noise.uniform_(*self.settings.noise)
+        self.environment.step_by(self._loop)
+        self._collected += 1
 
-    def _explore(self, seen: Tensor) -> Tensor:
+    def _act(self, observation: Observation) -> Tensor:
+        for name, moments in self._moments.items():
+            moments.add(cast(Tensor, observation[name]))
+        self._take_in_statistics()
+        seen = cast(Tensor, observation[ACTOR])
         if self.settings.algorithm == "sac":
-            return self._sampled(seen)[0]
-        action = self._actor(seen)
-        return (action + self._noise * torch.randn_like(action)).clamp(-1.0, 1.0)
+            action = self._sampled(seen, self._drawn)[0]
+        else:
+            action = (self._actor(seen) + self._noise * self._drawn).clamp(-1.0, 1.0)
+        return self._action.copy_(action)
+
+    def _keep(self, result: StepResult) -> None:
+        following, reward, terminated, truncated, info = result
+        self.tally.add(info, self.environment.num_envs)
+        after, ended = true_next(following, info), terminated | truncated
+        groups = (ACTOR, self._critic_group)
+        (seen, state), (next_seen, next_state) = (
+            [cast(Tensor, group[name]) for name in groups] for group in (self._loop.observation, after)
+        )
+        self._buffer.add((seen, state, self._action, next_seen, next_state), reward, terminated, ended)
+        self._noise.copy_(torch.where(ended[:, None], self._next_noise, self._noise))
 
     def _take_in_statistics(self) -> None:
         """Normalise by the statistics so far."""
@@ -354,16 +306,15 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
                 actor.mean.copy_(moments.mean)
                 actor.std.copy_(moments.std)
 
-    # Learning --------------------------------------------------------------------------------------------------------
+    # Learning: a gradient step is recorded as one graph --------------------------------------------------------------
 
-    def _sampled(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Draw SAC's actions (B, A), and return them with the logarithm (B,) of their density."""
+    def _sampled(self, seen: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Return SAC's actions (B, A) for normal numbers (B, A), and the logarithm (B,) of their density."""
         *hidden, last = self._actor.layers
         features = self._actor.encode(seen)
         for layer in hidden:
             features = layer(features)
         mean, log_std = last(features), self._spread(features).clamp(*_LOG_STD)
-        noise = torch.randn_like(mean)
         free = mean + log_std.exp() * noise
         # The density of tanh(x) by the change of variables: log(1 - tanh(x)^2) = 2 (log 2 - x - softplus(-2 x)).
         change = 2.0 * (math.log(2.0) - free - F.softplus(-2.0 * free))
@@ -378,27 +329,28 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
             state = ((state - moments.mean) / moments.std).clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
         return critic(state, action)
 
-    def _update(self) -> None:
-        batch = self._buffer.sample(self._batch_size, self._discount)
+    def _learn(self, improves: bool) -> None:
+        """Take one gradient step of the critics, and one of the actor if it ``improves``."""
+        with self._matrix_products():
+            batch = self._buffer.sample(self._batch_size, self._discount)
+            with torch.no_grad():
+                action, density = self._following(batch.next_observation)
+                # The smaller of both estimates, because the larger one is the one that errs upwards.
+                worth = self._judged(self._target, batch.next_state, action).amin(0)
+                wanted = batch.reward + batch.discount * (worth - self._log_temperature.exp() * density)
+            loss = F.mse_loss(self._judged(self._critic, batch.state, batch.action), wanted.expand(2, -1))
+            self._descend(self._critic_optimizer, loss)
+            if improves:
+                self._improve(batch)
         with torch.no_grad():
-            action, density = self._following(batch.next_observation)
-            # The smaller of both estimates, because the larger one is the one that errs upwards.
-            worth = self._judged(self._target, batch.next_state, action).amin(0)
-            wanted = batch.reward + batch.discount * (worth - self._log_temperature.exp() * density)
-        loss = F.mse_loss(self._judged(self._critic, batch.state, batch.action), wanted.expand(2, -1))
-        self._descend(self._critic_optimizer, loss)
-        self._loss += loss.detach()
-        self._updates += 1
-        if self._updates % self.settings.policy_delay == 0:
-            self._improve(batch)
-        with torch.no_grad():
+            self._loss += loss.detach()
             _follow(self._target, self._critic, self.settings.target_rate)
             _follow(self._actor_target, self._actor, self.settings.target_rate)
 
     def _following(self, seen: Tensor) -> tuple[Tensor, Tensor]:
         """Return the actions (B, A) that a target assumes, and the logarithm (B,) of their density; 0 for TD3."""
         if self.settings.algorithm == "sac":
-            return self._sampled(seen)
+            return self._sampled(seen, torch.randn(len(seen), self._action.shape[1], device=seen.device))
         action = self._actor_target(seen)
         noise = (_TARGET_NOISE * torch.randn_like(action)).clamp(-_MOST_NOISE, _MOST_NOISE)
         return (action + noise).clamp(-1.0, 1.0), action.new_zeros(len(action))
@@ -409,7 +361,7 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
             worth = self._judged(self._critic, batch.state, self._actor(batch.observation))
             self._descend(self._actor_optimizer, -worth.mean())
             return
-        action, density = self._sampled(batch.observation)
+        action, density = self._sampled(batch.observation, torch.randn_like(batch.action))
         worth = self._judged(self._critic, batch.state, action).amin(0)
         self._descend(self._actor_optimizer, (self._log_temperature.detach().exp() * density - worth).mean())
         surplus = density.detach().mean() + self.settings.target_entropy * action.shape[1]
@@ -418,10 +370,22 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
     @staticmethod
     def _descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
         optimizer.zero_grad()
-        loss.backward()
+        # The actor's loss goes through the critics, whose own gradients it does not need.
+        loss.backward(inputs=[weight for group in optimizer.param_groups for weight in group["params"]])
         optimizer.step()
+
+    @contextlib.contextmanager
+    def _matrix_products(self) -> Iterator[None]:
+        """Let float32 products use tensor cores where the settings allow it."""
+        before = torch.backends.cuda.matmul.allow_tf32
+        torch.backends.cuda.matmul.allow_tf32 = before or self.settings.precision == "tf32"
+        try:
+            yield
+        finally:
+            torch.backends.cuda.matmul.allow_tf32 = before
 
 
 def _follow(target: nn.Module, source: nn.Module, rate: float) -> None:
-    for kept, new in zip(target.parameters(), source.parameters(), strict=True):
-        kept.lerp_(new, rate)
+    # One launch for all tensors.
+    lerp = torch._foreach_lerp_  # pyright: ignore[reportPrivateImportUsage] - has no other name
+    lerp([*target.parameters()], [*source.parameters()], rate)

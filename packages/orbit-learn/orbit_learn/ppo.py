@@ -8,6 +8,7 @@ Its arithmetic is that of RSL-RL, so that settings and results carry over; tests
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -194,7 +195,9 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
         self._actor.load_state_dict(state["actor"])
         self._critic.load_state_dict(state["critic"])
         groups = self._optimizer.state_dict()["param_groups"]
-        self._optimizer.load_state_dict({"state": state["optimizer"], "param_groups": groups})
+        # Copied, for loading keeps tensors of the same device as they are: two trainers would share their moments.
+        moments = copy.deepcopy(state["optimizer"])
+        self._optimizer.load_state_dict({"state": moments, "param_groups": groups})
         with torch.no_grad():
             self._log_std.copy_(state["log_std"])
             self._rate.copy_(state["rate"])

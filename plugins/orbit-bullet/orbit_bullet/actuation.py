@@ -46,6 +46,9 @@ class Actuation:
         damping = on_leaders(layout, parameters.damping)
         # Inertia of the second wheel of each joint (J,).
         self._slow = self._armature + self._dt * (damping + self._dt * self._sprung)
+        # Dividing at each step would cost a call more in every world.
+        self._share = np.divide(1.0, self._slow, out=np.zeros_like(self._slow), where=self._slow > 0)
+        self._any_sprung = bool(self._sprung.any())
         # Joints whose two wheels are one.
         self._shared = ~np.isfinite(self._limit)
         self._driven = (parameters.drive_stiffness + parameters.drive_damping > 0) & own
@@ -154,24 +157,24 @@ class Actuation:
         """Before each step, given the joints' state (K, J)."""
         stage = self._stage
         self._push = self._given + self.stiffness * (self._buffers.position_targets - positions)
-        pull = self._rest - positions
-        drawn = self._dt * self._sprung * pull
+        drawn = self._dt * self._sprung * (self._rest - positions) if self._any_sprung else 0.0
         if self._drive_columns:
-            carried = np.where(self._joined, drawn, 0.0) + self._carried * velocities
+            carried = self._carried * velocities
+            if self._any_sprung:
+                carried += np.where(self._joined, drawn, 0.0)
             # Lists of Python numbers, which Bullet reads without converting each.
             speeds = ((self._dt * self._push + carried) * self._inverse).tolist()
             for (slot, entity), wheels in self._drives.items():
                 row = speeds[slot]
                 wheels.spin([row[column] for column in self._drive_columns[entity]])
         if self._passive_columns:
-            share = np.divide(1.0, self._slow, out=np.zeros_like(self._slow), where=self._slow > 0)
-            speeds = (share * (self._armature * velocities + drawn)).tolist()
+            speeds = (self._share * (self._armature * velocities + drawn)).tolist()
             for (slot, entity), wheels in self._passive.items():
                 row = speeds[slot]
                 wheels.spin([row[column] for column in self._passive_columns[entity]])
         if self._torques is not None:
             client = stage.client
-            given = (self._torques + self._pulling * pull).tolist()
+            given = (self._torques + self._pulling * (self._rest - positions)).tolist()
             for entity in stage.layout.entities:
                 joints = stage.joints[entity.index]
                 for slot, row in enumerate(given):

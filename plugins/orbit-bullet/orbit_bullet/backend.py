@@ -82,6 +82,7 @@ CAPABILITIES = Capabilities(
             "planes"
         ),
         Capability.CONTACT_FORCES: EXACT,
+        Capability.FRICTION_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,
         Capability.LOOP_WRENCHES: EXACT,
         Capability.EXTERNAL_WRENCHES: EXACT,
@@ -279,6 +280,7 @@ _CLOTH = tuple(
         ("cloth_grasp", ("force", "slip")),
         ("cloth_weight", ("force",)),
         ("cloth_load", ("force", "speed")),
+        ("cloth_hammock", ("force", "depth")),
     )
     for metric in metrics
 )
@@ -295,6 +297,7 @@ _SOLIDS = tuple(
         ("solid_vibration", ("frequency", "decay", "kept")),
         ("solid_compression", ("modulus", "ratio")),
         ("solid_hertz", ("approach",)),
+        ("solid_pressure", ("flat", "round")),
         ("solid_free", ("linear_momentum", "angular_momentum", "energy")),
         ("solid_slope", ("creep", "acceleration")),
         ("solid_grasp", ("force", "slip")),

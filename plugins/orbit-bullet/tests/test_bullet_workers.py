@@ -16,7 +16,7 @@ import torch
 
 from orbit_bullet import BulletBackend, BulletConfig, pool, progress
 from orbit_bullet.engine import BulletEngine
-from orbit_bullet.pool import ProcessPool, make_pool
+from orbit_bullet.pool import LocalPool, ProcessPool, make_pool
 from orbit_bullet.stage import write_scene
 from orbit_core.interfaces import AssetError, ConfigurationError, SceneLayout, SimulationError
 from orbit_core.scene import (
@@ -94,6 +94,32 @@ def test_workers_change_nothing() -> None:
             assert torch.equal(getattr(engines[0], name), getattr(other, name)), name
     assert engines[0].contact_forces.abs().max() > 1.0
     for engine in engines:
+        engine.close()
+
+
+def iterations_of(engine: BulletEngine) -> list[int]:
+    """Return the iterations that each island of one more step takes."""
+    assert isinstance(engine.native, LocalPool)
+    clients = [simulation.client for simulation in engine.native.shard.simulations]
+    for client in clients:
+        client.setPhysicsEngineParameter(reportSolverAnalytics=1)
+    return [island["numIterationsUsed"] for client in clients for island in client.stepSimulation()]
+
+
+@pytest.mark.parametrize("per_client", [1, 2])
+def test_iterations_that_change_nothing_are_left_out(per_client: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A driven bar and a cube that rests on the ground end with the state that all 200 iterations give."""
+    early = make(2, workers=1, envs_per_client=per_client)
+    monkeypatch.setattr("orbit_bullet.simulation._RESIDUAL", 0.0)
+    late = make(2, workers=1, envs_per_client=per_client)
+    for engine in (early, late):
+        engine.position_targets[:] = torch.tensor([[-0.5], [-2.0]])
+        engine.step(50)
+    for name in ("joint_positions", "link_poses", "link_velocities"):
+        torch.testing.assert_close(getattr(early, name), getattr(late, name), rtol=0, atol=1e-6)
+    assert early.joint_velocities.abs().min() > 1e-3
+    assert 0 < max(iterations_of(early)) < max(iterations_of(late)) == 200
+    for engine in (early, late):
         engine.close()
 
 

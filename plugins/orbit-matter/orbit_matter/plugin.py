@@ -46,6 +46,12 @@ _GAPS = (
     Gap("fluid_rest", "sides", 0.06, "half a spacing of a side's width and height carries no pressure at its edges"),
     Gap("fluid_draught", "draught", 0.45, "particles below what floats are packed in a layer half a spacing too thick"),
     Gap(
+        "solid_pressure",
+        "round",
+        0.6,
+        "elements twice as wide as the contact's radius carry it on fewer of the surface's points than Hertz' law",
+    ),
+    Gap(
         "rope_bobs",
         "folding",
         0.8,

@@ -50,6 +50,8 @@ def chosen(scene: Scene, longest: float | None = None) -> tuple[float, int]:
         longest: seconds of a substep that is given, and not chosen.
     """
     hanging = min((_hanging(spec) for spec in scene.deformables), default=math.inf)
+    # A hammock bears what may rest on it by the same sweeps as its own weight.
+    hanging = min([hanging, *(bound for spec in scene.deformables for _, bound in _laden(spec, scene))])
     bending = min((_bending(spec) for spec in scene.deformables), default=math.inf)
     most = _GATHERED if any(isinstance(spec, Cloth) for spec in scene.deformables) else LONGEST
     taut = min((_taut(spec, scene) for spec in scene.deformables), default=math.inf)

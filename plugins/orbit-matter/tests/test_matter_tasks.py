@@ -9,6 +9,7 @@ import torch
 
 from orbit_assets.catalogue import robot
 from orbit_core.envs import make
+from orbit_core.interfaces import ConfigurationError
 from orbit_tasks.mdp.matter import with_grip_force
 
 
@@ -43,6 +44,44 @@ def test_a_hand_lifts_a_soft_block_by_friction_and_hardly_squeezes_it() -> None:
     assert task.success(environment).all()
     assert 0.0 < task.metrics(environment)["squeeze"] < 0.08
     environment.close()
+
+
+def _grasped(robot: str = "franka_panda", **fields: float) -> tuple[float, float, bool]:
+    """Largest pressure, final distance to the goal and success of an expert's episode of Soft-Grasp."""
+    environment = make("Soft-Grasp", 1, "mujoco", seed=0, robot=robot, **fields)
+    task = environment.task
+    expert = task.expert(environment)
+    environment.reset(seed=0)
+    most = 0.0
+    for _ in range(200):
+        _, _, terminated, *_ = environment.step(expert.compute({})["action"])
+        if bool(terminated.any()):
+            environment.close()
+            return most, float("inf"), False
+        found = task.metrics(environment)
+        most = max(most, float(found["pressure_pa"]))
+    done = float(found["goal_distance_m"]), bool(task.success(environment))
+    environment.close()
+    return most, *done
+
+
+@pytest.mark.parametrize("robot", ["franka_panda", "ur10_robotiq_2f85"])
+def test_soft_fingers_on_any_gripper_lift_a_fragile_fruit(robot: str) -> None:
+    most, away, reached = _grasped(robot)
+    assert reached
+    assert away < 0.005
+    assert 1e4 < most < 3.8e4
+
+
+def test_fingers_that_close_too_hard_crush_the_fruit() -> None:
+    most, _, reached = _grasped(grip_force=25.0)
+    assert not reached
+    assert most < 3.8e4, "the episode ends where the fruit is crushed"
+
+
+def test_soft_fingers_need_a_gripper_with_two_fingers() -> None:
+    with pytest.raises(ConfigurationError, match="no gripper with a finger on either side"):
+        make("Soft-Grasp", 1, "mujoco", seed=0, robot="ur10")
 
 
 @pytest.mark.parametrize(

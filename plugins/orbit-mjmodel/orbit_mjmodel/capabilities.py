@@ -68,6 +68,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.SIGNED_DISTANCE_FIELDS: unsupported(f"{engine}'s distance fields are not connected to this backend"),
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: EXACT,
+        Capability.FRICTION_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,
         Capability.LOOP_WRENCHES: EXACT,
         Capability.EXTERNAL_WRENCHES: EXACT,

@@ -83,6 +83,7 @@ FEATHERSTONE = Capabilities(
         Capability.CONTACT_FORCES: approximate(
             "friction grows with the speed of slip, so that the forces on what is held are half a per cent off"
         ),
+        Capability.FRICTION_FORCES: approximate("friction grows with the speed of slip"),
         Capability.JOINT_WRENCHES: approximate("of statics: what accelerates the links is left out"),
         Capability.RANDOMIZE_MASS: approximate(_ROUNDED),
         Capability.RANDOMIZE_CENTER_OF_MASS: EXACT,
@@ -113,6 +114,7 @@ XPBD = Capabilities(
         Capability.CONTACT_FORCES: approximate(
             "what the sweeps applied: up to a quarter off between things that lie on each other, and without rebounds"
         ),
+        Capability.FRICTION_FORCES: approximate("of the last sweep, as contact forces are"),
         Capability.JOINT_WRENCHES: unsupported(
             "what the sweeps applied is 0.7 % off a hanging link's weight at steps of 5 ms"
         ),

@@ -131,6 +131,7 @@ CAPABILITIES = Capabilities(
         ),
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: approximate("normal forces alone: PhysX does not tell those of friction"),
+        Capability.FRICTION_FORCES: unsupported("PhysX reports normal contact forces only"),
         Capability.JOINT_WRENCHES: approximate(
             "PhysX's joint force is of the beginning of a step, in axes that have turned by omega dt at its end"
         ),

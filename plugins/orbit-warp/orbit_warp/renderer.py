@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 import warp as wp
@@ -15,7 +16,7 @@ from orbit_core.plugin_kit.rendering import PIXELS, Kind, KitRenderer, Request
 from orbit_warp.config import WarpConfig
 from orbit_warp.renderer_model import PictureModel
 from orbit_warp.renderer_stage import Stage
-from orbit_warp.renderer_trace import EVERY_TYPE, trace_kernel
+from orbit_warp.renderer_trace import BLOCK_THREADS, TraceOptions, trace_kernel
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.start import start
 
@@ -70,10 +71,16 @@ class WarpRenderer(KitRenderer):
             kind: make(count if kind in wanted else 0, pixels, depth, dtype=dtype, device=poses.device)
             for kind, (depth, dtype) in PIXELS.items()
         }
+        options = TraceOptions(color="rgb" in wanted, shadows=self._shadows, textured=self._model.textured)
         # A GPU gains by a kernel made for the scene; on a CPU, compiling one takes longer than what it saves.
-        types = self._model.geom_types if stage.device.is_cuda else EVERY_TYPE
+        if stage.device.is_cuda:
+            marked = options.color and request.marker_poses is not None
+            options = replace(
+                options, geom_types=self._model.geom_types, markers=marked,
+                transparent=self._model.transparent(marked), fast_math=True,
+            )  # fmt: skip
         wp.launch(
-            trace_kernel(types, "rgb" in wanted, self._shadows, self._model.textured),
+            trace_kernel(options),
             dim=(count, pixels),
             inputs=[
                 stage.arrays, wp.from_torch(poses.contiguous()), camera.width, camera.height,
@@ -81,7 +88,7 @@ class WarpRenderer(KitRenderer):
                 request.marker_poses is not None, stage.everyone if mask is None else wp.from_torch(mask),
             ],
             outputs=[wp.from_torch(picture) for picture in pictures.values()],
-            device=stage.device,
+            device=stage.device, block_dim=BLOCK_THREADS,
         )  # fmt: skip
         shape = (count, camera.height, camera.width, -1)
         return Image(**{kind: picture.view(shape) for kind, picture in pictures.items() if kind in wanted})

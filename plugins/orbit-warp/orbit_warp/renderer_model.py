@@ -63,6 +63,11 @@ class PictureModel:
         if model.nmat:
             self.texture_repeat = uniform[np.maximum(material, 0)].astype(np.float32)
 
+    def transparent(self, markers: bool) -> bool:
+        """Return True if any shape can be seen through; ``markers`` counts theirs, too."""
+        opacity = self.colors[..., 3] if markers else self.colors[:, ~self.is_marker, 3]
+        return bool(((opacity > 0.0) & (opacity < 1.0)).any())
+
     def lights(self, device: torch.device) -> LightTable:
         """Return the scene's own lights, one row for all environments."""
         lamps = self._scene.directional_lights

@@ -11,6 +11,7 @@ The ray casts are MuJoCo-Warp's, compiled for the kinds of shapes that the scene
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import warp as wp
 from mujoco_warp._src.math import rot_vec_quat
@@ -20,7 +21,10 @@ from mujoco_warp._src.types import GeomType
 from orbit_core.interfaces import BACKGROUND
 from orbit_warp.renderer_stage import StageArrays
 
-EVERY_TYPE = tuple(range(GeomType.MESH + 1))
+BLOCK_THREADS = 128
+"""Threads of a block of rays."""
+# Pixels that the threads of a warp draw: rays of a compact tile visit the same shapes, where those of a row of 32 part.
+_TILE_WIDTH, _TILE_HEIGHT = wp.constant(8), wp.constant(4)
 # Transparent shapes that a pixel shows, one behind the other.
 _LAYERS = 4
 # Metres, and share of the distance, that a ray starts above the surface that it leaves.
@@ -29,6 +33,26 @@ _LIFT = wp.constant(1e-4)
 _BLURRED = wp.constant(24.0)
 _FAR_AWAY = wp.constant(1e6)
 _BACKGROUND = wp.constant(BACKGROUND)
+
+
+@dataclass(frozen=True)
+class TraceOptions:
+    """Parts of the kernel. Registers of those left out are free, so that more rays are in flight."""
+
+    geom_types: tuple[int, ...] = tuple(range(GeomType.MESH + 1))
+    """Kinds of geoms that rays are tested against."""
+    color: bool = True
+    """True for colour pictures."""
+    shadows: bool = True
+    """True if lights cast shadows."""
+    textured: bool = True
+    """True if any shape has a texture."""
+    transparent: bool = True
+    """True if any shape or marker can be seen through."""
+    markers: bool = True
+    """True if markers may be drawn."""
+    fast_math: bool = False
+    """True for divisions and roots to 2 units in the last place. On a CPU it would lose the infinity of depth, too."""
 
 
 @wp.struct
@@ -142,10 +166,24 @@ def _cast(geom_types: tuple[int, ...], first_hit: bool) -> wp.Function:
     return cast
 
 
+@wp.func
+def pixel_of_thread(thread: int, width: int, height: int) -> int:
+    """Return the pixel (row * width + column) of a thread: tile after tile, or row after row where tiles do not fit."""
+    if width % _TILE_WIDTH != 0 or height % _TILE_HEIGHT != 0:
+        return thread
+    tile, inside = thread // (_TILE_WIDTH * _TILE_HEIGHT), thread % (_TILE_WIDTH * _TILE_HEIGHT)
+    across = width // _TILE_WIDTH
+    row = (tile // across) * _TILE_HEIGHT + inside // _TILE_WIDTH
+    return row * width + (tile % across) * _TILE_WIDTH + inside % _TILE_WIDTH
+
+
 @functools.cache
-def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool, textured: bool) -> wp.Kernel:
-    """The kernel for scenes of those types of geoms, for pictures with colour or without, with textures or without."""
-    nearest, blocking = _cast(geom_types, first_hit=False), _cast(geom_types, first_hit=True)
+def trace_kernel(options: TraceOptions) -> wp.Kernel:
+    """Return the kernel with those parts."""
+    nearest = _cast(options.geom_types, first_hit=False)
+    blocking = _cast(options.geom_types, first_hit=True)
+    shadows, textured, transparent = options.shadows, options.textured, options.transparent
+    with_color, may_mark = options.color, options.markers
 
     @wp.func
     def light(stage: StageArrays, env: int, hit: Hit, point: wp.vec3) -> wp.vec3:
@@ -164,6 +202,15 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool, t
         return total
 
     @wp.func
+    def surface(stage: StageArrays, env: int, hit: Hit, point: wp.vec3, direction: wp.vec3, width: float) -> wp.vec3:
+        """Colour of a surface in its light, where a ray of that width meets it."""
+        own = surface_color(stage, env, hit.geom)
+        if wp.static(textured):
+            slant = wp.max(-wp.dot(direction, hit.normal), 0.01)
+            own = wp.cw_mul(own, texture_color(stage, env, hit, point, width / slant))
+        return wp.cw_mul(own, light(stage, env, hit, point))
+
+    @wp.func
     def color_along(
         stage: StageArrays, env: int, first: Hit, origin: wp.vec3, direction: wp.vec3, reach: float, pixel: float
     ) -> wp.vec3:
@@ -175,12 +222,7 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool, t
                 break
             point = start + hit.distance * direction
             opacity = stage.colors[env % stage.colors.shape[0], hit.geom][3]
-            own = surface_color(stage, env, hit.geom)
-            if wp.static(textured):
-                slant = wp.max(-wp.dot(direction, hit.normal), 0.01)
-                width = pixel * (reach - left + hit.distance) / slant
-                own = wp.cw_mul(own, texture_color(stage, env, hit, point, width))
-            seen = wp.cw_mul(own, light(stage, env, hit, point))
+            seen = surface(stage, env, hit, point, direction, pixel * (reach - left + hit.distance))
             color += through * opacity * seen
             through *= 1.0 - opacity
             if through < 0.01:
@@ -191,7 +233,18 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool, t
             hit = nearest(stage, stage.colors, env, start, direction, left)
         return color + through * sky(stage, direction)
 
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    @wp.func
+    def opaque_color(
+        stage: StageArrays, env: int, hit: Hit, origin: wp.vec3, direction: wp.vec3, pixel: float
+    ) -> wp.vec3:
+        """The colour that comes along a ray where nothing is transparent."""
+        if hit.geom < 0:
+            return sky(stage, direction)
+        return surface(stage, env, hit, origin + hit.distance * direction, direction, pixel * hit.distance)
+
+    @wp.kernel(
+        module="unique", enable_backward=False, grid_stride=False, module_options={"fast_math": options.fast_math}
+    )
     def trace(
         stage: StageArrays,
         camera_poses: wp.array2d[float],
@@ -208,7 +261,8 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool, t
         links: wp.array3d[int],
         albedo: wp.array3d[wp.uint8],
     ):
-        env, pixel = wp.tid()
+        env, thread = wp.tid()
+        pixel = pixel_of_thread(thread, width, height)
         if chosen.shape[0] > 0 and not chosen[env]:
             return
         eye = wp.vec3(camera_poses[env, 0], camera_poses[env, 1], camera_poses[env, 2])
@@ -235,9 +289,14 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool, t
                 if seen:
                     albedo[env, pixel, i] = byte(stage.colors[env % stage.colors.shape[0], hit.geom][i])
         if wp.static(with_color):
-            if with_markers:
-                hit = nearest(stage, stage.colors, env, origin, direction, reach)
-            color = color_along(stage, env, hit, origin, direction, reach, pixel_size)
+            if wp.static(may_mark):  # noqa: SIM102 (Warp drops a branch only where the whole condition is static)
+                if with_markers:
+                    hit = nearest(stage, stage.colors, env, origin, direction, reach)
+            color = wp.vec3(0.0)
+            if wp.static(transparent):
+                color = color_along(stage, env, hit, origin, direction, reach, pixel_size)
+            else:
+                color = opaque_color(stage, env, hit, origin, direction, pixel_size)
             for i in range(3):
                 rgb[env, pixel, i] = byte(color[i])
 

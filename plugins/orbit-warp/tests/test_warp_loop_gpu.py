@@ -32,7 +32,7 @@ def trainer_of(task: str, folder: Path, settings: PpoSettings = SETTINGS) -> Ppo
 
 @pytest.mark.parametrize("task", TASKS)
 def test_recorded_steps_by_a_policy_are_the_same_steps(task: str, tmp_path: Path) -> None:
-    """What is kept of four rollouts without an update, against the same called one by one."""
+    """Compare what four rollouts without an update keep with the same steps called one by one."""
     plain, other = trainer_of(task, tmp_path / "plain"), trainer_of(task, tmp_path / "other")
     plain.environment._closed = None
     other._actor.load_state_dict(plain._actor.state_dict())
@@ -76,7 +76,7 @@ def test_nothing_in_an_iteration_waits(task: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("precision", ["float32", "tf32", "bfloat16"])
 def test_a_recorded_update_is_the_same_update(precision: str, tmp_path: Path) -> None:
-    """From one rollout: the graph's sixth update, against one in Python from the same weights and moments."""
+    """Compare the graph's sixth update with one in Python, from one rollout and the same weights and moments."""
     trainer = trainer_of("Lift", tmp_path, replace(SETTINGS, precision=precision))
     for iteration in range(5):
         trainer.iterate(iteration)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from mujoco_warp._src.types import GeomType
 
 from orbit_core import backends
 from orbit_core.envs import make
@@ -25,6 +28,7 @@ from orbit_core.scene import (
 )
 from orbit_warp import WarpConfig
 from orbit_warp.renderer import WarpRenderer
+from orbit_warp.renderer_trace import trace_kernel
 
 CAMERA = CameraSpec(name="camera", width=64, height=48, pose=look_at((0.8, 0, 0.8), (0, 0, 0)))
 HERE = (0.0, 0, 0.1, 1, 0, 0, 0)
@@ -153,3 +157,34 @@ def test_a_closed_renderer_says_so():
     source.close()
     with pytest.raises(ConfigurationError, match="closed"):
         rgb(source)
+
+
+def test_the_kernel_for_opaque_scenes_draws_as_the_general_one(monkeypatch):
+    """On a GPU scenes without glass and markers have a smaller kernel; a CPU takes the general one for all."""
+    general = draw(renderer(), Channel.RGB, *GEOMETRY)
+    monkeypatch.setattr(
+        "orbit_warp.renderer.trace_kernel",
+        lambda options: trace_kernel(
+            replace(options, geom_types=(GeomType.PLANE, GeomType.BOX), transparent=False, markers=False)
+        ),
+    )
+    fitted = draw(renderer(), Channel.RGB, *GEOMETRY)
+    for name in ("rgb", "depth", "links", "normals", "albedo"):
+        assert torch.equal(getattr(general, name), getattr(fitted, name)), name
+
+
+def test_pictures_whose_width_holds_no_whole_tiles_agree_with_those_that_do():
+    """Pixels are drawn in tiles of 8 x 4 where these fit, else row by row."""
+    source, poses = renderer(), torch.tensor([HERE])[:, None]
+    eye = torch.tensor([(*CAMERA.pose.position, *CAMERA.pose.orientation)])
+    tiled = source.render(CAMERA, eye, poses, (Channel.DEPTH,)).depth
+    # Ten columns less, five on each side: the others' rays stay the same.
+    narrow = source.render(replace(CAMERA, width=54), eye, poses, (Channel.DEPTH,)).depth
+    torch.testing.assert_close(narrow, tiled[:, :, 5:-5], atol=0.0, rtol=0.0)
+
+
+def test_only_shapes_and_drawn_markers_that_can_be_seen_through_make_a_scene_transparent():
+    ghost = MarkerSpec("goal", MarkerShape.BOX, 0.3, (0.1, 0.9, 0.1, 0.5))
+    opaque, glass = renderer(ghost)._model, renderer(color=(0.8, 0.2, 0.2, 0.5))._model
+    assert (opaque.transparent(markers=False), opaque.transparent(markers=True)) == (False, True)
+    assert glass.transparent(markers=False)

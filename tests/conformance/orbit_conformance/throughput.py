@@ -116,6 +116,10 @@ PICTURE = 84
 # The stopwatch's parts that are the engine's own work.
 _ENGINE = ("engine step", "state reads")
 _ENVIRONMENT = "environment"
+# Seconds of a block, beyond which it has fewer steps; steps that show how long one takes.
+_BLOCK_SECONDS, _TRIAL_STEPS = 1.5, 2
+# A way of stepping that takes this many times as long as the fastest is not measured further.
+_HOPELESS = 1.5
 # Number of environments that are drawn, and how often each is drawn.
 _DRAWN = 4
 
@@ -211,7 +215,7 @@ def measure_once(
         backend: name of an installed backend.
         num_envs: number of environments.
         blocks: number of blocks of the environment's steps; as many steps of the raw engine follow each.
-        block_steps: environment steps in a block.
+        block_steps: most environment steps in a block; fewer where they would take more than 1.5 s.
         seed: of the environments and of the actions.
         fields: of the task, by name.
         device: where tensors live.
@@ -233,8 +237,12 @@ def measure_once(
         start = time.perf_counter() - begin
         grown = _resident_mib() - memory
         raw = _raw_steppers(environment)
-        # Kernels compile and caches fill in the first block.
-        _block(environment, agent, raw, block_steps)  # warm up
+        trials = [_block(environment, agent, raw, min(_TRIAL_STEPS, block_steps)) for _ in range(2)]
+        trial = trials[1]  # because kernels compile in the first
+        block_steps = max(1, min(block_steps, round(_BLOCK_SECONDS / trial[_ENVIRONMENT])))
+        fastest = min((trial[name] for name in raw), default=0.0)
+        raw = {name: stepper for name, stepper in raw.items() if trial[name] <= _HOPELESS * fastest}
+        _block(environment, agent, raw, block_steps)  # caches fill
         measured = [_block(environment, agent, raw, block_steps) for _ in range(blocks)]
         # A run of its own: the stopwatch itself costs some microseconds a part.
         parts = _parts(environment, agent, block_steps * max(1, blocks // 4))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from orbit_core.cli.making import check_actor, make_actor
 from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.cli.settings import File, KeyValues, Name, check_output, check_positive, parse_words
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
+from orbit_deploy.cli.countdown import check_countdown, count_down
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -84,8 +84,7 @@ def main(words: Sequence[str]) -> None:
     settings = parse_words(DeploySettings, words, "orbit deploy")
     check_positive("episodes", settings.episodes)
     check_output(settings.json, ".json", settings.overwrite)
-    if not 0.0 <= settings.countdown < math.inf:
-        raise ConfigurationError(f"countdown must be zero or more seconds, not {settings.countdown}")
+    check_countdown(settings.countdown)
     if settings.agent != TELEOP:
         check_actor(settings.agent)
     elif settings.dead_man and settings.device == "keyboard":
@@ -124,7 +123,9 @@ def deploy(settings: DeploySettings) -> dict[str, Any]:
             _leave_placing_to_people(task, out.print)
         _leave_out_learning(task)
         # Joints, their order and units are compared when the world is made, the policy's manifest by its actor.
-        environment = make(task, 1, world=robot_world(link, period, contacts=True), seed=settings.seed)
+        # It begins with a reset, and nothing may move before the countdown.
+        world = robot_world(link, period, contacts=True, rehearsing=True)
+        environment = make(task, 1, world=world, seed=settings.seed)
         try:
             _check_differences(environment, settings)
             with _Pilot(settings, environment) as pilot:
@@ -212,7 +213,7 @@ def _leave_out_learning(task: Task) -> None:
 
 
 def _rehearse(environment: Environment, pilot: _Pilot, agent: str) -> None:
-    """Run one step without the robot if the task has contact sensors, to see that the agent does without them.
+    """Run one step if the task has contact sensors, to see that the agent does without them; the robot stays still.
 
     Raises:
         ConfigurationError: it reads contact forces.
@@ -224,14 +225,9 @@ def _rehearse(environment: Environment, pilot: _Pilot, agent: str) -> None:
     sensors = [spec.name for spec in environment.world.scene.sensors if isinstance(spec, ContactSensorSpec)]
     if not sensors or agent == TELEOP:
         return
-    engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
-    engine.rehearsing = True
-    try:
-        # The sensors hold zeros until the first step.
-        environment.step(torch.zeros(1, environment.action_size))
-        action = pilot.rehearse()
-    finally:
-        engine.rehearsing = False
+    # The sensors hold zeros until the first step.
+    environment.step(torch.zeros(1, environment.action_size))
+    action = pilot.rehearse()
     if not bool(action.isfinite().all()):
         raise ConfigurationError(
             f"{agent} reads contact forces ({', '.join(sensors)}), which the robot's computer does not measure: use a "
@@ -282,14 +278,22 @@ class _Pilot:
             if each is not None:
                 each.close()
 
+    def check(self) -> None:
+        """Raise if the dead-man key is not held.
+
+        Raises:
+            ReleasedError: it is not.
+        """
+        if self._key is not None:
+            self._key.check()
+
     def act(self) -> Tensor:
         """Return the next action (1, A).
 
         Raises:
             ReleasedError: the dead-man key was released.
         """
-        if self._key is not None:
-            self._key.check()
+        self.check()
         return self._actor.act()
 
     def rehearse(self) -> Tensor:
@@ -322,22 +326,22 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
 
     engine: RobotEngine = environment.world.engine  # pyright: ignore[reportAssignmentType]
     counter = EpisodeCounter(settings.episodes, 1, environment.device)
-    _count_down(settings.countdown)
-    pilot.wait()
-    # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
-    with (
-        prioritized(inherited=False),
-        JointTable(engine.link, settings.table) as table,
-        _Watch(settings, environment) as watch,
-    ):
-        environment.reset(settings.seed)
+    # The page and the twin take seconds to start, in which nobody waits for the robot to move.
+    with _Watch(settings, environment) as watch:
+        count_down(settings.countdown)
+        pilot.wait()
+        engine.rehearsing = False
+        engine.link.permit = pilot.check
+        # The loop of commands only: threads of libraries exist by now, and later ones do not inherit the priority.
+        with prioritized(inherited=False), JointTable(engine.link, settings.table) as table:
+            environment.reset(settings.seed)
 
-        def show(state: RobotState) -> None:
-            table.show(state)
-            watch.show(state)
+            def show(state: RobotState) -> None:
+                table.show(state)
+                watch.show(state)
 
-        engine.on_step = show
-        roll_out(environment, pilot, (counter,), lambda: counter.complete)
+            engine.on_step = show
+            roll_out(environment, pilot, (counter,), lambda: counter.complete)
     episodes, link, state = counter.episodes(), engine.link, engine.link.state()
     return {
         "task": type(environment.task).__name__,
@@ -411,15 +415,9 @@ class _Watch:
         return {} if not self._states else {"twin_rms": math.sqrt(self._squares / self._states)}
 
 
-def _count_down(seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0.0:
-        console().print(f"the robot moves in {math.ceil(left)} s (Ctrl-C ends)")
-        time.sleep(min(left, 1.0))
-
-
 def _rest(link: RobotLink) -> None:
     """Bring the robot to rest; it does so by itself where the link is lost."""
+    link.permit = None
     try:
         link.stop()
         link.finish_motion(2.0)

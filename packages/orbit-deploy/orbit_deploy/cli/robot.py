@@ -126,6 +126,7 @@ def _run(settings: RobotSettings, missing: Sequence[str]) -> None:
         computer = RobotComputer(hardware, None, ComputerSettings(loss=settings.loss), clock, log)
         faults: list[Fault] = []
         computer.on_fault.append(faults.append)
+        computer.watch()
         server = carrier.serve(computer, f"{settings.bridge}://{settings.host}:{settings.port}", settings.keys)
         out.print(f"serving {hardware.description.model} at {server.address} (Ctrl-C ends)", soft_wrap=True)
         timer = threading.Timer(settings.seconds or 0.0, computer.end)
@@ -165,6 +166,7 @@ def _hardware(settings: RobotSettings) -> RobotHardware:
     from orbit_core.backends import default_backend
     from orbit_core.configuration import assignments
     from orbit_core.envs.configuration import configure
+    from orbit_core.envs.observation_layout import with_sensors_of_terms
     from orbit_core.envs.registry import task_entry
     from orbit_core.scene import Scene
     from orbit_deploy.description import RobotDescription
@@ -177,7 +179,9 @@ def _hardware(settings: RobotSettings) -> RobotHardware:
         return open_hardware(settings.hardware, structs.replace(described, direct=settings.direct))
     if settings.task is not None:
         entry = task_entry(settings.task)
-        scene = configure(entry.task_type(), assignments(settings.set, f"task {entry.name}")).scene()
+        task = configure(entry.task_type(), assignments(settings.set, f"task {entry.name}"))
+        # Cameras that observations need are the robot's.
+        scene = with_sensors_of_terms(task.scene(), task)
     else:
         assert settings.robot is not None  # checked by main
         scene = Scene(robots=(replace(robot(settings.robot), name="robot"),))

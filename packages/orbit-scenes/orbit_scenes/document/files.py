@@ -21,6 +21,7 @@ from orbit_core.scene import (
     FrameSensorSpec,
     ImuSpec,
     JointSensorSpec,
+    RayCameraSpec,
     RayCasterSpec,
     SensorSpec,
     TactileSpec,
@@ -37,6 +38,7 @@ SENSORS: dict[str, type[SensorSpec]] = {
     "frame": FrameSensorSpec,
     "imu": ImuSpec,
     "joints": JointSensorSpec,
+    "ray_camera": RayCameraSpec,
     "ray_caster": RayCasterSpec,
     "tactile": TactileSpec,
 }

@@ -36,6 +36,8 @@ FIRST_TURNS = wp.constant(30)
 NONE = wp.constant(-1)
 LANES = 32
 """Rows of the preconditioner that a CPU computes at a time; solids begin at multiples of it."""
+PARTS = wp.constant(16)
+"""Threads of a GPU that share a sum: those that need it add up their parts, in one order."""
 FOUR = wp.constant(4)
 """Environments that share a pass over the preconditioner."""
 
@@ -123,6 +125,10 @@ class Solve:
     """The same memory as ``out``."""
     rz: wp.array2d[float]
     """(N, B) product of each solid's residual and what the preconditioner makes of it."""
+    rz_parts: wp.array3d[float]
+    """(N, B, PARTS) the same, on a GPU."""
+    pq_parts: wp.array3d[float]
+    """(N, B, PARTS) product of the direction of search and what the matrix makes of it."""
     step: wp.array2d[float]
     """(N, B) along the direction of search: each group has its own, so that no other's contacts slow it down."""
     turned: wp.array2d[float]
@@ -151,6 +157,8 @@ class Sites:
     """(V,) N/m of what holds vertices."""
     whole: wp.array2d[float]
     """(N, S) N/m of its contact or hold in this step, before anything gives way."""
+    firm_parts: wp.array3d[float]
+    """(N, F, PARTS) sum of ``whole`` on each free body, on a GPU."""
     owner: wp.array[int]
     """(S,) index of the deformable."""
     contacts: int
@@ -180,6 +188,11 @@ class Sites:
     """(N, contacts) link on which a point sticks, from step to step, or NONE."""
     place: wp.array2d[wp.vec3]
     """Where it sticks, in the frame of that link; of a solid, in that of its mesh."""
+    press: wp.array2d[wp.vec2]
+    """(N, contacts) N along the normal at the end of the step, and m^2 that it acts on; 0 where a point touches
+    nothing."""
+    per_area: wp.array[float]
+    """(B,) N/m of contacts on a square metre of each solid."""
     blocked: wp.array2d[float]
     """(N, F) part in which the engine holds each free body, between fingers or on a floor."""
     set: wp.array[int]
@@ -486,6 +499,7 @@ def touch(
     if deepest <= 0.0:
         t.link[env, k] = NONE
         t.stuck[env, k] = NONE
+        t.press[env, k] = wp.vec2()
         return False
     link, pressed_on = int(0), t.mate[env, k]
     other, friction = s.cell_body[wp.max(pressed_on, 0)], float(0.0)
@@ -553,6 +567,9 @@ def let_slip(s: Solids, t: Sites, links: Links, solve: Solve, env: int, k: int):
         return
     n, firm = t.normal[env, k], wp.max(t.whole[env, k], 1.0e-9)
     link, c = t.link[env, k], t.mate[env, k]
+    # Firmness over that of a square metre is the area that faces the surface.
+    area = firm / t.per_area[s.cell_body[t.cell[k]]]
+    t.press[env, k] = wp.vec2(wp.max(wp.dot(n, force), 0.0), area)
     x = t.x[env, k] + of_nodes(s, t, s.d, env, k) + of_nodes(s, t, solve.delta, env, k)
     slip = x - stuck_at(s, t, links, s.d, env, k, link)
     if c != NONE:

@@ -16,7 +16,7 @@ from orbit_matter.kernels import FREE, Links, Particles
 from orbit_matter.solids import inside
 from orbit_matter.solids import kernels as k
 from orbit_matter.solids.inside import MIDDLE, NODES
-from orbit_matter.solids.kernels import Sites, Solids, Solve
+from orbit_matter.solids.kernels import PARTS, Sites, Solids, Solve
 from orbit_matter.surfaces import Shapes
 
 
@@ -36,6 +36,15 @@ class Gather:
     """Sites of all cells, one cell after another."""
     pull: wp.array2d[wp.vec3]
     """(N, 27 C) what each cell does to each of its nodes."""
+
+
+@wp.func
+def whole(parts: wp.array3d[float], env: int, i: int) -> float:
+    """Return the sum of all parts."""
+    found = float(0.0)
+    for part in range(PARTS):
+        found += parts[env, i, part]
+    return found
 
 
 @wp.kernel(enable_backward=False)
@@ -153,16 +162,23 @@ def push(t: Sites, b: Bodies, links: Links, way: float, lasting: int):
 
 
 @wp.kernel(enable_backward=False)
-def soften(t: Sites, b: Bodies, links: Links, h: float):
-    """Let free bodies give way to what presses on them."""
-    env, i = wp.tid()
+def firmness(t: Sites, b: Bodies):
+    """Add up the firmness of what presses on free bodies, in PARTS."""
+    env, i, part = wp.tid()
     firm = float(0.0)
-    for site in range(t.x.shape[1]):
+    for site in range(part, t.x.shape[1], PARTS):
         if t.link[env, site] == b.link[env, i]:
             firm += t.whole[env, site]
-    for site in range(t.x.shape[1]):
+    t.firm_parts[env, i, part] = firm
+
+
+@wp.kernel(enable_backward=False)
+def soften(t: Sites, b: Bodies, links: Links, h: float):
+    """Let free bodies give way to what presses on them."""
+    env, site = wp.tid()
+    for i in range(b.link.shape[1]):
         if t.link[env, site] == b.link[env, i]:
-            k.soften(t, b, links, env, i, site, firm, h)
+            k.soften(t, b, links, env, i, site, whole(t.firm_parts, env, i), h)
 
 
 @wp.kernel(enable_backward=False)
@@ -262,49 +278,56 @@ def precondition(s: Solids, solve: Solve):
             solve.out[env, row] = found
 
 
-@wp.kernel(enable_backward=False)
-def aim(s: Solids, solve: Solve, first: int):
-    """Compute the product of residual and direction, and how much of the last direction the new one keeps."""
-    env, b = wp.tid()
-    rz, old = float(0.0), float(solve.rz[env, b])
-    # Each solid of a group sums up all of it, in the same order.
+@wp.func
+def of_group(s: Solids, solve: Solve, parts: wp.array3d[float], env: int, b: int) -> float:
+    """Return the sum over the solids that touch each other: in the same order for each of them."""
+    found = float(0.0)
     for other in range(s.owner.shape[0]):
         if solve.group[env, other] == solve.group[env, b]:
-            for i in range(s.first_node[other], s.first_node[other + 1]):
-                rz += wp.dot(solve.r[env, i], k.turned_back(s, solve, env, i))
-    for i in range(s.first_node[b], s.first_node[b + 1]):
-        solve.z[env, i] = k.turned_back(s, solve, env, i)
-    solve.rz[env, b] = rz
-    solve.turned[env, b] = wp.where(first == 1, 0.0, k.quotient(rz, old))
+            found += whole(parts, env, other)
+    return found
 
 
 @wp.kernel(enable_backward=False)
-def direct(s: Solids, solve: Solve):
+def aim(s: Solids, solve: Solve):
+    """Turn the preconditioned residual back, and compute parts of its product with the residual."""
+    env, b, part = wp.tid()
+    rz = float(0.0)
+    for i in range(s.first_node[b] + part, s.first_node[b + 1], PARTS):
+        z = k.turned_back(s, solve, env, i)
+        solve.z[env, i] = z
+        rz += wp.dot(solve.r[env, i], z)
+    solve.rz_parts[env, b, part] = rz
+
+
+@wp.kernel(enable_backward=False)
+def direct(s: Solids, solve: Solve, first: int):
     """Compute the new direction of search."""
     env, i = wp.tid()
-    found, turned = wp.vec3(solve.z[env, i]), solve.turned[env, s.body[i]]
-    if turned != 0.0:  # the first one takes nothing of the step before, not even if it was not finite
-        found += solve.p[env, i] * turned
+    found, b = wp.vec3(solve.z[env, i]), s.body[i]
+    if first == 0:  # the first one takes nothing of the step before, not even if it was not finite
+        found += solve.p[env, i] * k.quotient(of_group(s, solve, solve.rz_parts, env, b), solve.rz[env, b])
     solve.p[env, i] = found
 
 
 @wp.kernel(enable_backward=False)
 def measure(s: Solids, solve: Solve):
-    """Compute how far to go along the direction."""
-    env, b = wp.tid()
+    """Compute parts of the product of the direction and what the matrix makes of it."""
+    env, b, part = wp.tid()
     pq = float(0.0)
-    for other in range(s.owner.shape[0]):
-        if solve.group[env, other] == solve.group[env, b]:
-            for i in range(s.first_node[other], s.first_node[other + 1]):
-                pq += wp.dot(solve.p[env, i], solve.q[env, i])
-    solve.step[env, b] = k.quotient(solve.rz[env, b], pq)
+    for i in range(s.first_node[b] + part, s.first_node[b + 1], PARTS):
+        pq += wp.dot(solve.p[env, i], solve.q[env, i])
+    solve.pq_parts[env, b, part] = pq
+    if part == 0:  # which the next direction is compared with
+        solve.rz[env, b] = of_group(s, solve, solve.rz_parts, env, b)
 
 
 @wp.kernel(enable_backward=False)
 def advance(s: Solids, solve: Solve):
     """Step along the direction."""
     env, i = wp.tid()
-    step = solve.step[env, s.body[i]]
+    b = s.body[i]
+    step = k.quotient(solve.rz[env, b], of_group(s, solve, solve.pq_parts, env, b))
     solve.delta[env, i] = solve.delta[env, i] + solve.p[env, i] * step
     solve.r[env, i] = solve.r[env, i] - solve.q[env, i] * step
     k.to_rows(s, solve, env, i)

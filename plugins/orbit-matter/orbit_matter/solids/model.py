@@ -58,6 +58,8 @@ class SolidModel:
     """(S, 27)"""
     firmness: npt.NDArray[np.float32]
     """(contacts, 3, 3) N/m of contacts: ``n^T firmness n`` along a normal n."""
+    per_area: npt.NDArray[np.float32]
+    """(B,) N/m of contacts on a square metre of each solid."""
     holds: npt.NDArray[np.float32]
     """(V,) N/m of what holds vertices."""
     attached: IntArray
@@ -122,6 +124,7 @@ def build(scene: Scene, h: float) -> SolidModel:
         site_cells=_shifted([each.cells for each in sites], counts["cells"][owners] if parts else rows, ()),
         weights=_joined([each.weights for each in sites], (27,)),
         firmness=_joined(firm, (3, 3)),
+        per_area=np.array([_per_area(spec, part, h) for (_, spec), part in zip(found, parts, strict=True)], np.float32),
         holds=_joined(holds, ()),
         attached=attached,
         inverses=inverses,
@@ -180,8 +183,12 @@ def _shifted(parts: list[IntArray], starts: IntArray, shape: tuple[int, ...]) ->
 
 
 def _contact_firmness(spec: SoftBody, part: Embedding, h: float) -> FloatArray:
-    areas = part.contacts.areas
-    return CONTACT_SHARE * spec.mass / (h * h) * areas / np.einsum("pii->", areas)
+    return _per_area(spec, part, h) * part.contacts.areas
+
+
+def _per_area(spec: SoftBody, part: Embedding, h: float) -> float:
+    """Return the firmness of a square metre of a solid's surface, N/m."""
+    return CONTACT_SHARE * spec.mass / (h * h) / float(np.einsum("pii->", part.contacts.areas))
 
 
 def _shares(specs: list[SoftBody], parts: list[Embedding]) -> npt.NDArray[np.float32]:

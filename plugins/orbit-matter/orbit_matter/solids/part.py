@@ -16,7 +16,7 @@ from orbit_matter import contact
 from orbit_matter import kernels as particles
 from orbit_matter import rows as particle_rows
 from orbit_matter.solids import inside, kernels, launches, rows
-from orbit_matter.solids.kernels import LANES
+from orbit_matter.solids.kernels import LANES, PARTS
 from orbit_matter.solids.model import SolidModel
 
 SKIN = 5e-4
@@ -119,6 +119,8 @@ class SolidPart:
         )
         for name in ("rz", "step", "turned"):
             setattr(made, name, wp.zeros((self._n, self._bodies), dtype=float))
+        for name in ("rz_parts", "pq_parts"):
+            setattr(made, name, wp.zeros((self._n, self._bodies, PARTS), dtype=float))
         made.preset, made.group = (wp.zeros((self._n, self._bodies), dtype=int) for _ in range(2))
         return made
 
@@ -132,11 +134,14 @@ class SolidPart:
         cell_body = np.repeat(model.deformables, np.diff(model.first_cell))
         made.owner, made.contacts = _ints(cell_body[model.site_cells]), model.contacts
         made.blocked = wp.zeros(self._free.link.shape, dtype=float)
+        made.firm_parts = wp.zeros((*self._free.link.shape, PARTS), dtype=float)
         made.active = wp.full(shape, -1, dtype=int)
         made.link, made.force = wp.from_torch(memory["site_link"]), wp.from_torch(memory["site_force"], wp.vec3)
         made.normal, made.last, made.pull = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
         made.firm, made.limit = wp.zeros(shape, dtype=wp.vec2), wp.zeros(shape, dtype=float)
         made.stuck, made.place = wp.from_torch(memory["site_stuck"]), wp.from_torch(memory["site_place"], wp.vec3)
+        made.press = wp.from_torch(memory["site_press"], wp.vec2)
+        made.per_area = wp.array(model.per_area, dtype=float)
         made.count = wp.zeros(self._n, dtype=int)
         made.mate, made.mate_at = wp.full(shape, -1, dtype=int), wp.zeros(shape, dtype=wp.vec3)
         made.rest = wp.array(model.contact_rest, dtype=wp.vec3)
@@ -193,6 +198,13 @@ class SolidPart:
         inputs = [self._points, links, shapes, self._felt, mine]
         wp.launch(contact.exempt_inside, (self._n, points), inputs=inputs)
 
+    def depths(self, links: Any, shapes: Any, farthest: float) -> np.ndarray:
+        """Return how deep (m) the points of each deformable are in each shape, (D, S), up to ``farthest`` in meshes."""
+        found = wp.zeros((self._solids.parameters.shape[1], shapes.kind.shape[1]), dtype=float)
+        inputs = [self._points, links, shapes, self._felt.torques.shape[1], farthest, found]
+        wp.launch(contact.sound, (self._n, self._points.x.shape[1]), inputs=inputs)
+        return found.numpy()
+
     def orient(self, mine: Any) -> None:
         """Find rotations from scratch, in environments chosen by ``mine`` (n,) bool."""
         wp.launch(launches.orient, (self._n, self._bodies), inputs=[self._solids, mine])
@@ -242,17 +254,18 @@ class SolidPart:
         wp.launch(launches.turn, (n, cells), inputs=[s])
         wp.launch(launches.strain, (n, 27 * cells), inputs=[s, g, h])
         wp.launch(launches.meet, (n, sites), inputs=[s, t, g, self._held, links, shapes, self._felt])
-        wp.launch(launches.soften, self._free.link.shape, inputs=[t, self._free, links, h])
+        wp.launch(launches.firmness, (*self._free.link.shape, PARTS), inputs=[t, self._free])
+        wp.launch(launches.soften, (n, sites), inputs=[t, self._free, links, h])
         wp.launch(launches.choose, (n, self._bodies), inputs=[s, t, solve, self._held])
         wp.launch(launches.begin, (n, nodes), inputs=[s, t, solve, g, gravity, h])
         for iteration in range(self._iterations):
             wp.launch(launches.precondition, (self._groups, int(self._model.first_row[-1])), inputs=[s, solve])
-            wp.launch(launches.aim, (n, self._bodies), inputs=[s, solve, int(iteration == 0)])
-            wp.launch(launches.direct, (n, nodes), inputs=[s, solve])
+            wp.launch(launches.aim, (n, self._bodies, PARTS), inputs=[s, solve])
+            wp.launch(launches.direct, (n, nodes), inputs=[s, solve, int(iteration == 0)])
             wp.launch(launches.bend, (n, 27 * cells), inputs=[s, solve, g, h])
             wp.launch(launches.resist, (n, sites), inputs=[s, t, solve, g])
             wp.launch(launches.apply, (n, nodes), inputs=[s, t, solve, g, h])
-            wp.launch(launches.measure, (n, self._bodies), inputs=[s, solve])
+            wp.launch(launches.measure, (n, self._bodies, PARTS), inputs=[s, solve])
             wp.launch(launches.advance, (n, nodes), inputs=[s, solve])
         wp.launch(launches.let_slip, (n, sites), inputs=[s, t, links, solve])
         wp.launch(launches.conclude, (n, nodes), inputs=[s, solve, h])

@@ -60,6 +60,7 @@ class Solids:
             "site_link": torch.full((sites,), _NONE, dtype=torch.int32, device=device),
             "site_force": torch.zeros(sites, 3, **make),
             "site_stuck": torch.full((self.model.contacts,), _NONE, dtype=torch.int32, device=device),
+            "site_press": torch.zeros(self.model.contacts, 2, **make),
         }
         self.tensors = {name: rest.repeat(n, *[1] * rest.dim()) for name, rest in self._rest.items()}
         """State by name, (N, ...) each; snapshots hold them, and kernels their memory."""
@@ -88,6 +89,20 @@ class Solids:
     def velocities(self, deformable: int) -> Tensor:
         """(N, P, 3) m/s of the vertices of a solid."""
         return self.tensors["site_v"][:, self._columns(deformable)]
+
+    def pressures(self, deformable: int, links: int) -> Tensor:
+        """(N, L) Pa: mean of a solid's contact with each of that many links, 0 on those that it does not touch."""
+        number = self._index[deformable]
+        counts = [len(part.contacts.cells) for part in self.model.embeddings]
+        first, last = sum(counts[:number]), sum(counts[: number + 1])
+        on = self.tensors["site_link"][:, first:last].long()
+        # Terrain and other solids have the numbers after all links, and points that touch nothing the one before.
+        on = torch.where((on < 0) | (on >= links), links, on)
+        none = torch.zeros(self._num_envs, links + 1, device=self._device)
+        force, area = self.tensors["site_press"][:, first:last].unbind(2)
+        # Where nothing touches both sums are zero, and any area gives no pressure.
+        covered = none.scatter_add(1, on, area).clamp_min(1e-12)
+        return (none.scatter_add(1, on, force) / covered)[:, :links]
 
     def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None) -> None:
         """Put the vertices of a solid somewhere: (n, P, 3) m and m/s. Nodes follow as smoothly as they can.

@@ -4,7 +4,8 @@
 
 A frame is one environment's colour and depth picture. ``drawn`` draws the same poses again and again; ``stepped`` steps
 the task with random actions and draws nothing; ``seen`` steps the task with a camera in its scene, and reads its images
-after each step. Rates are medians over blocks. Memory is what the device has less of afterwards.
+after each step. Rates are medians over blocks. Memory is what the device has less of afterwards. ``drawn`` is measured
+for each number of ``--threads`` of a block of rays; ``seen`` takes the fastest.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.scene import CameraSpec, Channel, Scene, look_at
 from orbit_tasks.lift import Lift
+from orbit_warp import renderer as warp_renderer
 
 CHANNELS = (Channel.RGB, Channel.DEPTH)
 
@@ -48,6 +50,7 @@ def main() -> None:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--frames", type=int, default=100, help="pictures, or steps, of a block")
     parser.add_argument("--blocks", type=int, default=5)
+    parser.add_argument("--threads", type=int, nargs="+", default=[64, 128, 256], help="threads of a block of rays")
     parser.add_argument("--no-shadows", action="store_true")
     parser.add_argument("--json", type=Path, help="where to write the rows")
     arguments = parser.parse_args()
@@ -77,7 +80,12 @@ def measure(arguments: argparse.Namespace, size: int) -> dict[str, object]:
     stepped = timed(step, device, arguments)
     free.append(free_memory(device))
     draw = drawing(plain, camera, settings)
-    drawn = timed(draw, device, arguments)
+    drawn_by_threads: dict[int, tuple[float, float]] = {}
+    for threads in arguments.threads:
+        warp_renderer.BLOCK_THREADS = threads
+        drawn_by_threads[threads] = timed(draw, device, arguments)
+    fastest = min(arguments.threads, key=drawn_by_threads.__getitem__)
+    warp_renderer.BLOCK_THREADS, drawn = fastest, drawn_by_threads[fastest]
     free.append(free_memory(device))
     plain.close()
     seen_environment, step_seen = started(SeenLift(camera=camera))
@@ -97,6 +105,7 @@ def measure(arguments: argparse.Namespace, size: int) -> dict[str, object]:
         "size": size,
         "shadows": settings["shadows"],
         "drawn_frames_per_s": round(num_envs / drawn[0]),
+        "drawn_by_threads": {threads: round(num_envs / found[0]) for threads, found in drawn_by_threads.items()},
         "stepped_env_steps_per_s": round(num_envs / stepped[0]),
         "seen_env_steps_per_s": round(num_envs / seen[0]),
         "spread": [round(rate[1], 2) for rate in (drawn, stepped, seen)],
@@ -144,7 +153,7 @@ def free_memory(device: torch.device) -> int | None:
 
 
 def print_table(rows: list[dict[str, object]]) -> None:
-    names = [name for name in rows[0] if name not in ("device", "spread")]
+    names = [name for name in rows[0] if name not in ("device", "spread", "drawn_by_threads")]
     print(rows[0]["device"], file=sys.stderr)
     for row in [{name: name for name in names}, *rows]:
         cells = [f"{row[name]:.1f}" if isinstance(row[name], float) else str(row[name]) for name in names]

@@ -16,6 +16,7 @@
 #   loop      policy, step and storing as one recording; PPO's update as one graph   about 2 minutes
 #   learning  collecting and learning in the steady state, RSL-RL and ORBIT's own    about 8 minutes
 #   clock     seconds from the command to a learned task, on all GPUs                up to 9 minutes
+#   offpolicy seconds from the command to tasks learned by SAC, side by side on all GPUs   5 minutes
 #   ranks     one world on each of the machine's GPUs              about 2 minutes
 # Logs go to $OUT, or to out/gpu where that is unset.
 set -u
@@ -56,6 +57,10 @@ stage() {
     loop) python3 -m pytest -q -p no:cacheprovider -rfEs plugins/orbit-warp/tests/test_warp_loop_gpu.py ;;
     learning) python3 benchmarks/learning/speed.py --json "$out/speed.json" ;;
     clock) python3 benchmarks/learning/clock.py --seeds 0 1 2 3 4 --limit "${LIMIT:-540}" --output "$out/clock" ;;
+    offpolicy)  # four trainings, dealt to the GPUs that there are
+      local gpus; gpus=$(nvidia-smi -L | wc -l)
+      python3 benchmarks/learning/clock.py --tasks Reach Lift Velocity-Flat Humanoid --libraries orbit:"${ALGORITHM:-sac}" \
+        --side-by-side $(((3 + gpus) / gpus)) --limit "${LIMIT:-300}" --output "$out/offpolicy" ;;
     ranks) python3 -m torch.distributed.run --nproc-per-node "$(nvidia-smi -L | wc -l)" $here/ranks.py ;;
     *) echo "no stage '$1'"; return 2 ;;
   esac

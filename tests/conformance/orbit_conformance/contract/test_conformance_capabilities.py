@@ -32,6 +32,7 @@ from orbit_core.scene import (
     Scene,
     Shape,
     SoftBody,
+    TactileSpec,
 )
 
 TETRAHEDRON = Mesh(
@@ -61,6 +62,9 @@ SCENES: dict[Capability, Callable[[], Scene]] = {
     Capability.IMPLICIT_DRIVES: lambda: scene(rotor(actuators=(ImplicitPd(joints=(".*",), stiffness=1.0),))),
     Capability.SHAPES_PER_ENVIRONMENT: lambda: scene(replace(cube(), variants=(cube(half=0.1).articulation,))),
     Capability.CONTACT_FORCES: lambda: scene(cube(), sensors=(ContactSensorSpec(name="c", entity="cube"),)),
+    Capability.FRICTION_FORCES: lambda: scene(
+        cube(), sensors=(TactileSpec(name="t", entity="cube", frame="cube", shear=True),)
+    ),
     Capability.JOINT_WRENCHES: lambda: scene(
         rotor(), sensors=(ForceTorqueSpec(name="w", entity="rotor", link="rotor"),)
     ),

@@ -29,6 +29,7 @@ from orbit_core.scene import (
     ObjectSpec,
     Plane,
     Pose,
+    RayCameraSpec,
     Shape,
     Sky,
     Sphere,
@@ -81,17 +82,20 @@ def _photograph(
     # Off all planes of symmetry, so that a mirrored picture differs.
     eye: Vector3 = (2.6, -1.9, 1.9),
     known_as: Sequence[tuple[Geometry, Pose]] | None = None,
+    kind: type[CameraSpec] = CameraSpec,
+    solid: bool = False,
 ) -> _View:
     """The picture of solids that stand still on a ground; they are only to be seen, and collide with nothing.
 
     Where they are meshes of round shapes, those are the truth in ``known_as``: to trace each triangle takes minutes.
+    With ``solid`` they collide as well, so that a ``kind`` of camera that casts rays sees them.
     """
-    camera = CameraSpec(
+    camera = kind(
         name="eye", width=96, height=72, vertical_fov=0.8, channels=channels, far=_FAR,
         pose=look_at(eye, (0.0, 0.0, 0.4)),
     )  # fmt: skip
     objects = [
-        _seen(f"thing{n}", geometry, pose, color)
+        _seen(f"thing{n}", geometry, pose, color, solid)
         for n, ((geometry, pose), color) in enumerate(zip(solids, _COLORS, strict=False))
     ]
     terrain = (Shape(ground, color=(*_COLORS[-1], 1.0), name="ground"),)
@@ -104,8 +108,11 @@ def _photograph(
     return _View(images, *truth, camera, sensor.semantic_labels)
 
 
-def _seen(name: str, geometry: Geometry, pose: Pose, color: tuple[float, float, float]) -> ObjectSpec:
-    link = Link(name, 1.0, inertia=np.eye(3), visuals=(Shape(geometry, color=(*color, 1.0)),))
+def _seen(
+    name: str, geometry: Geometry, pose: Pose, color: tuple[float, float, float], solid: bool = False
+) -> ObjectSpec:
+    shapes = (Shape(geometry, color=(*color, 1.0)),)
+    link = Link(name, 1.0, inertia=np.eye(3), visuals=shapes, collisions=shapes if solid else ())
     return ObjectSpec(name=name, articulation=Articulation(name, (link,)), pose=pose, fixed_base=True)
 
 
@@ -158,6 +165,23 @@ def _dense(trial: Trial) -> Mapping[str, float]:
     return {"depth": float(error[:, sure & ball].max()), "outline": float((error > _BEHIND)[:, ~sure].mean())}
 
 
+def _by_rays(trial: Trial) -> Mapping[str, float]:
+    """The same picture by rays and by the renderer."""
+    channels = (Channel.DEPTH, Channel.NORMALS, Channel.INSTANCE)
+    view = _photograph(trial, channels, _things(), Plane(), kind=RayCameraSpec, solid=True)
+    drawn = _photograph(trial, (Channel.DEPTH,), _things(), Plane(), solid=True)
+    depth, truth = view.of(Channel.DEPTH, view.met)[..., 0], view.truth.distances[view.sure & view.met]
+    cosines = (view.of(Channel.NORMALS, view.met) * view.truth.normals[view.sure & view.met]).sum(-1)
+    instances = np.array([*range(len(_things())), TERRAIN, BACKGROUND])
+    return {
+        "depth": float(np.abs(depth - truth).max()),
+        "drawn": float(np.abs(depth - drawn.of(Channel.DEPTH, view.met)[..., 0]).max()),
+        "normal": float(np.arccos(cosines.clip(-1.0, 1.0)).max()),
+        "instance": float((view.of(Channel.INSTANCE)[..., 0] != instances[view.truth.things[view.sure]]).mean()),
+        "nothing": float(np.isfinite(view.of(Channel.DEPTH, ~view.met)).mean()),
+    }
+
+
 def _normals(trial: Trial) -> Mapping[str, float]:
     view = _photograph(trial, (Channel.NORMALS,), _things(), Plane())
     cosines = (view.of(Channel.NORMALS, view.met) * view.truth.normals[view.sure & view.met]).sum(-1)
@@ -206,6 +230,7 @@ def _scenario(
 
 
 _FACETS = "rasterisers draw round shapes as facets"
+_PRISMS = "an engine without cylinders casts rays against prisms"
 _BUFFER = "rasterisers keep the reciprocal of depth, in a buffer of finite resolution"
 
 
@@ -431,6 +456,23 @@ SCENARIOS = (
             meaning="part of the pixels next to an outline that show what is behind it, or the reverse",
             looser_because=_FACETS,
         ),
+    ),
+    _scenario(
+        "ray_camera",
+        "Does a camera of rays show what the engine collides with, as the renderer draws it?",
+        _by_rays,
+        (Capability.RAY_CASTS, Capability.DEPTH),
+        Metric(name="depth", unit="m", tolerance=6e-3, meaning="largest error of a depth", looser_because=_PRISMS),
+        Metric(
+            name="drawn",
+            unit="m",
+            tolerance=6e-3,
+            meaning="largest difference from the rendered depth",
+            looser_because=_FACETS,
+        ),
+        Metric(name="normal", unit="rad", tolerance=0.1, meaning="largest angle to the true", looser_because=_PRISMS),
+        Metric(name="instance", unit="", tolerance=0.0, meaning="part of the pixels that name another entity"),
+        Metric(name="nothing", unit="", tolerance=0.0, meaning="part of the pixels that see something in the void"),
     ),
     _scenario(
         "normal_images",

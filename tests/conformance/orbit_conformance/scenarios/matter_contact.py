@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from orbit_assets.deformables import line, sheet
+from orbit_assets.objects import cylinder
 from orbit_conformance.bodies import G, cube, on_slope, slope
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_conformance.scenarios.grasp import HALF, gripper
@@ -203,6 +205,77 @@ def _cloth_load(trial: Trial) -> Mapping[str, float]:
     return {"force": abs(felt / (G * mass) - 1.0), "speed": speed}
 
 
+SPAN, STRIP, ACROSS, BAR, LOAD = 0.4, 0.5, 0.2, 0.03, 1.0
+"""Metres between the ends of a hammock, of its length and width and of the radius of a bar on it; kg of the bar."""
+STIFF = 2000.0
+"""N/m of the hammock's membrane."""
+
+
+def _hammock(trial: Trial) -> Mapping[str, float]:
+    """A bar of 1 kg is laid into a hammock where it should hang, and comes to rest."""
+    rows, columns = 11, 26
+    ends = tuple(row * columns + column for row in range(rows) for column in (0, columns - 1))
+    held = (Attachment(ends),)
+    cloth = Cloth(
+        "hammock", sheet((STRIP, ACROSS), (columns, rows)), 0.2, Pose((0.0, 0.0, 1.0)), STIFF, 0.0,
+        damping=3.0, thickness=THICKNESS, attachments=held,
+    )  # fmt: skip
+    hung = _hung()
+    turned = Pose((0.0, 0.0, 1.0 - hung.depth), (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))
+    bar = cylinder("bar", BAR, 0.3, mass=LOAD, pose=turned)
+    world = trial.world(Scene(objects=(bar,), deformables=(cloth,), terrain=()))
+    body, points = world.deformables["hammock"], torch.as_tensor(cloth.rest_positions, dtype=torch.float32).clone()
+    points[:, 0], points[:, 2] = torch.as_tensor(hung.places(cloth.rest_positions[:, 0])).float().unbind(1)
+    # The scene's attachments hold the ends as far apart as the cloth is long; a hammock's are nearer.
+    body.release()
+    body.set_state(points[None].to(world.device))
+    body.anchor(ends)
+    trial.step(world, trial.steps(1.2))
+    felt, deep, count = 0.0, 0.0, trial.steps(0.5)
+    for _ in range(count):
+        trial.step(world)
+        felt += float(body.contact_force("bar", "bar")[0, 2]) / count
+        deep += (1.0 - float(world.objects["bar"].root_pose[0, 2])) / count
+    return {"force": abs(felt / (G * LOAD) - 1.0), "depth": abs(deep / hung.depth - 1.0)}
+
+
+@dataclass(frozen=True)
+class _Hung:
+    """A light strip under a bar: an arc under it, and two tangents to the ends."""
+
+    depth: float
+    """Metres of the bar's axis below the ends."""
+    angle: float
+    """rad of the tangents, from the horizontal."""
+    stretch: float
+    """Length over that at rest."""
+
+    def places(self, along: np.ndarray) -> np.ndarray:
+        """Return x and z (P, 2) of places at rest along the strip, m from its middle, with the ends at 1 m."""
+        way = np.abs(along) * self.stretch
+        turned = np.minimum(way / _ROUND, self.angle)
+        left = way - turned * _ROUND
+        x = _ROUND * np.sin(turned) + left * np.cos(turned)
+        z = -_ROUND * np.cos(turned) + left * np.sin(turned)
+        return np.column_stack((np.sign(along) * x, 1.0 - self.depth + z))
+
+
+_ROUND = BAR + 0.5 * THICKNESS
+
+
+def _hung() -> _Hung:
+    """Find how a hammock hangs: its tension stretches it to the length of its way round the bar."""
+    low, high = 0.0, STRIP
+    for _ in range(60):
+        depth = 0.5 * (low + high)
+        away = math.hypot(0.5 * SPAN, depth)
+        angle = math.atan2(depth, 0.5 * SPAN) + math.asin(_ROUND / away)
+        stretch = 1.0 + 0.5 * G * LOAD / math.sin(angle) / (STIFF * ACROSS)
+        way = 2.0 * (math.sqrt(away**2 - _ROUND**2) + angle * _ROUND)
+        low, high = (depth, high) if way < STRIP * stretch else (low, depth)
+    return _Hung(depth, angle, stretch)
+
+
 _CAPSTAN = "Meriam and Kraige, Statics, section 6/8, with the strip's own weight and inertia on the arc"
 _LIMIT = Metric(
     name="limit",
@@ -347,6 +420,33 @@ SCENARIOS = (
                 tolerance=0.01,
                 meaning="its largest speed in 0.2 s after that",
                 looser_because="a centimetre in a second is rest for every purpose",
+            ),
+        ),
+    ),
+    Scenario(
+        name="cloth_hammock",
+        group=GROUP,
+        question="How deep does a bar of 1 kg hang in a cloth that is held at its ends, and does it feel its weight?",
+        truth="two tangents, 2 T sin(angle) = m g, and the arc under the bar, longer by T / (E t); 0.4 m of 0.5 m",
+        source="equilibrium of forces on a light strip without stiffness in bending",
+        needs=(Capability.CLOTH,),
+        judges=(Capability.CLOTH,),
+        time_steps=TIME_STEPS,
+        run=_hammock,
+        metrics=(
+            Metric(
+                name="force",
+                unit="",
+                tolerance=0.02,
+                meaning="error of the mean force of the cloth on it, over its weight",
+                looser_because=ASKED,
+            ),
+            Metric(
+                name="depth",
+                unit="",
+                tolerance=0.03,
+                meaning="relative error of the depth of its axis below the ends",
+                looser_because="it bends round the bar by edges that are two thirds of its radius",
             ),
         ),
     ),

@@ -152,30 +152,58 @@ def _pressed(trial: Trial, body: SoftBody, height: float, force: float, seconds:
     return world
 
 
+EDGE, FOAM, STRAIN = 0.05, 1e5, 0.04
+"""Edge of a block, m, its modulus, Pa, and by what part of it a press shortens it."""
+
+
+def _compressed(trial: Trial, seconds: float) -> World:
+    """A block under the press, shorter by STRAIN."""
+    mesh = cuboid((EDGE, EDGE, EDGE), (4, 4, 4))
+    body = SoftBody("block", mesh, 500.0, Pose((0.0, 0.0, 0.5 * EDGE)), FOAM, RATIO, 0.02, friction=0.0)
+    return _pressed(trial, body, EDGE, FOAM * EDGE**2 * STRAIN, seconds)
+
+
 def _compression(trial: Trial) -> Mapping[str, float]:
-    side, modulus, strain = 0.05, 1e5, 0.04
-    mesh = cuboid((side, side, side), (4, 4, 4))
-    body = SoftBody("block", mesh, 500.0, Pose((0.0, 0.0, 0.5 * side)), modulus, RATIO, 0.02, friction=0.0)
-    world = _pressed(trial, body, side, modulus * side**2 * strain, 1.0)
-    points, rest = world.deformables["block"].positions[0].double().cpu(), torch.as_tensor(mesh.vertices)
+    world = _compressed(trial, 1.0)
+    body = world.deformables["block"]
+    points, rest = body.positions[0].double().cpu(), torch.as_tensor(body.spec.rest_positions)
     spans = [
-        points[rest[:, axis] > 0.499 * side, axis].mean() - points[rest[:, axis] < -0.499 * side, axis].mean()
+        points[rest[:, axis] > 0.499 * EDGE, axis].mean() - points[rest[:, axis] < -0.499 * EDGE, axis].mean()
         for axis in range(3)
     ]
-    shorter, wider = 1.0 - float(spans[2]) / side, 0.5 * float(spans[0] + spans[1]) / side - 1.0
-    return {"modulus": abs(strain / shorter - 1.0), "ratio": abs(wider / shorter / RATIO - 1.0)}
+    shorter, wider = 1.0 - float(spans[2]) / EDGE, 0.5 * float(spans[0] + spans[1]) / EDGE - 1.0
+    return {"modulus": abs(STRAIN / shorter - 1.0), "ratio": abs(wider / shorter / RATIO - 1.0)}
+
+
+BALL, FLATTENED, BALL_MODULUS = 0.05, 0.006, 2e4
+"""Radius of a ball and what either side of it flattens by, m, and its modulus, Pa."""
+
+
+def _flattened(trial: Trial, seconds: float) -> World:
+    """A ball between two plates that press as hard as Hertz says."""
+    force = 4.0 / 3.0 * BALL_MODULUS / (1.0 - RATIO**2) * math.sqrt(BALL) * FLATTENED**1.5
+    body = SoftBody(
+        "ball", ball(BALL, 3), DENSITY, Pose((0.0, 0.0, BALL)), BALL_MODULUS, RATIO, 0.02, friction=0.0,
+        resolution=0.034,
+    )  # fmt: skip
+    return _pressed(trial, body, 2.0 * BALL, force, seconds)
 
 
 def _hertz(trial: Trial) -> Mapping[str, float]:
-    radius, modulus, approach = 0.05, 2e4, 0.006
-    force = 4.0 / 3.0 * modulus / (1.0 - RATIO**2) * math.sqrt(radius) * approach**1.5
-    body = SoftBody(
-        "ball", ball(radius, 3), DENSITY, Pose((0.0, 0.0, radius)), modulus, RATIO, 0.02, friction=0.0, resolution=0.034
-    )
-    world = _pressed(trial, body, 2.0 * radius, force, 1.0)
+    world = _flattened(trial, 1.0)
     # Both sides flatten alike.
     plate = float(world.robots["press"].link_poses[0, 1, 2]) - 0.01
-    return {"approach": abs(0.5 * (2.0 * radius - plate) / approach - 1.0)}
+    return {"approach": abs(0.5 * (2.0 * BALL - plate) / FLATTENED - 1.0)}
+
+
+def _pressure(trial: Trial) -> Mapping[str, float]:
+    """Mean pressures on the press, of a block's face and of a ball's round contact."""
+    block = _compressed(trial, 0.6).deformables["block"].contact_pressure("press", "plate")
+    flat = FOAM * STRAIN
+    ball = _flattened(trial, 1.0).deformables["ball"].contact_pressure("press", "plate")
+    # The mean is two thirds of the largest.
+    round_ = 4.0 / (3.0 * math.pi) * BALL_MODULUS / (1.0 - RATIO**2) * math.sqrt(FLATTENED / BALL)
+    return {"flat": abs(float(block[0]) / flat - 1.0), "round": abs(float(ball[0]) / round_ - 1.0)}
 
 
 # Flight --------------------------------------------------------------------------------------------------------------
@@ -286,6 +314,33 @@ SCENARIOS = (
         run=_hertz,
         metrics=(
             Metric(name="approach", unit="", tolerance=0.1, meaning="relative error of d", looser_because=PUBLISHED),
+        ),
+        group=GROUP,
+        needs=(Capability.SOFT_BODIES,),
+        judges=(Capability.SOFT_BODIES,),
+        time_steps=TIME_STEPS,
+    ),
+    Scenario(
+        name="solid_pressure",
+        question="Do a soft block and a soft ball press on a plate with the pressures that their areas say?",
+        truth="F / A of a block's face, A at rest; F / (pi R d) of a ball, d = 6 mm, R = 50 mm, as Hertz says",
+        source="Timoshenko and Goodier, Theory of Elasticity, 3rd ed., sections 6 and 140",
+        run=_pressure,
+        metrics=(
+            Metric(
+                name="flat",
+                unit="",
+                tolerance=0.03,
+                meaning="relative error of the block's pressure",
+                looser_because=PUBLISHED,
+            ),
+            Metric(
+                name="round",
+                unit="",
+                tolerance=0.15,
+                meaning="relative error of the ball's mean pressure",
+                looser_because="points of contact are two fifths of the contact's radius apart",
+            ),
         ),
         group=GROUP,
         needs=(Capability.SOFT_BODIES,),
