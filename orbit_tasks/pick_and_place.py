@@ -131,11 +131,12 @@ class PickAndPlaceObservations:
 class PickAndPlaceRewards:
     """Rewards of the hand at the cube, the cube off the table, near its mark and let go, less what is abrupt.
 
-    Who holds the cube on its mark for ever earns less than who lets it go.
+    A cube that is held on its mark for ever earns less than one that is let go.
     """
 
     reach: RewardTerm | None = RewardTerm(lift.reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lambda env: torch.maximum(lift.lifted(env), placed(env).float()), 5.0)
+    """The cube off the table, or on its mark."""
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 8.0)
     """Nearness of the cube to its mark, within some 0.3 m."""
     track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
