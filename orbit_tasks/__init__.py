@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from orbit_tasks.nut_bolt import NutBolt
     from orbit_tasks.peg_in_hole import PegInHole
     from orbit_tasks.peg_in_the_dark import PegInTheDark
+    from orbit_tasks.pick_and_place import PickAndPlace
     from orbit_tasks.reach import Reach
     from orbit_tasks.recover import Recover
     from orbit_tasks.room_reorganization import RoomReorganization
@@ -69,6 +70,7 @@ __all__ = [
     "NutBolt",
     "PegInHole",
     "PegInTheDark",
+    "PickAndPlace",
     "Reach",
     "Recover",
     "RoomReorganization",
@@ -113,6 +115,7 @@ __getattr__, __dir__ = lazy_names(
         "nut_bolt": ("NutBolt",),
         "peg_in_hole": ("PegInHole",),
         "peg_in_the_dark": ("PegInTheDark",),
+        "pick_and_place": ("PickAndPlace",),
         "reach": ("Reach",),
         "recover": ("Recover",),
         "room_reorganization": ("RoomReorganization",),
@@ -141,6 +144,9 @@ def register(registry: TaskRegistry) -> None:
     """Entry point ``orbit.tasks``: register every task, importing none."""
     registry.add("Reach", "Bring the end effector to a sampled pose", "orbit_tasks.reach:Reach")
     registry.add("Lift", "Lift a cube from the table to a sampled position", "orbit_tasks.lift:Lift")
+    registry.add(
+        "Pick-And-Place", "Put a cube on a mark on the table's other half", "orbit_tasks.pick_and_place:PickAndPlace"
+    )
     registry.add("Stack", "Put one block on another", "orbit_tasks.stack_pyramid:Stack")
     registry.add("Stack-Pyramid", "Build two pyramids of coloured blocks", "orbit_tasks.stack_pyramid:StackPyramid")
     registry.add("Hockey", "Hit a puck with a stick into the net", "orbit_tasks.hockey:Hockey")

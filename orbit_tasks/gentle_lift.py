@@ -32,7 +32,7 @@ SIZE = (0.05, 0.05, 0.1)
 # Friction of box and fingers. The larger coefficient of a pair counts, and a Franka hand's fingers have 1.
 FRICTION = 1.0
 # Metres from the box's middle up to where it is held.
-_HOLD = 0.02
+_HOLD = 0.01
 _G = 9.81
 _THING, _FINGERS = "thing", "fingers"
 
@@ -186,7 +186,7 @@ class GentleLift(tabletop.TabletopTask):
         ppo=PpoSettings(iterations=1500, initial_std=0.3, entropy_weight=0.002),
         exceptions=(TaskException(TaskCheck.START_AREA, "the box starts within 10 x 20 cm: its weight differs"),),
     )
-    episode_length: float = 10.0
+    episode_length: float = 12.0
     masses: tuple[float, float] = (0.15, 1.0)
     """Range of the box's mass, kg."""
     height: float = 0.1
@@ -270,7 +270,7 @@ _TIGHTENING = 4.0
 _BLIND = 1.4
 # Metres by which the hand is led up while the box is still on the table or just off it, and then. The drives hold a
 # kilogram with an error of 4 mm.
-_SLOW, _FAST = 0.01, 0.015
+_SLOW, _FAST = 0.008, 0.015
 # Number of the phase in which the fingers close.
 _CLOSE = 2
 
@@ -288,6 +288,8 @@ class GentleExpert(Expert):
         self._open = torch.tensor([opened[joint] for joint in joints], device=env.device)
         # Metres that the fingers are sent to.
         self._sent = self._open.repeat(env.num_envs, 1)
+        # Where the box slips the hand waits until the grip has grown.
+        self._slips = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._generator = next(each for each in env.actions.generators if [*each.joints] == [*joints])
         # Two fingers share the force of one drive.
         self._share = 0.5 * robot.nominal_gains[joints[0]][0]
@@ -298,45 +300,56 @@ class GentleExpert(Expert):
             Phase(picking.raised(grasp, 0.1), position_tolerance=0.02, free=True),
             Phase(grasp, position_tolerance=0.004, timeout=2.0),
             Phase(common.hand_pose, dwell=closing, timeout=closing + 0.1),
-            Phase(_up),
+            Phase(self._up),
         )
         super().__init__(env, phases, 0.06)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         super().reset(env_ids)
-        self._sent[slice(None) if env_ids is None else env_ids] = self._open
+        rows = slice(None) if env_ids is None else env_ids
+        self._sent[rows] = self._open
+        self._slips[rows] = False
 
     def memory(self) -> Mapping[str, Tensor]:
-        return {**super().memory(), "sent": self._sent}
+        return {**super().memory(), "sent": self._sent, "slips": self._slips}
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        env, action = self._task_env, super().compute(inputs)["action"]
+        env, speed = self._task_env, self._speed(self._task_env)
+        action = super().compute(inputs)["action"]
         near = self._sent.clamp(max=0.5 * SIZE[1] + _NEAR)
         self._sent.copy_(torch.where((self.phase == _CLOSE)[:, None], near, self._sent))
-        self._sent -= (env.step_dt * self._speed(env))[:, None]
+        self._sent -= (env.step_dt * speed)[:, None]
         fingers = self._generator.encode_positions(self._sent)
         return {"action": torch.cat((action[:, : -fingers.shape[1]], fingers), dim=1)}
 
     def _speed(self, env: Environment[GentleLift]) -> Tensor:
         """(N,) m/s at which the fingers' targets move in now."""
-        closing = self.phase == _CLOSE
         if not env.task.touch:
             return torch.where((self.phase >= _CLOSE) & (self._sent[:, 0] > self._blind), _CLOSING, 0.0)
-        apart, slipping = torch.zeros_like(closing), torch.zeros_like(closing)
-        grip = torch.zeros_like(self._sent[:, 0])
-        for pad in touch.sensors(env.world):
-            normal, shear = pad.normal_forces.flatten(1), pad.shear_forces.norm(dim=-1).flatten(1)
-            loaded = normal > 1e-3
-            near = loaded & (shear > _NEAR_SLIP * FRICTION * normal)
-            grip += 0.5 * normal.sum(1)
-            apart |= normal.sum(1) < _CONTACT
-            slipping |= near.sum(1) > _SLIPPING * loaded.sum(1)
-        lifting, tighten = self.phase > _CLOSE, _TIGHTENING * grip.clamp_min(_CONTACT) / self._share
-        return torch.where(closing & apart, _CLOSING, torch.where(lifting & slipping, tighten, 0.0))
+        grip, apart, slips = touched(env)
+        self._slips.copy_(slips & (self.phase > _CLOSE))
+        tighten = torch.where(self._slips, _TIGHTENING * grip.clamp_min(_CONTACT) / self._share, 0.0)
+        return torch.where((self.phase == _CLOSE) & apart, _CLOSING, tighten)
+
+    def _up(self, env: Environment[GentleLift]) -> Tensor:
+        """(N, 7) the hand a little higher, until the box is up; half as fast while the box slips."""
+        hand, lead = common.hand_pose(env), torch.where(raised(env) < 0.01, _SLOW, _FAST)
+        left = (env.task.height - raised(env)).minimum(lead).maximum(-lead)
+        # Half of the way bears the weight that the arm has taken up.
+        left = torch.where(self._slips, 0.5 * left, left)
+        return torch.cat((hand[:, :2], (hand[:, 2] + left)[:, None], hand[:, 3:]), dim=1)
 
 
-def _up(env: Environment[GentleLift]) -> Tensor:
-    """(N, 7) the hand a little higher, until the box is up."""
-    hand, lead = common.hand_pose(env), torch.where(raised(env) < 0.01, _SLOW, _FAST)
-    left = (env.task.height - raised(env)).minimum(lead).maximum(-lead)
-    return torch.cat((hand[:, :2], (hand[:, 2] + left)[:, None], hand[:, 3:]), dim=1)
+def touched(env: Environment[GentleLift]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return what the pads feel: (N,) newtons on each, the mean of both; and (N,) bool whether one is apart from the
+    box, and whether the box is about to slip on one.
+    """
+    felt = [
+        (pad.normal_forces.flatten(1), pad.shear_forces.norm(dim=-1).flatten(1)) for pad in touch.sensors(env.world)
+    ]
+    normal, shear = (torch.stack(each, dim=1) for each in zip(*felt, strict=True))
+    loaded = normal > 1e-3
+    near = loaded & (shear > _NEAR_SLIP * FRICTION * normal)
+    pressing = normal.sum(2)
+    slips = (near.sum(2) > _SLIPPING * loaded.sum(2)).any(1)
+    return pressing.mean(1), (pressing < _CONTACT).any(1), slips

@@ -334,8 +334,7 @@ class Lift(Task):
     def expert(self, env: Environment) -> Expert:
         # At least 0.4 s: the fingers must be still on the cube before it is lifted.
         closing = max(0.4, common.closing_time(env.world))
-        # An arm that leans is a small one, whose jaw lets go of what it jerks up.
-        lead = 0.1 if env.world.robots[common.ROBOT].spec.end_effector.lean is None else 0.03
+        lead = position_lead(env)
         return Expert(
             env,
             (
@@ -348,6 +347,12 @@ class Lift(Task):
             rotation_lead=5.0 * lead,
             stage=partial(_stage, opening=common.GripperOpening(env.world)),
         )
+
+
+def position_lead(env: Environment) -> float:
+    """Return the metres by which an expert's commanded pose runs ahead of the hand."""
+    # An arm that leans is a small one, whose jaw lets go of what it jerks up.
+    return 0.1 if env.world.robots[common.ROBOT].spec.end_effector.lean is None else 0.03
 
 
 def _stage(env: Environment[Lift], opening: common.GripperOpening) -> Tensor:

@@ -4,14 +4,14 @@
 
 draws docs/images/tasks/NAME.jpg on MuJoCo, its expert or a kept policy acting, and writes docs/gallery.md. ``--only``
 limits the pictures to these tasks. ``--traced`` draws docs/images/traced/NAME.jpg of ten tasks by the path tracer
-``sapien-rt``, which a GPU takes a minute for.
+``sapien-rt``, which needs pyoidn (``pip install pyoidn``) and takes two idle cores some 20 s a picture.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 import tyro
@@ -20,6 +20,7 @@ from PIL import Image
 from orbit_assets.catalogue import robot_info, robot_names
 from orbit_core.envs import make, task_entries
 from orbit_core.envs.actors import ExpertActor
+from orbit_core.envs.environment import Environment
 from orbit_core.rollout.pictures import Spectator
 from orbit_core.scene import STUDIO
 from orbit_learn.acting import make as create_policy_actor
@@ -40,6 +41,8 @@ PATH_TRACED = (
     "In-Hand-Repose",
 )
 """Tasks whose pictures the path tracer draws, too."""
+PATH_SETTINGS = {"samples_per_pixel": 6, "path_depth": 3, "denoiser": "oidn"}
+"""Settings of the path tracer."""
 WIDTH, HEIGHT = 360, 270
 SEED = 4
 MOMENTS = {"Cloth-Dropping": 0.25, "Hockey": 0.3, "Recover": 0.15, "Reach": 0.2, "Cartpole-Swing-Up": 0.12}
@@ -48,8 +51,9 @@ LEARNED = {"Ant": "ant", "Humanoid": "humanoid", "In-Hand-Repose": "in_hand_repo
 """Kept policies that act where a task has no expert."""
 GROUPS = (
     ("Manipulation", "manipulation-tasks.md", (
-        "Reach", "Lift", "Cabinet", "Handover", "Stack", "Stack-Pyramid", "Peg-In-Hole", "Nut-Bolt", "Jenga", "Hockey",
-        "Beat-The-Buzz", "Dishwasher", "In-Hand-Repose",
+        "Reach", "Lift", "Gentle-Lift", "Pick-And-Place", "Cabinet", "Handover", "Stack", "Stack-Pyramid",
+        "Peg-In-Hole", "Peg-In-The-Dark", "Nut-Bolt", "Jenga", "Hockey", "Beat-The-Buzz", "Dishwasher",
+        "In-Hand-Repose",
     )),
     ("Mobile manipulation", "mobile-tasks.md", (
         "Mobile-Reach", "Mobile-Cabinet", "Mobile-Lift", "Room-Reorganization",
@@ -110,23 +114,32 @@ def main(settings: GallerySettings) -> None:
         for name in settings.only or names:
             picture = draw(name, PATH_TRACER if settings.traced else None)
             picture.save(folder / f"{name}.jpg", quality=82, optimize=True)
+            print(name, flush=True)
     PAGE.write_text(page(), encoding="utf-8")
 
 
 def draw(name: str, renderer: str | None = None) -> Image.Image:
     """Return a picture of an episode of the task, drawn by the physics backend unless a renderer is named."""
-    settings = None if renderer else {"antialiasing": 4, "shadow_size": 4096}
-    environment = make(name, num_envs=1, seed=SEED, backend="mujoco", renderer=renderer, settings=settings)
-    actor = create_policy_actor(LEARNED[name], environment, SEED) if name in LEARNED else ExpertActor(environment, SEED)
-    environment.reset(seed=SEED)
-    with torch.inference_mode():
-        for _ in range(round(environment.max_episode_steps * MOMENTS.get(name, 0.5))):
-            environment.step(actor.act())
+    environment = in_the_midst(name, renderer)
     camera = Spectator(environment, WIDTH, HEIGHT, studio=replace(STUDIO, samples=16))
     picture = Image.fromarray(camera.pictures()[0].numpy())
     camera.close()
     environment.close()
     return picture
+
+
+def in_the_midst(name: str, renderer: str | None = None) -> Environment:
+    """Return an environment of the task in the midst of an episode, its expert or a kept policy acting."""
+    looks: dict[str, Any] = {"settings": {"antialiasing": 4, "shadow_size": 4096}}
+    if renderer:
+        looks = {"renderer": renderer, "renderer_settings": PATH_SETTINGS}
+    environment = make(name, num_envs=1, seed=SEED, backend="mujoco", **looks)
+    actor = create_policy_actor(LEARNED[name], environment, SEED) if name in LEARNED else ExpertActor(environment, SEED)
+    environment.reset(seed=SEED)
+    with torch.inference_mode():
+        for _ in range(round(environment.max_episode_steps * MOMENTS.get(name, 0.5))):
+            environment.step(actor.act())
+    return environment
 
 
 def page() -> str:

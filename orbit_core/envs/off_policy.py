@@ -26,7 +26,7 @@ class OffPolicySettings:
     updates_per_step: int = 2
     """Gradient steps for one step of all environments."""
     batch_size: int = 0
-    """Transitions in a gradient step; 0 for eight of each environment, between 256 and 32,768."""
+    """Transitions in a gradient step; 0 for eight of each environment, between 256 and 32,768 (256 in library sb3)."""
     buffer_size: int = 1_000_000
     """Transitions that are kept, of all environments together."""
     warm_up: int = 16
@@ -45,7 +45,7 @@ class OffPolicySettings:
     target_rate: float = 0.01
     """Share by which the target critics follow the critics in a gradient step."""
     policy_delay: int = 2
-    """Gradient steps of the critics for one of the actor."""
+    """Gradient steps of the critics for one of the actor; SAC of library sb3 has one for each."""
     target_entropy: float = -1.0
     """Entropy that SAC's temperature holds, for each component of the action."""
     temperature: float = 0.01
@@ -55,7 +55,8 @@ class OffPolicySettings:
     normalize_observations: bool = True
     """Whether observations are shifted and scaled to mean 0 and deviation 1 by their own statistics."""
     precision: str = "tf32"
-    """Arithmetic of matrix products on a GPU: tf32 (10 bits of mantissa, on tensor cores) or float32."""
+    """Arithmetic of matrix products on a GPU: tf32 (10 bits of mantissa, on tensor cores) or float32; library
+    sb3 leaves that to torch."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

@@ -249,24 +249,17 @@ def lights(
     Raises, when it happens:
         UnsupportedCapabilityError: the renderer cannot; names those that can.
     """
+    _check_tilt(tilt, "lights")
 
     def event(env: Environment, env_ids: Tensor) -> None:
         world, own = env.world, env.world.nominal_lights.rows(env_ids)
         count = own.directions.shape[1]
         random = world.random
-        # Uniform over a disc, so that small turns are as likely as large ones for their share of directions.
-        radius = math.tan(tilt) * random.uniform((count, 1), env_ids=env_ids).sqrt()
-        angle = random.uniform((count, 1), -torch.pi, torch.pi, env_ids)
-        least = torch.nn.functional.one_hot(own.directions.abs().argmin(-1), 3).to(own.directions.dtype)
-        first = torch.nn.functional.normalize(torch.linalg.cross(own.directions, least), dim=-1)
-        second = torch.linalg.cross(own.directions, first)
-        turned = own.directions + radius * (angle.cos() * first + angle.sin() * second)
+        turned = _tilted(env, own.directions, tilt, env_ids)
         on = random.uniform((count, 1), env_ids=env_ids) < shown
         factor = intensity.sample(env, (count, 1), env_ids) * random.uniform((count, 3), low, high, env_ids) * on
         around = own.ambient * ambient.sample(env, (1,), env_ids)
-        world.set_lights(
-            LightTable(around, torch.nn.functional.normalize(turned, dim=-1), own.radiance * factor), env_ids
-        )
+        world.set_lights(LightTable(around, turned, own.radiance * factor), env_ids)
 
     return event
 
@@ -360,14 +353,16 @@ def gravity(change: Range, tilt: float = 0.0) -> EventFunction:
     Raises, when it happens:
         UnsupportedCapabilityError: the engine cannot.
     """
+    _check_tilt(tilt, "gravity")
 
     def event(env: Environment, env_ids: Tensor) -> None:
-        own = torch.tensor(env.world.layout.scene.gravity, device=env.device)
-        length = own.norm()
-        sideways = math.tan(tilt) * length * env.world.random.uniform((3,), -1.0, 1.0, env_ids)
-        # Only what is across its direction turns it.
-        across = sideways - (sideways @ own)[:, None] * own / (length * length).clamp_min(1e-12)
-        turned = torch.nn.functional.normalize(own + across, dim=1) * length
+        own = env.world.layout.scene.gravity
+        length = math.hypot(*own)
+        # Without gravity there is nothing to turn, and any direction will do.
+        down = (
+            torch.tensor(own, device=env.device) / length if length else torch.tensor((0.0, 0.0, -1.0)).to(env.device)
+        )
+        turned = length * _tilted(env, down[None, None], tilt, env_ids)[:, 0]
         env.world.set_gravity(turned * change.sample(env, (1,), env_ids), env_ids)
 
     return event
@@ -424,6 +419,24 @@ def by_success(raised: float = 0.05, lowered: float = 0.02) -> TermFunction:
         return torch.where(env.task.success(env), raised, -lowered)
 
     return change
+
+
+def _check_tilt(tilt: float, term: str) -> None:
+    if not 0.0 <= tilt < 0.5 * math.pi:
+        raise ConfigurationError(f"randomize.{term}: tilt must be from 0 to less than pi / 2 rad, not {tilt}")
+
+
+def _tilted(env: Environment, directions: Tensor, tilt: float, env_ids: Tensor) -> Tensor:
+    """Return unit vectors (n or 1, K, 3), turned by up to ``tilt`` radians any way, each environment by its draw."""
+    count, random = directions.shape[1], env.world.random
+    # Uniform over a disc, so that small turns are as likely as large ones for their share of directions.
+    radius = math.tan(tilt) * random.uniform((count, 1), env_ids=env_ids).sqrt()
+    angle = random.uniform((count, 1), -torch.pi, torch.pi, env_ids)
+    least = torch.nn.functional.one_hot(directions.abs().argmin(-1), 3).to(directions.dtype)
+    first = torch.nn.functional.normalize(torch.linalg.cross(directions, least), dim=-1)
+    second = torch.linalg.cross(directions, first)
+    turned = directions + radius * (angle.cos() * first + angle.sin() * second)
+    return torch.nn.functional.normalize(turned, dim=-1)
 
 
 def _camera(world: World, name: str) -> CameraSensor:

@@ -52,7 +52,7 @@ def _faces(spec: DeformableSpec) -> npt.NDArray[np.int64]:
         return (start + np.concatenate((lower, upper))).reshape(-1, 3)
     if isinstance(spec, Fluid):
         return np.zeros((0, 3), dtype=np.int64)
-    return np.asarray(spec.mesh.faces, dtype=np.int64)
+    return np.ascontiguousarray(spec.mesh.faces, dtype=np.int64)
 
 
 def _prisms(points: Tensor, radius: float) -> Tensor:

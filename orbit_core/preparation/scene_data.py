@@ -392,12 +392,38 @@ def _check_solid(solid: SoftBody, where: str) -> None:
             f"{where}.mesh is not closed at the edge of vertices {a} and {b}, which is not that of two triangles that "
             "wind the same way: close the surface, merge vertices at one place, or turn triangles over"
         )
+    _check_pieces(solid, where)
     share = solid.volume / float(np.prod(np.ptp(solid.rest_positions, axis=0)))
     if share < _LEAST_VOLUME:
         fault = "is inside out" if share < -_LEAST_VOLUME else "encloses hardly any volume"
         raise ArgumentError(
             f"{where}.mesh {fault}: have its triangles wind counter-clockwise as seen from outside, or make it a Cloth"
         )
+
+
+def _check_pieces(solid: SoftBody, where: str) -> None:
+    """Refuse a closed piece of a surface that is inside out, and not the wall of a cavity in another piece."""
+    points, faces = solid.rest_positions, np.asarray(solid.mesh.faces)
+    piece, lowest = np.arange(len(faces)), np.full(len(points), len(faces))
+    while True:
+        # Each triangle takes the lowest number among those that it shares a vertex with, until none changes.
+        np.minimum.at(lowest, faces, piece[:, None])
+        joined = lowest[faces].min(axis=1)
+        if (joined == piece).all():
+            break
+        piece = joined
+    corners = points[faces]
+    volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    numbers = np.unique(piece)
+    boxes = {n: (corners[piece == n].min(axis=(0, 1)), corners[piece == n].max(axis=(0, 1))) for n in numbers.tolist()}
+    outer = [n for n in boxes if volumes[piece == n].sum() > 0.0]
+    for number, (low, high) in boxes.items():
+        around = any((boxes[n][0] <= low).all() and (boxes[n][1] >= high).all() for n in outer)
+        if outer and number not in outer and not around:
+            raise ArgumentError(
+                f"{where}.mesh has a piece that is inside out, at triangle {int(number)}: have its triangles wind "
+                "counter-clockwise as seen from outside"
+            )
 
 
 def _check_extent(spec: Cloth | Rope, where: str) -> None:

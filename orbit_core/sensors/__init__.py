@@ -6,11 +6,13 @@ from orbit_core.sensors.contact import ContactSensor, ContactTimer
 from orbit_core.sensors.factory import create_sensor, sensor_types
 from orbit_core.sensors.proprioception import ForceTorqueSensor, FrameSensor, ImuSensor, JointSensor
 from orbit_core.sensors.rays import RayCaster, grid_pattern, lidar_pattern
+from orbit_core.sensors.sound import SoundSensor
 from orbit_core.sensors.tactile import TactileSensor
 from orbit_core.sensors.timed import SensorContext, TimedSensor
 
 __all__ = [
     "CameraSensor", "ContactSensor", "ContactTimer", "EventCamera", "ForceTorqueSensor", "FrameSensor", "ImuSensor",
-    "JointSensor", "RayCamera", "RayCaster", "SensorContext", "TactileSensor", "TimedSensor", "create_sensor",
+    "JointSensor", "RayCamera", "RayCaster", "SensorContext", "SoundSensor", "TactileSensor", "TimedSensor",
+    "create_sensor",
     "grid_pattern", "intrinsic_matrix", "lidar_pattern", "point_cloud", "project", "sensor_types",
 ]  # fmt: skip

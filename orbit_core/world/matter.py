@@ -369,7 +369,7 @@ class CoveredArea:
     """
 
     def __init__(self, cloth: Cloth, device: torch.device) -> None:
-        vertices, faces = cloth.rest_positions, np.asarray(cloth.mesh.faces)
+        vertices, faces = cloth.rest_positions, np.ascontiguousarray(cloth.mesh.faces)
         corners = vertices[faces]
         longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max())
         # Metres

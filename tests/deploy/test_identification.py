@@ -14,10 +14,13 @@ import pytest
 from orbit_assets.catalogue import robot, robot_info
 from orbit_assets.fitted import FittedRobot, read_fitted
 from orbit_core.backends import default_backend
-from orbit_core.interfaces import AssetError, ConfigurationError, OrbitError
+from orbit_core.interfaces import AssetError, ConfigurationError
 from orbit_core.scene import Scene
 from orbit_deploy.cli.identify import main as identify_command
-from orbit_deploy.identification import IdentificationSettings, identify
+from orbit_deploy.description import RobotDescription
+from orbit_deploy.excitation import PERIOD as EXCITATION_PERIOD
+from orbit_deploy.excitation import Excitation, ExcitationSettings, excite
+from orbit_deploy.identification import LONGEST_DELAY, IdentificationSettings, identify
 from orbit_deploy.local import LocalLink
 from orbit_deploy.log import RobotLog
 from orbit_deploy.log_replay import (
@@ -27,10 +30,12 @@ from orbit_deploy.log_replay import (
     payload_link_of,
     predict,
     quantities_of,
+    resampled,
     rms,
 )
-from orbit_deploy.motion_log import MotionLog, read_log
+from orbit_deploy.motion_log import MotionLog, motion_log, read_log
 from orbit_deploy.simulated import Imperfections, SimulatedHardware
+from orbit_deploy.twin import replay_twin
 from tests.deploy.rig import PERIOD, arm
 
 BACKEND = default_backend()
@@ -59,9 +64,27 @@ def recorded(file: Path, truth: FittedRobot, seconds: float = 1.4) -> MotionLog:
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> MotionLog:
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mcap", reason="the extra orbit-deploy[log] is not installed")
-    return recorded(tmp_path_factory.mktemp("logs") / "arm.mcap", TRUTH)
+    file = tmp_path_factory.mktemp("logs") / "arm.mcap"
+    recorded(file, TRUTH)
+    return file
+
+
+@pytest.fixture(scope="module")
+def log(written: Path) -> MotionLog:
+    return read_log(written)
+
+
+def test_a_gap_in_a_log_is_named_with_the_way_around_it(log: MotionLog) -> None:
+    kept = (log.times < 0.5) | (log.times > 0.8)
+    columns = {name: getattr(log, name)[kept] for name in ("target", "position")}
+    gapped = motion_log(log.joints, log.times[kept], columns, "gapped.csv")
+    with pytest.raises(
+        ConfigurationError, match=r"gapped.csv has a gap from 0\.49\d to 0\.80\d s .* --begin and --seconds"
+    ):
+        replay_twin(gapped, arm(), BACKEND)
+    LogReplay(gapped.selected(0.81), arm(), BACKEND, ParameterNames((), (), ())).close()
 
 
 def test_a_replayed_log_gives_the_motion_that_was_recorded(log: MotionLog) -> None:
@@ -93,6 +116,127 @@ def test_parameters_are_recovered_within_five_percent_with_their_uncertainty(log
     assert found.after < 0.02 * found.before
     assert found.fitted.payload_link == "link2"
     assert found.fitted.source.startswith("arm.mcap (sha256 ")
+
+
+def test_a_part_of_a_log_that_begins_in_motion_is_replayed_with_the_targets_before_it(log: MotionLog) -> None:
+    part, truth = log.selected(0.5, 0.5), TRUTH.apply(arm())
+    # Drives that are 8 ms late still follow targets from before the part.
+    assert rms(predict(part, truth, BACKEND, TRUTH.delay) - part.position) < 2e-5
+    names = ParameterNames((), (), ("delay",))
+    without = LogReplay(part, truth, BACKEND, names)
+    assert rms(without.run(np.array([[TRUTH.delay]]))[0] - part.position) > 4e-5
+    without.close()
+
+
+def test_targets_between_rows_follow_the_curve_of_a_motion_and_keep_steps() -> None:
+    times, grid = np.arange(0.0, 1.0, 0.02), np.arange(0.0, 0.97, 0.001)
+    smooth = np.sin(4.0 * times)[:, None]
+    lines = np.interp(grid, times, smooth[:, 0])
+    curve = resampled(grid, times, smooth)[:, 0]
+    # Inside, where there is no turn: monotone cubics are flat at turns.
+    inside = (grid > 0.45) & (grid < 0.7)
+    exact = np.sin(4.0 * grid)
+    assert np.abs(curve - exact)[inside].max() < 0.1 * np.abs(lines - exact)[inside].max()
+    steps = np.repeat([0.0, 1.0], 25)[:, None]
+    assert resampled(grid, times, steps).min() == 0.0
+    assert resampled(grid, times, steps).max() == 1.0
+
+
+def excited(file: Path, truth: FittedRobot, seconds: float) -> MotionLog:
+    """Log of an arm with other parameters than :func:`arm` that was moved for identification."""
+    scene = Scene(robots=(truth.apply(arm()),))
+    link = LocalLink(SimulatedHardware(scene, BACKEND, 250.0, Imperfections(delay=truth.delay)), EXCITATION_PERIOD)
+    written = RobotLog(file, link.description)
+    excite(link, Excitation(link.description, ExcitationSettings(seconds=seconds)), written)
+    assert link.state().limited == link.state().clamped == 0
+    written.close()
+    link.close()
+    return read_log(file)
+
+
+def test_all_parameters_are_recovered_from_a_motion_for_identification(tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="the extra orbit-deploy[log] is not installed")
+    truth = replace(TRUTH, joints={j: {**each, "damping": 1.5} for j, each in TRUTH.joints.items()}, gain=0.9)
+    log = excited(tmp_path / "arm.mcap", truth, 2.0)
+    names = ParameterNames(fitted_joints(arm(), log), ("friction", "damping", "armature"), ("delay", "payload", "gain"))
+    replay = LogReplay(log, arm(), BACKEND, names, payload_link_of(arm()), lead=LONGEST_DELAY)
+    found = identify(replay, "arm", BACKEND)
+    replay.close()
+    true = {f"{what}:{joint}": value for joint, each in truth.joints.items() for what, value in each.items()}
+    true |= {"delay": truth.delay, "payload": truth.payload, "gain": truth.gain}
+    assert dict(zip(found.names, found.values, strict=True)) == pytest.approx(true, rel=0.01)
+    assert np.isfinite(found.deviations).all()
+
+
+@pytest.mark.parametrize("name", ["franka_panda", "ur10", "anymal_b"])
+def test_a_motion_for_identification_keeps_the_limits_and_begins_and_ends_at_rest(name: str) -> None:
+    described = RobotDescription.of(robot(name))
+    motion, limits = Excitation(described, ExcitationSettings(seconds=4.0)), described.limits
+    times = np.arange(0.0, 4.0, 0.002)
+    positions = np.stack([motion.targets(time) for time in times])
+    moved = motion.moved
+    assert len(moved) == len([each for each in described.joints if "finger" not in each])
+    assert (positions > limits.lower).all() or "finger" in " ".join(described.joints)
+    assert (positions[:, moved] < limits.upper[moved]).all()
+    derivative = positions
+    for most in (limits.velocity, limits.acceleration, limits.jerk):
+        derivative = np.gradient(derivative, 0.002, axis=0)
+        assert (np.abs(derivative)[:, moved] < 0.7 * most[moved]).all()
+    assert positions[0] == pytest.approx(motion.middle)
+    assert positions[-1] == pytest.approx(motion.middle, abs=1e-6)
+    # Each joint uses one of its limits, or the reach.
+    assert (np.ptp(positions, axis=0)[moved] > 0.03).all()
+
+
+def test_parameters_that_a_log_does_not_determine_keep_their_values_and_get_no_number() -> None:
+    """A slow motion cannot separate delay, damping and armature: all are said to be unknown, friction is known."""
+    times = np.arange(0.0, 1.6, 0.004)
+    target = np.stack([0.2 * np.sin(2.0 * times), 0.0 * times, 0.0 * times], 1)
+    zero = np.zeros_like(target)
+    made = MotionLog(("joint0", "joint1", "joint2"), times, target, zero, zero, target, zero, zero, "made")
+    truth = FittedRobot(robot="", source="", joints={"joint0": {"friction": 4.0, "damping": 0.1}}, delay=0.001)
+    position = predict(made, truth.apply(arm()), BACKEND, truth.delay, 0.004)
+    # Noise of an encoder
+    position += np.random.default_rng(0).normal(0.0, 2e-3, position.shape)
+    log = replace(made, position=position)
+    names = ParameterNames(("joint0",), ("friction", "damping", "armature"), ("delay",))
+    replay = LogReplay(log, arm(), BACKEND, names, dt=0.004)
+    found = identify(replay, "arm", BACKEND)
+    replay.close()
+    known = dict(zip(found.names, np.isfinite(found.deviations).tolist(), strict=True))
+    assert known == dict.fromkeys(found.names, False) | {"friction:joint0": True}
+    # In the file they are those of the catalogue.
+    assert set(found.fitted.joints["joint0"]) == {"friction"}
+    assert found.fitted.delay == 0.0
+    assert found.fitted.joints["joint0"]["friction"] == pytest.approx(4.0, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seconds": 1.0}, "lasts 2 to 600 s, not 1"),
+        ({"reach": 0.0}, r"reach .* is in \(0, 3.2\] rad, not 0"),
+        ({"fastest": 40.0}, "from 1 to 10 Hz, not 40"),
+    ],
+)
+def test_motions_that_cannot_be_made_are_refused(change: dict[str, float], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        ExcitationSettings(**change)  # pyright: ignore[reportArgumentType] - by name
+
+
+def test_the_command_moves_the_robot_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mcap", reason="the extra orbit-deploy[log] is not installed")
+    truth = FittedRobot(robot="", source="", joints={"joint1": {"friction": 2.0}})
+    scene = Scene(robots=(truth.apply(arm()),))
+    link = LocalLink(SimulatedHardware(scene, BACKEND, 250.0), EXCITATION_PERIOD)
+    monkeypatch.setattr("orbit_assets.catalogue.robot", lambda name: arm())
+    monkeypatch.setattr("orbit_deploy.link.connect", lambda address, period, keys: link)
+    words = [str(tmp_path / "arm.mcap"), "--robot", "three_joints", "--excite", "local://", "--countdown", "0"]
+    words += ["--seconds", "2", "--fit", "friction", "--backend", BACKEND, "--output", str(tmp_path / "fitted.json")]
+    identify_command(words)
+    joints = json.loads((tmp_path / "fitted.json").read_text())["joints"]
+    assert joints["joint1"]["friction"] == pytest.approx(2.0, rel=0.01)
+    assert joints["joint0"]["friction"] == pytest.approx(0.0, abs=0.01)
 
 
 def test_the_search_by_cma_es_comes_near_from_far_away(log: MotionLog) -> None:
@@ -129,7 +273,7 @@ def test_the_link_behind_a_hands_frame_carries_the_payload(name: str, link: str)
 
 def test_what_a_log_does_not_determine_is_named(log: MotionLog) -> None:
     still = replace(log, target=log.target[:1] + 0.0 * log.target, position=log.position[:1] + 0.0 * log.position)
-    with pytest.raises(ConfigurationError, match=r"no joint of 'three_joints' moved by more than 0\.05"):
+    with pytest.raises(ConfigurationError, match=r"no joint of 'three_joints' moved by more than 0\.02"):
         fitted_joints(arm(), still)
     # Without gravity a joint that rests shows nothing of its armature.
     names = ParameterNames(("joint0",), ("armature",), ())
@@ -196,7 +340,17 @@ def test_a_file_that_is_no_fitted_robot_is_one_sentence(text: str, message: str,
         ("time,position:a,speed:a\n" + "".join(f"{i},0,0\n" for i in range(30)), "mean nothing here: speed:a"),
         ("time,position:a\n" + "".join(f"{i % 25},0\n" for i in range(30)), "goes back in time at state 25"),
         ("time,position:a\n" + "".join(f"{i},{'nan' if i == 7 else 0}\n" for i in range(30)), "not finite, 7.000 s in"),
+        ("time,position:a\n" + "".join(f"{i},{'inf' if i == 3 else 0}\n" for i in range(30)), "a position that is not"),
+        (
+            "time,position:a\n" + "".join(f"{'nan' if i == 3 else i},0\n" for i in range(30)),
+            "no finite time at state 3",
+        ),
         ("time,target:a\n" + "".join(f"{i},0\n" for i in range(30)), "holds no measured positions"),
+        ("time,position:a\n", "holds 0 states of the robot"),
+        ("time,position:a\n" + "".join(f"{i},0\n" for i in range(30)) + "31", "1 numbers in line 32.*cut off"),
+        ("time,position:a,position:a\n" + "".join(f"{i},0,1\n" for i in range(30)), "several columns of one name"),
+        ("t,q1\n0,1\n", "has no column 'time'"),
+        ("time,position:a\r0,1\r\x00", "is no CSV file|has no column"),
     ],
 )
 def test_a_damaged_log_is_one_sentence(text: str, message: str, tmp_path: Path) -> None:
@@ -206,12 +360,20 @@ def test_a_damaged_log_is_one_sentence(text: str, message: str, tmp_path: Path) 
         read_log(file)
 
 
-def test_other_logs_and_words_are_refused(log: MotionLog, tmp_path: Path) -> None:
-    (tmp_path / "log.mcap").write_bytes(b"\x89MCAP0\r\n and then nothing")
+def test_other_logs_and_words_are_refused(log: MotionLog, written: Path, tmp_path: Path) -> None:
+    whole = written.read_bytes()
+    for name, data in (
+        ("cut", whole[: len(whole) // 2]),
+        ("end", whole[:-20]),
+        ("empty", b""),
+        ("log", b"\x89MCAP0\r\n"),
+    ):
+        (tmp_path / f"{name}.mcap").write_bytes(data)
+        with pytest.raises(ConfigurationError, match=r"is damaged or was cut off: .+"):
+            read_log(tmp_path / f"{name}.mcap")
     log.write_csv(tmp_path / "arm.csv")
-    for path, message in ((tmp_path / "log.mcap", "is damaged"), (tmp_path / "gone.csv", "there is no log")):
-        with pytest.raises(OrbitError, match=message):
-            read_log(path)
+    with pytest.raises(ConfigurationError, match="there is no log"):
+        read_log(tmp_path / "gone.csv")
     with pytest.raises(ConfigurationError, match=r"what is fitted is of friction.*not mass"):
         quantities_of(("mass",))
     with pytest.raises(ConfigurationError, match="no joint of 'franka_panda' moved"):

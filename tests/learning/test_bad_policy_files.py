@@ -219,6 +219,17 @@ def test_no_code_in_a_file_runs(tmp_path: Path, kind: str, name: str) -> None:
     assert not canary.exists()
 
 
+@pytest.mark.parametrize("name", ["pretrained_model", "pretrained_model/model.safetensors", "robomimic.pth"])
+def test_checkpoints_of_other_libraries_are_refused_with_the_way_to_use_them(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "pretrained_model"
+    folder.mkdir()
+    safetensors.torch.save_file({"model.weight": torch.zeros(2)}, str(folder / "model.safetensors"))
+    (folder / "config.json").write_text('{"type": "act"}')
+    torch.save({"model": torch.zeros(2)}, tmp_path / "robomimic.pth")
+    with pytest.raises(OrbitError, match=r"export it to ONNX.*orbit adopt.*--agent ws://"):
+        load_policy(tmp_path / name)
+
+
 def test_a_folder_leads_nowhere_else(tmp_path: Path) -> None:
     folder, other = tmp_path / "training", tmp_path / "other"
     folder.mkdir()

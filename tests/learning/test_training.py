@@ -321,6 +321,22 @@ def test_the_command_line_trains_plays_and_exports(tmp_path: Path, capsys: pytes
     capsys.readouterr()
 
 
+def test_each_written_policy_is_filmed_and_the_training_is_the_same(tmp_path: Path) -> None:
+    pytest.importorskip(
+        "imageio_ffmpeg", reason="capability 'video' is not installed: pip install 'orbit-viewer[video]'"
+    )
+    words = ["train", "Reach", "--backend", BACKEND, "--num-envs", "2", "--algorithm", "sac", "--iterations", "3"]
+    words += ["--set", "episode_length=0.1", "--off-policy", "steps_per_iteration=4", "--save-every", "2"]
+    assert main([*words, "--output", str(tmp_path / "filmed"), "--videos"]) == 0
+    assert main([*words, "--output", str(tmp_path / "plain")]) == 0
+    videos = sorted(path.name for path in (tmp_path / "filmed" / "videos").iterdir())
+    assert videos == ["policy_0.mp4", "policy_2.mp4"]
+    last = [
+        read_checkpoint(tmp_path / name / "checkpoint_2.safetensors", "orbit")["actor"] for name in ("filmed", "plain")
+    ]
+    assert all(torch.equal(last[0][name], last[1][name]) for name in last[0])
+
+
 def test_weights_and_biases_take_the_curve_offline_or_say_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -339,3 +339,12 @@ def test_a_scan_is_drawn_as_its_surface_and_fixed():
     assert spec.fixed_base
     assert [shape.name for shape in spec.articulation.root.visuals] == ["surface"]
     assert len(spec.articulation.root.collisions) == len(voxel_boxes(_box_room(), 0.1))
+
+
+def test_a_scan_in_a_wrong_unit_is_refused_before_it_fills_the_memory():
+    # A hall of 7 x 6.5 m in millimetres that are taken as metres.
+    floor = trimesh.creation.box(extents=(7000.0, 6500.0, 0.1))
+    scan = Scan(np.asarray(floor.vertices), np.asarray(floor.faces))
+    for made in (lambda: scan_scene(scan), lambda: floor_map(scan, 0.3, 1.0)):
+        with pytest.raises(AssetError, match=r"extends over 7000 x 6500 x 0.1 m .*check its unit"):
+            made()

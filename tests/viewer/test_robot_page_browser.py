@@ -56,3 +56,22 @@ def test_plots_and_their_joint_fit_the_page(running: RobotPage, person: ModuleTy
             assert box["x"] >= 0.0
             assert box["x"] + box["width"] <= width
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+# Pixels from the left edge of a plot to its lines, and that its longest number needs with its tick
+ROOM = """plot => {
+    const pen = document.createElement("canvas").getContext("2d");
+    pen.font = "12px system-ui";
+    const left = plot.querySelector(".u-over").getBoundingClientRect().left - plot.getBoundingClientRect().left;
+    return [left, pen.measureText("-0.00005").width + 15];
+}"""
+
+
+def test_the_sign_of_small_differences_is_not_cut_off(running: RobotPage, person: ModuleType) -> None:
+    with person.opened_page(width=1000, height=800) as page:
+        page.goto(f"{running.url}?fixedDpr={person.COARSE}")
+        plots = page.locator(".uplot")
+        person.until(lambda: plots.count() == 2, page)
+        for plot in plots.all():
+            room, needed = plot.evaluate(ROOM)
+            assert room >= needed

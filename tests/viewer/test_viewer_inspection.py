@@ -94,6 +94,46 @@ def test_curves_do_not_survive_a_reset_and_change_with_the_signal(lift: Environm
         assert [len(column) for column in panel._plot.data] == [1] * (1 + len(lift.reward_terms))
 
 
+def test_curves_begin_again_with_another_environment(lift: Environment) -> None:
+    with Viewer(lift, Still(lift), port=8190) as viewer:
+        panel: Any = viewer._panel
+        viewer.run(max_steps=4)
+        viewer.controls.select(first=1)
+        for _ in range(2):
+            viewer._step()
+        assert len(panel._points) == 2
+
+
+def test_numbers_of_what_is_selected_are_of_the_moment_that_is_shown(lift: Environment) -> None:
+    with Viewer(lift, Still(lift), port=8190) as viewer:
+        inspector: Any = viewer._inspector
+        inspector.select("cube")
+        viewer.run(max_steps=2)
+        cube = lift.world.objects["cube"]
+        past = cube.root_pose[0, :3].tolist()
+        moved = cube.root_pose.clone()
+        moved[:, 0] += 0.1
+        cube.set_root_pose(moved)
+        for _ in range(3):
+            viewer._step()
+            viewer._show(soon=True)
+        assert f"{past[0]:.3f}" not in inspector._state.content
+        assert "velocity" in inspector._state.content
+        viewer.controls.pause()
+        viewer.controls.rewind(3.5 * lift.step_dt)
+        viewer._show(soon=True)
+        assert f"{past[0]:.3f}" in inspector._state.content
+        assert "velocity" not in inspector._state.content
+
+
+def test_forces_of_a_scene_without_contact_sensors_are_answered_in_words(lift: Environment) -> None:
+    with Viewer(lift, Still(lift), port=8190) as viewer:
+        inspector: Any = viewer._inspector
+        inspector._change(forces=True)
+        viewer._show(soon=True)
+        assert "no contact sensor" in inspector._state.content
+
+
 def test_a_pull_moves_what_is_selected_toward_the_grip(lift: Environment) -> None:
     with Viewer(lift, Still(lift), port=8190) as viewer:
         inspector: Any = viewer._inspector

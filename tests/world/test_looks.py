@@ -13,7 +13,14 @@ from orbit_assets.objects import box
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_names
 from orbit_core.envs import EventTerm, EventTime, make
-from orbit_core.interfaces import Capability, LightTable, UnknownNameError, UnsupportedCapabilityError, World
+from orbit_core.interfaces import (
+    Capability,
+    ConfigurationError,
+    LightTable,
+    UnknownNameError,
+    UnsupportedCapabilityError,
+    World,
+)
 from orbit_core.mdp import randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import (
@@ -73,6 +80,37 @@ def test_a_texture_lies_alike_on_ground_and_on_a_box(backend: str) -> None:
         wanted = 204.0 * torch.tensor([(1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0), (0, 0, 0)])
         torch.testing.assert_close(corners, wanted, atol=4.0, rtol=0.0)
         world.close()
+
+
+@pytest.mark.parametrize("renderer", [*DRAWING, *(f"sapien-{tier}" for tier in ("pbr", "rt") if "sapien" in DRAWING)])
+def test_a_texture_multiplies_the_colour_that_an_environment_gives_a_link(renderer: str) -> None:
+    slab = box("slab", (0.9, 0.9, 0.1), color=(1.0, 1.0, 1.0, 1.0), fixed_base=True, pose=Pose((0.0, 0.0, 0.05)))
+    (link,) = slab.articulation.links
+    finish = Finish(texture=quarters())
+    seen_as = tuple(replace(shape, finish=finish) for shape in link.visuals or link.collisions)
+    textured = replace(slab, articulation=replace(slab.articulation, links=(replace(link, visuals=seen_as),)))
+    eye = replace(EYE, channels=(Channel.RGB, Channel.ALBEDO))
+    scene = Scene(objects=(textured,), sensors=(eye,), lights=(AmbientLight((0.8, 0.8, 0.8)),))
+    backend = renderer if renderer in DRAWING else "mujoco"
+    world = simulate(scene, 2, backend, renderer=None if renderer in DRAWING else renderer)
+    world.objects["slab"].set_colors(torch.tensor([[[0.5, 0.25, 1.0]]]), env_ids=torch.tensor([1]))
+    sensor = camera(world)
+    # Two places on each side of the picture's middle: red, green above blue, black.
+    rgb, albedo = (
+        sensor.image(channel)[:, [16, 16, 31, 31], [16, 31, 16, 31]].float()
+        for channel in (Channel.RGB, Channel.ALBEDO)
+    )
+    own = torch.tensor([(1.0, 1.0, 1.0), (0.5, 0.25, 1.0)])[:, None]
+    torch.testing.assert_close(albedo, (255.0 * own).expand_as(albedo), atol=3.0, rtol=0.0)
+    texture = torch.tensor([(1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0), (0, 0, 0)])
+    if renderer in DRAWING:
+        torch.testing.assert_close(rgb, 204.0 * own * texture, atol=4.0, rtol=0.0)
+    else:  # the other tiers' light is their own
+        red, green, blue = (rgb[:, place, channel] for place, channel in ((0, 0), (1, 1), (2, 2)))
+        assert red[1] < 0.75 * red[0]
+        assert green[1] < 0.6 * green[0]
+        torch.testing.assert_close(blue[1], blue[0], atol=12.0, rtol=0.1)
+    world.close()
 
 
 @pytest.mark.parametrize("backend", DRAWING)
@@ -161,6 +199,28 @@ def test_looks_and_physics_are_drawn_for_each_environment_by_events() -> None:
     with pytest.raises(UnknownNameError, match="camera"):
         randomize.camera_pose("nose")(environment, ids)
     environment.close()
+
+
+def test_gravity_and_lights_turn_by_the_tilt_at_most_and_as_likely_any_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    environment = make(Lift(), 8, "mujoco")
+    given: list[torch.Tensor] = []
+    world = type(environment.world)
+    monkeypatch.setattr(world, "set_gravity", lambda _, gravity, env_ids: given.append(gravity))
+    tilt = 0.3
+    event = randomize.gravity(Range(1.0, 1.0), tilt=tilt)
+    for _ in range(64):
+        event(environment, torch.arange(8))
+    pulled = torch.cat(given)
+    torch.testing.assert_close(pulled.norm(dim=1), torch.full((512,), 9.81))
+    turned = (-pulled[:, 2] / 9.81).clamp(-1.0, 1.0).arccos()
+    assert turned.max() <= tilt + 1e-4
+    assert turned.max() > 0.95 * tilt
+    # Uniform over a disc: half of them beyond its area's half.
+    assert float(turned.median()) == pytest.approx(tilt / math.sqrt(2.0), abs=0.03)
+    environment.close()
+    for term in (lambda: randomize.gravity(Range(1.0, 1.0), tilt=1.6), lambda: randomize.lights(tilt=-0.1)):
+        with pytest.raises(ConfigurationError, match="tilt"):
+            term()
 
 
 def test_patterns_repeat_without_a_seam_and_stay_light() -> None:

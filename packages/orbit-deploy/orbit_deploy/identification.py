@@ -1,15 +1,17 @@
 """Parameters of a robot's mechanism fitted to a log of its motion, with their uncertainty.
 
-CMA-ES searches the whole range, its generation in as many worlds at once; the best candidate is then refined by least
-squares whose derivatives are differences between worlds. The curvature there gives the uncertainty.
+Least squares refine the robot as it is, or the best candidate of a search by CMA-ES over the whole range, whose
+generation is simulated in as many worlds at once. Derivatives are differences between worlds. The curvature at the
+result gives the uncertainty; parameters that the log does not determine keep the values of the robot's description.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from orbit_assets.fitted import FittedRobot
@@ -18,19 +20,25 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.description import FloatArray, RobotDescription
 from orbit_deploy.log_replay import LogReplay, rms
 
+LONGEST_DELAY = 0.05
+"""Longest delay of a candidate, s."""
 # Range of each scalar
-_RANGES = {"delay": (0.0, 0.05), "payload": (0.0, 5.0), "gain": (0.5, 2.0)}
+_RANGES = {"delay": (0.0, LONGEST_DELAY), "payload": (0.0, 5.0), "gain": (0.5, 2.0)}
 # A joint's friction, damping and armature at the end of their ranges take this share of its effort limit: at any speed,
 # at full speed, and at full acceleration
 _SHARE = 0.2
 # Effort limit of joints without one, N m or N
 _EFFORT = 20.0
-# Difference between two worlds for a derivative, as a share of the range
-_DIFFERENCE = 2e-3
+# Difference between two worlds for a derivative, as a share of the range: smaller ones drown in single precision, as
+# all joints' delay, damping and armature together change positions by 1e-5 rad only
+_DIFFERENCE = 1e-2
 # Distance from the ends of the range at which the refinement begins
 _INSIDE = 0.02
+# A parameter is determined if its deviation is at most this share of its range, or its value this many deviations away
+# from the description's
+_SURE, _AWAY = 0.02, 2.0
 # Share of the squared error, and of the range, that a step of refinement must change
-_GAIN, _STEP = 1e-4, 1e-7
+_GAIN, _STEP = 1e-3, 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,10 +47,10 @@ class IdentificationSettings:
 
     worlds: int = 24
     """Candidates of a generation, each in a world of its own."""
-    generations: int = 25
-    """Generations of CMA-ES."""
+    generations: int = 0
+    """Generations of CMA-ES, for robots that are far from their description."""
     refinements: int = 30
-    """Most evaluations of the refinement, each in twice as many worlds as there are parameters."""
+    """Most evaluations of the refinement."""
     seed: int = 0
     """Seed of CMA-ES."""
 
@@ -59,7 +67,7 @@ class Identification:
     names: tuple[str, ...]
     """Names of the parameters, such as ``friction:joint1`` and ``delay``."""
     values: FloatArray
-    """(P,)"""
+    """(P,) of the description where the log does not determine them."""
     deviations: FloatArray
     """(P,) standard deviations; infinite for what the log does not determine."""
     before: float
@@ -76,6 +84,7 @@ def identify(
     backend: str,
     settings: IdentificationSettings | None = None,
     report: Callable[[str], object] = lambda text: None,
+    slopes: LogReplay | None = None,
 ) -> Identification:
     """Fit a robot's parameters to a log.
 
@@ -85,21 +94,32 @@ def identify(
         backend: name of the engine, for the result.
         settings: of the search.
         report: called with a line about each stage.
+        slopes: replay of the same log and parameters on another engine, which computes the derivatives; for engines
+            that simulate candidates one after another.
 
     Raises:
         ConfigurationError: no candidate can be simulated.
     """
     settings = settings or IdentificationSettings()
-    search = _Search(replay)
+    search = _Search(replay, slopes or replay)
     start = search.scaled(replay.present())
     before = search.errors(start[None])[0]
     report(f"as it is: {before:.3g} rms")
     best = search.explore(start, settings, report)
-    best, error, jacobian = search.refine(best, settings.refinements, report)
+    free = np.ones(len(start), bool)
+    best, error, jacobian = search.refine(best, free, settings.refinements, report)
     deviations = search.deviations(best, jacobian)
-    values = search.values(best)
+    free = search.determined(best, start, deviations)
+    if free.any() and not free.all():
+        # The others were fitted together with numbers that nobody knows.
+        best = np.where(free, best, start)
+        best, error, _ = search.refine(best, free, settings.refinements, report)
+    best, deviations = np.where(free, best, start), np.where(free, deviations, np.inf)
+    values = np.where(free, search.values(best), replay.present())
     fitted = replace(
-        replay.fitted(values),
+        _without(
+            replay.fitted(values), [name for name, known in zip(replay.names.all, free, strict=True) if not known]
+        ),
         robot=robot,
         source=replay.log.source,
         backend=backend,
@@ -110,11 +130,20 @@ def identify(
     return Identification(replay.names.all, values, deviations, before, error, fitted)
 
 
+def _without(fitted: FittedRobot, names: Sequence[str]) -> FittedRobot:
+    """Return a fitted robot without some quantities of joints, which are the catalogue's again."""
+    joints = {
+        joint: {what: value for what, value in each.items() if f"{what}:{joint}" not in names}
+        for joint, each in fitted.joints.items()
+    }
+    return replace(fitted, joints={joint: each for joint, each in joints.items() if each})
+
+
 class _Search:
     """Search in scaled parameters, each in [0, 1]."""
 
-    def __init__(self, replay: LogReplay) -> None:
-        self._replay, self._log = replay, replay.log
+    def __init__(self, replay: LogReplay, slopes: LogReplay) -> None:
+        self._replay, self._slopes, self._log = replay, slopes, replay.log
         self._lower, self._upper = _ranges(replay)
         # Only joints that are fitted count, others follow their targets in any case.
         counted = replay.names.joints or self._log.joints
@@ -130,7 +159,10 @@ class _Search:
 
     def residuals(self, scaled: FloatArray) -> FloatArray:
         """Return simulated minus recorded positions (N, M); large where a simulation failed."""
-        away = self._replay.run(self.values(scaled)) - self._log.position
+        return self._away(self._replay, scaled)
+
+    def _away(self, replay: LogReplay, scaled: FloatArray) -> FloatArray:
+        away = replay.run(self.values(scaled)) - self._log.position
         # Ten radians: worse than any motion, and still a number that the searches can rank.
         return np.nan_to_num(away[:, :, self._columns], nan=10.0).reshape(len(scaled), -1)
 
@@ -177,26 +209,44 @@ class _Search:
         return best
 
     def refine(
-        self, best: FloatArray, steps: int, report: Callable[[str], object]
+        self, best: FloatArray, free: npt.NDArray[np.bool_], steps: int, report: Callable[[str], object]
     ) -> tuple[FloatArray, float, FloatArray]:
-        """Return the refined candidate, its error and the derivatives (M, P) of its residuals."""
-        known: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+        """Refine a candidate.
 
-        def at(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
-            # The derivatives take worlds, not time: they are computed with the residuals.
-            if (key := scaled.tobytes()) not in known:
-                known[key] = self._derivatives(scaled)
-                report(f"refinement {len(known)}: {rms(known[key][0]):.3g} rms")
-            return known[key]
+        Args:
+            best: (P,) candidate.
+            free: (P,) parameters that are refined.
+            steps: most evaluations.
+            report: called with a line about each evaluation.
+
+        Returns:
+            The refined candidate (P,), its error and the derivatives (M, F) of its residuals by the free parameters.
+        """
+        tried = 0
+
+        def at(scaled: FloatArray) -> FloatArray:
+            whole = best.copy()
+            whole[free] = scaled
+            return whole
+
+        def residual(scaled: FloatArray) -> FloatArray:
+            nonlocal tried
+            tried, found = tried + 1, self.residuals(at(scaled)[None])[0]
+            report(f"refinement {tried}: {rms(found):.3g} rms")
+            return found
+
+        def derivatives(scaled: FloatArray) -> FloatArray:
+            return self._derivatives(at(scaled), free)
 
         # From the end of a range the steps would be as small as the way to it.
-        best = np.clip(best, _INSIDE, 1.0 - _INSIDE)
-        if not at(best)[1].any():
-            return best, rms(at(best)[0]), at(best)[1]
+        start = np.clip(best[free], _INSIDE, 1.0 - _INSIDE)
+        slope = derivatives(start)
+        if not slope.any():
+            return at(start), rms(residual(start)), slope
         found = least_squares(
-            lambda scaled: at(scaled)[0],
-            best,
-            lambda scaled: at(scaled)[1],  # pyright: ignore[reportArgumentType] - SciPy's stubs name words only
+            residual,
+            start,
+            derivatives,  # pyright: ignore[reportArgumentType] - SciPy's stubs name words only
             bounds=(0.0, 1.0),
             # By their effect: parameters differ in it by orders of magnitude.
             x_scale="jac",
@@ -206,19 +256,27 @@ class _Search:
             gtol=None,  # pyright: ignore[reportArgumentType] - switched off
             max_nfev=steps,
         )
-        residual, jacobian = at(found.x)
-        return found.x, rms(residual), jacobian
+        return at(found.x), rms(found.fun), found.jac
 
-    def _derivatives(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return residuals (M,) and their derivatives (M, P) by central differences, all worlds at once."""
-        shifts = _DIFFERENCE * np.eye(len(at))
+    def _derivatives(self, at: FloatArray, free: npt.NDArray[np.bool_]) -> FloatArray:
+        """Return derivatives (M, F) of the residuals by central differences, all worlds at once."""
+        shifts = _DIFFERENCE * np.eye(len(at))[free]
         above, below = np.clip(at + shifts, 0.0, 1.0), np.clip(at - shifts, 0.0, 1.0)
-        # One run of 2 P + 1 worlds, as a world costs less than a run.
-        found = self.residuals(np.concatenate((at[None], above, below)))
-        count = len(at)
+        # One run of 2 F worlds, as a world costs less than a run.
+        found = self._away(self._slopes, np.concatenate((above, below)))
         # Shorter at an end of the range, where a shift is cut off.
-        way = (above - below)[range(count), range(count)]
-        return found[0], ((found[1 : count + 1] - found[count + 1 :]) / way[:, None]).T
+        return ((found[: len(above)] - found[len(above) :]) / (above - below).sum(1)[:, None]).T
+
+    def determined(self, best: FloatArray, start: FloatArray, deviations: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return (P,) True for parameters that are known well, or known to be others than the robot's description says.
+
+        Args:
+            best: (P,) fitted candidate.
+            start: (P,) candidate of the description.
+            deviations: (P,) standard deviations.
+        """
+        away = np.abs(best - start) * (self._upper - self._lower)
+        return (deviations <= _SURE * (self._upper - self._lower)) | (away > _AWAY * deviations)
 
     def deviations(self, best: FloatArray, jacobian: FloatArray) -> FloatArray:
         """Return standard deviations (P,) of the parameters, from the residuals that are left.

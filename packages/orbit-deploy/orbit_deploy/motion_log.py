@@ -7,6 +7,7 @@ import functools
 import hashlib
 import io
 import re
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,7 +108,9 @@ def motion_log(
     source: str,
     description: RobotDescription | None = None,
 ) -> MotionLog:
-    """Check recorded arrays and return their log; what is missing is zero, a missing target the measured position.
+    """Check recorded arrays and return their log; what is missing is zero.
+
+    A missing target is the measured position, a missing velocity its derivative.
 
     Args:
         joints: names in order.
@@ -123,16 +126,22 @@ def motion_log(
         raise ConfigurationError(f"{source} holds no measured positions")
     if len(times) < _SHORTEST:
         raise ConfigurationError(f"{source} holds {len(times)} states of the robot, fewer than {_SHORTEST}")
+    if not np.isfinite(times).all():
+        raise ConfigurationError(f"{source} has no finite time at state {int(np.argmin(np.isfinite(times)))}")
     if not (np.diff(times) > 0.0).all():
         row = int(np.argmax(np.diff(times) <= 0.0)) + 1
         raise ConfigurationError(f"{source} goes back in time at state {row}")
-    full = {name: columns.get(name, np.zeros_like(columns["position"])) for name in _COLUMNS}
-    # A log without targets still shows a motion, and one of a free robot has none.
-    full["target"] = columns.get("target", columns["position"])
-    for name, values in full.items():
+    # Before anything is derived from them, so that the message names the recorded quantity
+    for name, values in columns.items():
         if not np.isfinite(values).all():
             row = int(np.argmin(np.isfinite(values).all(1)))
             raise ConfigurationError(f"{source} holds a {name} that is not finite, {times[row] - times[0]:.3f} s in")
+    full = {name: columns.get(name, np.zeros_like(columns["position"])) for name in _COLUMNS}
+    # A log without targets still shows a motion, and one of a free robot has none.
+    full["target"] = columns.get("target", columns["position"])
+    # A replay that begins in motion needs the speed.
+    if "velocity" not in columns:
+        full["velocity"] = np.gradient(columns["position"], times, axis=0)
     return MotionLog(joints, times - times[0], **full, source=source, description=description)
 
 
@@ -182,8 +191,9 @@ def _read_mcap(path: Path) -> MotionLog | None:
             return None
         description = msgspec.json.decode(described.metadata["description"], type=RobotDescription)
         rows = [_row(message.data) for _, _, message in reader.iter_messages(topics=["/state"])]
-    except (McapError, msgspec.MsgspecError, KeyError) as error:
-        raise ConfigurationError(f"{path} is damaged: {error}") from None
+    except (McapError, msgspec.MsgspecError, KeyError, ValueError, struct.error) as error:
+        # The reader unpacks what is left of a file without looking at its length.
+        raise ConfigurationError(f"{path} is damaged or was cut off: {str(error) or 'it is empty'}") from None
     source = source_of(path, data)
     if not rows:
         raise ConfigurationError(f"{source} holds no states of the robot")
@@ -227,16 +237,30 @@ def _read_csv(path: Path) -> MotionLog:
     data = read_bytes(path, _MOST_BYTES)
     source = source_of(path, data)
     # Bytes that are no text are found below, as a name or a number that is none.
-    rows = list(csv.reader(io.StringIO(data.decode("utf-8", errors="replace"))))
+    try:
+        rows = list(csv.reader(io.StringIO(data.decode("utf-8", errors="replace"))))
+    except csv.Error as error:
+        raise ConfigurationError(f"{source} is no CSV file: {error}") from None
     header = [name.strip() for name in rows[0]] if rows else []
     if "time" not in header:
         raise ConfigurationError(f"{source} has no column 'time': write 'time', 'target:JOINT', 'position:JOINT', ...")
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise ConfigurationError(f"{source} has several columns of one name: {', '.join(twice)}")
+    lengths = [len(row) for row in rows]
+    if (
+        wrong := next((line for line, length in enumerate(lengths) if length not in (0, len(header))), None)
+    ) is not None:
+        raise ConfigurationError(
+            f"{source} has {lengths[wrong]} numbers in line {wrong + 1}, and its header {len(header)} columns: was it "
+            "cut off?"
+        )
     try:
         table = np.array([[float(value) for value in row] for row in rows[1:] if row], np.float64)
     except ValueError as error:
         raise ConfigurationError(f"{source} holds something that is no number: {error}") from None
-    if table.ndim != 2 or table.shape[1] != len(header):
-        raise ConfigurationError(f"{source} has rows of another length than its header of {len(header)} columns")
+    # A header only
+    table = table.reshape(-1, len(header))
     joints = tuple(name.removeprefix("position:") for name in header if name.startswith("position:"))
     columns: dict[str, FloatArray] = {}
     for kind in _COLUMNS:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from orbit_learn.training import CURVE
 # Curves that a picture shows in colours that differ enough.
 MOST_CURVES = 20
 _MOST_BYTES = 1 << 26
+_BARS, _WIDTH = "▁▂▃▄▅▆▇█", 20
 
 
 def number_of(line: Mapping[str, Any], name: str) -> float | None:
@@ -75,3 +78,17 @@ def draw_curves(curves: Mapping[str, Sequence[Mapping[str, Any]]], number: str, 
     axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
     with written_whole(path) as written:
         figure.savefig(written, dpi=150, format="png")
+
+
+def sparkline(values: Sequence[float]) -> str:
+    """Return a curve as one line of text, from its least to its greatest value; NaN are left out.
+
+    Args:
+        values: of all iterations so far; more than fit are averaged in groups.
+    """
+    known = [value for value in values if not math.isnan(value)]
+    width = min(_WIDTH, len(known))
+    edges = [len(known) * column // width for column in range(width + 1)] if known else []
+    means = [sum(known[begin:end]) / (end - begin) for begin, end in itertools.pairwise(edges)]
+    least, span = min(means, default=0.0), max(means, default=0.0) - min(means, default=0.0)
+    return "".join(_BARS[round((value - least) / span * (len(_BARS) - 1)) if span else 0] for value in means)

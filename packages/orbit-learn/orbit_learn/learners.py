@@ -25,7 +25,7 @@ GROUP = "orbit.learners"
 # Modules in this package. Each but the last three is also the name of the extra that installs it.
 _LIBRARIES = {
     "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several GPUs"),
-    "sb3": ("sb3:Sb3Trainer", "PPO, pictures"),
+    "sb3": ("sb3:Sb3Trainer", "PPO, pictures; SAC and TD3 on the host"),
     "skrl": ("skrl:SkrlTrainer", "PPO, asymmetric critics, pictures"),
     "rl-games": ("rl_games:RlGamesTrainer", "PPO, asymmetric critics"),
     "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
@@ -41,7 +41,11 @@ _LIBRARIES = {
 }
 
 # Trainers of algorithms that have a class of their own in a library of several.
-_TRAINERS = {("orbit", "ppo"): "ppo:PpoTrainer"}
+_TRAINERS = {
+    ("orbit", "ppo"): "ppo:PpoTrainer",
+    ("sb3", "sac"): "sb3_off_policy:Sb3OffPolicyTrainer",
+    ("sb3", "td3"): "sb3_off_policy:Sb3OffPolicyTrainer",
+}
 # Library that is used where an algorithm is named and no library.
 _ALGORITHMS = {
     "ppo": "rsl-rl", "sac": "orbit", "td3": "orbit",

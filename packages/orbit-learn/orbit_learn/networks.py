@@ -140,7 +140,11 @@ def perceptron(inputs: int, hidden: Sequence[int], outputs: int, activation: typ
 
 
 def perceptron_actor(
-    layers: nn.Module, mean: Tensor | None = None, std: Tensor | None = None, limit: float | None = None
+    layers: nn.Module,
+    mean: Tensor | None = None,
+    std: Tensor | None = None,
+    limit: float | None = None,
+    squashed: bool = False,
 ) -> ActorNetwork:
     """Return a copy on the CPU of a library's actor that is a perceptron with exponential linear units.
 
@@ -149,10 +153,12 @@ def perceptron_actor(
         mean: means (O,) of the observation; zero if None.
         std: standard deviations (O,) of the observation; one if None.
         limit: limit as :attr:`Perceptron.observation_limit`.
+        squashed: whether tanh bounds the action.
     """
     # Libraries wrap the layers differently; their order is the same everywhere.
     linear = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
-    network = Perceptron(tuple(layer.out_features for layer in linear[:-1]), observation_limit=limit)
+    sizes = tuple(layer.out_features for layer in linear[:-1])
+    network = Perceptron(sizes, observation_limit=limit, squashed=squashed)
     size = linear[0].in_features
     with torch.device("meta"):  # without drawing starting weights, which would move the training's random stream
         module = network.build(size, linear[-1].out_features)

@@ -73,6 +73,13 @@ class Policy:
         onnx_file.write_onnx(path, self.module, self.description, self.manifest)
 
 
+# Files of a policy's folder that LeRobot writes.
+_WEIGHTS, _CONFIG = "model.safetensors", "config.json"
+_ELSEWHERE = (
+    "export it to ONNX where it was trained, then orbit adopt, or serve it there and give --agent ws://HOST:PORT"
+)
+
+
 def load_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
     """Read a policy from safetensors or ONNX, or the latest one of a training's folder, without executing its code.
 
@@ -87,6 +94,8 @@ def load_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
     if path.is_dir():
         newest = newest_file(path, "policy")
         if newest is None:
+            if (path / _WEIGHTS).is_file() and (path / _CONFIG).is_file():
+                raise ConfigurationError(f"folder {path} holds a checkpoint of LeRobot's: {_ELSEWHERE}")
             raise ConfigurationError(f"folder {path} holds no policy_<iteration>{SUFFIX}: is it a training's folder?")
         path = newest
     if path.suffix == onnx_file.SUFFIX:
@@ -96,8 +105,10 @@ def load_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
     if path.suffix != SUFFIX:
         raise ConfigurationError(
             f"{path} is no policy: policies are {SUFFIX} and {onnx_file.SUFFIX} files, because others, such as pickles "
-            "and TorchScript, may run code when they are read"
+            f"and TorchScript, may run code when they are read. For a checkpoint of another library, {_ELSEWHERE}"
         )
+    if path.name == _WEIGHTS and (path.parent / _CONFIG).is_file():
+        raise ConfigurationError(f"{path} is a checkpoint of LeRobot's: {_ELSEWHERE}")
     description, manifest, actor = read_policy(path)
     return Policy(actor.module.to(device), actor.network, description, manifest)
 

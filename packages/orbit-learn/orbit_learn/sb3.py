@@ -214,7 +214,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
         self._batch = batch
 
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
-        callback = _Callback(self._batch, report)
+        callback = IterationCallback(self._batch, report)
         self._model.learn(
             iterations * self._batch,
             callback=callback,
@@ -276,7 +276,7 @@ def _reading(network: Convolutional | None) -> dict[str, Any]:
     }
 
 
-class _Callback(BaseCallback):
+class IterationCallback(BaseCallback):
     """Callback that reports after each iteration."""
 
     def __init__(self, batch: int, report: Callable[[Progress], None]) -> None:

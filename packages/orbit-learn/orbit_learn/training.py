@@ -262,11 +262,15 @@ class Training:
     def _save(self, iteration: int) -> None:
         if not self.leader:
             return
-        self._policy(iteration).save(self.trainer.folder / f"policy_{iteration}{SUFFIX}")
+        self._policy(iteration).save(self.policy_file(iteration))
         # The policy first: a checkpoint without its policy could not be played, the other way round nothing is lost.
         checkpoint = self._checkpoint(iteration)
         write_checkpoint(checkpoint, self.trainer.name, self.trainer.state())
         self.saved = checkpoint
+
+    def policy_file(self, iteration: int) -> Path:
+        """Return the file of the policy of an iteration, which exists where one was written."""
+        return self.trainer.folder / f"policy_{iteration}{SUFFIX}"
 
     def _checkpoint(self, iteration: int) -> Path:
         return self.trainer.folder / f"{CHECKPOINT}_{iteration}{SUFFIX}"

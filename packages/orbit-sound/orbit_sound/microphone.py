@@ -13,7 +13,8 @@ from orbit_core.interfaces import TERRAIN, ConfigurationError, SceneLayout
 from orbit_core.interfaces.layout import contact_queries_of
 from orbit_core.scene import Box, Capsule, Cylinder, Link, Mesh, Shape, Sphere
 from orbit_core.sensors.proprioception import Mount, pose_tensor
-from orbit_core.sensors.timed import SensorContext, TimedSensor, Values
+from orbit_core.sensors.sound import SoundSensor
+from orbit_core.sensors.timed import SensorContext, Values
 from orbit_sound.bank import ModalBank
 from orbit_sound.modes import Modes, shape_modes
 from orbit_sound.propagation import Propagation
@@ -45,7 +46,7 @@ class _Body:
     """Column of each pair force, with the link that it slides on, or TERRAIN."""
 
 
-class Microphone(TimedSensor):
+class Microphone(SoundSensor):
     """Pressure of the air at a point, from impacts and sliding of some bodies.
 
     The engine stops after each physics step, whose contact forces start the bodies' modes: the part of a net force that

@@ -82,7 +82,7 @@ class Inspector:
     def update(self, frame: Frame) -> None:
         """Show the selected entity's state, forces and grip, and move the camera; in the simulation's thread."""
         entity = self._entity()
-        self._state.content = self._text(entity, frame.first)
+        self._state.content = self._text(entity, frame)
         self._follow(entity, frame)
         self._show_forces(frame)
         self._show_grip(entity, frame)
@@ -150,19 +150,28 @@ class Inspector:
     def _thing(self, name: str) -> Any:
         return self._world.robots.get(name) or self._world.objects[name]
 
-    def _text(self, entity: EntityLayout | None, index: int) -> str:
-        if entity is None:
-            return ""
-        pose = self._world.link_poses[index, entity.root_link].tolist()
-        rows = {"position, m": ", ".join(f"{part:.3f}" for part in pose[:3])}
-        if entity.name in {**self._world.robots, **self._world.objects}:
-            speed = self._thing(entity.name).root_velocity[index].tolist()
-            rows["velocity, m/s"] = ", ".join(f"{part:.3f}" for part in speed[:3])
-        if self.choices.pull and entity.spec.fixed_base:
-            rows["pull"] = "its base is fixed"
+    def _text(self, entity: EntityLayout | None, frame: Frame) -> str:
+        rows: dict[str, str] = {}
+        if entity is not None:
+            rows["position, m"] = ", ".join(f"{part:.3f}" for part in frame.link_poses[0, entity.root_link, :3])
+            # The past is kept as poses only: what else the world holds is of now.
+            if not self._controls.rewound and entity.name in {**self._world.robots, **self._world.objects}:
+                speed = self._thing(entity.name).root_velocity[frame.first].tolist()
+                rows["velocity, m/s"] = ", ".join(f"{part:.3f}" for part in speed[:3])
+            if self.choices.pull and entity.spec.fixed_base:
+                rows["pull"] = "its base is fixed"
         if self._note:
             rows["pull"] = self._note
-        return "| | |\n|:--|--:|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows.items())
+        if self.choices.forces and not self._contact_sensors:
+            rows["forces"] = "the scene has no contact sensor (ContactSensorSpec)"
+        elif self.choices.forces and self._controls.rewound:
+            rows["forces"] = "not kept of the past"
+        lines = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
+        return f"| | |\n|:--|--:|\n{lines}" if rows else ""
+
+    @property
+    def _contact_sensors(self) -> list[ContactSensor]:
+        return [sensor for sensor in self._world.sensors.values() if isinstance(sensor, ContactSensor)]
 
     def _follow(self, entity: EntityLayout | None, frame: Frame) -> None:
         if entity is None or not self.choices.follow:
@@ -177,9 +186,9 @@ class Inspector:
                 client.camera.position = np.asarray(client.camera.position) + moved
 
     def _show_forces(self, frame: Frame) -> None:
-        sensors = [sensor for sensor in self._world.sensors.values() if isinstance(sensor, ContactSensor)]
         arrows: list[npt.NDArray[np.floating]] = []
-        for sensor in sensors if self.choices.forces else ():
+        shown = self.choices.forces and not self._controls.rewound
+        for sensor in self._contact_sensors if shown else ():
             assert isinstance(sensor.spec, ContactSensorSpec)
             entity = self._layout.entity(sensor.spec.entity)
             names = entity.spec.articulation.link_names

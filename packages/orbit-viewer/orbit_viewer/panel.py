@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_viewer.history import SECONDS
+from orbit_viewer.plots import add_plot
 from orbit_viewer.signals import MOST_COMPONENTS, Numbers, Signal
 
 if TYPE_CHECKING:
@@ -277,6 +278,7 @@ class Panel:
             self._signal = server.gui.add_dropdown("Signal", tuple(self._signals), initial_value=REWARD)
             self._signal.on_update(lambda _: controls.refresh())
         self._plotted = ""
+        self._plotted_environment = 0
         self._renew_plot()
         self._pictures: dict[str, GuiImageHandle] = {}
         self._picture_choice: Any = None
@@ -310,6 +312,10 @@ class Panel:
             reward: of it, in the last step.
         """
         self._renew_plot()
+        if index != self._plotted_environment:
+            # Curves of two environments would join as one.
+            self._points.clear()
+            self._plotted_environment = index
         signal = self._signals[self._plotted]
         values = np.array([reward]) if self._plotted == REWARD else signal.read(index)[:MOST_COMPONENTS]
         self._points.append((seconds, values))
@@ -407,19 +413,8 @@ class Panel:
         show()
 
     def _add_plot(self, components: Sequence[str]) -> Any:
-        from viser import uplot
-
-        nothing = np.zeros(1)
-        lines = [
-            uplot.Series(label=name, stroke=_STROKES[number % len(_STROKES)], width=2)
-            for number, name in enumerate(components)
-        ]
-        return self._server.gui.add_uplot(
-            tuple(nothing for _ in range(len(lines) + 1)),
-            (uplot.Series(label="s"), *lines),
-            scales={"x": uplot.Scale(time=False)},
-            aspect=1.8,
-        )
+        lines = {name: _STROKES[number % len(_STROKES)] for number, name in enumerate(components)}
+        return add_plot(self._server.gui, lines, 1.8)
 
     def _add_keys(self, num_envs: int) -> None:
         """Add the keyboard's short-cuts, which the page's command palette lists."""

@@ -16,6 +16,7 @@ import torch
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import SceneLayout
 from orbit_core.scene import RobotSpec, Scene
+from orbit_viewer.plots import add_plot
 from orbit_viewer.scene_view import Frame, Ghost, SceneView
 from orbit_viewer.viewer import FRAME_PERIOD, PANEL_PERIOD, start_server
 
@@ -45,8 +46,6 @@ class RobotPage:
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
-        from viser import uplot
-
         # The robot alone, without what stands around it: a log does not know that.
         layout = SceneLayout.of(Scene(robots=(spec,)))
         self._tree, self._seconds, self._series = KinematicTree(spec.articulation), seconds, series
@@ -57,22 +56,11 @@ class RobotPage:
         self.url = f"http://{host}:{self._server.get_port()}" + (f"/?token={token}" if token else "")
         """Address of the page."""
         self._scene, self._ghost = SceneView(self._server, layout), Ghost(self._server, spec)
-        gui, nothing = self._server.gui, np.zeros(1)
+        gui = self._server.gui
         self._text = gui.add_markdown("")
         self._joint = gui.add_dropdown("Joint", self._joints, initial_value=self._joints[0])
-        lines = [uplot.Series(label=name, stroke=color, width=2) for name, color in zip(series, _COLORS, strict=False)]
-        self._plot: Any = gui.add_uplot(
-            (nothing,) * (1 + len(series)),
-            (uplot.Series(label="s"), *lines),
-            scales={"x": uplot.Scale(time=False)},
-            aspect=1.6,
-        )
-        self._difference: Any = gui.add_uplot(
-            (nothing, nothing),
-            (uplot.Series(label="s"), uplot.Series(label="difference of the last two", stroke="#c92a2a", width=2)),
-            scales={"x": uplot.Scale(time=False)},
-            aspect=2.2,
-        )
+        self._plot: Any = add_plot(gui, dict(zip(series, _COLORS, strict=False)), 1.6)
+        self._difference: Any = add_plot(gui, {"difference of the last two": "#c92a2a"}, 2.2)
         self._rows: deque[tuple[float, FloatArray]] = deque()
         self._drawn = self._plotted = -math.inf
 

@@ -17,6 +17,7 @@ from orbit_core.files import Replacement, as_path, storage_faults
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, StorageError
 from orbit_core.rollout.pictures import Recorder, Spectator
+from orbit_viewer.soundtrack import Soundtrack, add_track
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -48,6 +49,7 @@ class VideoFile:
         # Written next to the target and renamed at the end, so that there is never half a video.
         self._replacement = Replacement(path)
         self._size = (height, width, 3)
+        self._sound: tuple[npt.NDArray[np.float32], int] | None = None
         # The file must not be left open where the camera cannot be made.
         with contextlib.ExitStack() as stack:
             stack.callback(self._replacement.discard)
@@ -74,6 +76,10 @@ class VideoFile:
         except OSError:
             raise self._no_video() from None
 
+    def set_sound(self, samples: npt.NDArray[np.float32], sampling_rate: int) -> None:
+        """Give the video, once it is closed, a track of pressures (S, channels) in Pa from its first frame on."""
+        self._sound = samples, sampling_rate
+
     def close(self) -> None:
         """Finish the file and give it its name; idempotent.
 
@@ -86,6 +92,9 @@ class VideoFile:
             with storage_faults(self._path):
                 self._end_stream()
             self._check()
+            if self._sound is not None and self._sound[0].any():
+                with storage_faults(self._path):
+                    add_track(self._replacement.written, *self._sound)
             self._replacement.take_place()
         finally:
             self._replacement.discard()
@@ -126,7 +135,8 @@ class VideoRecorder(Recorder):
 
     The video is as long as an episode's time limit; an environment whose episode ends earlier shows its next one.
     ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels. It observes a rollout;
-    without one, call :meth:`before_step` before each step.
+    without one, call :meth:`before_step` before each step. The first two microphones are its sound, left and right,
+    as loud as the loudest sample allows.
     """
 
     def __init__(
@@ -142,6 +152,7 @@ class VideoRecorder(Recorder):
         rows = range(min(environments, environment.num_envs)) if whole else environments
         count = len(rows)
         self._rows = torch.tensor([*rows], device=environment.device)
+        self._soundtrack = Soundtrack(environment, self._rows)
         self._columns = math.ceil(math.sqrt(count))
         lines = math.ceil(count / self._columns)
         self._length = self._left = environment.max_episode_steps
@@ -165,17 +176,19 @@ class VideoRecorder(Recorder):
         return self._left == 0
 
     def before_step(self) -> None:
-        """Film the environments' present state."""
+        """Film the environments' present state, and take what was heard in the step before."""
         if self.full:
             return
+        self._soundtrack.before_step()
         if (self._length - self._left) % self._stride == 0:
             pictures = self._camera.pictures(self._rows, self._period)
             self._file.add(tile(pictures.numpy(), self._columns))
         self._left -= 1
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file, with sound if the environment has a microphone."""
         self._camera.close()
+        self._file.set_sound(self._soundtrack.samples(), self._soundtrack.sampling_rate)
         self._file.close()
 
     def discard(self) -> None:

@@ -120,6 +120,20 @@ def exempt_inside(p: Particles, links: Links, shapes: Shapes, felt: Felt, chosen
 
 
 @wp.kernel(enable_backward=False)
+def sound(p: Particles, links: Links, shapes: Shapes, count: int, farthest: float, found: wp.array2d[float]):
+    """Write how deep (m) the particles of each deformable are in each shape of ``count`` links and terrain, (D, S)."""
+    env, i = wp.tid()
+    kind = env % shapes.kind.shape[0]
+    for s in range(shapes.kind.shape[1]):
+        if p.exempt[env, i] != shapes.link[kind, s]:
+            pose = shapes.pose[kind, s]
+            if shapes.link[kind, s] < count:  # terrain has the number after all links, and no pose of a link
+                pose = pose_between(links.end, links.end, env, shapes.link[kind, s], 0.0) * pose
+            local = wp.transform_point(wp.transform_inverse(pose), p.x[env, i])
+            wp.atomic_max(found, p.owner[i], s, -distance(shapes, kind, s, local, farthest)[3])
+
+
+@wp.kernel(enable_backward=False)
 def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: float):
     """List the shapes that each particle may meet."""
     env, i = wp.tid()

@@ -10,11 +10,12 @@ import os
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, ConfigurationError, SceneLayout
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, TERRAIN, Approximation, ConfigurationError, SceneLayout
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
@@ -69,8 +70,10 @@ class ParticleMatter(Matter):
             layout.scene.physics_dt, count, sweeps, config.contact_stiffness, solid, config.solid_iterations
         )
         limits.check_stiffness(layout, solid)
+        limits.check_apart(layout)
         self._solids = Solids(layout, num_envs, device, layout.scene.physics_dt / solid)
         self._graphs = Graphs(device, config.capture)
+        self._begun = False
         # Kernels that loop over all particles of an environment run on CPUs only; elsewhere they cost compile time.
         by_rows = (rows,) if device.type == "cpu" else ()
         load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
@@ -84,6 +87,7 @@ class ParticleMatter(Matter):
         """State and parameters; snapshots hold them."""
         self._make_state()
         self._parts = self._make_parts(config.threads)
+        self._placed = False
 
     # Memory ----------------------------------------------------------------------------------------------------------
 
@@ -240,6 +244,13 @@ class ParticleMatter(Matter):
             for part in self._parts:
                 part.hold(chosen)
 
+    def _check_clear(self) -> None:
+        """Refuse solids that the scene puts into other things: only the first environments differ in what these are."""
+        with self._graphs.stream():
+            depths = self._parts[0].depths(limits.farthest(self._layout))
+        if depths is not None:
+            limits.check_clear(self._layout, depths, self._colliders.links[0])
+
     def _orient(self, env_ids: Tensor | None) -> None:
         """Find the rotations of solids from scratch."""
         chosen = self._chosen(env_ids)
@@ -261,9 +272,47 @@ class ParticleMatter(Matter):
         self._solids.reset(env_ids)
         self._fluids.reset(env_ids)
         self._hold(link_poses, env_ids)
+        if not self._begun:
+            self._begun = True
+            self._check_clear()
         for name in ("forces", "torques", "known"):
             write_rows(self._tensors[name], torch.zeros_like(take_rows(self._tensors[name], env_ids)), env_ids)
         write_rows(self._wrenches, torch.zeros_like(take_rows(self._wrenches, env_ids)), env_ids)
+        if not self._placed:
+            # Once: later resets put liquids to the same place, and to look would wait for the device.
+            self._placed = True
+            self._check_room()
+
+    def _check_room(self) -> None:
+        """Refuse liquid that is inside a collision shape at the start.
+
+        Raises:
+            ConfigurationError: names the liquid, the body, and how many particles are inside it.
+        """
+        if self._fluids.model is None:
+            return
+        with self._graphs.stream(), wp.ScopedDevice(self._graphs.device):
+            inside = np.concatenate([part.liquid_inside() for part in self._parts])
+        if not (inside >= 0).any():
+            return
+        env, particle = (int(found[0]) for found in np.nonzero(inside >= 0))
+        model, link = self._fluids.model, int(self._shape_links[env, inside[env, particle]])
+        index = int(model.owners[particle])
+        columns = model.slices[model.deformables.index(index)]
+        same = self._shape_links[env].cpu().numpy()[inside[env, columns]] == link
+        count = int((same & (inside[env, columns] >= 0)).sum())
+        name, total = self._layout.scene.deformables[index].name, columns.stop - columns.start
+        raise ConfigurationError(
+            f"{count} of the {total} particles of '{name}' are inside {self._name_of(link)} at the start (environment "
+            f"{env}): move the liquid or make it smaller; its outermost particles are half a spacing within its box"
+        )
+
+    def _name_of(self, link: int) -> str:
+        """Name a link and its entity, or the terrain."""
+        if link == TERRAIN:
+            return "the terrain"
+        entity = next(e for e in self._layout.entities if e.links.start <= link < e.links.stop)
+        return f"link '{self._layout.links[link].name}' of '{entity.name}'"
 
     # Parameters ------------------------------------------------------------------------------------------------------
 
@@ -306,7 +355,8 @@ class ParticleMatter(Matter):
         of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
-        of_liquids = stability.tossed(self._layout)
+        of_liquids = stability.tossed(self._layout) + stability.floating(self._layout)
+        of_liquids += stability.passing(self._layout)
         of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 

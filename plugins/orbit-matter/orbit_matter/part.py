@@ -200,10 +200,23 @@ class Part:
         if self._solids is not None:
             self._solids.hold(self._links, self._colliders.shapes, mine)
 
+    def depths(self, farthest: float) -> np.ndarray | None:
+        """Return how deep (m) each deformable that is a solid is in each shape, (D, S); None without solids."""
+        if self._solids is None:
+            return None
+        return self._solids.depths(self._links, self._colliders.shapes, farthest)
+
     def orient(self, chosen: Tensor) -> None:
         """Find the rotations of solids from scratch in chosen environments, of all (N,) bool."""
         if self._solids is not None:
             self._solids.orient(wp.from_torch(chosen[self._rows]))
+
+    def liquid_inside(self) -> np.ndarray:
+        """Return the (n, P) shape that each particle of liquid is inside of; -1 for none."""
+        if self._fluid is None:
+            return np.zeros((self._n, 0), np.int32)
+        self._place(1.0, 1)
+        return self._fluid.shapes_inside(self._links, self._colliders.shapes)
 
     def search_again(self) -> None:
         """Find the pairs that the last search found, from where particles then were."""

@@ -7,13 +7,14 @@ from dataclasses import replace
 import pytest
 import torch
 
+from orbit_assets.deformables import sheet
 from orbit_assets.objects import box
-from orbit_core.interfaces import ConfigurationError, SceneLayout, World
-from orbit_core.scene import Attachment, Fluid, Plane, Pose, Scene, Shape
+from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError, World
+from orbit_core.scene import Attachment, Cloth, Fluid, Plane, Pose, Scene, Shape
 from orbit_core.world import simulate
 from orbit_matter.bodies import free_links
 from orbit_matter.fluid.fluids import build
-from orbit_matter.stability import tossed
+from orbit_matter.stability import floating, passing, tossed
 
 WATER = Fluid("water", (0.02, 0.02, 0.02), pose=Pose((0.0, 0.0, 0.02)), spacing=0.01)
 GROUND = (Shape(Plane()),)
@@ -128,6 +129,67 @@ def test_a_body_that_weighs_few_particles_is_reported_with_the_spacing_that_woul
     (found,) = tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(WATER,), terrain=GROUND)))
     assert "weighs 4 particles of 'water': a spacing of 0.0074 m would do" in found.why
     assert not tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(replace(WATER, spacing=0.007),))))
+
+
+def test_a_body_that_floats_is_reported_and_one_that_sinks_is_not() -> None:
+    for mass, count in ((0.05, 1), (0.07, 0)):
+        raft = box("raft", size=(0.04, 0.04, 0.04), mass=mass, pose=Pose((0.0, 0.0, 0.08)))
+        found = floating(SceneLayout.of(Scene(objects=(raft,), deformables=(WATER,), terrain=GROUND)))
+        assert len(found) == count
+
+
+def test_cloth_in_a_scene_of_liquid_is_reported_as_passed_through() -> None:
+    cloth = Cloth("cloth", sheet((0.1, 0.1), (5, 5)), area_density=0.2, pose=Pose((0.0, 0.0, 0.02)))
+    (found,) = passing(SceneLayout.of(Scene(deformables=(WATER, cloth), terrain=GROUND)))
+    assert (found.subject, found.asked) == ("'water'", "contact with 'cloth'")
+    assert not passing(SceneLayout.of(Scene(deformables=(cloth,), terrain=GROUND)))
+
+
+@pytest.mark.parametrize(
+    ("objects", "pose", "culprit"),
+    [
+        (("wall", 1.0, True), (0.0, 0.0, 0.02), "link 'wall' of 'wall'"),
+        (("brick", 0.1, False), (0.0, 0.0, 0.02), "link 'brick' of 'brick'"),
+        (None, (0.0, 0.0, 0.01), "the terrain"),
+    ],
+)
+def test_liquid_inside_a_solid_or_the_ground_is_refused(objects: tuple | None, pose: tuple, culprit: str) -> None:
+    things = ()
+    if objects is not None:
+        name, mass, fixed = objects
+        things = (box(name, size=(0.01, 0.1, 0.04), mass=mass, pose=Pose((0.015, 0.0, 0.02)), fixed_base=fixed),)
+    with pytest.raises(ConfigurationError, match=f"16 of the 64 particles of 'water' are inside {culprit}"):
+        _world(num_envs=2, objects=things, deformables=(replace(WATER, pose=Pose(pose)),))
+
+
+def test_two_liquids_at_one_place_are_refused() -> None:
+    oil = replace(WATER, name="oil", pose=Pose((0.02, 0.0, 0.02)))
+    with pytest.raises(ConfigurationError, match="32 of the 64 particles of 'oil' are inside 'water'"):
+        build(Scene(deformables=(WATER, oil)))
+    assert build(Scene(deformables=(WATER, replace(oil, pose=Pose((0.04, 0.0, 0.02)))))) is not None
+
+
+def test_a_liquid_that_is_too_thick_is_refused_with_the_viscosity_that_would_do() -> None:
+    with pytest.raises(ConfigurationError, match=r"'water' needs .* its viscosity may be 811 Pa s"):
+        build(Scene(deformables=(replace(WATER, viscosity=1e4),), physics_dt=0.005))
+    assert build(Scene(deformables=(replace(WATER, viscosity=800.0),), physics_dt=0.005)) is not None
+
+
+def test_divergence_names_the_liquid_and_its_environment_and_the_others_go_on() -> None:
+    world = _world(num_envs=3)
+    water = world.deformables["water"]
+    positions, velocities = water.positions.clone(), torch.zeros_like(water.positions)
+    # High above the ground, and about to fall faster than anything may.
+    positions[1, :, 2] += 1e5
+    velocities[1, :, 2] = -9999.9
+    water.set_state(positions, velocities)
+    with pytest.raises(SimulationError, match="environments 1 diverged in 'water'"):
+        world.step(10)
+    world.reset(torch.tensor([1]))
+    for _ in range(5):
+        world.step()
+    assert torch.equal(water.positions[0], water.positions[2])
+    assert water.positions.abs().max() < 0.2
 
 
 def test_liquids_of_two_spacings_are_refused() -> None:

@@ -59,6 +59,15 @@ def test_cloth_casts_a_shadow_of_its_size_on_the_ground() -> None:
         assert rgb[_pixel((x, -0.1, 0.0))].mean().item() == pytest.approx(LIT, abs=1.5)
 
 
+def test_a_mesh_whose_triangles_are_turned_over_by_a_slice_is_drawn_and_measured() -> None:
+    # A reversed view has negative strides, which tensors do not take.
+    turned = replace(CLOTH, mesh=replace(CLOTH.mesh, faces=np.asarray(CLOTH.mesh.faces)[:, ::-1]))
+    world = simulate(replace(BASE, deformables=(turned,), sensors=(CAMERA,)), 1, "mujoco", matter="orbit-matter")
+    assert world.sensors["camera"].images[Channel.RGB].float().std() > 0.0
+    assert world.deformables["cloth"].covered_area[0].item() == pytest.approx(0.16, rel=0.05)
+    world.close()
+
+
 def test_a_light_without_shadows_passes_cloth() -> None:
     free = (*BASE.lights[:1], replace(SUN, shadows=False))
     hung = replace(CLOTH, pose=Pose((0.0, 0.0, 0.5)))

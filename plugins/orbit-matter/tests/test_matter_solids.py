@@ -13,6 +13,7 @@ from orbit_assets.deformables import ball, cuboid, ring, sheet
 from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, ConfigurationError, SimulationError, World
 from orbit_core.scene import Attachment, CameraSpec, Channel, Cloth, Mesh, Pose, Scene, SoftBody, look_at
+from orbit_core.scene.pose import Vector3
 from orbit_core.world import simulate
 from orbit_matter.solids import element, grid, skin
 from orbit_matter.solids.distance import is_convex, lattice
@@ -350,6 +351,56 @@ def test_a_solid_that_cannot_be_is_refused(thing: SoftBody, what: str) -> None:
 def test_a_solid_that_cannot_be_computed_is_refused_with_what_would_do(thing: SoftBody, what: str) -> None:
     with pytest.raises(ConfigurationError, match=what):
         simulate(Scene(deformables=(thing,)), 1, "mujoco", matter="orbit-matter")
+
+
+SMALL = cuboid((0.02, 0.02, 0.02), (2, 2, 2))
+
+
+def _joined(*parts: tuple[Mesh, Vector3]) -> Mesh:
+    """Surfaces, each moved by metres, as one mesh."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in parts)])
+    vertices = np.concatenate([mesh.vertices + np.array(way) for mesh, way in parts])
+    faces = np.concatenate([np.asarray(mesh.faces) + start for (mesh, _), start in zip(parts, starts, strict=False)])
+    return Mesh(vertices, faces)
+
+
+def test_a_piece_that_is_inside_out_is_refused_and_a_cavity_is_not() -> None:
+    inverted = Mesh(SMALL.vertices, SMALL.faces[:, ::-1])
+    outside = replace(BLOCK, mesh=_joined((MESH, (0.0, 0.0, 0.0)), (inverted, (0.2, 0.0, 0.0))))
+    with pytest.raises(ArgumentError, match="has a piece that is inside out"):
+        simulate(Scene(deformables=(outside,)), 1, "mujoco", matter="orbit-matter")
+    hollow = replace(BLOCK, mesh=_joined((MESH, (0.0, 0.0, 0.0)), (inverted, (0.0, 0.0, 0.0))))
+    assert hollow.volume < BLOCK.volume
+    simulate(Scene(deformables=(hollow,)), 1, "mujoco", matter="orbit-matter").close()
+
+
+def test_pieces_that_do_not_touch_are_refused() -> None:
+    apart = replace(BLOCK, mesh=_joined((MESH, (0.0, 0.0, 0.0)), (SMALL, (0.3, 0.0, 0.0))))
+    with pytest.raises(ConfigurationError, match="'block' is of 2 pieces that do not touch"):
+        simulate(Scene(deformables=(apart,)), 1, "mujoco", matter="orbit-matter")
+
+
+@pytest.mark.parametrize("way", [0.0, 0.02])
+def test_solids_that_begin_in_each_other_are_refused(way: float) -> None:
+    x, y, z = BLOCK.pose.position
+    other = replace(BLOCK, name="other", pose=Pose((x + way, y, z)))
+    with pytest.raises(ConfigurationError, match=r"'block' begins .* inside 'other'"):
+        simulate(Scene(deformables=(BLOCK, other)), 1, "mujoco", matter="orbit-matter")
+
+
+WALL = box("wall", (0.05, 0.05, 0.05), fixed_base=True, pose=Pose((0.029, 0.0, 0.026)))
+
+
+@pytest.mark.parametrize(
+    ("scene", "what"),
+    [
+        (Scene(deformables=(BLOCK,), objects=(WALL,)), r"'block' begins 0\.021 m inside link 'wall'"),
+        (Scene(deformables=(replace(BLOCK, pose=Pose()),)), r"'block' begins 0\.025 m inside the terrain"),
+    ],
+)
+def test_a_solid_that_begins_in_a_rigid_thing_is_refused(scene: Scene, what: str) -> None:
+    with pytest.raises(ConfigurationError, match=what):
+        simulate(scene, 1, "mujoco", matter="orbit-matter")
 
 
 def test_the_build_report_names_light_bodies() -> None:

@@ -30,7 +30,7 @@ class PathConfig:
     path_depth: int = 6
     """Greatest number of surfaces that a path of tier ``rt`` meets."""
     denoiser: str = "none"
-    """Denoiser of tier ``rt``; ``oidn`` and ``optix`` need an NVIDIA GPU."""
+    """Denoiser of tier ``rt``: ``oidn`` needs an NVIDIA GPU or the package pyoidn, ``optix`` an NVIDIA GPU."""
 
     def __post_init__(self) -> None:
         _one_of(self, "denoiser", DENOISERS)

@@ -7,13 +7,8 @@
 
 from __future__ import annotations
 
-import functools
 import math
-import re
-import shutil
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,17 +16,20 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.rendering import HostLights, HostRenderer, HostRequest, Pictures
-from orbit_core.plugin_kit.scratch import ScratchFolder
-from orbit_core.scene import CameraSpec, Color, Rgb, Scene, Sky
+from orbit_core.scene import CameraSpec, Color, Scene
 from orbit_sapien.config import SapienConfig
+from orbit_sapien.denoising import Denoiser, host_denoiser
 from orbit_sapien.native import NativePose, sapien
 from orbit_sapien.renderer_shapes import base_color, marker_shapes, render_shape
+from orbit_sapien.shader_packs import shader_pack
 
 # Metres from a light that casts shadows to the middle of its shadows.
 _DISTANCE = 10.0
 # Metres around the middle that shadows reach.
 _REACH = 3.0
 _GAMMA = 2.2
+# SAPIEN's ACES curve, which keeps shape and colour in what is brightly lit, and light to match the rasterised pictures.
+_FILMIC, _EXPOSURE = 2, 1.15
 
 
 class Lights:
@@ -82,62 +80,6 @@ def _x_along(direction: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
     return (turn / np.linalg.norm(turn)).astype(np.float32)
 
 
-_OWN = Path(__file__).parent / "shaders"
-_TABLE = re.compile(r"^layout\(.*samplerBRDFLUT;\s*$", re.MULTILINE)
-_LOOK_UP = "vec2 envBRDF = texture(samplerBRDFLUT, vec2(roughness, dotNV)).xy;"
-_SHADOW = "float shadow = 0.0f;"
-_LIT_OUTSIDE = "if (projCoord.xy != clamp(projCoord.xy, 0.0f, 1.0f)) return 1.0f;"
-_FIT = """
-  vec4 fit = roughness * vec4(-1, -0.0275, -0.572, 0.022) + vec4(1, 0.0425, 1.04, -0.04);
-  float edge = min(fit.x * fit.x, exp2(-9.28 * dotNV)) * fit.x + fit.y;
-  vec2 envBRDF = vec2(-1.04, 1.04) * edge + fit.zw;
-"""
-
-
-@functools.cache
-def shader_pack(tier: str, sky: Sky) -> str:
-    """The folder of a tier's shaders under a sky, made once a process.
-
-    Raises:
-        ConfigurationError: the installed SAPIEN has other shaders than those that this was written for.
-    """
-    installed = Path(str(sapien.__file__)).parent / "vulkan_shader"
-    if tier == "rt":
-        return str(installed / "rt")
-    folder = _root().path
-    if not (folder / "common").exists():
-        shutil.copytree(installed / "common", folder / "common")
-        shadows = folder / "common" / "shadow.glsl"
-        shadows.write_text(shadows.read_text().replace(_SHADOW, f"{_LIT_OUTSIDE}\n  {_SHADOW}"))
-    pack = Path(tempfile.mkdtemp(prefix=f"{tier}-", dir=folder))
-    shutil.copytree(installed / "minimal", pack, dirs_exist_ok=True)
-    composite = (_OWN / "composite0.frag").read_text()
-    (pack / "composite0.frag").write_text(
-        composite.replace("SKY_ABOVE", _vector(sky.above)).replace("SKY_BELOW", _vector(sky.below))
-    )
-    if tier == "fast":
-        shutil.copy(_OWN / "gbuffer.frag", pack)
-    else:
-        source = (pack / "gbuffer.frag").read_text()
-        if _LOOK_UP not in source or not _TABLE.search(source):
-            raise ConfigurationError(
-                "the installed SAPIEN has unknown shaders: install sapien==3.0.3, or use tier 'fast'"
-            )
-        (pack / "gbuffer.frag").write_text(_TABLE.sub("", source).replace(_LOOK_UP, _FIT))
-    return str(pack)
-
-
-def _vector(color: Rgb) -> str:
-    red, green, blue = (float(part) for part in color)
-    return f"vec3({red!r}, {green!r}, {blue!r})"
-
-
-@functools.cache
-def _root() -> ScratchFolder:
-    """Removed when the process ends."""
-    return ScratchFolder("orbit-sapien-shaders-")
-
-
 _Array = npt.NDArray[Any]
 # Pose of markers while they are not drawn.
 _AWAY = NativePose([0.0, 0.0, -1e4])
@@ -154,17 +96,17 @@ class SapienRenderer(HostRenderer):
         """Build what is drawn.
 
         Raises:
-            ConfigurationError: no Vulkan driver fits, which says what to install; a denoiser has no NVIDIA GPU.
+            ConfigurationError: no Vulkan driver fits, or a denoiser has no NVIDIA GPU; it says what to install.
         """
         self._layout, self._config = layout, config
         if config.tier == "rt":
             # It averages over pixels by itself, and a picture takes seconds.
             self.most_samples = 1
         self._system = _render_system()
+        # SAPIEN's denoisers need an NVIDIA GPU; without one it says so in its log, and leaves the picture as it is.
+        self._denoise: Denoiser | None = None
         if config.tier == "rt" and config.denoiser != "none" and not self._system.device.is_cuda():
-            raise ConfigurationError(  # SAPIEN says so in its log alone, and leaves the picture as it is
-                f"denoiser '{config.denoiser}' needs an NVIDIA GPU, and this machine draws without one: use 'none'"
-            )
+            self._denoise = host_denoiser(config.denoiser)
         self._scene = sapien.Scene([self._system])
         reach = 2.0 * max((camera.far for camera in cameras), default=100.0)
         self._link_of_id: dict[int, int] = {}
@@ -222,7 +164,7 @@ class SapienRenderer(HostRenderer):
             if colored:
                 self._place_markers(None if request.markers is None else request.markers[row])
                 taken = self._take(camera, self._config.tier, pose)
-                rgb[row] = _bytes(self._checked(taken.get_picture("Color")[..., :3]))
+                rgb[row] = _bytes(self._denoised(taken))
             if wanted.measured:
                 if taken is None or self._config.tier != "fast" or request.markers is not None:
                     self._place_markers(None)
@@ -239,8 +181,12 @@ class SapienRenderer(HostRenderer):
                     albedo[row] = np.where(seen, _bytes(taken.get_picture("Albedo")[..., :3]), 0)
         return Pictures(rgb, depth, normals, links, albedo)
 
-    def _checked(self, color: _Array) -> _Array:
-        """A denoiser that fails leaves black and says so in SAPIEN's log alone."""
+    def _denoised(self, taken: Any) -> _Array:
+        """Return the colours (H, W, 3) of a picture, denoised as the settings say."""
+        color = taken.get_picture("Color")[..., :3]
+        if self._denoise is not None:
+            return self._denoise(color, taken.get_picture("Albedo")[..., :3], taken.get_picture("Normal")[..., :3])
+        # A denoiser of SAPIEN's that fails leaves black, and says so in its log only.
         if self._config.tier == "rt" and self._config.denoiser != "none" and not color.any():
             raise ConfigurationError(
                 f"denoiser '{self._config.denoiser}' does not work with this graphics driver: choose another or 'none'"
@@ -261,7 +207,7 @@ class SapienRenderer(HostRenderer):
             if tier == "rt":
                 sapien.render.set_ray_tracing_samples_per_pixel(self._config.samples_per_pixel)
                 sapien.render.set_ray_tracing_path_depth(self._config.path_depth)
-                sapien.render.set_ray_tracing_denoiser(self._config.denoiser)
+                sapien.render.set_ray_tracing_denoiser("none" if self._denoise else self._config.denoiser)
             eye = sapien.render.RenderCameraComponent(
                 camera.width, camera.height, shader_pack(tier, self._layout.scene.sky)
             )
@@ -269,6 +215,9 @@ class SapienRenderer(HostRenderer):
             eye.set_perspective_parameters(
                 camera.near, camera.far, focal, focal, 0.5 * camera.width, 0.5 * camera.height, 0.0
             )
+            if tier == "rt":
+                eye.set_property("toneMapper", _FILMIC)
+                eye.set_property("exposure", _EXPOSURE)
             entity = sapien.Entity()
             entity.add_component(eye)
             self._scene.add_entity(entity)

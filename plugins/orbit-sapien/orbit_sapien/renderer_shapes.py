@@ -46,9 +46,9 @@ def material(color: Color, finish: Finish) -> sapien.render.RenderMaterial:
     # A finish that says nothing is drawn a little glossy, as surfaces are that were never described.
     made.roughness, made.metallic, made.specular = min(finish.roughness, _PLAIN), finish.metallic, 0.4
     if (texture := finish.texture) is not None:
-        # SAPIEN's textures take the place of a colour, the scene's multiply it. Rows count from below.
-        pixels = texture.pixels[::-1] * np.asarray(color[:3]) + 0.5
-        opaque = np.full((*pixels.shape[:2], 1), 255.0 * color[3])
+        # Rows count from below.
+        pixels = texture.pixels[::-1]
+        opaque = np.full((*pixels.shape[:2], 1), 255.0 * color[3] + 0.5)
         made.base_color_texture = sapien.render.RenderTexture2D(
             np.ascontiguousarray(np.concatenate((pixels, opaque), -1).astype(np.uint8)), "R8G8B8A8Unorm",
             mipmap_levels=_levels(texture), srgb=True,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from orbit_core.interfaces import (
 )
 from orbit_core.plugin_kit.surfaces import shaded
 from orbit_core.scene import (
+    AmbientLight,
     Articulation,
     CameraSpec,
     Channel,
@@ -28,6 +31,7 @@ from orbit_core.scene import (
     ObjectSpec,
     Scene,
     Shape,
+    Sky,
     Sphere,
     look_at,
 )
@@ -135,10 +139,60 @@ def test_a_renderers_settings_reach_it_and_no_others_do() -> None:
         simulate(scene(), 1, "sapien", renderer_settings={"denoiser": "magic"})
 
 
-def test_a_denoiser_without_a_gpu_is_refused() -> None:
+def test_a_denoiser_that_this_machine_lacks_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     if sapien.render.RenderSystem().device.is_cuda():
         pytest.skip("this machine draws on an NVIDIA GPU")
-    world = simulate(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings={"denoiser": "oidn"})
-    with pytest.raises(ConfigurationError, match="denoiser 'oidn' needs an NVIDIA GPU"):
-        world.create_renderer((CAMERA,))
+    # None in its place lets an import fail, as without the package.
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
+    for name, remedy in (("optix", "use 'oidn' or 'none'"), ("oidn", r"pip install 'orbit-sapien\[denoiser\]'")):
+        world = simulate(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings={"denoiser": name})
+        with pytest.raises(ConfigurationError, match=f"denoiser '{name}' needs an NVIDIA GPU.*{remedy}"):
+            world.create_renderer((CAMERA,))
+        world.close()
+
+
+def test_without_a_gpu_the_host_denoises_colours_by_albedo_and_normals(monkeypatch: pytest.MonkeyPatch) -> None:
+    if sapien.render.RenderSystem().device.is_cuda():
+        pytest.skip("this machine draws on an NVIDIA GPU")
+    given: dict[str, np.ndarray] = {}
+
+    def denoise(color: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        given.update(color=color, albedo=albedo, normal=normal)
+        return np.full_like(color, 0.5)
+
+    library = ModuleType("pyoidn")
+    library.denoise = denoise  # pyright: ignore[reportAttributeAccessIssue]
+    monkeypatch.setitem(sys.modules, "pyoidn", library)
+    settings = {"denoiser": "oidn", "samples_per_pixel": 1}
+    world = simulate(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings=settings)
+    image = world.renderer.render(CAMERA, EYE, world.link_poses, (Channel.RGB,))
     world.close()
+    assert image.rgb is not None
+    assert (image.rgb == 128).all()
+    for picture in given.values():
+        assert picture.dtype == np.float32
+        assert picture.flags.c_contiguous
+        assert picture.shape == (36, 48, 3)
+    # The ball is red in albedo, without light and noise.
+    red, green, blue = given["albedo"][18, 24]
+    assert red > 5 * max(green, blue)
+    np.testing.assert_allclose(np.linalg.norm(given["normal"][18, 24]), 1.0, atol=1e-3)
+
+
+def test_the_path_tracers_sky_is_the_scenes_and_lights_what_faces_up_more_than_what_faces_down() -> None:
+    """Without a directional light a ball is lit by the sky: more above than below."""
+    dome = replace(
+        scene(), lights=(AmbientLight((0.5, 0.5, 0.5)),), sky=Sky((0.1, 0.2, 0.9), (0.1, 0.2, 0.9)), terrain=()
+    )
+    world = simulate(dome, 1, "sapien", renderer="sapien-rt", renderer_settings={"samples_per_pixel": 8})
+    ball = torch.tensor([[[0.0, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]]])
+    image = world.renderer.render(CAMERA, EYE, ball, (Channel.RGB, Channel.INSTANCE))
+    world.close()
+    assert image.rgb is not None
+    assert image.links is not None
+    shown = image.links[0, ..., 0] == 0
+    rows = shown.any(1).nonzero().flatten()
+    bright = [float(image.rgb[0, row][shown[row]].float().mean()) for row in (rows[2], rows[-3])]
+    assert bright[0] > 1.3 * bright[1]
+    red, _, blue = image.rgb[0, 0, 0].float()
+    assert blue > 2 * red

@@ -21,9 +21,9 @@ from mujoco_warp._src.types import GeomType
 from orbit_core.interfaces import BACKGROUND
 from orbit_warp.renderer_stage import StageArrays
 
-# Threads of a block, and pixels of the tile that its threads of one warp draw: rays of a compact tile visit the same
-# shapes, where those of a row of 32 pixels part.
 BLOCK_THREADS = 128
+"""Threads of a block of rays."""
+# Pixels that the threads of a warp draw: rays of a compact tile visit the same shapes, where those of a row of 32 part.
 _TILE_WIDTH, _TILE_HEIGHT = wp.constant(8), wp.constant(4)
 # Transparent shapes that a pixel shows, one behind the other.
 _LAYERS = 4

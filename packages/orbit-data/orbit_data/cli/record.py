@@ -155,7 +155,8 @@ def phase_note(environment: Environment) -> str:
     return (
         f"note: {len(expert.timed_phases)} of the expert's {expert.phase_count} phases end after a time ({listed}), "
         "which a policy does not see. Clone with chunks of actions (the default of orbit train --library imitation), "
-        "show the policy the phase (--set expert_phase=true), and disturb what is executed (--noise, --stray)"
+        "and disturb what is executed (--noise, --stray). --set expert_phase=true shows the policy the phase, for "
+        "policies that keep the expert's tolerances"
     )
 
 

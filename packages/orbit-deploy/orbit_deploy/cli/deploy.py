@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from orbit_core.cli.making import check_actor, make_actor
 from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.cli.settings import File, KeyValues, Name, check_output, check_positive, parse_words
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
+from orbit_deploy.cli.countdown import check_countdown, count_down
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -84,8 +84,7 @@ def main(words: Sequence[str]) -> None:
     settings = parse_words(DeploySettings, words, "orbit deploy")
     check_positive("episodes", settings.episodes)
     check_output(settings.json, ".json", settings.overwrite)
-    if not 0.0 <= settings.countdown < math.inf:
-        raise ConfigurationError(f"countdown must be zero or more seconds, not {settings.countdown}")
+    check_countdown(settings.countdown)
     if settings.agent != TELEOP:
         check_actor(settings.agent)
     elif settings.dead_man and settings.device == "keyboard":
@@ -329,7 +328,7 @@ def _run(settings: DeploySettings, environment: Environment, pilot: _Pilot) -> d
     counter = EpisodeCounter(settings.episodes, 1, environment.device)
     # The page and the twin take seconds to start, in which nobody waits for the robot to move.
     with _Watch(settings, environment) as watch:
-        _count_down(settings.countdown)
+        count_down(settings.countdown)
         pilot.wait()
         engine.rehearsing = False
         engine.link.permit = pilot.check
@@ -414,13 +413,6 @@ class _Watch:
     def results(self) -> dict[str, float]:
         """Return the difference between twin and robot, rad or m (rms)."""
         return {} if not self._states else {"twin_rms": math.sqrt(self._squares / self._states)}
-
-
-def _count_down(seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0.0:
-        console().print(f"the robot moves in {math.ceil(left)} s (Ctrl-C ends)")
-        time.sleep(min(left, 1.0))
 
 
 def _rest(link: RobotLink) -> None:

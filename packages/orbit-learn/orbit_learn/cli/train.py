@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from orbit_core.envs.task import TaskMetadata
     from orbit_learn.trainer import Progress, Trainer
     from orbit_learn.training import Training
-    from orbit_learn.wandb_log import WandbLog
+    from orbit_learn.training_films import TrainingFilms
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +40,8 @@ class TrainSettings(EnvironmentSettings):
     """Learning library ('orbit list libraries'): rsl-rl if left out, or the one that has the algorithm; distill
     imitates a teacher, imitation clones demonstrations."""
     algorithm: Annotated[str | None, arg(metavar="NAME")] = None
-    """Algorithm: sac, td3 or ppo for orbit; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation; other
-    libraries have ppo."""
+    """Algorithm: sac, td3 or ppo for orbit and sb3; bc, bc-gmm, bc-rnn, bc-rnn-gmm, act or diffusion for imitation;
+    other libraries have ppo."""
     dataset: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
     """Demonstrations, for imitation ('orbit record' makes them); repeatable."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
@@ -63,6 +64,8 @@ class TrainSettings(EnvironmentSettings):
     hundred does in an iteration; or the training ends."""
     save_every: int = 100
     """Iterations between checkpoints."""
+    videos: bool = False
+    """Film an episode of each policy that is written with a checkpoint, into the folder's videos/."""
     output: File = None
     """Folder of this training; out/train/<task>-<time> if left out."""
     resume: File = None
@@ -107,16 +110,19 @@ def train(settings: TrainSettings) -> Path:
         record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
         trainer = make_trainer(environment, chosen, folder, settings.seed)
         training = Training(trainer, settings.task or "", record, leader)
-        log = None
-        if settings.wandb is not None and leader:
-            from orbit_learn.wandb_log import WandbLog
+        with contextlib.ExitStack() as opened:
+            watchers: list[Callable[[Progress], None]] = []
+            if settings.wandb is not None and leader:
+                from orbit_learn.wandb_log import WandbLog
 
-            log = WandbLog(settings.wandb, folder, record)
-        try:
-            last = _run(training, chosen.iterations, settings, log)
-        finally:
-            if log is not None:
-                log.close()
+                log = opened.enter_context(contextlib.closing(WandbLog(settings.wandb, folder, record)))
+                watchers.append(log.add)
+            if settings.videos and leader:
+                from orbit_learn.training_films import TrainingFilms
+
+                films = opened.enter_context(contextlib.closing(TrainingFilms(settings, Path(folder))))
+                watchers.append(_film_saved(films, training))
+            last = _run(training, chosen.iterations, settings, watchers)
     finally:
         environment.close()
     if last is not None:
@@ -124,17 +130,35 @@ def train(settings: TrainSettings) -> Path:
     return folder
 
 
-def _run(training: Training, iterations: int, settings: TrainSettings, log: WandbLog | None) -> Progress | None:
+def _film_saved(films: TrainingFilms, training: Training) -> Callable[[Progress], None]:
+    """Return a function that films the policy of an iteration that has written one."""
+
+    def film(progress: Progress) -> None:
+        if (policy := training.policy_file(progress.iteration)).exists():
+            films.film(policy)
+
+    return film
+
+
+def _run(
+    training: Training, iterations: int, settings: TrainSettings, watchers: Sequence[Callable[[Progress], None]]
+) -> Progress | None:
     """Train under a progress bar, and return the last progress; None in processes that do not lead."""
+    from orbit_learn.curves import sparkline
+
     last: list[Progress] = []  # a list, because the inner function assigns to it
+    rates: list[float] = []
+    returns: list[float] = []
     with progress_bar() as bar:
         line = bar.add_task(f"{settings.task}", total=iterations, visible=training.leader)
 
         def show(progress: Progress) -> None:
             last[:] = [progress]
-            if log is not None:
-                log.add(progress)
-            bar.update(line, completed=progress.iteration + 1, description=_words(settings, progress))
+            for watch in watchers:
+                watch(progress)
+            rates.append(progress.success_rate), returns.append(progress.episode_return)
+            words = f"{_words(settings, progress)} {sparkline(rates) or sparkline(returns)}"
+            bar.update(line, completed=progress.iteration + 1, description=words)
 
         try:
             training.run(iterations, settings.save_every, show, settings.resume is not None)

@@ -18,6 +18,8 @@ from orbit_learn.cli.train import TrainSettings
 LOCAL = "local"
 # How often a training is begun again whose process died, as of a machine that went away.
 _RETRIES = 3
+# How often a cluster is started here, which Ray gives up after 30 s: a machine whose cores are taken needs longer.
+_STARTS = 3
 # Seconds in which a cluster must answer.
 _PATIENCE = 5.0
 
@@ -30,7 +32,7 @@ def connected(address: str) -> Any:
             start one.
 
     Raises:
-        ConfigurationError: Ray is not installed, or no cluster answers.
+        ConfigurationError: Ray is not installed, no cluster answers, or none can be started.
     """
     try:
         import ray  # pyright: ignore[reportMissingImports]
@@ -43,12 +45,34 @@ def connected(address: str) -> Any:
             socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE).close()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of Ray's own coming changes
-            local: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
             # What trainings print would mix line by line with the report of the sweep.
-            ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **local)
+            quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
+            if address == LOCAL:
+                _start(ray, quiet)
+            else:
+                ray.init(address, **quiet)
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"no Ray cluster answers at '{address}': {error}") from error
     return ray
+
+
+def _start(ray: Any, quiet: dict[str, Any]) -> None:
+    """Start a cluster on this machine."""
+    failure = ""
+    for _ in range(_STARTS):
+        try:
+            ray.init(LOCAL, include_dashboard=False, **quiet)
+            return
+        except Exception as error:
+            # Ray has no class for a start that took too long.
+            if type(error) is not Exception:
+                raise
+            failure = _last_line(error)
+            ray.shutdown()
+    raise ConfigurationError(
+        f"Ray did not start on this machine in {_STARTS} attempts ({failure}): end other programs that take its cores, "
+        "or give --ray the address of a cluster that runs"
+    )
 
 
 @dataclass(frozen=True)

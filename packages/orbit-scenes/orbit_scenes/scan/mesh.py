@@ -104,7 +104,8 @@ def read_scan(
         extent = " x ".join(f"{length:.4g}" for length in np.ptp(vertices, axis=0))
         raise AssetError(
             f"scan '{path}' does not state its {'unit' if unit is None else 'up axis'}: give the metres of one unit "
-            f"and the axis that points up, read_scan(..., unit=0.001, up='z'); it extends over {extent} units"
+            "and the axis that points up, read_scan(..., unit=0.001, up='z') or --unit 0.001 --up z; it extends over "
+            f"{extent} units"
         )
     scale = 1.0 if unit is None else unit
     if not 0.0 < scale < math.inf:

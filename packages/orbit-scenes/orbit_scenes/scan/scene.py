@@ -19,6 +19,8 @@ from orbit_scenes.scan.mesh import Scan
 Cells = npt.NDArray[np.bool_]
 # Metres above the floor below which a surface is the floor itself, noise and carpet included.
 _FLOOR = 0.04
+# Points of a surface that are sampled at most: some 2 GB, and ten times those of a floor of 1,000 m^2 with its walls.
+_MOST_POINTS = 5e7
 _MATERIAL = PhysicsMaterial(0.8, 0.8)
 # Colours of labelled parts, dull ones that differ.
 _SHADES: tuple[Color, ...] = (
@@ -235,6 +237,14 @@ def _sampled(scan: Scan, spacing: float) -> FloatArray:
     corners = scan.corners
     longest = np.max([np.linalg.norm(corners[:, i] - corners[:, i - 1], axis=1) for i in range(3)], axis=0)
     parts = np.maximum(1, np.ceil(longest / spacing).astype(np.int64))
+    # In floating point: a scan in a wrong unit has more points than an integer counts.
+    count = float((parts.astype(np.float64) ** 2).sum() / 2.0)
+    if count > _MOST_POINTS:
+        extent = " x ".join(f"{length:.4g}" for length in scan.size)
+        raise AssetError(
+            f"the scan extends over {extent} m and takes {count:.1e} samples {spacing:g} m apart, of which "
+            f"{_MOST_POINTS:.0e} are the most: check its unit, or take larger voxels"
+        )
     found = [scan.vertices]
     # Triangles of one number of parts share a lattice of barycentric coordinates.
     for count in np.unique(parts):

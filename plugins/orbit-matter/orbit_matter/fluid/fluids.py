@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,9 @@ COURANT = 1.0
 """Spacings that sound goes in a substep."""
 DIFFUSIVE = 0.12
 """``nu h / length^2`` at most, above which viscosity overshoots."""
+
+MOST_SUBSTEPS = 200
+"""In a physics step; a second of 1,000 particles then takes minutes of a core."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +82,8 @@ def build(scene: Scene) -> FluidModel | None:
     """Return what the liquids of a scene are made of; None where it has none.
 
     Raises:
-        ConfigurationError: liquids of different spacings, or one with attachments.
+        ConfigurationError: liquids of different spacings, two that overlap, one that
+            needs too many substeps, or one with attachments.
     """
     chosen = [(n, spec) for n, spec in enumerate(scene.deformables) if isinstance(spec, Fluid)]
     if not chosen:
@@ -91,6 +95,8 @@ def build(scene: Scene) -> FluidModel | None:
     for _, spec in chosen:
         if spec.attachments:
             raise ConfigurationError(f"'{spec.name}' is a liquid, which nothing holds: leave out its attachments")
+    for (_, first), (_, second) in combinations(chosen, 2):
+        _check_apart(first, second)
     rest = [spec.pose.transform(spec.rest_positions) for _, spec in chosen]
     counts = [len(points) for points in rest]
     ends = np.cumsum([0, *counts])
@@ -98,7 +104,7 @@ def build(scene: Scene) -> FluidModel | None:
     gravity = max(float(np.linalg.norm(pull)), 1.0)
     # Free fall through the liquid's height is the fastest flow to expect, and sound must be several times faster.
     height = max(float(np.ptp(np.concatenate(rest) @ pull)) / gravity, LEAST_HEIGHT)
-    return FluidModel(
+    made = FluidModel(
         tuple(n for n, _ in chosen),
         tuple(slice(int(a), int(b)) for a, b in pairwise(ends)),
         np.concatenate(rest).astype(np.float32),
@@ -108,6 +114,34 @@ def build(scene: Scene) -> FluidModel | None:
         spacings.pop(),
         MACH * math.sqrt(2.0 * gravity * height),
     )
+    _check_substeps(made, scene)
+    return made
+
+
+def _check_substeps(model: FluidModel, scene: Scene) -> None:
+    """Refuse liquids that are too thick or too fine to be computed in a reasonable time."""
+    needed, most = scene.physics_dt / model.longest_substep, float(MOST_SUBSTEPS)
+    if needed <= most:
+        return
+    thickest = int((model.viscosities / model.densities).argmax())
+    name = scene.deformables[model.owners[thickest]].name
+    viscosity = DIFFUSIVE * model.length**2 * float(model.densities[thickest]) * most / scene.physics_dt
+    raise ConfigurationError(
+        f"'{name}' needs {needed:.3g} substeps in a physics step of {scene.physics_dt:g} s, and {MOST_SUBSTEPS} are "
+        f"the most: at a spacing of {model.spacing:g} m its viscosity may be {viscosity:.3g} Pa s; take a "
+        "smaller one, a larger spacing or a shorter physics_dt"
+    )
+
+
+def _check_apart(first: Fluid, second: Fluid) -> None:
+    """Refuse two liquids that fill the same place."""
+    points = first.pose.inverse().transform(second.pose.transform(second.rest_positions))
+    count = int((np.abs(points) < first.half_extents).all(1).sum())
+    if count:
+        raise ConfigurationError(
+            f"{count} of the {len(points)} particles of '{second.name}' are inside '{first.name}' at the start: move "
+            "one of these liquids"
+        )
 
 
 class Fluids:

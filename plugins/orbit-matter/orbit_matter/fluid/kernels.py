@@ -113,6 +113,20 @@ class Fluid:
 
 
 @wp.kernel(enable_backward=False)
+def find_inside(f: Fluid, links: Links, shapes: Shapes, found: wp.array2d[int]):
+    """Write the shape that each particle is inside of; -1 for none."""
+    env, i = wp.tid()
+    kind = env % shapes.kind.shape[0]
+    found[env, i] = -1
+    for s in range(shapes.kind.shape[1]):
+        # Where a kind of environment has fewer shapes than another, a negative reach fills the row.
+        if shapes.reach[kind, s] >= 0.0:  # noqa: SIM102 - Warp evaluates both sides of an `and`
+            # A ball, as meshes are searched within a multiple of its radius.
+            if surface(links, shapes, env, kind, s, f.x[env, i], f.spacing)[3] > f.spacing:
+                found[env, i] = s
+
+
+@wp.kernel(enable_backward=False)
 def doubt(f: Fluid, most: float):
     """Search again where a particle is further than ``most`` from where it was."""
     env, i = wp.tid()

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import warp as wp
 from torch import Tensor
 
@@ -77,6 +78,12 @@ class FluidPart:
         made.forces, made.torques, made.friction, made.holds = felt.forces, felt.torques, felt.friction, felt.holds
         made.near = wp.full((self._n, self._p, int(contact.NEAREST)), -1, dtype=int)
         return made
+
+    def shapes_inside(self, links: Any, shapes: Any) -> np.ndarray:
+        """Return the (n, P) shape that each particle is inside of; -1 for none."""
+        found = wp.zeros((self._n, self._p), dtype=int)
+        wp.launch(kernels.find_inside, (self._n, self._p), inputs=[self._fluid, links, shapes, found])
+        return found.numpy()
 
     def launch_near(self, links: Any, shapes: Any, physics_dt: float) -> None:
         """Find the shapes that particles may meet in a physics step."""

@@ -57,17 +57,23 @@ def lattice(spec: SoftBody, part: Embedding) -> Lattice:
     low = low - _AROUND * spacing
     axes = [low[a] + spacing[a] * np.arange(spaces * counts[a] + 1 + 2 * _AROUND) for a in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return Lattice(low, spacing, distances(spec, points.reshape(-1, 3)).reshape(points.shape[:3]))
+
+
+def distances(spec: SoftBody, points: FloatArray) -> npt.NDArray[np.float32]:
+    """Return the distance to the surface of a solid, m, negative inside, of points (P, 3) in the frame of its mesh."""
+    vertices = spec.rest_positions
+    farthest = float(np.abs(points).max() + np.abs(vertices).max()) * 4.0
     with wp.ScopedDevice("cpu"):
         mesh = wp.Mesh(
             wp.array(vertices.astype(np.float32), dtype=wp.vec3),
             wp.array(np.asarray(spec.mesh.faces, np.int32).ravel(), dtype=int),
             support_winding_number=True,
         )
-        found = wp.zeros(points.size // 3, dtype=float)
-        flat = wp.array(points.reshape(-1, 3).astype(np.float32), dtype=wp.vec3)
-        wp.launch(_measure, len(flat), inputs=[mesh.id, flat, float(4.0 * extent.max()), found])
-        values = found.numpy().reshape(points.shape[:3]).copy()
-    return Lattice(low, spacing, values)
+        found = wp.zeros(len(points), dtype=float)
+        flat = wp.array(points.astype(np.float32), dtype=wp.vec3)
+        wp.launch(_measure, len(flat), inputs=[mesh.id, flat, farthest, found])
+        return found.numpy().copy()
 
 
 def is_convex(spec: SoftBody) -> bool:

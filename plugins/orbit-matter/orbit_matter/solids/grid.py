@@ -80,7 +80,7 @@ def embed(spec: SoftBody) -> Embedding:
     """Embed a solid in a grid along the axes of its mesh.
 
     Raises:
-        ConfigurationError: the grid has too many nodes.
+        ConfigurationError: the grid has too many nodes, or its cells do not hang together.
     """
     vertices, faces = spec.rest_positions, np.asarray(spec.mesh.faces, dtype=np.int64)
     low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
@@ -99,6 +99,7 @@ def embed(spec: SoftBody) -> Embedding:
     numbers = np.full(counts, -1, np.int32)
     numbers[tuple(chosen.T)] = np.arange(len(chosen))
     cells, nodes = _numbered(chosen, counts, low, size)
+    _check_whole(spec, cells)
     kinds, stiffness, masses = _properties(spec, size, cells, len(nodes), inside[tuple(chosen.T)])
     # Samples and the least fill are off by a few per cent; the weight is not.
     masses *= spec.mass / masses.sum()
@@ -133,6 +134,25 @@ def _check_count(spec: SoftBody, counts: npt.NDArray[np.int64], extent: FloatArr
         raise ConfigurationError(
             f"soft body '{spec.name}' would have {unknowns} unknowns in {' x '.join(map(str, counts))} cells, and "
             f"{MOST_UNKNOWNS} is the most that is computed: a resolution of {would:.2g} m would do"
+        )
+
+
+def _check_whole(spec: SoftBody, cells: IntArray) -> None:
+    """Refuse pieces that share no node: one rotation and one preconditioner are no good for both, and they diverge."""
+    piece = np.arange(len(cells))
+    lowest = np.full(int(cells.max()) + 1, len(cells))
+    while True:
+        # Each cell takes the lowest number among those that it shares a node with, until none changes.
+        np.minimum.at(lowest, cells, piece[:, None])
+        joined = lowest[cells].min(axis=1)
+        if (joined == piece).all():
+            break
+        piece = joined
+    count = len(np.unique(piece))
+    if count > 1:
+        raise ConfigurationError(
+            f"the mesh of soft body '{spec.name}' is of {count} pieces that do not touch each other: make each a "
+            "SoftBody, or give it a resolution so large that they share cells"
         )
 
 

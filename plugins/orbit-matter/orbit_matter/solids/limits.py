@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
 from orbit_core.scene import SoftBody
-from orbit_matter.solids.grid import cell_counts
+from orbit_matter.solids.distance import distances
+from orbit_matter.solids.element import FloatArray
+from orbit_matter.solids.grid import IntArray, cell_counts
 
 _STIFFEST = 5e5
 """``E h^2 / (rho l^2)`` of a cell of edge l: a block of 5 cm kept its weight within 1e-6 and its shape within 1e-6 up
 to 1.2e6, and diverged at 1.2e7, where single precision no longer resolves its strains."""
+_OVERLAP = 0.1
+"""Part of a solid's shortest side by which it may begin inside another."""
 _LIGHTEST = 0.3
 """Part of a solid's mass that a free body should have: one of half of it and more came to rest on a block within
 1 cm/s, one of a tenth hopped at up to 2 cm/s."""
@@ -40,6 +46,62 @@ def check_stiffness(layout: SceneLayout, steps: int) -> None:
                 f"elements of {edge:.2g} m: a physics_dt of {most:.2g} s would do, larger elements (resolution), or a "
                 "rigid object"
             )
+
+
+def check_apart(layout: SceneLayout) -> None:
+    """Refuse solids that begin inside each other: what pushes them apart would throw them.
+
+    Raises:
+        ConfigurationError: names both, and by how much they overlap.
+    """
+    solids = _solids(layout)
+    for one, other in itertools.permutations(solids, 2):
+        points = other.pose.inverse().transform(one.pose.transform(_samples(one)))
+        depth = -float(distances(other, points).min())
+        if depth > _OVERLAP * float(np.ptp(one.rest_positions, axis=0).min()):
+            raise ConfigurationError(
+                f"soft body '{one.name}' begins {depth:.2g} m inside '{other.name}', which would throw it out: move "
+                "one of them, or hold both by one mesh"
+            )
+
+
+def farthest(layout: SceneLayout) -> float:
+    """Return the metres within which solids are looked for in the surfaces of meshes."""
+    return max((float(np.ptp(spec.rest_positions, axis=0).max()) for spec in _solids(layout)), default=0.0)
+
+
+def check_clear(layout: SceneLayout, depths: npt.NDArray[np.float32], links: IntArray) -> None:
+    """Refuse solids that begin inside links or terrain, which would throw them out at metres a second.
+
+    Args:
+        layout: of the scene.
+        depths: (D, S) m of each deformable in each shape.
+        links: (S,) link of each shape; those of terrain have none of the layout's.
+
+    Raises:
+        ConfigurationError: names the solid and what it is in.
+    """
+    names = [link.name for link in layout.links]
+    for number, spec in enumerate(layout.scene.deformables):
+        if not isinstance(spec, SoftBody):
+            continue
+        most = _OVERLAP * float(np.ptp(spec.rest_positions, axis=0).min())
+        shape = int(depths[number].argmax()) if depths.shape[1] else 0
+        if depths.shape[1] and depths[number, shape] > most:
+            link = int(links[shape])
+            what = f"link '{names[link]}'" if 0 <= link < len(names) else "the terrain"
+            raise ConfigurationError(
+                f"soft body '{spec.name}' begins {depths[number, shape]:.2g} m inside {what}, which would throw it "
+                f"out: move one of them; up to {most:.2g} m gives way gently"
+            )
+
+
+def _samples(spec: SoftBody) -> FloatArray:
+    """Return vertices of a solid, and points within it: two solids at one place share all vertices."""
+    vertices = spec.rest_positions
+    between = 0.5 * (vertices + vertices.mean(axis=0))
+    # Those of a ring are in its hole, where another solid may be.
+    return np.concatenate((vertices, between[distances(spec, between) < 0.0]))
 
 
 def light_bodies(layout: SceneLayout) -> tuple[Approximation, ...]:

@@ -198,6 +198,13 @@ class SolidPart:
         inputs = [self._points, links, shapes, self._felt, mine]
         wp.launch(contact.exempt_inside, (self._n, points), inputs=inputs)
 
+    def depths(self, links: Any, shapes: Any, farthest: float) -> np.ndarray:
+        """Return how deep (m) the points of each deformable are in each shape, (D, S), up to ``farthest`` in meshes."""
+        found = wp.zeros((self._solids.parameters.shape[1], shapes.kind.shape[1]), dtype=float)
+        inputs = [self._points, links, shapes, self._felt.torques.shape[1], farthest, found]
+        wp.launch(contact.sound, (self._n, self._points.x.shape[1]), inputs=inputs)
+        return found.numpy()
+
     def orient(self, mine: Any) -> None:
         """Find rotations from scratch, in environments chosen by ``mine`` (n,) bool."""
         wp.launch(launches.orient, (self._n, self._bodies), inputs=[self._solids, mine])

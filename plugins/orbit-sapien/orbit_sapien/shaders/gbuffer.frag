@@ -112,7 +112,12 @@ float lit(int light, vec3 position) {
 
 void main() {
   vec4 albedo = materialBuffer.baseColor;
-  if ((materialBuffer.textureMask & 1) != 0) albedo = texture(colorTexture, inUV);
+  // Albedo is the shape's colour; a texture multiplies it in colour images only.
+  vec3 plain = pow(clamp(albedo.rgb, 0.0, 1.0), vec3(1 / 2.2));
+  if ((materialBuffer.textureMask & 1) != 0) {
+    vec4 laid = texture(colorTexture, inUV);
+    albedo = vec4(albedo.rgb * laid.rgb, laid.a);
+  }
   albedo.a *= 1.0 - objectDataBuffer.transparency;
   if (albedo.a == 0) discard;
 
@@ -131,5 +136,5 @@ void main() {
   outPosition = vec4(inPosition.xyz, 1);
   outNormal = vec4(worldNormal, 1);
   outSegmentation = inSegmentation;
-  outAlbedo = vec4(own, 1);
+  outAlbedo = vec4(plain, 1);
 }
