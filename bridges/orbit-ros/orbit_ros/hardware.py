@@ -114,6 +114,7 @@ class RosHardware(RobotHardware):
         )
         self._node, self._kind, self._prefix = node, kind, prefix
         self._state: Measurement | None = None
+        self._clock: RosClock | None = None
         self._arrived, self._stamp, self._stamps = 0.0, 0.0, StampWatch()
         self._missing: list[str] = list(description.joints)
         self._misfit = ""
@@ -226,7 +227,11 @@ class RosHardware(RobotHardware):
             efforts = np.array(message.effort, np.float64)[order]
         else:
             efforts = np.zeros(len(order))
-        self._stamps.add(stamp, now)
+        # Stamps of a simulated robot pass as fast as its clock.
+        if self._clock is None:
+            self._stamps.add(stamp, now)
+        elif self._clock.known:
+            self._stamps.add(stamp, 1e-9 * self._clock.now())
         self._state, self._arrived, self._stamp = Measurement(positions, velocities, efforts), now, stamp
 
     def _track(self, name: str, message: Odometry) -> None:

@@ -68,7 +68,10 @@ class RosCamera:
     def __init__(
         self, node: RosNode, name: str, color: str, depth: str, described: CameraDescription | None = None
     ) -> None:
-        self.name, self.description = name, described
+        self.name = name
+        """Name that tasks know it by."""
+        self.description = described
+        """Description of the camera; None until its calibration was heard."""
         self.fault = ""
         """Reason why a picture could not be used; empty without one."""
         self._topics = {PictureKind.RGB: color, PictureKind.DEPTH: depth}
