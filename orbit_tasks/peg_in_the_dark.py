@@ -52,7 +52,7 @@ _SUNK = 0.004
 class DarkMemory(PegMemory):
     """State of a block and a hole in the dark: where the hole is said to be, and how pads are turned in the hand."""
 
-    told: Tensor = buffer(2)
+    stated: Tensor = buffer(2)
     """(N, 2) m, the hole's place as far as it is known."""
     turns: Tensor
     """(2, 4) rotations from the pads' axes to the hand's."""
@@ -64,9 +64,9 @@ class DarkMemory(PegMemory):
 
 @means("place of the hole, off by up to the task's 'uncertainty' along x and y", ENVIRONMENT)
 @measured_in("m")
-def told_place(env: Environment[PegInTheDark, DarkMemory]) -> Tensor:
+def stated_place(env: Environment[PegInTheDark, DarkMemory]) -> Tensor:
     """(N, 2) the hole's place as far as it is known, in the environment's frame."""
-    return env.state.told
+    return env.state.stated
 
 
 def place_board(env: Environment[PegInTheDark, DarkMemory], env_ids: Tensor) -> None:
@@ -75,7 +75,7 @@ def place_board(env: Environment[PegInTheDark, DarkMemory], env_ids: Tensor) -> 
     far, middle, off = high[0] - 0.06, 0.5 * (low[1] + high[1]), env.task.uncertainty
     bounds = (far - 0.03, middle - 0.06, -off, -off), (far, middle + 0.06, off, off)
     drawn = env.world.random.uniform((4,), *bounds, env_ids)
-    env.state.told[env_ids] = drawn[:, :2] + drawn[:, 2:]
+    env.state.stated[env_ids] = drawn[:, :2] + drawn[:, 2:]
     pose = torch.cat((drawn[:, :2], torch.zeros_like(drawn[:, :2])), dim=1)
     env.world.objects["board"].set_root_pose(common.standing(pose), env_ids)
 
@@ -98,7 +98,7 @@ def rack(env: Environment[PegInTheDark]) -> tuple[float, float]:
 class DarkState(tabletop.GraspState):
     """The arm's joints, the hand, the hole's place as far as it is known, the taxels of both pads, the last action."""
 
-    told_place: ObservationTerm | None = ObservationTerm(told_place)
+    stated_place: ObservationTerm | None = ObservationTerm(stated_place)
     first_pad: ObservationTerm | None = None
     """Forces on the taxels of one finger; given by the task where it has touch."""
     second_pad: ObservationTerm | None = None
@@ -108,7 +108,7 @@ class DarkState(tabletop.GraspState):
 
 @dataclass
 class DarkEvents(PegEvents):
-    """Robot, board and block are placed for each episode, and the hole's place is told wrongly."""
+    """Robot, board and block are placed for each episode, and the hole's place is stated wrongly."""
 
     place_board: EventTerm | None = EventTerm(place_board)
     place_blocks: EventTerm | None = EventTerm(place_block)
@@ -149,7 +149,7 @@ class PegInTheDark(PegInHole):
         self.bound(uncertainty=(0.0, 0.015))
         if len(self.shapes) != 1:
             raise ConfigurationError(
-                f"task PegInTheDark has {len(self.shapes)} shapes: give one, whose hole's place is told"
+                f"task PegInTheDark has {len(self.shapes)} shapes: give one, whose hole's place is stated"
             )
         scene = super().scene()
         if not self.touch:
@@ -171,7 +171,7 @@ class PegInTheDark(PegInHole):
 class FeelingExpert(Expert):
     """Expert that brings the block against two sides of the board, and knows then where the hole is.
 
-    It reads the arm, the place that is told and the pads. Without pads it goes to the place that is told.
+    It reads the arm, the place that is stated and the pads. Without pads it goes to the place that is stated.
     """  # fmt: skip
 
     def __init__(self, env: Environment[PegInTheDark]) -> None:
@@ -212,13 +212,13 @@ class FeelingExpert(Expert):
         return super().compute(inputs)
 
     def hole(self) -> Tensor:
-        """(N, 2) m where the hand is when the block is over the hole, by what was felt and else by what is told."""
-        return torch.where(self._felt, self._sides + self._apart, self._task_env.state.told)
+        """(N, 2) m where the hand is when the block is over the hole, by what was felt and else by what is stated."""
+        return torch.where(self._felt, self._sides + self._apart, self._task_env.state.stated)
 
     def before(self, env: Environment[PegInTheDark, DarkMemory], axis: int, height: float) -> Tensor:
         """(N, 7) the hand with the block before a side of the board, as far off as the place may be wrong."""
         place = self.hole().clone()
-        place[:, axis] = env.state.told[:, axis] - self._apart - env.task.uncertainty - _MARGIN
+        place[:, axis] = env.state.stated[:, axis] - self._apart - env.task.uncertainty - _MARGIN
         return _down(place, _GRIP + height)
 
     def probing(self, env: Environment[PegInTheDark, DarkMemory], axis: int) -> Tensor:

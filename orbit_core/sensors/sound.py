@@ -1,4 +1,4 @@
-"""Base of sensors of sound, so that videos and datasets find them whatever package brings them."""
+"""Base of sensors of sound, so that videos and datasets find those of any package."""
 
 from __future__ import annotations
 

@@ -35,11 +35,11 @@ def test_a_policy_in_the_dark_is_told_a_place_near_the_hole_and_sees_neither_blo
     env = make("Peg-In-The-Dark", 16, "mujoco", seed=0)
     assert isinstance(env.task, PegInTheDark)
     env.reset(seed=0)
-    off = env.state.told - env.world.objects["board"].root_pose[:, :2]
+    off = env.state.stated - env.world.objects["board"].root_pose[:, :2]
     assert off.abs().max() <= env.task.uncertainty
     assert off.abs().amax(0).min() > 0.5 * env.task.uncertainty
     seen = set(terms_of_group(env.task.observations.policy))
-    assert {"told_place", *touch.PADS} < seen
+    assert {"stated_place", *touch.PADS} < seen
     assert not {"block_poses", "seats", "offsets", "hand_to_knobs"} & seen
     env.close()
 
