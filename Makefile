@@ -141,7 +141,7 @@ $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
 	sh tools/system_packages.sh graphics vulkan browser & $(PIP) -r checkout.txt \
 		$(PLUGINS:%=--editable plugins/orbit-%) \
-		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,viewers,deploy,ros,scenes,scan,sound,editor,$(LEARNING),docs,dev]" \
+		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,deploy,ros,scenes,scan,sound,editor,$(LEARNING),docs,dev]" \
 		&& wait $$!
 	$(PIP) --no-deps crocoddyl libcrocoddyl
 	touch $(VENV)/.ready $@

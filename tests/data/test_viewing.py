@@ -41,7 +41,9 @@ def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_mcap_holds_what_was_recorded(demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    reader = pytest.importorskip("mcap.reader")
+    reader = pytest.importorskip(
+        "mcap.reader", reason="capability 'mcap' is not installed: pip install 'orbit-data[mcap]'"
+    )
     image = pytest.importorskip("PIL.Image")
     assert main(["data", "show", str(demos), "--output", str(tmp_path / "demo.mcap")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
@@ -73,7 +75,9 @@ def test_mcap_holds_what_was_recorded(demos: Path, tmp_path: Path, capsys: pytes
 
 
 def test_rerun_holds_what_was_recorded(demos: Path, tmp_path: Path) -> None:
-    chunks = pytest.importorskip("rerun.chunk")
+    chunks = pytest.importorskip(
+        "rerun.chunk", reason="capability 'rerun' is not installed: pip install 'orbit-data[rerun]'"
+    )
     assert main(["data", "show", str(demos), "--output", str(tmp_path / "demo.rrd"), "--first", "1"]) == 0
     columns: dict[tuple[str, str], list[Any]] = {}
     for chunk in chunks.RrdReader(tmp_path / "demo.rrd").stream():
