@@ -189,8 +189,8 @@ ENVIRONMENT = "orbit_core.envs.environment"
 PARTS_OF_AN_ENVIRONMENT = tuple(
     f"orbit_core.envs.{name}"
     for name in (
-        "command_manager", "event_manager", "multi_agent", "observation_manager", "premises",
-        "reward_manager", "state", "task",
+        "command_manager", "event_manager", "expert_phase", "multi_agent", "observation_manager",
+        "premises", "reward_manager", "state", "task",
     )
 )  # fmt: skip
 

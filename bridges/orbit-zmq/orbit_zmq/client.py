@@ -108,7 +108,7 @@ class ZmqLink(RobotLink):
         """Robot as its computer offered it."""
         self._viewer = None
         if offer.pictures:
-            # A thread of its own: reading a large picture must not hold up commands.
+            # Another thread: reading a large picture must not hold up commands.
             arguments = (f"tcp://{shown}:{offer.pictures}", host, keys)
             self._viewer = threading.Thread(target=self._view, args=arguments, name="zmq pictures", daemon=True)
             self._viewer.start()

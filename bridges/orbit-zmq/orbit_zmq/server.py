@@ -112,7 +112,7 @@ class ZmqServer:
             def callback(self, domain: str, key: bytes) -> bool:
                 return key == accepted
 
-        # In a thread of its own: a handshake must not hold up the commands of a client that is there.
+        # In another thread: a handshake must not hold up the commands of a client that is there.
         authenticator = zmq.auth.thread.ThreadAuthenticator(self._context)
         authenticator.start()
         authenticator.configure_curve_callback(domain="*", credentials_provider=Provider())

@@ -27,6 +27,7 @@ from orbit_data.manifest.manifest import Manifest
 from orbit_data.noise import CLEAN
 
 SUFFIXES = (".mcap", ".rrd")
+# Seconds between episodes, so that plots do not join them.
 _PAUSE = 1.0
 # Frame that poses are expressed in: that of one environment.
 _WORLD = "environment"
@@ -68,11 +69,13 @@ def _write(file: _ViewerFile, episodes: Iterable[Episode], manifest: Manifest) -
         facts = {"number": info.number, "success": info.success, "return": info.episode_return, "backend": info.backend}
         file.note(begin, {**facts, "instruction": info.instruction, **info.metrics})
         for name, array in episode.arrays.items():
+            # By shape, because other datasets name pictures as they like.
             if name.startswith(POSES):
                 file.poses(name.removeprefix(POSES), times, array)
             elif array.dtype == np.uint8 and array.ndim == 4 and array.shape[-1] == 3:
                 file.pictures(name, times, array)
             elif name.startswith((NEXT, INITIAL)):
+                # Shown already, as the observation of the step before or after.
                 left_out.add(name.partition("/")[0] + "/")
             elif name in (STATES, DONES) or array.ndim > 3:
                 left_out.add(name)
@@ -142,6 +145,7 @@ class _ViewerFile(ABC):
 
 def _png(picture: Array, pillow: ModuleType) -> bytes:
     data = io.BytesIO()
+    # Little compression: files are for a look, and compressing is what takes the time.
     pillow.fromarray(picture).save(data, "PNG", compress_level=1)
     return data.getvalue()
 

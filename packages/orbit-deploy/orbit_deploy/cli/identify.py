@@ -59,7 +59,7 @@ class IdentifySettings:
     """Generations of a search by CMA-ES over the whole range, for a robot that is far from its description; 0 refines
     the robot as it is."""
     derivatives: Name = None
-    """Physics backend that computes the derivatives, for one that simulates candidates one after another (Bullet)."""
+    """Physics backend that computes the derivatives, for one that simulates candidates one after another."""
     seed: int = 0
     """Seed of the search, and of the motion of --excite."""
     output: Annotated[Path, arg(metavar="FILE")] = Path("fitted.json")
