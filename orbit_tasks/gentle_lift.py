@@ -12,7 +12,7 @@ from torch import Tensor
 
 from orbit_assets.objects import box
 from orbit_core.actions import ActionTerm
-from orbit_core.actions.joints import JointPositionConfig
+from orbit_core.actions.joints import JointPosition, JointPositionConfig
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
@@ -290,7 +290,9 @@ class GentleExpert(Expert):
         self._sent = self._open.repeat(env.num_envs, 1)
         # Where the box slips the hand waits until the grip has grown.
         self._slips = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
-        self._generator = next(each for each in env.actions.generators if [*each.joints] == [*joints])
+        self._generator = next(
+            each for each in env.actions.generators if isinstance(each, JointPosition) and [*each.joints] == [*joints]
+        )
         # Two fingers share the force of one drive.
         self._share = 0.5 * robot.nominal_gains[joints[0]][0]
         needed = _BLIND * _G * sum(env.task.masses) / 2.0 / (2.0 * FRICTION)

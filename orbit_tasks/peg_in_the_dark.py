@@ -1,5 +1,8 @@
 """Peg-In-The-Dark: put a block into its hole by touch, whose place is known within a centimetre only."""
 
+# Groups of terms, and what a task remembers, are extended by deriving from them.
+# pyright: reportIncompatibleVariableOverride=false, reportIncompatibleMethodOverride=false
+
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,8 @@
 """Pick-And-Place: take a cube from one half of the table and put it down on a mark on the other."""
 
+# Groups of terms are extended by deriving from them.
+# pyright: reportIncompatibleVariableOverride=false
+
 from __future__ import annotations
 
 import math

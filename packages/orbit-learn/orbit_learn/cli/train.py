@@ -156,7 +156,8 @@ def _run(
             last[:] = [progress]
             for watch in watchers:
                 watch(progress)
-            rates.append(progress.success_rate), returns.append(progress.episode_return)
+            rates.append(progress.success_rate)
+            returns.append(progress.episode_return)
             words = f"{_words(settings, progress)} {sparkline(rates) or sparkline(returns)}"
             bar.update(line, completed=progress.iteration + 1, description=words)
 

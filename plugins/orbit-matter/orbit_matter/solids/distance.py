@@ -73,7 +73,7 @@ def distances(spec: SoftBody, points: FloatArray) -> npt.NDArray[np.float32]:
         found = wp.zeros(len(points), dtype=float)
         flat = wp.array(points.astype(np.float32), dtype=wp.vec3)
         wp.launch(_measure, len(flat), inputs=[mesh.id, flat, farthest, found])
-        return found.numpy().copy()
+        return np.array(found.numpy(), np.float32)
 
 
 def is_convex(spec: SoftBody) -> bool:

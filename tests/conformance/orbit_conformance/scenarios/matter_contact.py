@@ -265,7 +265,7 @@ _ROUND = BAR + 0.5 * THICKNESS
 
 def _hung() -> _Hung:
     """Find how a hammock hangs: its tension stretches it to the length of its way round the bar."""
-    low, high = 0.0, STRIP
+    low, high, depth, angle, stretch = 0.0, STRIP, 0.0, 0.0, 1.0
     for _ in range(60):
         depth = 0.5 * (low + high)
         away = math.hypot(0.5 * SPAN, depth)
