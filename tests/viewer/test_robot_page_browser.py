@@ -71,7 +71,8 @@ def test_the_sign_of_small_differences_is_not_cut_off(running: RobotPage, person
     with person.opened_page(width=1000, height=800) as page:
         page.goto(f"{running.url}?fixedDpr={person.COARSE}")
         plots = page.locator(".uplot")
-        person.until(lambda: plots.count() == 2, page)
+        # A plot is there before it is laid out.
+        person.until(lambda: plots.count() == 2 and all(plot.evaluate(ROOM)[0] for plot in plots.all()), page)
         for plot in plots.all():
             room, needed = plot.evaluate(ROOM)
             assert room >= needed
