@@ -360,14 +360,23 @@ def test_a_damaged_log_is_one_sentence(text: str, message: str, tmp_path: Path) 
         read_log(file)
 
 
+@pytest.mark.parametrize(("kept", "least"), [(0.5, 0.3), (1.0, 1.0)])
+def test_a_log_whose_writer_was_killed_is_read_as_far_as_it_is_whole(
+    kept: float, least: float, log: MotionLog, written: Path, tmp_path: Path
+) -> None:
+    data = written.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: int(kept * len(data)) - 20])
+    with pytest.warns(RuntimeWarning, match=r"was cut off or is damaged after \d+\.\d s"):
+        found = read_log(tmp_path / "cut.mcap")
+    complete = read_log(written)
+    count = len(found.times)
+    assert least * len(complete.times) <= count <= len(complete.times)
+    np.testing.assert_array_equal(found.position, complete.position[:count])
+
+
 def test_other_logs_and_words_are_refused(log: MotionLog, written: Path, tmp_path: Path) -> None:
     whole = written.read_bytes()
-    for name, data in (
-        ("cut", whole[: len(whole) // 2]),
-        ("end", whole[:-20]),
-        ("empty", b""),
-        ("log", b"\x89MCAP0\r\n"),
-    ):
+    for name, data in (("cut", whole[:200]), ("empty", b""), ("log", b"\x89MCAP0\r\n")):
         (tmp_path / f"{name}.mcap").write_bytes(data)
         with pytest.raises(ConfigurationError, match=r"is damaged or was cut off: .+"):
             read_log(tmp_path / f"{name}.mcap")

@@ -8,6 +8,7 @@ import hashlib
 import io
 import re
 import struct
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -177,23 +178,39 @@ def source_of(path: Path, data: bytes) -> str:
 def _read_mcap(path: Path) -> MotionLog | None:
     """Return the log of a robot's computer, or None if the file is a recording of something else."""
     try:
-        from mcap.exceptions import McapError
-        from mcap.reader import make_reader
+        from mcap.exceptions import EndOfFile, McapError
+        from mcap.records import Channel, Footer, Message, Metadata
+        from mcap.stream_reader import StreamReader
     except ImportError:
         raise ConfigurationError(f"logs need mcap: {install_command('orbit-deploy[log]')}") from None
     data = read_bytes(path, _MOST_BYTES)
+    description: RobotDescription | None = None
+    channels: set[int] = set()
+    rows: list[_StateRow] = []
+    whole, fault = False, "it is empty"
     try:
-        reader = make_reader(io.BytesIO(data))
-        # Other programs write MCAP too, recordings of ROS 2 among them.
-        described = next((each for each in reader.iter_metadata() if each.name == "robot"), None)
-        # Robots' computers write the description at once: without one, it may be a recording of ROS.
-        if described is None:
-            return None
-        description = msgspec.json.decode(described.metadata["description"], type=RobotDescription)
-        rows = [_row(message.data) for _, _, message in reader.iter_messages(topics=["/state"])]
-    except (McapError, msgspec.MsgspecError, KeyError, ValueError, struct.error) as error:
+        # Record after record and not by the index at its end, which a file lacks whose writer was killed.
+        for record in StreamReader(io.BytesIO(data)).records:
+            # Other programs write MCAP too, recordings of ROS 2 among them.
+            if isinstance(record, Metadata) and record.name == "robot":
+                description = msgspec.json.decode(record.metadata["description"], type=RobotDescription)
+            elif isinstance(record, Channel) and record.topic == "/state":
+                channels.add(record.id)
+            elif isinstance(record, Message) and record.channel_id in channels and description is not None:
+                rows.append(_DECODER.decode(record.data))
+            whole = whole or isinstance(record, Footer)
+    except (EndOfFile, McapError, msgspec.MsgspecError, KeyError, ValueError, struct.error) as error:
         # The reader unpacks what is left of a file without looking at its length.
-        raise ConfigurationError(f"{path} is damaged or was cut off: {str(error) or 'it is empty'}") from None
+        fault = str(error) or fault
+    # Robots' computers write the description at once: without one, it may be a recording of ROS.
+    if whole and description is None:
+        return None
+    if description is None or not (whole or rows):
+        raise ConfigurationError(f"{path} is damaged or was cut off: {fault}")
+    rows.sort(key=lambda row: row.stamp)
+    if not whole:
+        seconds = 1e-9 * (rows[-1].stamp - rows[0].stamp)
+        warnings.warn(f"{path} was cut off or is damaged after {seconds:.1f} s: those are read", RuntimeWarning, 3)
     source = source_of(path, data)
     if not rows:
         raise ConfigurationError(f"{source} holds no states of the robot")
@@ -227,10 +244,6 @@ class _StateRow(msgspec.Struct):
 
 _DECODER = msgspec.json.Decoder(_StateRow)
 assert set(_StateRow.__struct_fields__) <= set(RobotState.__struct_fields__), "a log holds states"
-
-
-def _row(data: bytes) -> _StateRow:
-    return _DECODER.decode(data)
 
 
 def _read_csv(path: Path) -> MotionLog:
