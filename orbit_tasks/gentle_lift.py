@@ -18,7 +18,7 @@ from orbit_core.envs import Environment, EventTerm, ObservationTerm, PremiseTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
 from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
-from orbit_core.envs.terms import POSE, once_per_state
+from orbit_core.envs.terms import POSE, Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.layout import gripper_positions
 from orbit_core.mdp import common
@@ -140,7 +140,9 @@ class GentleState(tabletop.GraspState):
     thing_pose: ObservationTerm | None = ObservationTerm(thing_pose, unit=POSE)
     hand_to_thing: ObservationTerm | None = ObservationTerm(hand_to_thing, unit="m")
     mass: ObservationTerm | None = ObservationTerm(mass, unit="kg")
-    grip: ObservationTerm | None = ObservationTerm(lambda env: grip_force(env)[:, None], unit="N")
+    grip: ObservationTerm | None = ObservationTerm(
+        lambda env: grip_force(env)[:, None], unit="N", meaning=Meaning("force with which each finger presses")
+    )
     """Newtons with which each finger presses."""
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 

@@ -30,6 +30,8 @@ _BALL_ROWS = 32
 _HIGHLIGHT = 0.6
 # Texture of a box that has none: only the normals of its sides are wanted.
 _BLANK = Texture(np.zeros((1, 1, 3), np.uint8))
+# Pixels on a side: Bullet's OpenGL draws larger textures white without a word, and others skewed and grey.
+_TEXTURE = 512
 # Half extent in metres of the square that is drawn for a plane.
 _GROUND = 1000.0
 
@@ -57,7 +59,7 @@ class VisualShapes:
         """Return Bullet's number of a texture, which is loaded once."""
         if texture not in self._textures:
             path = self._folder / f"texture{len(self._textures)}.tga"
-            _write_tga(path, texture.pixels)
+            _write_tga(path, _drawable(texture.pixels))
             self._textures[texture] = self._client.loadTexture(str(path))
         return self._textures[texture]
 
@@ -102,6 +104,19 @@ def _write_surface(path: Path, surface: TexturedSurface) -> None:
     lines += [f"vn {x:.6g} {y:.6g} {z:.6g}" for x, y, z in surface.normals]
     lines += [f"f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}" for a, b, c in surface.faces + 1]
     path.write_text("\n".join(lines) + "\n")
+
+
+def _drawable(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return a picture (H, W, 3) in a size that Bullet's OpenGL draws: at most _TEXTURE, and whole rows of 4 bytes."""
+    by = -(-max(pixels.shape[:2]) // _TEXTURE)
+    if by > 1:
+        # Means of whole squares: the edge is repeated where they do not fit.
+        wide = np.pad(pixels, [(0, -size % by) for size in pixels.shape[:2]] + [(0, 0)], mode="edge")
+        height, width, _ = wide.shape
+        pixels = wide.reshape(height // by, by, width // by, by, 3).mean((1, 3)).round().astype(np.uint8)
+    # Stretched and not padded, because textures repeat.
+    rows, columns = (np.arange(-(-size // 4) * 4) * size // (-(-size // 4) * 4) for size in pixels.shape[:2])
+    return pixels[rows[:, None], columns]
 
 
 def _write_tga(path: Path, pixels: npt.NDArray[np.uint8]) -> None:

@@ -5,12 +5,25 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+import torch
 
-from orbit_bullet import BulletConfig, opengl
+from orbit_bullet import BulletBackend, BulletConfig, opengl
 from orbit_bullet.renderer import BulletRenderer
 from orbit_core.interfaces import ConfigurationError, SceneLayout
-from orbit_core.scene import Scene
+from orbit_core.scene import (
+    Box,
+    CameraSpec,
+    Channel,
+    Finish,
+    ObjectSpec,
+    Scene,
+    Shape,
+    Texture,
+    look_at,
+    single_link,
+)
 
 _ROUNDS = """
 import threading
@@ -79,3 +92,20 @@ def test_opengl_that_finds_no_device_is_an_error_and_not_the_end_of_the_process(
     monkeypatch.setattr(opengl, "_free", [])
     with pytest.raises(ConfigurationError, match="its plugin does not load here"):
         BulletRenderer(SceneLayout.of(Scene()), (), BulletConfig(renderer="egl"))
+
+
+@pytest.mark.usefixtures("_drawn")
+@pytest.mark.parametrize("size", [(30, 21), (513, 700), (1024, 1024)])
+def test_textures_of_any_size_keep_their_colours(size: tuple[int, int]) -> None:
+    pixels = np.full((*size, 3), (200, 20, 20), np.uint8)
+    camera = CameraSpec(name="eye", width=64, height=64, pose=look_at((0.4, 0.3, 0.3), (0, 0, 0)), near=0.1)
+    shape = Shape(Box((0.1, 0.1, 0.1)), color=(1.0, 1.0, 1.0, 1.0), finish=Finish(texture=Texture(pixels)))
+    body = ObjectSpec(name="cube", articulation=single_link("cube", shape, 1.0, np.eye(3)))
+    layout = SceneLayout.of(Scene(objects=(body,), sensors=(camera,)))
+    renderer = BulletBackend().create_renderer(layout, (camera,), BulletConfig(renderer="egl"))
+    eye, poses = torch.tensor([[*camera.pose.position, *camera.pose.orientation]]), torch.eye(7)[None, 3:4]
+    rgb = renderer.render(camera, eye, poses, (Channel.RGB,)).rgb
+    renderer.close()
+    assert rgb is not None
+    red, green, blue = (rgb[0, 32, 32, axis].item() for axis in range(3))
+    assert red > 4 * max(green, blue)
