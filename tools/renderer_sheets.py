@@ -109,8 +109,8 @@ def page() -> str:
     """Return the page as Markdown."""
     lines = [
         "# Renderers\n",
-        "Every task at the same moment, drawn by each renderer in the [studio](looks.md#the-studio). Made by "
-        "`python tools/renderer_sheets.py`. [Looks](looks.md) says what each renderer draws of a surface, "
+        "Every task at the same moment, drawn by each renderer in the [studio](looks.md#the-studio). Made by\n"
+        "`python tools/renderer_sheets.py`. [Looks](looks.md) says what each renderer draws of a surface,\n"
         "[Light](lights.md) how far their pictures agree; the [gallery](gallery.md#path-traced) has `sapien-rt`.\n",
     ]
     for sheet, drawn in RENDERERS.items():
