@@ -17,6 +17,7 @@ from orbit_core.interfaces.errors import ArgumentError, ConfigurationError, Unkn
 from orbit_core.scene import (
     CameraSpec,
     ContactSensorSpec,
+    EventCameraSpec,
     ForceTorqueSpec,
     FrameSensorSpec,
     ImuSpec,
@@ -34,6 +35,7 @@ FORMAT = 1
 SENSORS: dict[str, type[SensorSpec]] = {
     "camera": CameraSpec,
     "contact": ContactSensorSpec,
+    "event_camera": EventCameraSpec,
     "force_torque": ForceTorqueSpec,
     "frame": FrameSensorSpec,
     "imu": ImuSpec,

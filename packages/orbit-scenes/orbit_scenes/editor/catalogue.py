@@ -17,11 +17,13 @@ from orbit_core.scene import (
     CameraSpec,
     ContactSensorSpec,
     Entity,
+    EventCameraSpec,
     ForceTorqueSpec,
     FrameSensorSpec,
     ImuSpec,
     JointSensorSpec,
     Pose,
+    RayCameraSpec,
     RayCasterSpec,
     RobotSpec,
     SensorSpec,
@@ -82,10 +84,12 @@ class Entry:
 _SENSOR_WORDS = {
     "camera": "pictures from a place, or from a link",
     "contact": "contact forces on links",
+    "event_camera": "changes of brightness in a picture",
     "force_torque": "wrench through a joint",
     "frame": "pose and velocity of a link or frame",
     "imu": "angular velocity and acceleration",
     "joints": "joint positions and velocities",
+    "ray_camera": "depth and segmentation by rays, without a renderer",
     "ray_caster": "distances along rays",
     "tactile": "taxels on a pad",
 }
@@ -150,8 +154,9 @@ def sensor_for(kind: str, name: str, carrier: Entity | None, view: Pose) -> Sens
     Raises:
         ConfigurationError: the sensor needs a carrier, and there is none.
     """
-    if kind == "camera":
-        return CameraSpec(name=name, pose=view, width=320, height=240)
+    cameras = {"camera": CameraSpec, "event_camera": EventCameraSpec, "ray_camera": RayCameraSpec}
+    if kind in cameras:
+        return cameras[kind](name=name, pose=view, width=320, height=240)
     if carrier is None:
         raise ConfigurationError(f"select the robot or object that the sensor '{kind}' is on, then add it")
     owner, root = carrier.name, carrier.articulation.root.name

@@ -14,7 +14,7 @@ import numpy as np
 from torch import Tensor
 
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
-from orbit_core.scene import CameraSpec, Entity, ObjectSpec, Pose, RobotSpec, Scene, look_at
+from orbit_core.scene import CameraSpec, Entity, ObjectSpec, Pose, RayCameraSpec, RobotSpec, Scene, look_at
 from orbit_core.scene.pose import Quaternion, Vector3
 from orbit_scenes.document import edits
 from orbit_scenes.document.files import imported
@@ -541,8 +541,13 @@ class Editor(Actions):
 
     def _show_pictures(self) -> None:
         """Draw what one of the cameras sees; they take turns, and the selected one is shown large."""
-        cameras = [sensor for sensor in self._scene.sensors if isinstance(sensor, CameraSpec)]
-        chosen = self._camera(self.selected)
+        # Cameras of rays see no colours.
+        cameras = [
+            sensor
+            for sensor in self._scene.sensors
+            if isinstance(sensor, CameraSpec) and not isinstance(sensor, RayCameraSpec)
+        ]
+        chosen = next((camera for camera in cameras if camera.name == self.selected), None)
         if chosen is None:
             self._panel.show_picture(None)
         now = time.perf_counter()
