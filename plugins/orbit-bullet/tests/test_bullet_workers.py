@@ -106,21 +106,13 @@ def iterations_of(engine: BulletEngine) -> list[int]:
     return [island["numIterationsUsed"] for client in clients for island in client.stepSimulation()]
 
 
-@pytest.mark.parametrize("per_client", [1, 2])
-def test_iterations_that_change_nothing_are_left_out(per_client: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A driven bar and a cube that rests on the ground end with the state that all 200 iterations give."""
-    early = make(2, workers=1, envs_per_client=per_client)
-    monkeypatch.setattr("orbit_bullet.simulation._RESIDUAL", 0.0)
-    late = make(2, workers=1, envs_per_client=per_client)
-    for engine in (early, late):
-        engine.position_targets[:] = torch.tensor([[-0.5], [-2.0]])
-        engine.step(50)
-    for name in ("joint_positions", "link_poses", "link_velocities"):
-        torch.testing.assert_close(getattr(early, name), getattr(late, name), rtol=0, atol=1e-6)
-    assert early.joint_velocities.abs().min() > 1e-3
-    assert 0 < max(iterations_of(early)) < max(iterations_of(late)) == 200
-    for engine in (early, late):
-        engine.close()
+def test_all_iterations_are_made_whatever_the_residual() -> None:
+    """A bar that is driven and a cube at rest: ended early, contacts of other scenes go wrong."""
+    engine = make(2, workers=1, envs_per_client=1)
+    engine.position_targets[:] = torch.tensor([[-0.5], [-2.0]])
+    engine.step(50)
+    assert max(iterations_of(engine)) == 200
+    engine.close()
 
 
 def test_a_dead_worker_is_reported_and_nothing_stays() -> None:
