@@ -118,7 +118,7 @@ def _over_mark(env: Environment[PickAndPlace]) -> Tensor:
 
 @dataclass
 class PickAndPlaceState(LiftState):
-    """What Lift's policy sees, and the way from the cube to its mark."""
+    """Observations of Lift's policy, and the way from the cube to its mark."""
 
     cube_to_goal: ObservationTerm | None = ObservationTerm(cube_to_goal)
 
@@ -182,7 +182,7 @@ class PickAndPlace(Lift):
     )
     # Small enough for the jaws of every gripper of the catalogue, those of SO-101 among them.
     cube: ObjectConfig = BoxConfig(size=(0.03, 0.03, 0.03), mass=0.05, color=(0.8, 0.2, 0.15, 1.0))
-    """What is moved; :func:`orbit_core.objects.object_kinds` has other kinds."""
+    """Object that is moved; :func:`orbit_core.objects.object_kinds` has other kinds."""
     observations: PickAndPlaceObservations | LiftPixelObservations = field(default_factory=PickAndPlaceObservations)
     rewards: PickAndPlaceRewards = field(default_factory=PickAndPlaceRewards)
     events: PickAndPlaceEvents = field(default_factory=PickAndPlaceEvents)

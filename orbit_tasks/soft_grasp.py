@@ -233,7 +233,7 @@ class SoftGrasp(Task):
     youngs_modulus: float = 5e5
     """Pa of the fingers: silicone has 1e5 to 3e6."""
     friction: float = 1.0
-    """Of the fingers with everything."""
+    """Coefficient of friction of the fingers with all that they touch."""
     grip_force: float = 4.0
     """Newtons at most that the gripper closes with."""
     observations: SoftGraspObservations = field(default_factory=SoftGraspObservations)

@@ -36,7 +36,7 @@ class Drawn:
     renderer: str
     """Name of the renderer."""
     text: str
-    """What draws."""
+    """Description of what draws."""
     settings: dict[str, Any] = field(default_factory=dict)
     """Settings of the renderer."""
 

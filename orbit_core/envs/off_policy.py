@@ -53,7 +53,7 @@ class OffPolicySettings:
     noise: tuple[float, float] = (0.05, 0.4)
     """Smallest and largest deviation of TD3's exploration; each environment draws its own for an episode."""
     normalize_observations: bool = True
-    """Whether observations are shifted and scaled to mean 0 and deviation 1 by their own statistics."""
+    """True to shift and scale observations to mean 0 and deviation 1 by their own statistics."""
     precision: str = "tf32"
     """Arithmetic of matrix products on a GPU: tf32 (10 bits of mantissa, on tensor cores) or float32; library
     sb3 leaves that to torch."""

@@ -45,7 +45,7 @@ class PpoSettings:
     entropy_weight: float = 0.002
     """Weight of the entropy bonus, which keeps exploration alive."""
     normalize_observations: bool = True
-    """Whether observations are shifted and scaled to mean 0 and deviation 1 by their own statistics."""
+    """True to shift and scale observations to mean 0 and deviation 1 by their own statistics."""
     imitation_steps: int = 0
     """Gradient steps in which the actor imitates what the task's expert did on its way, before the first iteration;
     needs ``expert_starts`` of the task, and RSL-RL."""

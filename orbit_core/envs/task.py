@@ -112,7 +112,7 @@ class TaskMetadata:
     ppo: PpoSettings = PpoSettings()
     """Settings that ``orbit train`` learns it with."""
     off_policy: OffPolicySettings = OffPolicySettings()
-    """Those of ``orbit train --algorithm sac`` and td3."""
+    """Settings of ``orbit train --algorithm sac`` and td3."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
     """Direction from which pictures and videos are taken, in the environment's frame. The camera stands where what the
     task moves fills the picture; here, if nothing moves."""
@@ -186,7 +186,7 @@ class Task(ABC):
     """Share of episodes that begin on the expert's way (:class:`orbit_motion.experts.starts.ExpertStarts`), for
     learning what a beginner would not reach."""
     expert_phase: bool = False
-    """Whether the policy sees the phase that the expert is in (:mod:`orbit_core.envs.expert_phase`), for cloning an
+    """True to show the policy the phase that the expert is in (:mod:`orbit_core.envs.expert_phase`), for cloning an
     expert whose phases end after a time."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""

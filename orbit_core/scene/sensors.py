@@ -107,7 +107,7 @@ class TactileSpec(ContactSensorSpec):
     reach: float = 0.004
     """Metres in front of the pad and behind it within which a surface counts as touching."""
     shear: bool = False
-    """Whether shear must be felt: an engine that reports contact forces without friction refuses the scene."""
+    """True to require shear: an engine that reports contact forces without friction refuses the scene."""
 
     def __post_init__(self) -> None:
         lengths = (*self.size, self.young, self.friction, self.reach)

@@ -97,7 +97,7 @@ def test_a_real_robot_does_not_move_before_the_countdown_and_stops_when_the_key_
                 raise ReleasedError("released")
 
         def close(self) -> None:
-            """Nothing is open."""
+            """Do nothing, because nothing is open."""
 
     monkeypatch.setattr("orbit_deploy.link.connect", connect)
     monkeypatch.setattr(dead_man, "DeadManKey", Key)

@@ -105,7 +105,7 @@ def test_a_short_training_improves_the_return(algorithm: str, tmp_path: Path) ->
 
 
 def test_sac_learns_to_reach(tmp_path: Path) -> None:
-    """By the task's own rewards, 32,000 steps bring the hand from half a metre to a tenth, of which half is asked."""
+    """Ask for half of what 32,000 steps bring: the hand comes from half a metre to a tenth."""
     environment = Environment(Reach(episode_length=1.0), 32, BACKEND)
     settings = replace(SHORT, iterations=40, updates_per_step=2, discount=0.95, learning_rate=1e-3)
     curve = learn(OffPolicyTrainer(environment, settings, tmp_path, 0), settings.iterations)

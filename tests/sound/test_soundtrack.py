@@ -49,7 +49,7 @@ class Heard(ObservationGroup):
 
 @dataclass
 class Observations:
-    """What is heard."""
+    """Return what is heard."""
 
     policy: ObservationGroup = field(default_factory=Heard)
 
