@@ -35,8 +35,8 @@ from orbit_mjmodel.solids import SolidGrid, embed, shortest_edge, skin
 _BENDING = 1.75
 # Impedance of contacts and of what is held: a particle is so light that a softer contact gives way by centimetres.
 _STIFF = (0.99, 0.9999, 0.001, 0.5, 2.0)
-# The same of solids: with that of cloth a block crept by 0.6 mm/s in a grasp, and ten times as fast on a slope.
-_STIFFER = (0.999, *_STIFF[1:])
+# The same of solids: with that of cloth a block crept by 0.6 mm/s in a grasp, and seven times as fast on a slope.
+_STIFFER = (0.9995, *_STIFF[1:])
 # How many times as stiff contacts of cloth are as MuJoCo would have them, which are as soft as a particle is light: a
 # finger's corner came through triangles of 7 mg, which are 2 mm thick, as it pinched, and the cloth hung on it, 1.9 mm
 # deep, when the fingers had opened. Six times as stiff, cloth that slides on a slope is 3 % too fast.
@@ -62,8 +62,9 @@ _STIFFEST_BEND = 100.0
 # within 1e-6; MuJoCo's solver ends at a residual of 1e-8 of the largest forces.
 _STIFFEST_CELL = 5e5
 
-# How many times as long as cloth's the time constant of a rope's contacts is: on the limit of two steps its pieces
-# rattle on what they lie on, and creep by 4 mm/s where friction should hold them.
+# How many times as long as cloth's the time constant of contacts of rope and solids is: on the limit of two steps a
+# rope's pieces rattle on what they lie on, and creep by 4 mm/s where friction should hold them; a block trembled on
+# another at 2 cm/s.
 _SOFTER = 2.0
 # Inertia of a rope's pieces about their own axes, over that of their mass at their radius. A rope that rolled would
 # turn by more than a radian in a step, and so could not be bent: its pieces' spin, which does not move anything else,
@@ -155,7 +156,7 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout, grids: Sequence[SolidGr
             _add_cloth(spec, index, thing, solref)
         elif isinstance(thing, SoftBody):
             assert grid is not None
-            _add_solid(spec, index, thing, grid, solref)
+            _add_solid(spec, index, thing, grid, (_SOFTER * solref[0], solref[1]))
             report += _report_solid(thing, grid)
         else:
             report += _add_rope(spec, index, thing, (_SOFTER * solref[0], solref[1]), layout.scene)
