@@ -15,7 +15,7 @@ _OFF_EDGES = np.array([1.3e-5, 0.7e-5])
 
 
 def inside_lattice(
-    axes: Sequence[FloatArray], vertices: FloatArray, faces: npt.NDArray[np.integer]
+    axes: Sequence[FloatArray], vertices: npt.NDArray[np.floating], faces: npt.NDArray[np.integer]
 ) -> npt.NDArray[np.bool_]:
     """Return which points of a lattice are inside, (X, Y, Z).
 
@@ -45,10 +45,11 @@ def inside_lattice(
     return found > 0
 
 
-def is_convex(vertices: FloatArray, faces: npt.NDArray[np.integer]) -> bool:
+def is_convex(vertices: npt.NDArray[np.floating], faces: npt.NDArray[np.integer]) -> bool:
     """Return True if no vertex (V, 3) is in front of a face (F, 3), so that a solid cannot touch itself."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
+    # A triangle without area has no normal, and nothing is in front of it.
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     ahead = normals @ vertices.T - (normals * a).sum(axis=1, keepdims=True)
     return bool(ahead.max() < _CONVEX * np.ptp(vertices, axis=0).max())

@@ -41,7 +41,7 @@ _SMOOTH, _STILL = 1e-6, 1e-10
 _DEPTH = 0.2
 # The same over the thickness of the solid there.
 _THIN = 0.4
-# Part of a triangle by which rays meet it beside its edges.
+# Part of a triangle by which rays meet it beyond its edges.
 _EDGE = 1e-6
 # Of pairs of a ray and a triangle at a time, which take 300 bytes each.
 _MOST_PAIRS = 300_000
@@ -102,7 +102,7 @@ class SolidGrid:
             lines = np.moveaxis(lattice, axis, 0)
             rows.append(_STILL * _differences((lines[:-1], lines[1:]), (-1.0, 1.0), self.moving, place))
             rows.append(_SMOOTH * _differences((lines[:-2], lines[1:-1], lines[2:]), (1, -2, 1), self.moving, place))
-        return np.linalg.pinv(np.concatenate(rows), rcond=1e-13)[:, : len(self.weights)]
+        return np.asarray(np.linalg.pinv(np.concatenate(rows), rcond=1e-13)[:, : len(self.weights)], dtype=np.float64)
 
 
 def _differences(
@@ -132,7 +132,7 @@ def embed(spec: SoftBody) -> SolidGrid:
     within = _within(vertices, faces, low, size, counts)
     home = np.clip(((vertices - low) / size).astype(np.int64), 0, counts - 1)
     # A cell with a vertex is kept even where none of its samples is inside.
-    used = within.any(axis=1)
+    used = np.asarray(within.any(axis=1))
     used[np.ravel_multi_index(tuple(home.T), tuple(counts))] = True
     masses, stiffness = _properties(spec, size, used, within, corners, len(nodes))
     masses = _with_inertia(masses * (spec.mass / masses.sum()), nodes, counts, spec, low, size, cells, within)
@@ -149,7 +149,8 @@ def _cells(counts: IntArray) -> IntArray:
 
 def _corners(counts: IntArray) -> IntArray:
     """Return the nodes (C, 8) of each cell."""
-    return np.ravel_multi_index(tuple((_cells(counts)[:, None] + CORNERS).transpose(2, 0, 1)), tuple(counts + 1))
+    x, y, z = np.moveaxis(_cells(counts)[:, None] + CORNERS, -1, 0)
+    return (x * (counts[1] + 1) + y) * (counts[2] + 1) + z
 
 
 def cell_counts(extent: FloatArray, resolution: float | None) -> IntArray:
@@ -303,7 +304,7 @@ def _with_inertia(
 def skin(spec: SoftBody) -> tuple[FloatArray, IntArray]:
     """Return the points that collide, which begin with the vertices, and a tetrahedron under each triangle.
 
-    Elasticity is that of the grid: these only tell where the surface is, and may overlap each other.
+    Elasticity is that of the grid: these say only where the surface is, and may overlap each other.
     """
     vertices, faces = spec.rest_positions, np.asarray(spec.mesh.faces, dtype=np.int64)
     triangles = vertices[faces]

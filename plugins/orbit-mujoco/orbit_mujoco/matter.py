@@ -135,7 +135,7 @@ class NativeMatter:
             masses = self._parameters.masses[..., one.bodies]
             if isinstance(one.spec, Cloth):
                 self._qfrc[:, one.velocities] = -rate * np.repeat(masses, 3, -1) * self._qvel[:, one.velocities]
-            else:
+            elif isinstance(one.spec, Rope):
                 speeds = self._velocities_at(one, self._xipos[:, one.bodies])
                 self._xfrc[:, one.bodies, :3] = -rate * masses[..., None] * speeds
                 axes = rotate(self._xquat[:, one.bodies], np.array((1.0, 0.0, 0.0)))

@@ -36,7 +36,6 @@ def fresh(world: World) -> World:
 
 
 def test_a_grid_has_the_mass_of_its_solid_its_middle_and_its_inertia() -> None:
-    """Of a block and of a ball, whose cells are cut."""
     for mesh, moment in ((MESH, 0.05**2 / 12.0), (ball(0.05, 2), 0.05**2 / 5.0)):
         spec = replace(BLOCK, mesh=mesh)
         grid = embed(spec)
