@@ -9,6 +9,7 @@ contacts leave out what nodes take with a negative share, so that friction does 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -93,8 +94,10 @@ class SolidGrid:
         """Return the moving node (V,) that has the largest part in each vertex."""
         return self.weights.argmax(axis=1)
 
+    # Kept, and only where vertices are written: of a thousand nodes it takes seconds.
+    @cached_property
     def fit(self) -> FloatArray:
-        """Return the matrix (m, V) from displacements of vertices to those of nodes, smooth where these are free."""
+        """Matrix (m, V) from displacements of vertices to those of nodes, smooth where these are free."""
         place = np.cumsum(self.moving) - 1
         lattice = np.arange(len(self.nodes)).reshape(self.counts + 1)
         rows = [self.weights]

@@ -53,7 +53,6 @@ class NativeMatter:
         self._qfrc, self._xfrc = batch.bind("qfrc_applied"), batch.bind("xfrc_applied")
         self._active = batch.bind("eq_active")
         self._rest = [one.spec.pose.transform(one.spec.rest_positions) for one in matter]
-        self._fits = [None if one.grid is None else one.grid.fit() for one in matter]
         self._lengths = [piece_lengths(one.spec) if isinstance(one.spec, Rope) else np.zeros(0) for one in matter]
         if matter:
             self._places, self._holders = parameters.field("eq_data"), parameters.field("eq_obj2id")
@@ -95,10 +94,11 @@ class NativeMatter:
 
     def write(self, deformable: int, positions: FloatArray, velocities: FloatArray, rows: HostRows) -> None:
         """Set (n, P, 3) positions and velocities: ropes keep their lengths, solids take what their grid can."""
-        one, fit = self._matter[deformable], self._fits[deformable]
+        one = self._matter[deformable]
         if not isinstance(one.spec, Rope):
             moved = positions - self._rest[deformable]
-            moved, velocities = (moved, velocities) if fit is None else (fit @ moved, fit @ velocities)
+            if one.grid is not None:
+                moved, velocities = one.grid.fit @ moved, one.grid.fit @ velocities
             self._qpos[rows, one.positions] = moved.reshape(len(positions), -1)
             self._qvel[rows, one.velocities] = velocities.reshape(len(velocities), -1)
         else:
