@@ -154,8 +154,8 @@ def test_a_changed_plugin_runs_all_scenarios_on_its_backend() -> None:
 
 def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
     """A whole run in a process of its own, on a list that names a slow test of each turn and one that is gone."""
-    (tmp_path / "test_few.py").write_text("".join(f"def test_{i}(): pass\n" for i in range(20)))
-    listed = {f"test_few.py::test_{i}": 5.0 for i in range(10)} | {"test_few.py::test_gone": 5.0}
+    (tmp_path / "test_few.py").write_text("".join(f"def test_{i}(): pass\n" for i in range(40)))
+    listed = {f"test_few.py::test_{i}": 5.0 for i in range(20)} | {"test_few.py::test_gone": 5.0}
     options = ["-p", "tests.tiers.plugin", "-p", "no:cacheprovider", "--tier", "quick", "--rootdir", str(tmp_path)]
     code = (
         "import sys, pytest, tests.tiers.plugin as plugin\n"
@@ -166,8 +166,8 @@ def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=os.environ | own
     )
-    assert "11 passed, 9 deselected" in done.stdout, done.stdout + done.stderr
-    assert "1 of 10 slow ones, 5 of 50 s" in done.stdout
+    assert "21 passed, 19 deselected" in done.stdout, done.stdout + done.stderr
+    assert "1 of 20 slow ones, 5 of 100 s" in done.stdout
     assert "names 1 tests that are gone" in done.stdout
 
 
