@@ -17,7 +17,13 @@ _GROWN = 3.0
 """A test is called grown from this many times the threshold on, so that a busy machine names none."""
 _OF_MANY = 0.5
 """Seconds that a test of many alike counts in its turn, where it is not slow."""
-_REAL_TIME = ("tests/deploy/", "tests/ros/", "tests/teleoperation/", "tests/viewer/", "tests/learning/test_policy_server")
+_REAL_TIME = (
+    "tests/deploy/",
+    "tests/ros/",
+    "tests/teleoperation/",
+    "tests/viewer/",
+    "tests/learning/test_policy_server",
+)
 """Tests that talk to other processes by the wall clock: a machine that stood still for a second makes them fail, so one
 fails that fails three times."""
 _COLLECTED, _GONE = "tiers_collected", "tiers_gone"
