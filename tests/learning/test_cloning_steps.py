@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -23,8 +24,10 @@ from orbit_learn.cloning.networks import (
     Planner,
     TransformerPlanner,
 )
-from orbit_learn.cloning.steps import GradientSteps
+from orbit_learn.cloning.steps import GradientSteps, shifted
 from orbit_learn.description import Part
+from orbit_learn.memory import map_seen
+from orbit_learn.networks import convolutional
 from orbit_learn.trainer import half_cosine
 
 ENCODING = Encoding(
@@ -32,19 +35,26 @@ ENCODING = Encoding(
     joints=(0, 1, -1), gains=(0.5, 2.0, 0.0), biases=(0.1, 0.0, 0.0), binary=(False, False, True),
 )  # fmt: skip
 SHARED: dict[str, Any] = {"encoding": ENCODING, "chunk": 4, "executed": 2}
+FRONT = Part("front", 16 * 16 * 3, (16, 16, 3), "uint8")
+SEEING = replace(
+    ENCODING, parts=(*ENCODING.parts, FRONT), concatenated=False, pictures=convolutional((FRONT,), ()).encoders
+)
 NETWORKS: tuple[ClonedNetwork, ...] = (
     ClonedPerceptron(**SHARED, hidden_sizes=(16, 16)),
     ClonedPerceptron(**SHARED, hidden_sizes=(16, 16), modes=2),
     ClonedRecurrent(**SHARED, hidden_size=8, horizon=4),
     ClonedTransformer(**SHARED, width=16, heads=2, encoder_layers=2, decoder_layers=2),
     ClonedDiffusion(**SHARED, width=16),
+    ClonedPerceptron(**{**SHARED, "encoding": SEEING}, hidden_sizes=(16,)),
+    ClonedRecurrent(**{**SHARED, "encoding": SEEING}, hidden_size=8, horizon=4),
 )
 BATCH, STEPS, TOTAL, RATE = 8, 3, 12, 1e-2
 META = torch.device("meta")
 
 
 def name_of(network: ClonedNetwork) -> str:
-    return f"{type(network).__name__}{getattr(network, 'modes', '')}"
+    seeing = "-pictures" if network.encoding.pictures else ""
+    return f"{type(network).name}-{getattr(network, 'modes', 1)}{seeing}"  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def planner_of(network: ClonedNetwork) -> Planner:
@@ -54,10 +64,15 @@ def planner_of(network: ClonedNetwork) -> Planner:
     return planner
 
 
-def demonstrations(count: int = 40) -> Demonstrations:
+def demonstrations(encoding: Encoding = ENCODING, count: int = 40) -> Demonstrations:
     torch.manual_seed(1)
     ends = torch.arange(count) // 10 * 10 + 9
-    return Demonstrations(torch.randn(count, ENCODING.vector_size), torch.rand(count, 3) * 2.0 - 1.0, ends)
+    actions = torch.rand(count, 3) * 2.0 - 1.0
+    if encoding.concatenated:
+        return Demonstrations(torch.randn(count, encoding.vector_size), actions, ends)
+    seen = {part.name: torch.randn(count, part.size) for part in encoding.parts if not part.is_picture}
+    pictures = {FRONT.name: torch.randint(0, 256, (count, 16, 16, 3), dtype=torch.uint8)}
+    return Demonstrations({**seen, **pictures}, actions, ends)
 
 
 def plain_loop(planner: Planner, shown: Demonstrations, iterations: int) -> list[float]:
@@ -71,7 +86,7 @@ def plain_loop(planner: Planner, shown: Demonstrations, iterations: int) -> list
         rows = torch.randint(shown.steps, (BATCH // planner.sequence,), generator=generator)
         if planner.sequence > 1:
             rows = torch.stack([(rows + i).minimum(shown.ends[rows]) for i in range(planner.sequence)], 1)
-        loss = planner.loss(shown.observed(rows), *shown.windows(rows, planner.network.chunk))
+        loss = planner.loss(map_seen(shifted, shown.observed(rows)), *shown.windows(rows, planner.network.chunk))
         optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(planner.parameters(), 1.0)
@@ -82,7 +97,8 @@ def plain_loop(planner: Planner, shown: Demonstrations, iterations: int) -> list
 
 @pytest.mark.parametrize("network", NETWORKS, ids=name_of)
 def test_steps_learn_what_a_plain_loop_learns(network: ClonedNetwork) -> None:
-    plain, planner, shown = planner_of(network), planner_of(network), demonstrations()
+    plain, planner = planner_of(network), planner_of(network)
+    shown = demonstrations(network.encoding)
     torch.manual_seed(2)
     expected = plain_loop(plain, shown, 3)
     torch.manual_seed(2)
@@ -161,7 +177,7 @@ class Constructions(TorchFunctionMode):
 def test_a_step_touches_nothing_of_the_host(network: ClonedNetwork) -> None:
     planner = planner_of(network)
     steps = GradientSteps(planner, BATCH, STEPS, TOTAL, RATE, 5)
-    steps.show(demonstrations())
+    steps.show(demonstrations(network.encoding))
     # The meta device has shapes only, so that it is here on any machine.
     planner.to("meta")
     steps._device, steps._shown, steps._weights = META, steps._shown.to(META), list(planner.parameters())
