@@ -44,16 +44,26 @@ class Progress:
     """Means of the task's metrics over the last episodes, by name; empty if the library does not report them."""
 
 
+def half_cosine(initial: float, progress: float) -> float:
+    """Return the learning rate that falls along half a cosine (Loshchilov and Hutter, SGDR, 2017).
+
+    Args:
+        initial: rate at the begin.
+        progress: share of the training that is over; zero is reached at 1.
+    """
+    return initial * 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+
+
 def set_half_cosine(optimizer: torch.optim.Optimizer, initial: float, progress: float) -> None:
-    """Set the learning rate that falls along half a cosine (Loshchilov and Hutter, SGDR, 2017).
+    """Set an optimiser's learning rate to :func:`half_cosine`.
 
     Args:
         optimizer: whose rate is set.
         initial: rate at the begin.
-        progress: share of the training that is over; zero is reached at 1.
+        progress: share of the training that is over.
     """
     for group in optimizer.param_groups:
-        group["lr"] = initial * 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+        group["lr"] = half_cosine(initial, progress)
 
 
 class LearningSettings(Protocol):
