@@ -130,6 +130,7 @@ class SlowRay(types.ModuleType):
         self.left, self.ended = failing, 0
 
     def init(self, *_: object, **__: object) -> None:
+        signal.signal(signal.SIGTERM, lambda *_: None)  # as Ray does
         if self.left:
             self.left -= 1
             raise Exception("The current node timed out during startup.")
@@ -141,7 +142,9 @@ class SlowRay(types.ModuleType):
 def test_a_cluster_that_starts_slowly_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     late, never = SlowRay(2), SlowRay(9)
     monkeypatch.setitem(sys.modules, "ray", late)
+    before = signal.getsignal(signal.SIGTERM)
     assert connected("local") is late
+    assert signal.getsignal(signal.SIGTERM) is before
     assert (late.left, late.ended) == (0, 2)
     monkeypatch.setitem(sys.modules, "ray", never)
     with pytest.raises(ConfigurationError, match=r"did not start .* in 3 attempts .*timed out.*--ray"):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import shutil
+import signal
 import socket
+import threading
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -46,7 +49,7 @@ def connected(address: str) -> Any:
         if colon:
             # Ray itself tries for minutes.
             socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE).close()
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _signals_kept():
             warnings.simplefilter("ignore")  # of Ray's own coming changes
             # What trainings print would mix line by line with the report of the sweep.
             quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
@@ -57,6 +60,17 @@ def connected(address: str) -> Any:
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"no Ray cluster answers at '{address}': {error}") from error
     return ray
+
+
+@contextlib.contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Put back the handler of SIGTERM: Ray's prints a stack and ends the program, and leaves the page unwritten."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
 
 
 def _start(ray: Any, quiet: dict[str, Any]) -> None:
