@@ -16,10 +16,11 @@ from orbit_core.cli import main
 from orbit_core.cli.making import configured_task
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.envs import Environment, Task
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_learn.evaluation.disturbances import LEVELS, Disturbance
 from orbit_learn.evaluation.page import page
 from orbit_learn.evaluation.results import BASE, Block, BlockKey, Plan, ResultFile, read_results
+from orbit_learn.evaluation.running import run_blocks
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
 from orbit_learn.remote.client import ServerAddress
 
@@ -149,6 +150,15 @@ def test_the_command_evaluates_once_and_then_reads(tmp_path: Path, capsys: pytes
     assert (tmp_path / "results.jsonl").read_text() == first
     assert "Where success varies" in (tmp_path / "index.html").read_text()
     capsys.readouterr()
+
+
+def test_processes_report_each_block_as_it_ends() -> None:
+    plan = Plan("Reach", ("zero", "nowhere.safetensors"), (default_backend(),), {BASE: ()}, (0,), 1)
+    own = EnvironmentSettings(task="Reach", set=("episode_length=0.1",))
+    found: list[Block] = []
+    with pytest.raises(OrbitError, match="nowhere"):
+        run_blocks(plan, list(plan.blocks()), dict.fromkeys(plan.policies, own), 2, found.append)
+    assert [each.key.policy for each in found] == ["zero"], "the second of the process's two blocks fails"
 
 
 @pytest.mark.parametrize(
