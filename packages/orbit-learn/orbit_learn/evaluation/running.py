@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import TYPE_CHECKING
 
 import torch
@@ -76,9 +78,18 @@ _ended: SimpleQueue[Block | None] | None = None
 
 
 def _report_to(ended: SimpleQueue[Block | None]) -> None:
-    """Let this process put its blocks into a queue."""
+    """Let this process put its blocks into a queue, and end with the process that started it."""
     global _ended
     _ended = ended
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # A killed parent closes no pool: its processes would finish their groups for nobody, and wait for ever then.
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _report_group(plan: Plan, keys: Sequence[BlockKey], settings: EnvironmentSettings) -> None:
