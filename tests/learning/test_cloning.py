@@ -24,7 +24,8 @@ from orbit_learn.cli.trained import PlaySettings, restore
 from orbit_learn.cloning.corrections import gather_corrections
 from orbit_learn.cloning.encoding import FINE, Encoder, Encoding, Labels, encoding_for, rotation_features
 from orbit_learn.cloning.networks import ClonedRecurrent, ClonedTransformer, Planner
-from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer, shifted
+from orbit_learn.cloning.steps import shifted
+from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer
 from orbit_learn.description import Part, group_parts
 from orbit_learn.memory import Remembering
 from orbit_learn.policy import PolicyActor, load_policy
@@ -321,6 +322,13 @@ def test_pictures_are_shifted_by_a_few_pixels_and_vectors_are_not() -> None:
     steps = moved.int().diff(dim=1)
     assert bool(((steps == 0) | (steps == 1)).all()), "rows stay in order, and edges repeat"
     assert set((moved[:, 10, 0, 0].int() - 10).tolist()) == set(range(-4, 5))
+    sequences = rows[:8].unflatten(0, (2, 4))
+    moved = shifted(sequences)
+    assert moved.shape == sequences.shape
+    assert len(set(moved[:, :, 10, 0, 0].flatten().tolist())) > 1, (
+        "each picture of a sequence is shifted, not its order"
+    )
+    assert bool((moved.int().diff(dim=2) <= 1).all())
     vector = torch.rand(4, 7)
     assert shifted(vector) is vector
 

@@ -9,7 +9,7 @@ shown without the sign of their quaternion.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -173,6 +173,15 @@ def _squared(quaternions: Tensor) -> Tensor:
     return torch.cat((w.square() - axis.square().sum(1, keepdim=True), 2.0 * w * axis), 1)
 
 
+def _keep(module: nn.Module, name: str, values: Sequence[object], kind: torch.dtype) -> None:
+    """Give a module a constant tensor that moves with it and is no weight of a policy's file.
+
+    A tensor made of a list in every call would be copied to the device each time, which a recorded graph cannot hold.
+    """
+    # On the CPU even while weights are made on torch's meta device: no file would fill it.
+    module.register_buffer(name, torch.tensor(values, dtype=kind, device="cpu"), persistent=False)
+
+
 class Encoder(nn.Module):
     """Features of an observation, normalised, with those of its pictures.
 
@@ -184,12 +193,27 @@ class Encoder(nn.Module):
     """(F,) of features in the demonstrations."""
     std: Tensor
     """(F,) theirs."""
+    shown: Tensor
+    """(S,) columns that are shown as they are."""
+    turned: Tensor
+    """(4 R,) columns of the quaternions."""
+    places: Tensor
+    """(3 V,) columns of the positions."""
+    firsts: Tensor
+    """(P,) positions that are subtracted."""
+    seconds: Tensor
+    """(P,) positions that they are subtracted from."""
 
     def __init__(self, encoding: Encoding) -> None:
         super().__init__()
         self.encoding = encoding
-        self._shown = [column for column in range(encoding.vector_size) if column not in encoding.replaced]
-        self._pairs = list(itertools.combinations(range(len(encoding.vectors)), 2))
+        shown = [column for column in range(encoding.vector_size) if column not in encoding.replaced]
+        pairs = list(itertools.combinations(range(len(encoding.vectors)), 2))
+        _keep(self, "shown", shown, torch.int64)
+        _keep(self, "turned", [begin + i for begin in encoding.rotations for i in range(4)], torch.int64)
+        _keep(self, "places", [begin + axis for begin in encoding.vectors for axis in range(3)], torch.int64)
+        _keep(self, "firsts", [first for first, _ in pairs], torch.int64)
+        _keep(self, "seconds", [second for _, second in pairs], torch.int64)
         self.register_buffer("mean", torch.zeros(encoding.feature_size))
         self.register_buffer("std", torch.ones(encoding.feature_size))
         self._convolutional = None
@@ -211,12 +235,16 @@ class Encoder(nn.Module):
 
     def features(self, vectors: Tensor) -> Tensor:
         """Return (N, F) features of ``vectors`` (N, O), before they are normalised."""
-        seen = [vectors[:, self._shown]]
-        seen += [rotation_features(vectors[:, begin : begin + 4]) for begin in self.encoding.rotations]
+        # All terms of a kind in one operation each: on a GPU a step takes as long as it has operations.
+        seen = [vectors.index_select(1, self.shown)]
+        if self.encoding.rotations:
+            quaternions = vectors.index_select(1, self.turned).reshape(-1, 4)
+            seen.append(rotation_features(quaternions).reshape(-1, _ROTATION_FEATURES * len(self.encoding.rotations)))
         if self.encoding.vectors:
-            places = [vectors[:, begin : begin + 3] for begin in self.encoding.vectors]
-            differences = [places[j] - places[i] for i, j in self._pairs]
-            seen += [*differences, *((value / FINE).tanh() for value in (*places, *differences))]
+            places = vectors.index_select(1, self.places).unflatten(1, (-1, 3))
+            differences = places.index_select(1, self.seconds) - places.index_select(1, self.firsts)
+            fine = (torch.cat((places, differences), dim=1) / FINE).tanh()
+            seen += [differences.flatten(1), fine.flatten(1)]
         return torch.cat(seen, dim=1)
 
     def forward(self, observation: Tensor | Mapping[str, Tensor]) -> Tensor:
@@ -252,6 +280,14 @@ class Labels(nn.Module):
     """(A,) of relative actions in the demonstrations."""
     std: Tensor
     """(A,) theirs."""
+    columns: Tensor
+    """(A,) columns of the joint positions that components are relative to; 0 where a component is relative to none."""
+    gains: Tensor
+    """(A,) units of action for a unit of that column; 0 where a component is relative to none."""
+    biases: Tensor
+    """(A,) action where that column is zero."""
+    signs: Tensor
+    """(A,) bool, components that are a sign."""
 
     def __init__(self, encoding: Encoding, action_size: int) -> None:
         super().__init__()
@@ -260,36 +296,31 @@ class Labels(nn.Module):
                 raise ValueError(f"an encoding for {len(values)} components of an action of {action_size}")
         joints = encoding.joints or (-1,) * action_size
         relative = [column != -1 for column in joints]
-        # Plain lists, for buffers would be weights of the policy's file; tensors of them are made on first use.
-        self._columns = [max(column, 0) for column in joints]
         none = (0.0,) * action_size
-        self._gains = [gain * used for gain, used in zip(encoding.gains or none, relative, strict=True)]
-        self._biases = [bias * used for bias, used in zip(encoding.biases or none, relative, strict=True)]
-        self.binary = list(encoding.binary or (False,) * action_size)
-        """Components that are a sign."""
+        gains = [gain * used for gain, used in zip(encoding.gains or none, relative, strict=True)]
+        biases = [bias * used for bias, used in zip(encoding.biases or none, relative, strict=True)]
+        _keep(self, "columns", [max(column, 0) for column in joints], torch.int64)
+        _keep(self, "gains", gains, torch.float32)
+        _keep(self, "biases", biases, torch.float32)
+        _keep(self, "signs", encoding.binary or (False,) * action_size, torch.bool)
         self.register_buffer("mean", torch.zeros(action_size))
         self.register_buffer("std", torch.ones(action_size))
 
     def base(self, vectors: Tensor) -> Tensor:
         """Return (N, A) actions that command the present joint positions; zero where a component is not relative."""
-        gains, biases = (vectors.new_tensor(values) for values in (self._gains, self._biases))
-        return vectors[:, self._columns] * gains + biases
-
-    def signs(self, like: Tensor) -> Tensor:
-        """Return (A,) bool, components that are a sign."""
-        return torch.tensor(self.binary, device=like.device)
+        return vectors.index_select(1, self.columns) * self.gains + self.biases
 
     def normalised(self, actions: Tensor, vectors: Tensor) -> Tensor:
         """Return labels (B, H, A) of actions (B, H, A) that began at observations (B, O); signs are -1 and 1."""
         labels = (actions - self.base(vectors)[:, None] - self.mean) / self.std
-        return torch.where(self.signs(actions), torch.where(actions < 0.0, -1.0, 1.0), labels)
+        return torch.where(self.signs, torch.where(actions < 0.0, -1.0, 1.0), labels)
 
     def actions(self, outputs: Tensor, vectors: Tensor) -> Tensor:
         """Return actions (N, H, A) in [-1, 1] of a network's outputs (N, H, A), whose signs are logits."""
         actions = outputs * self.std + self.mean + self.base(vectors)[:, None]
         # A gripper without a definite command stays open, as a binary gripper reads zero.
         signs = torch.where(outputs < 0.0, -1.0, 1.0)
-        return torch.where(self.signs(outputs), signs, actions).clamp(-1.0, 1.0)
+        return torch.where(self.signs, signs, actions).clamp(-1.0, 1.0)
 
     def fit(self, actions: Tensor, vectors: Tensor) -> None:
         """Take mean and standard deviation from windows (B, H, A) that began at observations (B, O).
@@ -300,6 +331,5 @@ class Labels(nn.Module):
         if not len(actions):
             raise ConfigurationError("there are no demonstrations to take statistics from")
         relative = (actions - self.base(vectors)[:, None]).flatten(0, 1)
-        signs = self.signs(actions)
-        self.mean.copy_(relative.mean(0).where(~signs, 0.0))
-        self.std.copy_((relative.std(0) + _LEAST_LABEL_STD).where(~signs, 1.0))
+        self.mean.copy_(relative.mean(0).where(~self.signs, 0.0))
+        self.std.copy_((relative.std(0) + _LEAST_LABEL_STD).where(~self.signs, 1.0))
