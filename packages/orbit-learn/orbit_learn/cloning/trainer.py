@@ -76,6 +76,8 @@ class ImitationSettings:
     """Iterations between evaluations, each an episode in every environment; the last iteration is always evaluated."""
     device: str = ""
     """Torch device of the gradient steps, such as cuda; the environment's if left out."""
+    recorded: bool = True
+    """On a GPU, repeat gradient steps as one CUDA graph; false runs each of their operations from Python."""
     steps_per_iteration: int = 0
     """Environment steps of an iteration; demonstrations are recorded before."""
 
@@ -151,7 +153,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         updates = settings.updates_per_iteration
         self._steps = GradientSteps(
             self._planner, settings.chunks_per_update, updates, settings.iterations * updates,
-            settings.first_learning_rate, seed,
+            settings.first_learning_rate, seed, settings.recorded,
         )  # fmt: skip
         self._steps.show(shown)
         self._iteration = 0
