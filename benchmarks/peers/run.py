@@ -30,7 +30,7 @@ from turns import Place, Plan, measure
 from orbit_conformance.hardware import device_label
 from orbit_core.cli.output import console
 from orbit_core.files import written_whole
-from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.interfaces.errors import ConfigurationError, OrbitError, UnknownNameError
 
 ROOT = Path(__file__).parents[2]
 
@@ -69,7 +69,7 @@ def main(settings: Settings) -> None:
     """Measure, and write the figures and the page."""
     if settings.peer:
         if settings.peer not in PEERS:
-            raise UnknownNameError(f"unknown peer {settings.peer!r}: use {', '.join(PEERS)}")
+            raise UnknownNameError("peer", settings.peer, PEERS)
         peer = PEERS[settings.peer]
         for case in chosen_cases(peer, settings.cases):
             for num_envs in settings.num_envs or peer.num_envs:
@@ -92,7 +92,7 @@ def chosen_cases(peer: Peer, names: tuple[str, ...]) -> list[Case]:
     """
     known = {case.name: case for case in peer.cases}
     if unknown := [name for name in names if name not in known]:
-        raise UnknownNameError(f"{peer.title} has no case {unknown[0]!r}: use {', '.join(known)}")
+        raise UnknownNameError("case", unknown[0], known, peer.title)
     return [known[name] for name in names or known]
 
 
@@ -158,4 +158,7 @@ def report(measurement: Measurement) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings))
+    try:
+        main(tyro.cli(Settings))
+    except OrbitError as error:
+        sys.exit(f"error: {error}")
