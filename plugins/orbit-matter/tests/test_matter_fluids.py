@@ -57,6 +57,18 @@ def test_equal_environments_stay_equal_to_the_last_bit(settled: World) -> None:
     assert torch.equal(x[0], x[1])
 
 
+def test_an_environment_is_the_same_to_the_last_bit_in_a_batch_of_any_size() -> None:
+    alone, many = _world(num_envs=1), _world(num_envs=5)
+    for world in (alone, many):
+        water = world.deformables["water"]
+        velocities = torch.zeros_like(water.positions)
+        velocities[..., 0] = 0.5
+        water.set_state(water.positions.clone(), velocities)
+        world.step(8)
+    expected = alone.deformables["water"].positions.expand(5, -1, -1)
+    assert torch.equal(many.deformables["water"].positions, expected)
+
+
 def test_a_snapshot_continues_as_the_run_did(settled: World) -> None:
     state = settled.save_state()
     for _ in range(5):

@@ -18,6 +18,7 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.contact import NEAREST, Felt, Normals, carried, feel, normal_of, surface
+from orbit_matter.fluid.pairs import LANES, diverged_from, pressed_by
 from orbit_matter.kernels import Links
 from orbit_matter.self_contact import bucket_of, cell_of
 from orbit_matter.surfaces import Shapes
@@ -37,6 +38,9 @@ SHOCK = wp.constant(2.0)
 """Quadratic artificial viscosity, the usual value (Monaghan, "Smoothed particle hydrodynamics", 1992): a blow loses its
 energy, which drops would bounce by else, and what flows smoothly feels next to none of it."""
 
+CLEARERS = wp.constant(64)
+"""Threads that empty the cells of an environment."""
+
 Distances = wp.types.vector(length=6, dtype=float)
 
 
@@ -50,10 +54,12 @@ class Fluid:
     """(N, P) m/s."""
     s: wp.array2d[float]
     """Density over density at rest."""
-    pushed: wp.array2d[wp.vec3]
-    """Velocities at the end of the substep."""
-    pressed: wp.array2d[wp.vec2]
-    """(N, P) pressure in Pa, and volume in m^3."""
+    place: wp.array2d[wp.vec4]
+    """(N, P + 1) positions and volumes in m^3; the last row is far away and fills up lists of neighbours."""
+    motion: wp.array2d[wp.vec4]
+    """(N, P + 1) velocities and pressures in Pa."""
+    pushed: wp.array2d[wp.vec4]
+    """(N, P + 1) velocities at the end of the substep, and densities over those at rest."""
     packed: wp.array2d[float]
     """Density over density at rest by where particles are, too small at the surface."""
     rate: wp.array2d[float]
@@ -69,7 +75,9 @@ class Fluid:
     plane: wp.array3d[wp.vec4]
     """(N, P, W) normal and distance of each wall."""
     shape: wp.array3d[int]
-    """(N, P, W) that each wall is of; -1 behind the last."""
+    """(N, P, W) that each wall is of."""
+    walls: wp.array2d[int]
+    """(N, P) how many of them there are."""
     shielded: wp.array3d[wp.vec4]
     """(N, P, W) planes at the last search, with a distance of 1e6 for none."""
     weight: wp.array3d[wp.vec2]
@@ -77,13 +85,13 @@ class Fluid:
     neighbours: wp.array3d[int]
     """(N, P, K)"""
     count: wp.array2d[int]
-    """(N, P) how many of them there are."""
+    """(N, P) how many of them there are, a multiple of LANES."""
     searched: wp.array2d[wp.vec3]
     """(N, P) where particles were at the last search."""
     stale: wp.array[int]
     """(N,) 1 where a search is due."""
     guarded: wp.array2d[int]
-    """(N, P) 1 for particles with a wall at the last search."""
+    """(N, P) how many walls particles had at the last search."""
     head: wp.array2d[int]
     """(N, B) first particle of each bucket of cells; -1 for none."""
     following: wp.array2d[int]
@@ -127,20 +135,12 @@ def find_inside(f: Fluid, links: Links, shapes: Shapes, found: wp.array2d[int]):
 
 
 @wp.kernel(enable_backward=False)
-def doubt(f: Fluid, most: float):
-    """Search again where a particle is further than ``most`` from where it was."""
-    env, i = wp.tid()
-    # Not a number is never less, so that what has diverged is searched for as well.
-    if not wp.length_sq(f.x[env, i] - f.searched[env, i]) < most * most:
-        f.stale[env] = 1
-
-
-@wp.kernel(enable_backward=False)
 def clear(f: Fluid):
-    """Empty the cells."""
-    env, b = wp.tid()
+    """Empty the cells, by a few threads for each environment: most of the time there is nothing to do."""
+    env, first = wp.tid()
     if f.stale[env] == 1:
-        f.head[env, b] = -1
+        for b in range(first, f.head.shape[1], CLEARERS):
+            f.head[env, b] = -1
 
 
 @wp.kernel(enable_backward=False)
@@ -153,11 +153,14 @@ def insert(f: Fluid, renewed: int):
         f.searched[env, i] = f.x[env, i]
         for k in range(f.shape.shape[2]):
             f.shielded[env, i, k] = f.plane[env, i, k]
-            if f.shape[env, i, k] < 0:
+            if k >= f.walls[env, i]:
                 f.shielded[env, i, k] = wp.vec4(0.0, 0.0, 0.0, 1.0e6)
-    f.guarded[env, i] = 0
-    if f.shielded[env, i, 0][3] < 1.0e6:  # walls come first
-        f.guarded[env, i] = 1
+    # Walls come first, and few particles have more than two.
+    count = int(0)
+    for k in range(f.shape.shape[2]):
+        if f.shielded[env, i, k][3] < 1.0e6:
+            count += 1
+    f.guarded[env, i] = count
     c = cell_of(f.searched[env, i], f.cell)
     b = bucket_of(c[0], c[1], c[2], f.head.shape[1])
     f.following[env, i] = wp.atomic_exch(f.head, env, b, i)
@@ -167,7 +170,7 @@ def insert(f: Fluid, renewed: int):
 def is_behind(f: Fluid, env: int, i: int, way: wp.vec3) -> bool:
     """Return True if a point that far from a particle is on the other side of one of its walls."""
     found = bool(False)
-    for k in range(f.shape.shape[2]):
+    for k in range(f.guarded[env, i]):
         plane = f.shielded[env, i, k]
         if plane[0] * way[0] + plane[1] * way[1] + plane[2] * way[2] + plane[3] < 0.0:
             found = True
@@ -180,7 +183,7 @@ def find(f: Fluid):
     env, i = wp.tid()
     if f.stale[env] == 0:
         return
-    x, count, most, guarded = f.searched[env, i], int(0), f.neighbours.shape[2], f.guarded[env, i]
+    x, count, most = f.searched[env, i], int(0), f.neighbours.shape[2]
     c = cell_of(x, f.cell)
     # Cells that share a bucket would give a particle twice; each cell therefore takes only particles inside it.
     for a in range(-1, 2):
@@ -192,28 +195,34 @@ def find(f: Fluid):
                     if wp.length_sq(way) < f.cell * f.cell and j != i and count < most:
                         own = cell_of(f.searched[env, j], f.cell)
                         if own[0] == c[0] + a and own[1] == c[1] + b and own[2] == c[2] + d:
-                            parted = bool(False)
-                            if guarded + f.guarded[env, j] > 0:
-                                # Both are asked, so that forces stay in pairs.
-                                parted = is_behind(f, env, i, way) or is_behind(f, env, j, -way)
+                            # Both are asked, so that forces stay in pairs.
+                            parted = is_behind(f, env, i, way) or is_behind(f, env, j, -way)
                             if not parted:
                                 f.neighbours[env, i, count] = j
                                 count += 1
                     j = f.following[env, j]
+    while count % LANES > 0:
+        f.neighbours[env, i, count] = f.x.shape[1]
+        count += 1
     f.count[env, i] = count
 
 
 @wp.kernel(enable_backward=False)
-def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt):
-    """Find the pressure and the walls of each particle."""
+def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt, most: float):
+    """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search."""
     env, i = wp.tid()
     kind, x, s = env % shapes.kind.shape[0], f.x[env, i], f.s[env, i]
+    # Not a number is never less, so that what has diverged is searched for as well.
+    if not wp.length_sq(x - f.searched[env, i]) < most * most:
+        f.stale[env] = 1
     stiff = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
     pressed = (s - 1.0) * stiff
     if pressed < 0.0:
         # A liquid pulls where it is whole, and not at its surface, where it would curl up.
         pressed *= wp.clamp((f.packed[env, i] - f.mess - 0.8) * 10.0, 0.0, 1.0)
-    f.pressed[env, i] = wp.vec2(pressed, f.volume / s)
+    v = f.v[env, i]
+    f.place[env, i] = wp.vec4(x[0], x[1], x[2], f.volume / s)
+    f.motion[env, i] = wp.vec4(v[0], v[1], v[2], pressed)
     reach = 2.0 * f.length
     normals, distances, looked = Normals(), Distances(), int(0)
     while looked < NEAREST and felt.near[env, i, wp.min(looked, NEAREST - 1)] >= 0:
@@ -250,8 +259,7 @@ def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt):
         d = wp.clamp(f.plane[env, i, k][3], 0.0, reach)
         edge = edge_of(f, d) * left
         f.weight[env, i, k] = wp.vec2(edge, edge * d + share_of(f, d) * left)
-    for k in range(count, f.shape.shape[2]):
-        f.shape[env, i, k] = -1
+    f.walls[env, i] = count
 
 
 @wp.func
@@ -274,76 +282,66 @@ def share_of(f: Fluid, d: float) -> float:
 def push(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, share: float):
     """Accelerate particles by pressure, viscosity and gravity, and press on links."""
     env, i = wp.tid()
-    x, v, s, g = f.x[env, i], f.v[env, i], f.s[env, i], gravity[env]
-    own, owner, half = f.pressed[env, i][0], f.owner[i], 0.5 / f.length
+    x, v, g, owner = f.x[env, i], f.v[env, i], gravity[env], f.owner[i]
+    own, half = f.motion[env, i][3], 0.5 / f.length
     scale = f.parameters[env, owner, 0]
-    density, viscosity = f.rest_density[i] * scale * s, f.viscosity[i]
-    soft = 0.01 * f.length * f.length
-    pressing, rubbing, packed = wp.vec3(), wp.vec3(), float(1.0)
-    for k in range(f.count[env, i]):
-        j = f.neighbours[env, i, k]
-        way, other = x - f.x[env, j], f.pressed[env, j]
-        t = 1.0 - wp.length(way) * half
-        if t > 0.0:
-            cube = t * t * t
-            packed += cube * t * (5.0 - 4.0 * t)
-            part = cube * other[1]
-            closing = wp.min(wp.dot(v - f.v[env, j], way), 0.0) * f.length / (wp.length_sq(way) + soft)
-            pressing += way * (part * (own + other[0] + density * SHOCK * closing * closing))
-            rubbing += (f.v[env, j] - v) * part
+    density, viscosity = f.rest_density[i] * scale * f.s[env, i], f.viscosity[i]
+    soft, shock = 0.01 * f.length * f.length, density * SHOCK
+    count = f.count[env, i]
+    found = pressed_by(f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock)
+    pressing, rubbing = wp.vec3(found[0], found[1], found[2]), wp.vec3(found[3], found[4], found[5])
     # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)
     a = pressing * (f.slope / density) + rubbing * (2.0 * f.slope * (f.rough + viscosity / density))
-    packed *= f.peak
+    # A particle is within its own kernel.
+    packed = (found[6] + 1.0) * f.peak
     mass = f.rest_density[i] * scale * f.volume
-    for k in range(f.shape.shape[2]):
+    for k in range(f.walls[env, i]):
         wall = f.shape[env, i, k]
-        if wall >= 0:
-            plane = f.plane[env, i, k]
-            weight = f.weight[env, i, k]
-            packed += weight[1] - weight[0] * plane[3]
-            n = wp.vec3(plane[0], plane[1], plane[2])
-            passed = v - carried(links, env, wall, x) / h
-            near, toward = wp.max(plane[3], 0.5 * f.spacing), -wp.dot(n, passed)
-            closing = wp.max(toward, 0.0) * f.length / near
-            # No more than what stops it within the substep.
-            stopped = wp.min(SHOCK * closing * closing * weight[0], wp.max(toward, 0.0) / h)
-            pressed = 2.0 * own * weight[0] / density - wp.dot(g, n) * weight[1] + stopped
-            slid = passed + n * toward
-            rubbed = wp.min(2.0 * viscosity / density * weight[0] / near, 1.0 / h)
-            given = n * pressed - slid * rubbed
-            a += given
-            kind = env % shapes.kind.shape[0]
-            feel(felt, links, env, owner, shapes.link[kind, wall], given * (-mass * share), x - n * plane[3])
+        plane = f.plane[env, i, k]
+        weight = f.weight[env, i, k]
+        packed += weight[1] - weight[0] * plane[3]
+        n = wp.vec3(plane[0], plane[1], plane[2])
+        passed = v - carried(links, env, wall, x) / h
+        near, toward = wp.max(plane[3], 0.5 * f.spacing), -wp.dot(n, passed)
+        closing = wp.max(toward, 0.0) * f.length / near
+        # No more than what stops it within the substep.
+        stopped = wp.min(SHOCK * closing * closing * weight[0], wp.max(toward, 0.0) / h)
+        pressed = 2.0 * own * weight[0] / density - wp.dot(g, n) * weight[1] + stopped
+        slid = passed + n * toward
+        rubbed = wp.min(2.0 * viscosity / density * weight[0] / near, 1.0 / h)
+        given = n * pressed - slid * rubbed
+        a += given
+        kind = env % shapes.kind.shape[0]
+        feel(felt, links, env, owner, shapes.link[kind, wall], given * (-mass * share), x - n * plane[3])
     f.packed[env, i] = packed
-    f.pushed[env, i] = v + (a + g) * h
+    ahead = v + (a + g) * h
+    f.pushed[env, i] = wp.vec4(ahead[0], ahead[1], ahead[2], f.s[env, i])
+
+
+@wp.func
+def velocity_of(row: wp.vec4) -> wp.vec3:
+    """Return the first three numbers of a row."""
+    return wp.vec3(row[0], row[1], row[2])
 
 
 @wp.kernel(enable_backward=False)
 def flow(f: Fluid, links: Links, gravity: wp.array[wp.vec3], h: float):
     """Compute the rates of densities."""
     env, i = wp.tid()
-    x, v, s = f.x[env, i], f.pushed[env, i], f.s[env, i]
-    half, lean = 0.5 / f.length, gravity[env] / (f.sound * f.sound)
-    rate = float(0.0)
-    for k in range(f.count[env, i]):
-        j = f.neighbours[env, i, k]
-        way = x - f.x[env, j]
-        t = 1.0 - wp.length(way) * half
-        if t > 0.0:
-            excess = f.s[env, j] - s + wp.dot(lean, way)
-            part = wp.dot(f.pushed[env, j] - v, way) * s + 2.0 * f.smooth * excess
-            rate += t * t * t * f.pressed[env, j][1] * part
+    x, v, s = f.x[env, i], velocity_of(f.pushed[env, i]), f.s[env, i]
+    lean, count = gravity[env] / (f.sound * f.sound), f.count[env, i]
+    half, smooth = 0.5 / f.length, 2.0 * f.smooth
+    rate = diverged_from(f.place, f.pushed, f.neighbours, env, i, count, half, smooth, lean)
     rate *= f.slope
-    for k in range(f.shape.shape[2]):
+    for k in range(f.walls[env, i]):
         wall = f.shape[env, i, k]
-        if wall >= 0:
-            plane = f.plane[env, i, k]
-            weight = f.weight[env, i, k]
-            n = wp.vec3(plane[0], plane[1], plane[2])
-            toward = wp.dot(carried(links, env, wall, x) / h - v, n)
-            # Behind the wall the flow is mirrored, as pressure is, so that what one takes from the motion the other
-            # gives back.
-            rate += 2.0 * s * toward * weight[0]
+        plane = f.plane[env, i, k]
+        weight = f.weight[env, i, k]
+        n = wp.vec3(plane[0], plane[1], plane[2])
+        toward = wp.dot(carried(links, env, wall, x) / h - v, n)
+        # Behind the wall the flow is mirrored, as pressure is, so that what one takes from the motion the other
+        # gives back.
+        rate += 2.0 * s * toward * weight[0]
     # Errors of the divergence add up; where particles are gives the density, but for those at the surface.
     # Where a gap has opened nothing presses, though the divergence may say so.
     bare = wp.clamp((0.9 - f.packed[env, i]) * 10.0, 0.0, 1.0)
@@ -354,21 +352,20 @@ def flow(f: Fluid, links: Links, gravity: wp.array[wp.vec3], h: float):
 def move(f: Fluid, links: Links, shapes: Shapes, felt: Felt, h: float, share: float):
     """Take particles to the end of the substep, past no wall."""
     env, i = wp.tid()
-    x, v, owner = f.x[env, i], wp.vec3(f.pushed[env, i]), f.owner[i]
+    x, v, owner = f.x[env, i], velocity_of(f.pushed[env, i]), f.owner[i]
     mass = f.rest_density[i] * f.parameters[env, owner, 0] * f.volume
-    for k in range(f.shape.shape[2]):
+    for k in range(f.walls[env, i]):
         wall = f.shape[env, i, k]
-        if wall >= 0:
-            plane = f.plane[env, i, k]
-            n = wp.vec3(plane[0], plane[1], plane[2])
-            toward = wp.dot(v - carried(links, env, wall, x) / h, n)
-            least = wp.min((CLOSEST * f.spacing - plane[3]) / h, ESCAPE)
-            if toward < least:
-                given = n * (least - toward)
-                v += given
-                kind = env % shapes.kind.shape[0]
-                force = given * (-mass * share / h)
-                feel(felt, links, env, owner, shapes.link[kind, wall], force, x - n * plane[3])
+        plane = f.plane[env, i, k]
+        n = wp.vec3(plane[0], plane[1], plane[2])
+        toward = wp.dot(v - carried(links, env, wall, x) / h, n)
+        least = wp.min((CLOSEST * f.spacing - plane[3]) / h, ESCAPE)
+        if toward < least:
+            given = n * (least - toward)
+            v += given
+            kind = env % shapes.kind.shape[0]
+            force = given * (-mass * share / h)
+            feel(felt, links, env, owner, shapes.link[kind, wall], force, x - n * plane[3])
     f.x[env, i] = x + v * h
     f.v[env, i] = v
     # Bounds that no proper flow reaches: pressure stays finite where one particle is caught between fast walls.

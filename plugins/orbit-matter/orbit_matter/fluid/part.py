@@ -15,7 +15,7 @@ from torch import Tensor
 
 from orbit_matter import contact
 from orbit_matter import kernels as particles
-from orbit_matter.fluid import fluids, kernels
+from orbit_matter.fluid import fluids, kernels, pairs
 from orbit_matter.fluid.fluids import FluidModel
 
 
@@ -40,13 +40,15 @@ class FluidPart:
         made.x, made.v = wp.from_torch(memory["fluid_x"], wp.vec3), wp.from_torch(memory["fluid_v"], wp.vec3)
         made.s, made.parameters = wp.from_torch(memory["fluid_s"]), wp.from_torch(memory["parameters"])
         made.packed = wp.from_torch(memory["fluid_packed"])
-        made.pushed, made.rate = wp.zeros(shape, dtype=wp.vec3), wp.zeros(shape, dtype=float)
-        made.pressed = wp.zeros(shape, dtype=wp.vec2)
+        far = (pairs.FAR, pairs.FAR, pairs.FAR, 0.0)
+        made.place = wp.full((self._n, self._p + 1), far, dtype=wp.vec4)
+        made.motion, made.pushed = wp.zeros_like(made.place), wp.zeros_like(made.place)
+        made.rate = wp.zeros(shape, dtype=float)
         made.rest_density, made.viscosity = wp.array(model.densities), wp.array(model.viscosities)
         made.owner = wp.array(model.owners, dtype=int)
         walls = (*shape, fluids.WALLS)
         made.plane, made.weight = wp.zeros(walls, dtype=wp.vec4), wp.zeros(walls, dtype=wp.vec2)
-        made.shape = wp.full(walls, -1, dtype=int)
+        made.shape, made.walls = wp.zeros(walls, dtype=int), wp.zeros(shape, dtype=int)
         made.searched = wp.from_torch(memory["fluid_searched"], wp.vec3)
         made.shielded = wp.from_torch(memory["fluid_shielded"], wp.vec4)
         made.stale, made.guarded = wp.zeros(self._n, dtype=int), wp.zeros(shape, dtype=int)
@@ -93,10 +95,10 @@ class FluidPart:
     def launch_substep(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
         """Advance by one substep, a ``share`` of a physics step, against links at its end."""
         f, shape = self._fluid, (self._n, self._p)
-        wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt])
         f.stale.zero_()
         # Two that come from half of the skin each are just within the kernel's reach.
-        wp.launch(kernels.doubt, shape, inputs=[f, 0.5 * fluids.SKIN * self._model.spacing])
+        most = 0.5 * fluids.SKIN * self._model.spacing
+        wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, most])
         self._launch_search(renewed=1)
         wp.launch(kernels.push, shape, inputs=[f, links, shapes, self._felt, gravity, h, share])
         wp.launch(kernels.flow, shape, inputs=[f, links, gravity, h])
@@ -109,6 +111,6 @@ class FluidPart:
 
     def _launch_search(self, renewed: int) -> None:
         f, shape = self._fluid, (self._n, self._p)
-        wp.launch(kernels.clear, f.head.shape, inputs=[f])
+        wp.launch(kernels.clear, (self._n, int(kernels.CLEARERS)), inputs=[f])
         wp.launch(kernels.insert, shape, inputs=[f, renewed])
         wp.launch(kernels.find, shape, inputs=[f])

@@ -1,0 +1,163 @@
+"""Sums over the neighbours of a particle, of which a CPU takes :data:`LANES` at a time.
+
+Warp's own loops take one neighbour after another, and an array's element costs them some ten instructions. These loops
+are written in C++ over vectors of eight numbers, which clang compiles for the registers that a machine has; the order
+of sums is the same on all machines. On a GPU a vector is one number, and a row of four numbers is one load.
+
+Lists of neighbours are filled up to whole vectors with a row of zeros that is out of reach.
+"""
+
+# pyright: reportInvalidTypeForm=false, reportReturnType=false, reportCallIssue=false
+# Functions are compiled by Warp; to Python they are annotations that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+LANES = wp.constant(8)
+"""Neighbours that a CPU sums side by side."""
+FAR = 1e9
+"""Metres; where the neighbour is that fills up a list."""
+
+Pressing = wp.types.vector(length=7, dtype=float)
+
+# A CPU turns eight rows of four numbers, two in each register, into four vectors of eight numbers by shuffles:
+# gathers of single numbers take half as much again for the whole loop.
+_VECTORS = """
+#ifdef __CUDA_ARCH__
+    typedef float Lanes;
+    struct alignas(16) Rows { Lanes x, y, z, w; };
+    typedef Rows Row;
+    const int step = 1;
+    const auto load = [](const Row* rows, const int* list) { return rows[*list]; };
+    const auto root = [](Lanes a) { return sqrtf(a); };
+    const auto positive = [](Lanes a) { return fmaxf(a, 0.0f); };
+    const auto sum = [](Lanes a) { return a; };
+#else
+    typedef float Row __attribute__((ext_vector_type(4)));
+    typedef float Lanes __attribute__((ext_vector_type(8)));
+    struct Rows { Lanes x, y, z, w; };
+    const int step = 8;
+    const auto load = [](const Row* rows, const int* list) {
+        const auto two = [&](int k) {
+            return __builtin_shufflevector(rows[list[k]], rows[list[k + 4]], 0, 1, 2, 3, 4, 5, 6, 7);
+        };
+        const Lanes a = two(0), b = two(1), c = two(2), d = two(3);
+        const Lanes ab = __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13);
+        const Lanes cd = __builtin_shufflevector(c, d, 0, 8, 1, 9, 4, 12, 5, 13);
+        const Lanes ba = __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15);
+        const Lanes dc = __builtin_shufflevector(c, d, 2, 10, 3, 11, 6, 14, 7, 15);
+        return Rows{
+            __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13),
+            __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15),
+            __builtin_shufflevector(ba, dc, 0, 1, 8, 9, 4, 5, 12, 13),
+            __builtin_shufflevector(ba, dc, 2, 3, 10, 11, 6, 7, 14, 15),
+        };
+    };
+    const auto root = [](Lanes a) { return __builtin_elementwise_sqrt(a); };
+    const auto positive = [](Lanes a) { return __builtin_elementwise_max(a, Lanes(0.0f)); };
+    const auto sum = [](Lanes a) { return ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7])); };
+#endif
+    const Row* places = reinterpret_cast<const Row*>(wp::address(place, env, 0));
+    const Row* motions = reinterpret_cast<const Row*>(wp::address(motion, env, 0));
+    const int* list = wp::address(neighbours, env, i, 0);
+    const Row own = places[i], self = motions[i];
+"""
+_LOOP = """
+    for (int k = 0; k < count; k += step) {
+        const Rows a = load(places, list + k), b = load(motions, list + k);
+        const Lanes x = own.x - a.x, y = own.y - a.y, z = own.z - a.z;
+        const Lanes square = x * x + y * y + z * z;
+        const Lanes t = positive(1.0f - root(square) * half);
+        const Lanes u = b.x - self.x, v = b.y - self.y, w = b.z - self.z;
+        const Lanes along = u * x + v * y + w * z;
+        const Lanes cube = t * t * t, part = cube * a.w;
+"""
+_PRESSED = """
+    Lanes pressing_x = 0.0f, pressing_y = 0.0f, pressing_z = 0.0f;
+    Lanes rubbing_x = 0.0f, rubbing_y = 0.0f, rubbing_z = 0.0f, packed = 0.0f;
+    // @loop
+        const Lanes closing = positive(along) * length / (square + soft);
+        const Lanes pressure = part * (self.w + b.w + shock * closing * closing);
+        pressing_x += x * pressure;
+        pressing_y += y * pressure;
+        pressing_z += z * pressure;
+        rubbing_x += u * part;
+        rubbing_y += v * part;
+        rubbing_z += w * part;
+        packed += cube * t * (5.0f - 4.0f * t);
+    }
+    wp::vec_t<7, wp::float32> found;
+    found[0] = sum(pressing_x);
+    found[1] = sum(pressing_y);
+    found[2] = sum(pressing_z);
+    found[3] = sum(rubbing_x);
+    found[4] = sum(rubbing_y);
+    found[5] = sum(rubbing_z);
+    found[6] = sum(packed);
+    return found;
+"""
+_DIVERGED = """
+    Lanes rate = 0.0f;
+    const float lean_x = lean[0], lean_y = lean[1], lean_z = lean[2];
+    // @loop
+        rate += part * (along * self.w + smooth * (b.w - self.w + lean_x * x + lean_y * y + lean_z * z));
+    }
+    return sum(rate);
+"""
+
+
+@wp.func_native(_VECTORS + _PRESSED.replace("    // @loop\n", _LOOP))
+def pressed_by(
+    place: wp.array2d[wp.vec4],
+    motion: wp.array2d[wp.vec4],
+    neighbours: wp.array3d[int],
+    env: int,
+    i: int,
+    count: int,
+    half: float,
+    length: float,
+    soft: float,
+    shock: float,
+) -> Pressing:
+    """Sum the pressure on a particle, the differences of velocities to it, and the kernel over its neighbours.
+
+    Args:
+        place: (N, P + 1) positions and volumes.
+        motion: (N, P + 1) velocities and pressures.
+        neighbours: (N, P, K) rows of both.
+        env: of the particle.
+        i: of the particle, its row.
+        count: of neighbours, a multiple of LANES.
+        half: over the smoothing length, in 1/m.
+        length: of smoothing in metres.
+        soft: m^2 that keep the viscosity of two particles at one place finite.
+        shock: quadratic artificial viscosity times the density.
+    """
+
+
+@wp.func_native(_VECTORS + _DIVERGED.replace("    // @loop\n", _LOOP))
+def diverged_from(
+    place: wp.array2d[wp.vec4],
+    motion: wp.array2d[wp.vec4],
+    neighbours: wp.array3d[int],
+    env: int,
+    i: int,
+    count: int,
+    half: float,
+    smooth: float,
+    lean: wp.vec3,
+) -> float:
+    """Sum the divergence of the flow at a particle and the diffusion of densities over its neighbours.
+
+    Args:
+        place: (N, P + 1) positions and volumes.
+        motion: (N, P + 1) velocities, and densities over those at rest.
+        neighbours: (N, P, K) rows of both.
+        env: of the particle.
+        i: of the particle, its row.
+        count: of neighbours, a multiple of LANES.
+        half: over the smoothing length, in 1/m.
+        smooth: twice the diffusion of densities, in m^2/s.
+        lean: gradient of the density at rest, in 1/m.
+    """
