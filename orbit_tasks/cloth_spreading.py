@@ -56,16 +56,21 @@ def covered(env: Environment[ClothSpreading]) -> Tensor:
 
 @once_per_state
 def flat_frame(env: Environment[ClothSpreading, SpreadMemory]) -> Tensor:
-    """(N, 3) x, y and yaw that the flat cloth would have: of all, those at which its key points are nearest.
+    """(N, 4) x, y and yaw that the flat cloth would have, and 1 with its upper side up or -1 with that side down.
 
-    Least squares in the plane: yaw from the sums of dot and cross products of what is and what would be.
+    Of all such frames, that at which its key points are nearest. Least squares in the plane: yaw from the sums of dot
+    and cross products of the key points as they are and as they would be.
     """
     points = env.world.deformables[CLOTH].key_points[..., :2]
     middle = points.mean(1)
-    arms = points - middle[:, None]
-    dot = (arms * env.state.flat).sum((1, 2))
-    turned = (env.state.flat[..., 0] * arms[..., 1] - env.state.flat[..., 1] * arms[..., 0]).sum(1)
-    return torch.cat((middle, torch.atan2(turned, dot)[:, None]), dim=1)
+    arms, (x, y) = points - middle[:, None], env.state.flat.unbind(1)
+    # (N, 2), both ways up: half of all cloths fall on their upper side, and strokes do not turn them over.
+    side = torch.tensor([1.0, -1.0], device=env.device)
+    dot = (arms[..., 0] * x).sum(1, keepdim=True) + side * (arms[..., 1] * y).sum(1, keepdim=True)
+    turned = (arms[..., 1] * x).sum(1, keepdim=True) - side * (arms[..., 0] * y).sum(1, keepdim=True)
+    nearer = (dot**2 + turned**2).argmax(1, keepdim=True)
+    yaw = torch.atan2(turned.gather(1, nearer), dot.gather(1, nearer))
+    return torch.cat((middle, yaw, side[nearer]), dim=1)
 
 
 def place_of(name: str) -> TermFunction:
@@ -73,8 +78,9 @@ def place_of(name: str) -> TermFunction:
 
     def place(env: Environment[ClothSpreading, SpreadMemory]) -> Tensor:
         spec = env.world.deformables[CLOTH].spec
-        x, y = (FURTHER * env.state.flat[[point.name for point in spec.key_points].index(name)]).unbind()
         frame = flat_frame(env)
+        x, y = (FURTHER * env.state.flat[[point.name for point in spec.key_points].index(name)]).unbind()
+        y = frame[:, 3] * y  # a cloth that lies on its upper side is seen mirrored
         sine, cosine = frame[:, 2].sin(), frame[:, 2].cos()
         place = torch.stack((cosine * x - sine * y, sine * x + cosine * y, torch.full_like(sine, TRAY)), dim=1)
         middle = torch.tensor(spec.pose.position[:2], device=env.device)

@@ -16,7 +16,7 @@ import signal
 import sys
 from pathlib import Path
 
-from table2 import RECIPES, continued, outcomes
+from table2 import ITERATIONS, continued, outcomes
 from work import Job, Ledger, run_jobs
 
 from orbit_core.rollout.estimates import proportion
@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--cameras", nargs="+", default=["front:84x84", "hand:84x84"])
     parser.add_argument("--demos", type=int, default=400)
     parser.add_argument("--parts", type=int, default=16, help="recordings, an even number; half have noise")
-    parser.add_argument("--algorithms", nargs="+", default=["bc", "act", "diffusion"], choices=list(RECIPES))
+    parser.add_argument("--algorithms", nargs="+", default=["bc", "act", "diffusion"], choices=list(ITERATIONS))
     parser.add_argument("--iterations", type=int, help="of each training; those of the states if left out")
     parser.add_argument("--episodes", type=int, default=100, help="of each evaluation")
     parser.add_argument("--budget", type=float, default=1e9, help="seconds of wall time")
@@ -69,17 +69,17 @@ def picture_jobs(arguments: argparse.Namespace) -> list[Job]:
             *(("--noise", str(_NOISE)) if part % 2 else ()), "--output", str(file), "--resume",
         )  # fmt: skip
         first = ("record.0",) if part else ()
-        jobs.append(Job(f"record.{part}", lambda words=words: words, first, 1000.0, leaves=file))
+        jobs.append(Job(f"record.{part}", lambda words=words: words, first, leaves=file))
     recorded, data = tuple(job.name for job in jobs), [word for file in files for word in ("--dataset", str(file))]
     for algorithm in arguments.algorithms:
-        recipe, folder, into = RECIPES[algorithm], output / algorithm, output / f"evaluation-{algorithm}"
-        iterations = arguments.iterations or recipe.iterations
+        folder, into = output / algorithm, output / f"evaluation-{algorithm}"
+        iterations = arguments.iterations or ITERATIONS[algorithm]
         words = (
             "train", *task, "--num-envs", "4", "--library", "imitation", "--algorithm", algorithm, *data,
             "--iterations", str(iterations), "--save-every", "20", "--imitation", f"evaluate_every={iterations}",
         )  # fmt: skip
         begin = Job(
-            f"train.{algorithm}", lambda w=words, f=folder, n=iterations: (*w, *continued(f, n)), recorded, recipe.cost,
+            f"train.{algorithm}", lambda w=words, f=folder, n=iterations: (*w, *continued(f, n)), recorded,
             leaves=folder,
         )  # fmt: skip
         words = (
@@ -87,7 +87,7 @@ def picture_jobs(arguments: argparse.Namespace) -> list[Job]:
             "--jobs", "1", "--output", str(into),
         )  # fmt: skip
         end = Job(
-            f"evaluate.{algorithm}", lambda words=words: words, (begin.name,), 50.0,
+            f"evaluate.{algorithm}", lambda words=words: words, (begin.name,),
             lambda into=into: outcomes(into / "results.jsonl"),
         )  # fmt: skip
         jobs += [begin, end]

@@ -81,26 +81,8 @@ ACTIONS = (
 )
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """How an algorithm is trained."""
-
-    algorithm: str
-    iterations: int
-    cost: float
-    """Core seconds, about."""
-    settings: tuple[str, ...] = ()
-
-
-RECIPES = {
-    recipe.algorithm: recipe
-    for recipe in (
-        Recipe("bc", 60, 90.0),
-        Recipe("bc-rnn", 50, 310.0),
-        Recipe("act", 60, 520.0),
-        Recipe("diffusion", 100, 340.0),
-    )
-}
+ITERATIONS = {"bc": 60, "bc-rnn": 50, "act": 60, "diffusion": 100}
+"""Iterations of each algorithm's training, of 200 gradient steps each."""
 
 
 def main() -> None:
@@ -109,7 +91,7 @@ def main() -> None:
     parser.add_argument("--demos", type=int, default=2000)
     parser.add_argument("--seeds", type=int, default=3, help="trainings of each policy")
     parser.add_argument("--episodes", type=int, default=100, help="of each policy and engine")
-    parser.add_argument("--algorithms", nargs="+", default=list(RECIPES), choices=list(RECIPES))
+    parser.add_argument("--algorithms", nargs="+", default=list(ITERATIONS), choices=list(ITERATIONS))
     parser.add_argument(
         "--actions", nargs="+", default=["joint_position", "ik_relative"], choices=[a.name for a in ACTIONS]
     )
@@ -183,16 +165,15 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
             "record", *task, "--backend", arguments.engine, "--num-envs", str(min(count, action.together)),
             "--episodes", str(count), "--seed", str(part + 1), *noise, "--output", str(file), "--resume",
         )  # fmt: skip
-        jobs.append(Job(f"record.{label}.{part}", lambda words=words: words, cost=1000.0, leaves=file))
+        jobs.append(Job(f"record.{label}.{part}", lambda words=words: words, leaves=file))
     recorded = tuple(job.name for job in jobs)
     data = [word for file in files for word in ("--dataset", str(file))]
     for algorithm in arguments.algorithms:
-        recipe = RECIPES[algorithm]
         folders = [output / label / f"{algorithm}-{seed}" for seed in range(arguments.seeds)]
         trained: list[str] = []
         for seed, folder in enumerate(folders):
-            iterations = arguments.iterations or recipe.iterations
-            settings = (f"evaluate_every={iterations}", f"device={arguments.device}", *recipe.settings)
+            iterations = arguments.iterations or ITERATIONS[algorithm]
+            settings = (f"evaluate_every={iterations}", f"device={arguments.device}")
             words = (
                 "train", *task, "--backend", arguments.engine, "--num-envs", str(action.watched),
                 "--library", "imitation", "--algorithm", algorithm, *data, "--iterations", str(iterations),
@@ -201,7 +182,7 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
             )  # fmt: skip
             trained.append(f"train.{label}.{algorithm}.{seed}")
             begin = Job(
-                trained[-1], lambda w=words, f=folder, n=iterations: (*w, *continued(f, n)), recorded, recipe.cost,
+                trained[-1], lambda w=words, f=folder, n=iterations: (*w, *continued(f, n)), recorded,
                 leaves=folder,
             )  # fmt: skip
             jobs.append(begin)
@@ -218,7 +199,7 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
                     return outcomes(into / "results.jsonl")
 
                 name = f"evaluate.{label}.{algorithm}.{engine}.{part}"
-                jobs.append(Job(name, lambda words=words: words, tuple(trained), 50.0, read))
+                jobs.append(Job(name, lambda words=words: words, tuple(trained), read))
     return jobs
 
 
@@ -228,10 +209,10 @@ def _parts(demos: int, size: int) -> list[int]:
     return [demos // count + (part < demos % count) for part in range(count)]
 
 
-def continued(folder: Path, last: int) -> tuple[str, str]:
-    """Return the words that begin a training in a folder, or go on with the one there."""
+def continued(folder: Path, iterations: int) -> tuple[str, str]:
+    """Return the words that begin a training of so many iterations in a folder, or go on with the one there."""
     newest = newest_file(folder, CHECKPOINT) if folder.is_dir() else None
-    if newest is not None and not newest.stem.endswith(f"_{last}"):
+    if newest is not None and newest.stem != f"{CHECKPOINT}_{iterations - 1}":
         return "--resume", str(folder)
     if folder.is_dir():
         shutil.rmtree(folder)  # interrupted before its first checkpoint, or killed after its last

@@ -26,29 +26,41 @@ class _Outcome:
     engine: str
     trainings: Sequence[Mapping[str, Any]]
 
-    def text(self) -> str:
+    def text(self, seeds: int) -> str:
+        """Return success, interval and length, and the number of trainings if it is not ``seeds``."""
         successes = sum(each["successes"] for each in self.trainings)
         trials = sum(each["trials"] for each in self.trainings)
         rate = proportion(successes, trials)
         length = sum(each["length"] * each["trials"] for each in self.trainings) / trials
-        return f"{rate.value:.2f} [{rate.low:.2f}, {rate.high:.2f}], {length:.0f}"
+        count = len({each["policy"] for each in self.trainings})
+        fewer = "" if count == seeds else f", {count} training{'s' * (count > 1)}"
+        return f"{rate.value:.2f} [{rate.low:.2f}, {rate.high:.2f}], {length:.0f}{fewer}"
 
 
 def merged(ledgers: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return one ledger with the jobs of several; of a job that several have, one that is done.
+    """Return one ledger with the jobs of several; of a job that several have, the one that is done or has more results.
+
+    Evaluations of fewer trainings than the first ledger asks for count as not done: the page shows them until they are.
 
     Raises:
-        SystemExit: their settings differ.
+        SystemExit: their settings differ otherwise.
     """
     settings, jobs = ledgers[0]["settings"], {}
     for ledger in ledgers:
-        changed = sorted(name for name in settings if ledger["settings"].get(name) != settings[name])
-        if changed:
+        given = ledger["settings"]
+        fewer = given.get("seeds", 0) < settings.get("seeds", 0)
+        changed = sorted(name for name in settings if given.get(name) != settings[name])
+        if changed and not (fewer and changed == ["seeds"]):
             raise SystemExit(f"results of other {', '.join(changed)} are not merged")
         for name, done in ledger["jobs"].items():
-            if name not in jobs or (done["ended"] and not jobs[name]["ended"]):
-                jobs[name] = done
+            known = {**done, "ended": done["ended"] and not (fewer and name.startswith("evaluate."))}
+            if name not in jobs or _worth(known) > _worth(jobs[name]):
+                jobs[name] = known
     return {"settings": settings, "jobs": jobs}
+
+
+def _worth(done: Mapping[str, Any]) -> tuple[bool, int]:
+    return done["ended"], len(done.get("result") or ())
 
 
 def page(results: Mapping[str, Any]) -> str:
@@ -57,7 +69,7 @@ def page(results: Mapping[str, Any]) -> str:
     parts: dict[tuple[str, ...], list[Any]] = {}
     for name, done in jobs.items():
         kind, *place = name.split(".")
-        if kind == "evaluate" and done["ended"]:
+        if kind == "evaluate" and done["result"]:
             parts.setdefault(tuple(place[:4]), []).extend(done["result"])
     found = [_Outcome(*place, trainings) for place, trainings in parts.items()]  # pyright: ignore[reportCallIssue]
     actions = _unique(outcome.action for outcome in found)
@@ -70,14 +82,14 @@ def page(results: Mapping[str, Any]) -> str:
             where = "the engine of the demonstrations" if engine == settings["engine"] else "transferred"
             text.append(f"## `{action}` on {engine}, {where}\n")
             own = [outcome for outcome in found if (outcome.action, outcome.engine) == (action, engine)]
-            text.append(_table(own, algorithms))
+            text.append(_table(own, algorithms, settings["seeds"]))
     text.append("## Cost\n\nCore seconds of one thread on the machine of these figures, mean of a job.\n")
     text.append(_costs(jobs))
     return "\n".join(text)
 
 
-def _table(outcomes: Sequence[_Outcome], algorithms: Sequence[str]) -> str:
-    cells = {(outcome.algorithm, outcome.cell): outcome.text() for outcome in outcomes}
+def _table(outcomes: Sequence[_Outcome], algorithms: Sequence[str], seeds: int) -> str:
+    cells = {(outcome.algorithm, outcome.cell): outcome.text(seeds) for outcome in outcomes}
     lines = ["| | " + " | ".join(_COLUMNS.values()) + " |", "|---" * (1 + len(_COLUMNS)) + "|"]
     for algorithm in algorithms:
         row = [cells.get((algorithm, cell), "not run") for cell in _COLUMNS]
@@ -117,8 +129,8 @@ _HEAD = """# Measured: imitation
 
 The paper's table II, repeated by `benchmarks/imitation/table2.py` (Mittal et al., Orbit, 2023): Lift with one start of
 the cube or any, and one goal or any. G: goals vary, I: starts vary. {demos} demonstrations of the scripted expert on
-{engine}, half of them with noise, {seeds} trainings of each policy, {episodes} episodes of each training and engine,
-all from the same starts. Versions: {versions}.
+{engine}, half of them with noise, {seeds} trainings of each policy where a field names no other number, {episodes}
+episodes of each training and engine, all from the same starts. Versions: {versions}.
 
 Each field is success with Wilson's interval of 95 %, and the mean number of steps of 0.02 s until the success that
 lasts to the episode's end; failures count with their whole episode. The published figures are success and length over

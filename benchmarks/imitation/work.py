@@ -28,8 +28,6 @@ class Job:
     """Gives the words of the call when it begins; they depend on what an interrupted call has left."""
     needs: tuple[str, ...] = ()
     """Names of the jobs whose results it reads."""
-    cost: float = 1.0
-    """Expected core seconds: of two that could begin, the costlier one does."""
     read: Callable[[], object] = lambda: None
     """Gives what is kept of its results, as JSON."""
     leaves: Path | None = None
@@ -90,7 +88,8 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
     """Run the jobs that are not done, and return whether all are.
 
     Args:
-        jobs: in any order.
+        jobs: in the order in which they begin, as far as their needs are done. A budget that ends thus leaves the first
+            ones whole, and not all of them half done.
         ledger: of what is done.
         side_by_side: processes at a time, each of one thread.
         budget: seconds of wall time, after which commands are interrupted.
@@ -106,7 +105,6 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
     try:
         while (left or running) and time.monotonic() - begin < budget - _GRACE:
             ready = [job for job in left.values() if all(ledger.ended(need) for need in job.needs)]
-            ready.sort(key=lambda job: -job.cost)
             for job in ready[: side_by_side - len(running)]:
                 del left[job.name]
                 last_gpu += 1
@@ -123,7 +121,7 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
 
 
 def _left(jobs: Sequence[Job], ledger: Ledger) -> dict[str, Job]:
-    """Return the jobs to do by name: those that are not done, and those whose results are gone and needed."""
+    """Return the jobs to do by name, in order: those not done, and those whose results are gone and needed."""
     known = {job.name: job for job in jobs}
     left = {name: job for name, job in known.items() if not ledger.ended(name)}
     unseen = list(left.values())
@@ -134,7 +132,7 @@ def _left(jobs: Sequence[Job], ledger: Ledger) -> dict[str, Job]:
                 ledger.jobs[name].ended = False
                 left[name] = need
                 unseen.append(need)
-    return left
+    return {name: job for name, job in known.items() if name in left}
 
 
 def _interrupt(running: list[_Running], ledger: Ledger, failed: set[str], logs: Path) -> None:

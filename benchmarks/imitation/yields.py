@@ -65,7 +65,7 @@ def yield_jobs(arguments: argparse.Namespace) -> list[Job]:
             "record", task, "--backend", arguments.recorded_on, "--num-envs", str(episodes), "--episodes",
             str(episodes), "--output", str(file), "--resume",
         )  # fmt: skip
-        jobs.append(Job(f"record.{task}", lambda words=words: words, cost=1000.0))
+        jobs.append(Job(f"record.{task}", lambda words=words: words))
         for engine in arguments.backends or backend_names():
             for method in _METHODS:
                 output = arguments.output / f"{task}.{engine}.{method}.hdf5"

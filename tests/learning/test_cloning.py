@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,15 +15,17 @@ from torch import Tensor
 
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
+from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
 from orbit_data.hdf5 import Hdf5Dataset
 from orbit_learn.cli.trained import PlaySettings, restore
 from orbit_learn.cloning.corrections import gather_corrections
-from orbit_learn.cloning.encoding import FINE, Encoding, Labels, encoding_for
+from orbit_learn.cloning.encoding import FINE, Encoder, Encoding, Labels, encoding_for, rotation_features
 from orbit_learn.cloning.networks import ClonedRecurrent, ClonedTransformer, Planner
-from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer, shifted
+from orbit_learn.cloning.steps import shifted
+from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer
 from orbit_learn.description import Part, group_parts
 from orbit_learn.memory import Remembering
 from orbit_learn.policy import PolicyActor, load_policy
@@ -164,6 +167,11 @@ def test_the_encoding_follows_from_what_the_manifest_says(demos: Path, environme
     assert len(encoding.joints) == environment.action_size
     assert all(column >= 0 for column in encoding.joints[:7])
     assert encoding.vectors, "the goal is a position"
+    begins = {part.name: sum(each.size for each in parts[:i]) for i, part in enumerate(parts)}
+    poses = {begins[part.name] + 3 for part in parts if part.size == 7 and "pose" in part.name}
+    assert poses, "Reach shows poses"
+    assert poses <= set(encoding.rotations)
+    assert all(first + i in encoding.replaced for first in encoding.rotations for i in range(4))
     columns = [name for part in parts for name in [part.name] * part.size]
     assert all(columns[column] == "last_action" for column in encoding.hidden)
     # What the joint's position commands is where the joint is: the robot rests at it.
@@ -172,6 +180,30 @@ def test_the_encoding_follows_from_what_the_manifest_says(demos: Path, environme
         assert bias == pytest.approx(0.0, abs=1e-6)
         assert columns[column] == "joint_positions"
     assert pytest.approx(0.03) == FINE
+
+
+def test_rotations_are_shown_without_sign_and_by_half_and_quarter_turns() -> None:
+    torch.manual_seed(0)
+    turned = torch.nn.functional.normalize(torch.randn(5, 4), dim=1)
+    shown = rotation_features(turned)
+    torch.testing.assert_close(rotation_features(-turned), shown)
+    torch.testing.assert_close(shown[:, :6].unflatten(1, (3, 2)), quat_to_matrix(turned)[:, :, :2])
+    yaw = torch.tensor([0.3, 0.3 + math.pi / 2, 0.3 + math.pi])
+    half = 0.5 * yaw[:, None]
+    upright = rotation_features(torch.cat((half.cos(), torch.zeros(3, 2), half.sin()), 1))
+    torch.testing.assert_close(upright[:, 10], (4.0 * yaw).cos())
+    torch.testing.assert_close(upright[0, 10:], upright[1, 10:])
+    torch.testing.assert_close(upright[0, 6:10], upright[2, 6:10])
+    assert not torch.allclose(upright[0, 6:10], upright[1, 6:10])
+
+
+def test_policies_that_were_shown_quaternions_are_still_shown_them() -> None:
+    parts, seen = (Part("pose", 7),), torch.randn(4, 7)
+    before, now = Encoding(parts, vectors=(0,)), Encoding(parts, vectors=(0,), rotations=(3,))
+    torch.testing.assert_close(Encoder(before).features(seen)[:, :7], seen)
+    assert Encoder(now).features(seen).shape == (4, now.feature_size) == (4, 3 + 14 + 3)
+    with pytest.raises(ValueError, match="columns are 0 to 6"):
+        Encoding(parts, rotations=(4,))
 
 
 def test_noise_disturbs_the_executed_actions_and_leaves_the_labels(demos: Path) -> None:
@@ -282,6 +314,13 @@ def test_pictures_are_shifted_by_a_few_pixels_and_vectors_are_not() -> None:
     steps = moved.int().diff(dim=1)
     assert bool(((steps == 0) | (steps == 1)).all()), "rows stay in order, and edges repeat"
     assert set((moved[:, 10, 0, 0].int() - 10).tolist()) == set(range(-4, 5))
+    sequences = rows[:8].unflatten(0, (2, 4))
+    moved = shifted(sequences)
+    assert moved.shape == sequences.shape
+    assert len(set(moved[:, :, 10, 0, 0].flatten().tolist())) > 1, (
+        "each picture of a sequence is shifted, not its order"
+    )
+    assert bool((moved.int().diff(dim=2) <= 1).all())
     vector = torch.rand(4, 7)
     assert shifted(vector) is vector
 

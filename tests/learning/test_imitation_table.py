@@ -45,6 +45,34 @@ def test_a_job_begins_after_what_it_needs_and_is_done_once(tmp_path: Path) -> No
         Ledger(path, {"demos": 2})
 
 
+def test_jobs_begin_in_their_order(tmp_path: Path) -> None:
+    from work import Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
+
+    begun: list[str] = []
+
+    def words(name: str) -> list[str]:
+        begun.append(name)
+        return ["list", "nothing"]
+
+    names = ["cell 1", "cell 2", "cell 3"]
+    jobs = [Job(name, lambda name=name: words(name)) for name in names]
+    assert not run_jobs(jobs, Ledger(tmp_path / "results.json", {}), 1, 600.0, tmp_path / "logs", 0)
+    assert begun == names
+
+
+def test_a_training_that_was_killed_goes_on_unless_it_had_its_last_iteration(tmp_path: Path) -> None:
+    from table2 import continued  # pyright: ignore[reportMissingImports]
+
+    folder = tmp_path / "bc-0"
+    assert continued(folder, 60) == ("--output", str(folder))
+    folder.mkdir()
+    (folder / "checkpoint_40.safetensors").touch()
+    assert continued(folder, 60) == ("--resume", str(folder))
+    (folder / "checkpoint_59.safetensors").touch()
+    assert continued(folder, 60) == ("--output", str(folder)), "nothing is left to resume"
+    assert not folder.exists()
+
+
 def test_nothing_outlasts_the_budget(tmp_path: Path) -> None:
     from work import Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
 
@@ -72,6 +100,13 @@ def test_every_cell_is_recorded_trained_and_evaluated(tmp_path: Path) -> None:
     assert "--cameras" in jobs["record.both.pictures.0"].words()
     assert sum(name.startswith("evaluate.both.pictures.bc.bullet") for name in jobs) == 10
     assert "evaluate.both.joint_position.bc.bullet.0" in jobs
+    # All seeds of an algorithm, and their evaluations, come before the next algorithm, and a cell before the next.
+    places = {name: place for place, name in enumerate(jobs)}
+    order = [
+        "record.none.joint_position.3", "train.none.joint_position.bc.1", "evaluate.none.joint_position.bc.bullet.0",
+        "train.none.joint_position.act.0", "evaluate.none.joint_position.act.mujoco.0", "record.goal.joint_position.0",
+    ]  # fmt: skip
+    assert sorted(order, key=places.__getitem__) == order
 
 
 def test_the_page_adds_parts_up_and_shows_what_was_published(tmp_path: Path) -> None:
@@ -95,16 +130,41 @@ def test_results_of_several_machines_become_one_table() -> None:
     from table2_page import merged  # pyright: ignore[reportMissingImports]
 
     settings = {"demos": 2, "engine": "mujoco"}
-    first = {"settings": settings, "jobs": {"a": {"ended": False}, "b": {"ended": True, "result": 1}}}
-    second = {"settings": settings, "jobs": {"a": {"ended": True, "result": 2}, "b": {"ended": False}}}
+    first = {"settings": settings, "jobs": {"a": {"ended": False}, "b": {"ended": True, "result": [1]}}}
+    second = {"settings": settings, "jobs": {"a": {"ended": True, "result": [2]}, "b": {"ended": False}}}
     both = merged([first, second])
-    assert [job["result"] for job in both["jobs"].values()] == [2, 1]
+    assert [job["result"] for job in both["jobs"].values()] == [[2], [1]]
     with pytest.raises(SystemExit, match="other demos"):
         merged([first, {"settings": {"demos": 3, "engine": "mujoco"}, "jobs": {}}])
 
 
+def test_results_of_fewer_trainings_are_shown_until_all_are_done() -> None:
+    from table2_page import merged, page  # pyright: ignore[reportMissingImports]
+
+    def ledger(seeds: int, ended: bool = True) -> dict[str, Any]:
+        result = [
+            {"policy": f"bc-{seed}", "engine": "x 1", "successes": 9, "trials": 10, "length": 50.0}
+            for seed in range(seeds)
+        ]
+        job = {"ended": ended, "seconds": 1.0, "core_seconds": 2.0, "result": result if ended else None}
+        settings = {"demos": 2, "engine": "mujoco", "episodes": 10, "seeds": seeds}
+        return {"settings": settings, "jobs": {"evaluate.both.ik_relative.bc.mujoco.0": job}}
+
+    begun = merged([ledger(3, ended=False), ledger(1)])
+    (job,) = begun["jobs"].values()
+    assert begun["settings"]["seeds"] == 3
+    assert not job["ended"], "it is still to be done with three"
+    assert "| not run | 0.90 [0.60, 0.98], 50, 1 training |" in page(begun)
+    whole = merged([begun, ledger(3), ledger(2)])
+    (job,) = whole["jobs"].values()
+    assert job["ended"]
+    assert "training |" not in page(whole)
+    with pytest.raises(SystemExit, match="other seeds"):
+        merged([ledger(1), ledger(3)])
+
+
 def test_what_is_gone_is_made_again_only_where_it_is_needed(tmp_path: Path) -> None:
-    from work import Done, Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
+    from work import Done, Job, Ledger, _left, run_jobs  # pyright: ignore[reportMissingImports]
 
     words = ["list", "libraries"]
     jobs = [
@@ -118,6 +178,7 @@ def test_what_is_gone_is_made_again_only_where_it_is_needed(tmp_path: Path) -> N
     assert run_jobs(jobs, ledger, 1, 600.0, tmp_path / "logs", 0)
     assert not list((tmp_path / "logs").glob("*.log")), "all is evaluated"
     ledger.jobs["evaluated elsewhere"] = Done()
+    assert list(_left(jobs, ledger)) == ["recorded", "trained", "evaluated elsewhere"], "in the order of the jobs"
     assert run_jobs(jobs, ledger, 1, 600.0, tmp_path / "logs", 0)
     assert {log.stem for log in (tmp_path / "logs").glob("*.log")} == {"recorded", "trained", "evaluated elsewhere"}
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -21,6 +21,7 @@ from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_learn.policy import PolicyActor, load_policy
 from orbit_learn.pretrained import policy_path
+from orbit_learn.remote import client
 from orbit_learn.remote.client import PolicyServer, RemoteActor, ServerAddress, ServerFailure
 from orbit_learn.remote.server import PolicyService
 from orbit_learn.remote.wire import decode, encode
@@ -132,9 +133,9 @@ def answers(*replies: Any) -> Callable[[Any], None]:
         for reply in replies:
             connection.recv()
             if reply is None:
-                time.sleep(1.0)
-                return
+                break
             connection.send(reply if isinstance(reply, bytes | str) else encode({"actions": reply}))
+        # Hangs until the client gives up.
         connection.recv()
 
     return handle
@@ -143,7 +144,7 @@ def answers(*replies: Any) -> Callable[[Any], None]:
 @pytest.mark.parametrize(
     ("reply", "told"),
     [
-        (None, "has not answered for 0.2 s"),
+        (None, "has not answered for 1 s"),
         (np.zeros((4, 3), np.float32), "answered actions of 3 components"),
         (np.zeros(8, np.float32), "without 'actions'"),
         (encode({"action": 1}), "without 'actions'"),
@@ -160,7 +161,8 @@ def test_a_server_that_misbehaves_fails_its_episode_alone(environment: Environme
 
     with listening(handle) as address:
         environment.reset(0)
-        actor = RemoteActor(environment, ServerAddress.parse(f"{address}?timeout=0.2"))
+        # Long for the environment that is answered, on a busy machine; only one that hangs is waited for.
+        actor = RemoteActor(environment, ServerAddress.parse(f"{address}?timeout={1 if reply is None else 60}"))
         for _ in range(3):
             action = actor.act()
             environment.step(action)
@@ -176,10 +178,48 @@ def test_a_run_counts_episodes_without_an_answer_as_failures(capsys: pytest.Capt
         words = f"run Reach --backend {default_backend()} --num-envs 2 --episodes 2 --set episode_length=0.1"
         # Any hand is near enough, so that an answer alone decides.
         words += " --set position_tolerance=10 --set rotation_tolerance=4"
-        assert main([*words.split(), "--agent", f"{address}?timeout=0.2"]) == 0
+        assert main([*words.split(), "--agent", f"{address}?timeout=1"]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "success rate 0.0 %" in told
     assert "episodes without an answer 2, counted as failures" in told
+
+
+def test_all_environments_are_asked_before_the_first_answer_is_awaited(environment: Environment) -> None:
+    together = threading.Barrier(environment.num_envs)
+
+    def handle(connection: Any) -> None:
+        connection.send(encode({}))
+        connection.recv()
+        together.wait(60.0)
+        connection.send(encode({"actions": np.full((1, environment.action_size), 0.1, np.float32)}))
+
+    with listening(handle) as address:
+        environment.reset(0)
+        actor = RemoteActor(environment, ServerAddress.parse(f"{address}?timeout=60"))
+        assert (actor.act() == 0.1).all()
+        actor.close()
+    assert not actor.failed
+
+
+def test_a_server_that_hangs_for_all_is_waited_for_once(
+    environment: Environment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, waits = [0.0], []
+
+    def answer(server: PolicyServer, within: float) -> np.ndarray:
+        waits.append(within)
+        clock[0] += within
+        raise ServerFailure("it hangs")
+
+    with listening(answers(None)) as address:
+        environment.reset(0)
+        actor = RemoteActor(environment, ServerAddress.parse(f"{address}?timeout=60"))
+        monkeypatch.setattr(client, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+        monkeypatch.setattr(PolicyServer, "answer", answer)
+        assert not actor.act().any()
+        actor.close()
+    assert actor.failed == environment.num_envs
+    assert waits == pytest.approx([60.0, 0.0], abs=0.1)
 
 
 def test_the_next_episode_asks_a_server_again(environment: Environment) -> None:
@@ -251,5 +291,6 @@ def test_bad_addresses_are_told(environment: Environment) -> None:
 def test_a_bad_request_is_answered_in_one_line(request_: dict[str, Any], told: str) -> None:
     with serving() as address:
         server = PolicyServer(ServerAddress.parse(address))
+        server.ask(request_)
         with pytest.raises(ServerFailure, match=told):
-            server.infer(request_)
+            server.answer()

@@ -6,11 +6,13 @@ import json
 import math
 import os
 import signal
+import socket
 import sys
 import threading
 import time
 import types
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
@@ -18,7 +20,8 @@ from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.interfaces import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
 from orbit_learn.curves import curve_of, sparkline
-from orbit_learn.sweep.cluster import connected
+from orbit_learn.sweep import cluster
+from orbit_learn.sweep.cluster import ClusterWatch, connected
 from orbit_learn.sweep.plan import Range, read_plan
 from orbit_learn.sweep.running import Sweep, best_values
 from orbit_learn.sweep.search import search_of
@@ -127,6 +130,7 @@ class SlowRay(types.ModuleType):
         self.left, self.ended = failing, 0
 
     def init(self, *_: object, **__: object) -> None:
+        signal.signal(signal.SIGTERM, lambda *_: None)  # as Ray does
         if self.left:
             self.left -= 1
             raise Exception("The current node timed out during startup.")
@@ -138,11 +142,43 @@ class SlowRay(types.ModuleType):
 def test_a_cluster_that_starts_slowly_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     late, never = SlowRay(2), SlowRay(9)
     monkeypatch.setitem(sys.modules, "ray", late)
+    before = signal.getsignal(signal.SIGTERM)
     assert connected("local") is late
+    assert signal.getsignal(signal.SIGTERM) is before
     assert (late.left, late.ended) == (0, 2)
     monkeypatch.setitem(sys.modules, "ray", never)
     with pytest.raises(ConfigurationError, match=r"did not start .* in 3 attempts .*timed out.*--ray"):
         connected("local")
+
+
+class GoneRay(types.ModuleType):
+    """Ray whose work never ends, and whose control process is at a port of this machine."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__("ray")
+        self.exceptions = types.SimpleNamespace(RayError=RuntimeError)
+        self.gcs_address = f"127.0.0.1:{port}"
+
+    def get_runtime_context(self) -> GoneRay:
+        return self
+
+    def wait(self, _: object, timeout: float) -> tuple[list[object], list[object]]:
+        return [], []
+
+
+def test_a_cluster_that_goes_away_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray itself would end the program after a minute."""
+    monkeypatch.setattr(cluster, "_SILENT_FOR", 0.0)
+    with socket.create_server(("127.0.0.1", 0)) as control:
+        ray = GoneRay(control.getsockname()[1])
+        watch = ClusterWatch(ray, "auto")
+        assert watch.wait([]) == watch.wait([]) == []
+    assert watch.wait([]) == []  # it may come back
+    with pytest.raises(ConfigurationError, match=r"the Ray cluster is gone .*repeat the command"):
+        watch.wait([])
+    monkeypatch.setattr(ray, "wait", mock.Mock(side_effect=ConnectionError("lost")))
+    with pytest.raises(ConfigurationError, match=r"is gone \(lost\)"):
+        ClusterWatch(ray, "ray://127.0.0.1:1").wait([])
 
 
 def test_a_grid_has_all_combinations_and_random_draws_stay_in_their_ranges(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -358,16 +357,13 @@ def test_weights_and_biases_take_the_curve_offline_or_say_what_is_missing(
     assert not (tmp_path / "sent" / "curve.jsonl").exists()
 
 
-def test_several_processes_need_gpus_and_a_library_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_several_processes_need_a_library_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"RANK": "1", "LOCAL_RANK": "1", "WORLD_SIZE": "2"}.items():
         monkeypatch.setenv(name, value)
     from orbit_learn.cli.train import TrainSettings, train
 
-    settings = TrainSettings(task="Reach", backend=BACKEND)
-    with pytest.raises(ConfigurationError, match="add --device cuda"):
-        train(settings)
-    with pytest.raises(ConfigurationError, match="'sb3' trains on one GPU"):
-        train(replace(settings, library="sb3", device="cuda"))
+    with pytest.raises(ConfigurationError, match=r"'sb3' trains in one process: .*--library rsl-rl"):
+        train(TrainSettings(task="Reach", backend=BACKEND, library="sb3", device="cuda"))
 
 
 def test_of_several_processes_one_writes_and_reports(tmp_path: Path) -> None:
@@ -378,26 +374,6 @@ def test_of_several_processes_one_writes_and_reports(tmp_path: Path) -> None:
     training.run(2, 100, lambda progress: pytest.fail("it reported"))
     assert {path.name for path in made.folder.iterdir()} == {"tensorboard_1"}
     environment.close()
-
-
-def test_several_processes_learn_one_policy(tmp_path: Path) -> None:
-    """Each from its own environments; the same in the end, and one of them keeps it."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1]), "WORLD_SIZE": "2"}
-    command = [sys.executable, str(Path(__file__).with_name("one_of_several.py")), str(tmp_path)]
-    ranked = [{**os.environ, **address, "RANK": str(rank), "LOCAL_RANK": str(rank)} for rank in range(2)]
-    started = [subprocess.Popen(command, env=environment, stderr=subprocess.PIPE) for environment in ranked]
-    for process in started:
-        _, complaint = process.communicate(timeout=120)
-        assert process.returncode == 0, complaint.decode()
-    first, second = (load_policy(tmp_path / f"rank_{rank}.safetensors").module.state_dict() for rank in range(2))
-    layers = [name for name in first if "weight" in name or "bias" in name]
-    assert len(layers) == 4
-    for name in layers:
-        torch.testing.assert_close(first[name], second[name])
-    kept = load_policy(tmp_path / "training").module.state_dict()
-    assert all(torch.equal(kept[name], first[name]) for name in layers)
 
 
 def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

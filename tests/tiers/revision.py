@@ -29,9 +29,9 @@ class Revision:
 def current_revision(root: Path = ROOT) -> Revision:
     """Read the revision of the checkout at ``root``.
 
-    The turn is the number of commits modulo ten, so that ten commits in a row run every slow test; the environment
-    variable ``ORBIT_TEST_TURN`` overrides it. Changes count from the merge base with the upstream's main branch, or
-    from the last commit but one where that is the commit itself; ``ORBIT_TEST_BASE`` names another base.
+    The turn is the number of commits modulo thirty, so that thirty commits in a row run every slow test; the
+    environment variable ``ORBIT_TEST_TURN`` overrides it. Changes count from the merge base with the upstream's main
+    branch, or from the last commit but one where that is the commit itself; ``ORBIT_TEST_BASE`` names another base.
     """
     chosen = os.environ.get(TURN, "")
     turn = int(chosen) % TURNS if chosen.isdecimal() else None

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 SLOW_LIST = Path(__file__).with_name("slow.txt")
-SLOW_SECONDS = 0.5
+SLOW_SECONDS = 0.25
 """A test of the suite is slow from here on, and so is a job of the conformance suite, over all its backends."""
-TURNS = 20
+TURNS = 30
 """Consecutive commits that together run every slow test once."""
 
 _HEADER = """\
-# Slow tests and their seconds, each run by one commit in twenty and by `make test-all`. Refreshed by `make slow-list`.
+# Slow tests and their seconds, each run by one commit in thirty and by `make test-all`. Refreshed by `make slow-list`.
 """
 
 

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 LISTED = {f"tests/x/test_{i}.py::test_{i}": 2.0 + i for i in range(60)}
 
 
-def test_twenty_commits_in_a_row_run_every_slow_test_once() -> None:
+def test_thirty_commits_in_a_row_run_every_slow_test_once() -> None:
     runs = [select(LISTED, Revision(turn), ()).chosen for turn in range(TURNS)]
     assert sorted(name for run in runs for name in run) == sorted(LISTED)
     shares = [sum(LISTED[name] for name in run) for run in runs]
@@ -102,7 +102,7 @@ def test_a_revision_is_the_commits_turn_and_what_differs_from_the_base(
     (folder / "new.py").touch()
     assert current_revision(folder).changed == {"own.py", "new.py"}
     monkeypatch.setenv("ORBIT_TEST_BASE", "HEAD~2")
-    monkeypatch.setenv("ORBIT_TEST_TURN", "27")
+    monkeypatch.setenv("ORBIT_TEST_TURN", str(TURNS + 7))
     assert current_revision(folder) == Revision(7, frozenset({"own.py", "new.py", "1.py"}))
 
 
@@ -154,8 +154,8 @@ def test_a_changed_plugin_runs_all_scenarios_on_its_backend() -> None:
 
 def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
     """A whole run in a process of its own, on a list that names a slow test of each turn and one that is gone."""
-    (tmp_path / "test_few.py").write_text("".join(f"def test_{i}(): pass\n" for i in range(20)))
-    listed = {f"test_few.py::test_{i}": 5.0 for i in range(10)} | {"test_few.py::test_gone": 5.0}
+    (tmp_path / "test_few.py").write_text("".join(f"def test_{i}(): pass\n" for i in range(2 * TURNS)))
+    listed = {f"test_few.py::test_{i}": 5.0 for i in range(TURNS)} | {"test_few.py::test_gone": 5.0}
     options = ["-p", "tests.tiers.plugin", "-p", "no:cacheprovider", "--tier", "quick", "--rootdir", str(tmp_path)]
     code = (
         "import sys, pytest, tests.tiers.plugin as plugin\n"
@@ -166,8 +166,8 @@ def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=os.environ | own
     )
-    assert "11 passed, 9 deselected" in done.stdout, done.stdout + done.stderr
-    assert "1 of 10 slow ones, 5 of 50 s" in done.stdout
+    assert f"{TURNS + 1} passed, {TURNS - 1} deselected" in done.stdout, done.stdout + done.stderr
+    assert f"1 of {TURNS} slow ones, 5 of {5 * TURNS} s" in done.stdout
     assert "names 1 tests that are gone" in done.stdout
 
 

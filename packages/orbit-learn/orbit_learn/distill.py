@@ -17,6 +17,7 @@ from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.description import group_parts
 from orbit_learn.networks import ActorNetwork, Network, NormalizedActor, Perceptron, PictureActor, convolutional
+from orbit_learn.processes import average, met
 from orbit_learn.teacher import teacher_of
 from orbit_learn.trainer import LoopTrainer, set_half_cosine
 
@@ -155,11 +156,15 @@ class RunningMoments:
         self._squares = torch.zeros(size, device=device)
 
     def add(self, rows: Tensor) -> None:
-        """Add rows (M, size)."""
-        count, mean = len(rows), rows.mean(0)
+        """Add rows (M, size), and those of the other processes that learn the same policy, as many each."""
+        mean = rows.mean(0)
+        average([mean])
+        squares = ((rows - mean) ** 2).sum(0)
+        average([squares])
+        count = len(rows) * met()
         total, change = self.count + count, mean - self.mean
         # Pairwise, so that the sum of squares keeps its precision over millions of rows.
-        self._squares += ((rows - mean) ** 2).sum(0) + change**2 * self.count * count / total
+        self._squares += squares * met() + change**2 * self.count * count / total
         self.mean += change * count / total
         self.count += count
 

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 GROUP = "orbit.learners"
 # Modules in this package. Each but the last three is also the name of the extra that installs it.
 _LIBRARIES = {
-    "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several GPUs"),
+    "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several processes and GPUs"),
     "sb3": ("sb3:Sb3Trainer", "PPO, pictures; SAC and TD3 on the host"),
     "skrl": ("skrl:SkrlTrainer", "PPO, asymmetric critics, pictures"),
     "rl-games": ("rl_games:RlGamesTrainer", "PPO, asymmetric critics"),
     "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
     "orbit": (
         "off_policy:OffPolicyTrainer",
-        "SAC and TD3 with large batches, PPO recorded on a GPU, asymmetric critics; part of ORBIT",
+        "SAC and TD3 with large batches, PPO recorded on a GPU and of several, asymmetric critics; part of ORBIT",
     ),
     "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
     "imitation": (

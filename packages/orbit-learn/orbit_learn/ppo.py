@@ -25,6 +25,7 @@ from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.distill import RunningMoments, copied_actor
 from orbit_learn.networks import ActorNetwork, NormalizedActor, Perceptron
+from orbit_learn.processes import average, share, standardized
 from orbit_learn.recorded import RecordedFunction
 from orbit_learn.spaces import ACTOR, check_groups, critic_group
 from orbit_learn.trainer import LoopTrainer
@@ -128,6 +129,7 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
     """
 
     name: ClassVar[str] = "orbit"
+    several_gpus: ClassVar[bool] = True
     chooses_arithmetic: ClassVar[bool] = True
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
@@ -146,6 +148,8 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
         }
         self._actor_weights = [*self._actor.parameters(), self._log_std]
         self._critic_weights = list(self._critic.parameters())
+        # Each process has drawn its own: averaged gradients keep equal weights equal.
+        share([*self._actor_weights, *self._critic_weights])
         # A tensor, because the recorded update changes it.
         self._rate = torch.tensor(settings.learning_rate, device=device)
         self._optimizer = torch.optim.Adam(
@@ -252,7 +256,7 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
         value = self._critic.layers(torch.cat((state, after[None]))).squeeze(-1)
         advantage = advantages_of(rollout, value, settings.discount, settings.gae_lambda)
         returns, value = advantage + value[:-1], value[:-1]
-        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        advantage = standardized(advantage)
         seen = self._actor.encode(rollout.seen)
         whole = Samples(seen, state, rollout.action, rollout.mean, value, returns, advantage)
         # Gathered once: every pass goes through the same order.
@@ -265,6 +269,7 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
             loss, numbers = self._losses(samples, old_log_std)
             self._optimizer.zero_grad()
             loss.backward()
+        average([numbers, *(cast(Tensor, weight.grad) for weight in (*self._actor_weights, *self._critic_weights))])
         with torch.no_grad():
             self._numbers += numbers
             self._adapt_rate(numbers[-1])

@@ -40,6 +40,7 @@ from orbit_learn.networks import (
 )
 from orbit_learn.policy import Policy, load_policy
 from orbit_learn.pretrained import policy_path
+from orbit_learn.processes import meet, met, rank
 from orbit_learn.spaces import ACTOR, check_groups, critic_group, tensor_names, tensors_by_name
 from orbit_learn.trainer import Progress, Trainer
 
@@ -439,7 +440,14 @@ def _mean(ends: list[dict[str, Tensor]], name: str) -> float:
 
 
 class _Runner(OnPolicyRunner):
-    """Leaves checkpoints to the training."""
+    """Runner that leaves checkpoints to the training, and whose processes may learn on CPUs."""
+
+    def _configure_multi_gpu(self) -> None:
+        meet(torch.device(self.device))
+        self.gpu_world_size, self.is_distributed = met(), met() > 1
+        self.gpu_global_rank, self.gpu_local_rank = rank(), int(os.environ.get("LOCAL_RANK", "0"))
+        places = {"global_rank": self.gpu_global_rank, "local_rank": self.gpu_local_rank, "world_size": met()}
+        self.cfg["multi_gpu"] = places if self.is_distributed else None
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """No-op: checkpoints are written by the training."""

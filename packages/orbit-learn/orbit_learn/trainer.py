@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from abc import ABC, abstractmethod
@@ -18,6 +19,7 @@ from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.ends import EpisodeTally
 from orbit_learn.networks import ActorNetwork
+from orbit_learn.processes import meet, met, rank
 
 
 @dataclass(frozen=True)
@@ -44,16 +46,26 @@ class Progress:
     """Means of the task's metrics over the last episodes, by name; empty if the library does not report them."""
 
 
+def half_cosine(initial: float, progress: float) -> float:
+    """Return the learning rate that falls along half a cosine (Loshchilov and Hutter, SGDR, 2017).
+
+    Args:
+        initial: rate at the begin.
+        progress: share of the training that is over; zero is reached at 1.
+    """
+    return initial * 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+
+
 def set_half_cosine(optimizer: torch.optim.Optimizer, initial: float, progress: float) -> None:
-    """Set the learning rate that falls along half a cosine (Loshchilov and Hutter, SGDR, 2017).
+    """Set an optimiser's learning rate to :func:`half_cosine`.
 
     Args:
         optimizer: whose rate is set.
         initial: rate at the begin.
-        progress: share of the training that is over; zero is reached at 1.
+        progress: share of the training that is over.
     """
     for group in optimizer.param_groups:
-        group["lr"] = initial * 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+        group["lr"] = half_cosine(initial, progress)
 
 
 class LearningSettings(Protocol):
@@ -89,7 +101,7 @@ class Trainer(ABC, Generic[Settings]):
     name: ClassVar[str]
     """Name of the library as the user types it."""
     several_gpus: ClassVar[bool] = False
-    """Whether processes of torchrun, one for each GPU, learn one policy together."""
+    """Whether processes of torchrun, one for each GPU or part of the CPU, learn one policy together."""
     imitates: ClassVar[bool] = False
     """Whether the trainer can first imitate the task's expert, :attr:`PpoSettings.imitation_steps`."""
     begins_with_policies: ClassVar[bool] = False
@@ -155,12 +167,14 @@ class LoopTrainer(Trainer[Settings]):
 
     def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
+        if self.several_gpus:
+            meet(environment.device)
         # Before the networks are made: their first weights come from torch's own generator.
         torch.manual_seed(seed)
         self.tally = EpisodeTally(environment.device)
         """Tally of episodes; :meth:`iterate` must add every step."""
-        self.batch = environment.num_envs * settings.steps_per_iteration
-        """Steps of all environments in an iteration."""
+        self.batch = environment.num_envs * settings.steps_per_iteration * met()
+        """Steps of all environments, of all processes, in an iteration."""
         self.steps_ahead = 0
         """Steps of all environments that were collected in addition to those of the iterations."""
         self._iteration = 0
@@ -185,7 +199,9 @@ class LoopTrainer(Trainer[Settings]):
         from torch.utils.tensorboard import SummaryWriter  # late: only trainers without a loop of their own need it
 
         begin, first, last = time.perf_counter(), self._iteration, self._iteration + iterations - 1
-        with SummaryWriter(str(self.folder / "tensorboard")) as board:
+        # One of several processes writes.
+        folder = self.folder / "tensorboard"
+        with SummaryWriter(str(folder)) if rank() == 0 else contextlib.nullcontext() as board:
             for iteration in range(first, last + 1):
                 self.iterate(iteration)
                 self._iteration = iteration + 1
@@ -195,13 +211,14 @@ class LoopTrainer(Trainer[Settings]):
                 seconds = time.perf_counter() - begin
                 measured = {"loss": self.loss(), "metrics": self.tally.metrics}
                 progress = Progress(iteration, done, seconds, returns, success_rate, episodes, **measured)
-                board.add_scalar("episode/return", progress.episode_return, iteration)
-                board.add_scalar("episode/success_rate", progress.success_rate, iteration)
-                for name, value in self.numbers().items():
-                    board.add_scalar(f"learning/{name}", value, iteration)
-                # An algorithm without a single loss has no curve to draw.
-                if not math.isnan(progress.loss):
-                    board.add_scalar("loss", progress.loss, iteration)
+                if board is not None:
+                    board.add_scalar("episode/return", progress.episode_return, iteration)
+                    board.add_scalar("episode/success_rate", progress.success_rate, iteration)
+                    for name, value in self.numbers().items():
+                        board.add_scalar(f"learning/{name}", value, iteration)
+                    # An algorithm without a single loss has no curve to draw.
+                    if not math.isnan(progress.loss):
+                        board.add_scalar("loss", progress.loss, iteration)
                 report(progress)
 
     def restore(self, state: Any, iteration: int) -> None:

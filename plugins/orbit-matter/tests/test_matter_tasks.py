@@ -8,8 +8,11 @@ import pytest
 import torch
 
 from orbit_assets.catalogue import robot
+from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.mdp import common
+from orbit_tasks import cloth_folding, cloth_spreading
 from orbit_tasks.mdp.matter import with_grip_force
 
 
@@ -140,3 +143,29 @@ def test_a_cloth_begins_crumpled_and_kept(tmp_path: Path, monkeypatch: pytest.Mo
     first.world.step(100)
     assert (first.world.deformables["cloth"].positions - before).norm(dim=2).amax() < 0.01  # it is at rest
     first.close(), again.close()
+
+
+def test_corners_are_drawn_outwards_whichever_side_of_the_cloth_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cloth_spreading, "crumpled", lambda world, name: torch.zeros(1, 81, 3))
+    environment = make("Cloth-Spreading", 2, "mujoco", seed=0, particles=9, size=0.16)
+    environment.reset(seed=0)
+    body = environment.world.deformables["cloth"]
+    rest = torch.as_tensor(body.spec.rest_positions, dtype=torch.float32)
+    turned = common.turned(torch.tensor([0.7])).expand(2, len(rest), 4)
+    # One with its upper side up, one that was turned over, which mirrors it as seen from above.
+    mirrored = quat_rotate(turned, torch.stack((rest, rest * torch.tensor([1.0, -1.0, 1.0]))))
+    body.set_state(mirrored + torch.tensor(body.spec.pose.position))
+    for name in cloth_spreading.STROKES:
+        way = (body.key_point(name) - body.key_point("middle"))[:, :2]
+        place = cloth_spreading.place_of(name)(environment) - body.key_point("middle")
+        torch.testing.assert_close(place[:, :2], cloth_spreading.FURTHER * way, atol=1e-4, rtol=0.0)
+    environment.close()
+
+
+def test_fingers_that_close_on_arcs_take_a_cloth_further_in() -> None:
+    depths = []
+    for name in ("franka_panda", "ur10_robotiq_2f85"):
+        environment = make("Cloth-Folding", 1, "mujoco", robot=name, particles=9)
+        depths.append(cloth_folding.grasp_depth(environment))
+        environment.close()
+    assert depths == pytest.approx([0.018, 0.026], abs=1e-3)

@@ -20,7 +20,7 @@ from orbit_conformance.execution import Outcome, execute
 from orbit_conformance.jobs import Job
 from orbit_conformance.results import Ending, Record
 from orbit_conformance.settings import Settings
-from orbit_learn.sweep.cluster import connected
+from orbit_learn.sweep.cluster import ClusterWatch, connected
 
 Work = tuple[Job, Settings, Mapping[str, bytes]]
 """The arguments of :func:`execute`."""
@@ -90,6 +90,7 @@ class RayPool(Pool):
 
     def __init__(self, address: str, time_limit: float) -> None:
         self._ray: Any = connected(address)
+        self._watch = ClusterWatch(self._ray, address)
         self._time_limit = time_limit
 
     def run(self, work: Sequence[Work], alone: bool) -> Iterator[Outcome]:
@@ -103,8 +104,7 @@ class RayPool(Pool):
                 environment = {"env_vars": {"ORBIT_CONFORMANCE_WORKER": job.backend}}
                 doing = ray.remote(num_cpus=1, max_retries=0, max_calls=int(alone), runtime_env=environment)(execute)
                 running[doing.remote(*waiting.pop())] = (job, time.monotonic())
-            done, _ = ray.wait(list(running), timeout=1.0)
-            for reference in done:
+            for reference in self._watch.wait(list(running)):
                 yield self._outcome(reference, running.pop(reference)[0])
             for reference, (job, begin) in list(running.items()):
                 if time.monotonic() - begin > self._time_limit:

@@ -231,12 +231,12 @@ def measure_once(
     environment = make(task, num_envs, backend, device, seed, settings=settings, compile=compile, **(fields or {}))
     try:
         agent = RandomActor(environment, seed)
-        _stagger(environment, seed)
+        stagger(environment, seed)
         environment.step(agent.act())
         _wait(environment)
         start = time.perf_counter() - begin
         grown = _resident_mib() - memory
-        raw = _raw_steppers(environment)
+        raw = raw_steppers(environment)
         trials = [_block(environment, agent, raw, min(_TRIAL_STEPS, block_steps)) for _ in range(2)]
         trial = trials[1]  # because kernels compile in the first
         block_steps = max(1, min(block_steps, round(_BLOCK_SECONDS / trial[_ENVIRONMENT])))
@@ -276,7 +276,7 @@ def _raw_rate(num_envs: int, blocks: list[dict[str, float]]) -> RawRate:
     )
 
 
-def _raw_steppers(environment: Environment) -> dict[str, Any]:
+def raw_steppers(environment: Environment) -> dict[str, Any]:
     """The ways of stepping in the module ``native_baseline`` of the backend's package, by name; empty without it."""
     name = f"{type(find_backend(environment.world.backend)).__module__.partition('.')[0]}.native_baseline"
     if importlib.util.find_spec(name) is None:
@@ -284,7 +284,7 @@ def _raw_steppers(environment: Environment) -> dict[str, Any]:
     return importlib.import_module(name).raw_steppers(environment.world.engine)
 
 
-def _stagger(environment: Environment, seed: int) -> None:
+def stagger(environment: Environment, seed: int) -> None:
     """Set random ages of the first episodes, so that resets spread over all steps."""
     generator = torch.Generator().manual_seed(seed)
     steps = torch.randint(environment.max_episode_steps, (environment.num_envs,), generator=generator)

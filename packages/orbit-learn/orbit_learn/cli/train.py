@@ -35,7 +35,7 @@ class TrainSettings(EnvironmentSettings):
     """Learn a task."""
 
     num_envs: int = 64
-    """Environments stepped together, on each GPU if there are several."""
+    """Environments stepped together, in each process if torchrun starts several."""
     library: Annotated[str | None, arg(metavar="NAME")] = None
     """Learning library ('orbit list libraries'): rsl-rl if left out, or the one that has the algorithm; distill
     imitates a teacher, imitation clones demonstrations."""
@@ -85,6 +85,7 @@ def train(settings: TrainSettings) -> Path:
         OrbitError: of many kinds; each names the setting.
     """
     from orbit_learn.learners import library_for, trainer_type
+    from orbit_learn.processes import part, started
     from orbit_learn.training import Training, check_new
 
     check_positive("num_envs", settings.num_envs)
@@ -101,8 +102,11 @@ def train(settings: TrainSettings) -> Path:
     if algorithm == "ppo" and "algorithm" not in make_trainer.options:
         algorithm = None  # these libraries have no other
     settings = dataclasses.replace(settings, library=library, algorithm=algorithm)
-    if _processes() > 1 and not make_trainer.several_gpus:
-        raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
+    if started() > 1 and not make_trainer.several_gpus:
+        raise ConfigurationError(
+            f"library '{settings.library}' trains in one process: for several, use --library rsl-rl, or "
+            "--library orbit --algorithm ppo"
+        )
     environment = make_environment(settings, settings.num_envs, reset_diverged=settings.diverged == "reset")
     try:
         chosen = _algorithm(settings, make_trainer, environment.task.metadata)
@@ -125,6 +129,7 @@ def train(settings: TrainSettings) -> Path:
             last = _run(training, chosen.iterations, settings, watchers)
     finally:
         environment.close()
+        part()
     if last is not None:
         console().print(_table(settings, last, folder))
     return folder
@@ -181,18 +186,15 @@ def for_training(settings: TrainSettings) -> TrainSettings:
 
 def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
     """Give each process of torchrun its own GPU and seed, and return whether this process leads."""
-    rank, local = int(os.environ.get("RANK", "0")), os.environ.get("LOCAL_RANK")
-    if local is None or _processes() == 1:
+    from orbit_learn.processes import rank, started
+
+    local = os.environ.get("LOCAL_RANK")
+    if local is None or started() == 1:
         return settings, True
-    if not settings.device.startswith("cuda"):
-        raise ConfigurationError("several processes train on several GPUs: add --device cuda")
+    # The CPU is shared: each process takes the cores that it is given.
+    device = f"cuda:{local}" if settings.device.startswith("cuda") else settings.device
     # Seeds are far apart, so that no process repeats another's random streams.
-    return dataclasses.replace(settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank), rank == 0
-
-
-def _processes() -> int:
-    """Number of processes that torchrun started."""
-    return int(os.environ.get("WORLD_SIZE", "1"))
+    return dataclasses.replace(settings, device=device, seed=settings.seed + 1000 * rank()), rank() == 0
 
 
 def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], metadata: TaskMetadata) -> Any:

@@ -44,6 +44,17 @@ class Demonstrations:
         """T, steps of all episodes."""
         return len(self.actions)
 
+    @property
+    def bytes(self) -> int:
+        """Size in memory."""
+        seen = [self.observation] if isinstance(self.observation, Tensor) else list(self.observation.values())
+        return sum(each.nbytes for each in (*seen, self.actions, self.ends))
+
+    def to(self, device: torch.device) -> Demonstrations:
+        """Return these demonstrations on a device."""
+        observation = map_seen(lambda value: value.to(device), self.observation)
+        return Demonstrations(observation, self.actions.to(device), self.ends.to(device))
+
     def observed(self, rows: Tensor) -> Tensor | dict[str, Tensor]:
         """Return the observations of some steps, of any shape of ``rows``."""
         return map_seen(lambda value: value[rows], self.observation)

@@ -1,19 +1,21 @@
 """Observation and action as a cloned policy sees them.
 
-Two things decide whether cloning works, measured on Lift with joint position targets of 2 rad per unit. Labels are
-relative to the present joint positions: an error of 8e-4 of a unit is some 4 cm at the hand otherwise. And differences
-of positions are also shown in centimetres, through ``tanh``: 49 successes of 64 with them, 18 without.
+Three things decide whether cloning works, measured on Lift with joint position targets of 2 rad per unit. Labels are
+relative to the present joint positions: an error of 8e-4 of a unit is some 4 cm at the hand otherwise. Differences of
+positions are also shown in centimetres, through ``tanh``: 49 successes of 64 with them, 18 without. And rotations are
+shown without the sign of their quaternion.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
+from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.manifest.manifest import ActionTermManifest, Manifest, ObservationTermManifest
 from orbit_learn.description import Part
@@ -26,6 +28,8 @@ _LEAST_STD = 1e-2
 _LEAST_LABEL_STD = 1e-3
 _MOST_DEVIATIONS = 10.0
 _LAST_ACTION = "last_action"
+# Six numbers of the matrix and two quaternions.
+_ROTATION_FEATURES = 14
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,8 @@ class Encoding:
     """Columns that the network does not see, such as the last action, which it would learn to copy."""
     vectors: tuple[int, ...] = ()
     """First columns of positions and distances (3 columns in metres), of which fine differences are shown."""
+    rotations: tuple[int, ...] = ()
+    """First columns of unit quaternions (4 columns; w, x, y, z), shown as ``rotation_features`` in their place."""
     joints: tuple[int, ...] = ()
     """Column of the joint position that each component of the action is relative to; -1 for none. Empty for none."""
     gains: tuple[float, ...] = ()
@@ -54,7 +60,8 @@ class Encoding:
     def __post_init__(self) -> None:
         size = self.vector_size
         columns = (*self.hidden, *self.vectors, *(column for column in self.joints if column != -1))
-        if any(not 0 <= column < size for column in columns) or any(column + 3 > size for column in self.vectors):
+        ends = (*(column + 3 for column in self.vectors), *(column + 4 for column in self.rotations))
+        if any(not 0 <= column < size for column in (*columns, *self.rotations)) or any(end > size for end in ends):
             raise ValueError(f"an encoding's columns are 0 to {size - 1}")
         if not len(self.joints) == len(self.gains) == len(self.biases):
             raise ValueError("joints, gains and biases are as many as components of the action")
@@ -71,7 +78,13 @@ class Encoding:
         """F, numbers that the network sees in addition to features of pictures."""
         count = len(self.vectors)
         pairs = count * (count - 1) // 2
-        return self.vector_size - len(set(self.hidden)) + 3 * pairs + 3 * (count + pairs)
+        shown = self.vector_size - len(self.replaced) + _ROTATION_FEATURES * len(self.rotations)
+        return shown + 3 * pairs + 3 * (count + pairs)
+
+    @property
+    def replaced(self) -> frozenset[int]:
+        """Columns that the network does not see as they are."""
+        return frozenset((*self.hidden, *(first + i for first in self.rotations for i in range(4))))
 
 
 def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concatenated: bool) -> Encoding:
@@ -91,7 +104,9 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
             columns[part.name] = begin
             begin += part.size
     hidden = [c for p in parts if p.name == _LAST_ACTION for c in range(columns[p.name], columns[p.name] + p.size)]
-    vectors = [columns[name] for name, term in terms.items() if name in columns and _is_position(term)]
+    placed = [name for name, term in terms.items() if name in columns and _is_position(term)]
+    vectors = [columns[name] for name in placed]
+    rotations = [columns[name] + 3 for name in placed if tuple(terms[name].shape) == (7,)]
     joints: list[int] = []
     gains: list[float] = []
     biases: list[float] = []
@@ -105,8 +120,8 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
             biases.append(bias)
     pictures = () if concatenated else convolutional(parts, ()).encoders
     return Encoding(
-        parts, concatenated, tuple(hidden), tuple(vectors), tuple(joints), tuple(gains), tuple(biases), tuple(binary),
-        pictures,
+        parts, concatenated, tuple(hidden), tuple(vectors), tuple(rotations), tuple(joints), tuple(gains),
+        tuple(biases), tuple(binary), pictures,
     )  # fmt: skip
 
 
@@ -138,6 +153,35 @@ def _relative(
     return -1, 0.0, 0.0
 
 
+def rotation_features(quaternions: Tensor) -> Tensor:
+    """Return (N, 14) features of unit quaternions (N, 4), equal for both quaternions of a rotation.
+
+    The first two columns of the matrix (Zhou et al., On the Continuity of Rotation Representations in Neural Networks,
+    2019), then the cosine, and the axis times the sine, of twice and of four times the angle. These repeat with every
+    half and quarter turn, as grasps of boxes do, which a network does not learn from the angle and few demonstrations
+    (Tancik et al., Fourier Features Let Networks Learn High Frequency Functions in Low Dimensional Domains, 2020).
+    """
+    columns = quat_to_matrix(quaternions)[:, :, :2].flatten(1)
+    # A quaternion holds half the angle.
+    twice = _squared(_squared(quaternions))
+    return torch.cat((columns, twice, _squared(twice)), 1)
+
+
+def _squared(quaternions: Tensor) -> Tensor:
+    """Return quaternions (N, 4) of twice the angle about the same axis."""
+    w, axis = quaternions[:, :1], quaternions[:, 1:]
+    return torch.cat((w.square() - axis.square().sum(1, keepdim=True), 2.0 * w * axis), 1)
+
+
+def _keep(module: nn.Module, name: str, values: Sequence[object], kind: torch.dtype) -> None:
+    """Give a module a constant tensor that moves with it and is no weight of a policy's file.
+
+    A tensor made of a list in every call would be copied to the device each time, which a recorded graph cannot hold.
+    """
+    # On the CPU even while weights are made on torch's meta device: no file would fill it.
+    module.register_buffer(name, torch.tensor(values, dtype=kind, device="cpu"), persistent=False)
+
+
 class Encoder(nn.Module):
     """Features of an observation, normalised, with those of its pictures.
 
@@ -149,13 +193,27 @@ class Encoder(nn.Module):
     """(F,) of features in the demonstrations."""
     std: Tensor
     """(F,) theirs."""
+    shown: Tensor
+    """(S,) columns that are shown as they are."""
+    turned: Tensor
+    """(4 R,) columns of the quaternions."""
+    places: Tensor
+    """(3 V,) columns of the positions."""
+    firsts: Tensor
+    """(P,) positions that are subtracted."""
+    seconds: Tensor
+    """(P,) positions that they are subtracted from."""
 
     def __init__(self, encoding: Encoding) -> None:
         super().__init__()
         self.encoding = encoding
-        hidden = set(encoding.hidden)
-        self._shown = [column for column in range(encoding.vector_size) if column not in hidden]
-        self._pairs = list(itertools.combinations(range(len(encoding.vectors)), 2))
+        shown = [column for column in range(encoding.vector_size) if column not in encoding.replaced]
+        pairs = list(itertools.combinations(range(len(encoding.vectors)), 2))
+        _keep(self, "shown", shown, torch.int64)
+        _keep(self, "turned", [begin + i for begin in encoding.rotations for i in range(4)], torch.int64)
+        _keep(self, "places", [begin + axis for begin in encoding.vectors for axis in range(3)], torch.int64)
+        _keep(self, "firsts", [first for first, _ in pairs], torch.int64)
+        _keep(self, "seconds", [second for _, second in pairs], torch.int64)
         self.register_buffer("mean", torch.zeros(encoding.feature_size))
         self.register_buffer("std", torch.ones(encoding.feature_size))
         self._convolutional = None
@@ -177,11 +235,16 @@ class Encoder(nn.Module):
 
     def features(self, vectors: Tensor) -> Tensor:
         """Return (N, F) features of ``vectors`` (N, O), before they are normalised."""
-        seen = [vectors[:, self._shown]]
+        # All terms of a kind in one operation each: on a GPU a step takes as long as it has operations.
+        seen = [vectors.index_select(1, self.shown)]
+        if self.encoding.rotations:
+            quaternions = vectors.index_select(1, self.turned).reshape(-1, 4)
+            seen.append(rotation_features(quaternions).reshape(-1, _ROTATION_FEATURES * len(self.encoding.rotations)))
         if self.encoding.vectors:
-            places = [vectors[:, begin : begin + 3] for begin in self.encoding.vectors]
-            differences = [places[j] - places[i] for i, j in self._pairs]
-            seen += [*differences, *((value / FINE).tanh() for value in (*places, *differences))]
+            places = vectors.index_select(1, self.places).unflatten(1, (-1, 3))
+            differences = places.index_select(1, self.seconds) - places.index_select(1, self.firsts)
+            fine = (torch.cat((places, differences), dim=1) / FINE).tanh()
+            seen += [differences.flatten(1), fine.flatten(1)]
         return torch.cat(seen, dim=1)
 
     def forward(self, observation: Tensor | Mapping[str, Tensor]) -> Tensor:
@@ -217,6 +280,14 @@ class Labels(nn.Module):
     """(A,) of relative actions in the demonstrations."""
     std: Tensor
     """(A,) theirs."""
+    columns: Tensor
+    """(A,) columns of the joint positions that components are relative to; 0 where a component is relative to none."""
+    gains: Tensor
+    """(A,) units of action for a unit of that column; 0 where a component is relative to none."""
+    biases: Tensor
+    """(A,) action where that column is zero."""
+    signs: Tensor
+    """(A,) bool, components that are a sign."""
 
     def __init__(self, encoding: Encoding, action_size: int) -> None:
         super().__init__()
@@ -225,36 +296,31 @@ class Labels(nn.Module):
                 raise ValueError(f"an encoding for {len(values)} components of an action of {action_size}")
         joints = encoding.joints or (-1,) * action_size
         relative = [column != -1 for column in joints]
-        # Plain lists, for buffers would be weights of the policy's file; tensors of them are made on first use.
-        self._columns = [max(column, 0) for column in joints]
         none = (0.0,) * action_size
-        self._gains = [gain * used for gain, used in zip(encoding.gains or none, relative, strict=True)]
-        self._biases = [bias * used for bias, used in zip(encoding.biases or none, relative, strict=True)]
-        self.binary = list(encoding.binary or (False,) * action_size)
-        """Components that are a sign."""
+        gains = [gain * used for gain, used in zip(encoding.gains or none, relative, strict=True)]
+        biases = [bias * used for bias, used in zip(encoding.biases or none, relative, strict=True)]
+        _keep(self, "columns", [max(column, 0) for column in joints], torch.int64)
+        _keep(self, "gains", gains, torch.float32)
+        _keep(self, "biases", biases, torch.float32)
+        _keep(self, "signs", encoding.binary or (False,) * action_size, torch.bool)
         self.register_buffer("mean", torch.zeros(action_size))
         self.register_buffer("std", torch.ones(action_size))
 
     def base(self, vectors: Tensor) -> Tensor:
         """Return (N, A) actions that command the present joint positions; zero where a component is not relative."""
-        gains, biases = (vectors.new_tensor(values) for values in (self._gains, self._biases))
-        return vectors[:, self._columns] * gains + biases
-
-    def signs(self, like: Tensor) -> Tensor:
-        """Return (A,) bool, components that are a sign."""
-        return torch.tensor(self.binary, device=like.device)
+        return vectors.index_select(1, self.columns) * self.gains + self.biases
 
     def normalised(self, actions: Tensor, vectors: Tensor) -> Tensor:
         """Return labels (B, H, A) of actions (B, H, A) that began at observations (B, O); signs are -1 and 1."""
         labels = (actions - self.base(vectors)[:, None] - self.mean) / self.std
-        return torch.where(self.signs(actions), torch.where(actions < 0.0, -1.0, 1.0), labels)
+        return torch.where(self.signs, torch.where(actions < 0.0, -1.0, 1.0), labels)
 
     def actions(self, outputs: Tensor, vectors: Tensor) -> Tensor:
         """Return actions (N, H, A) in [-1, 1] of a network's outputs (N, H, A), whose signs are logits."""
         actions = outputs * self.std + self.mean + self.base(vectors)[:, None]
         # A gripper without a definite command stays open, as a binary gripper reads zero.
         signs = torch.where(outputs < 0.0, -1.0, 1.0)
-        return torch.where(self.signs(outputs), signs, actions).clamp(-1.0, 1.0)
+        return torch.where(self.signs, signs, actions).clamp(-1.0, 1.0)
 
     def fit(self, actions: Tensor, vectors: Tensor) -> None:
         """Take mean and standard deviation from windows (B, H, A) that began at observations (B, O).
@@ -265,6 +331,5 @@ class Labels(nn.Module):
         if not len(actions):
             raise ConfigurationError("there are no demonstrations to take statistics from")
         relative = (actions - self.base(vectors)[:, None]).flatten(0, 1)
-        signs = self.signs(actions)
-        self.mean.copy_(relative.mean(0).where(~signs, 0.0))
-        self.std.copy_((relative.std(0) + _LEAST_LABEL_STD).where(~signs, 1.0))
+        self.mean.copy_(relative.mean(0).where(~self.signs, 0.0))
+        self.std.copy_((relative.std(0) + _LEAST_LABEL_STD).where(~self.signs, 1.0))

@@ -11,7 +11,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import torch
 import torch.nn.functional as F
@@ -234,9 +234,8 @@ class Planner(MemoryModule):
 
     def errors(self, outputs: Tensor, labels: Tensor, valid: Tensor) -> Tensor:
         """Return the loss of plans (B, H, A) against labels: absolute errors, and cross-entropy of signs."""
-        signs = self.labels.signs(outputs)
         wrong = F.binary_cross_entropy_with_logits(outputs, (labels > 0.0).float(), reduction="none")
-        each = torch.where(signs, wrong, (outputs - labels).abs())
+        each = torch.where(self.labels.signs, wrong, (outputs - labels).abs())
         return (each.mean(-1) * valid).sum() / valid.sum()
 
 
@@ -273,11 +272,10 @@ class PlanHead(nn.Module):
         if self._modes == 1:
             return planner.errors(self.plan(hidden), labels, valid)
         likelihoods, means, deviations = self._mixture(hidden)
-        signs = planner.labels.signs(hidden)
         labels = labels[:, None]
         density = -0.5 * ((labels - means) / deviations).square() - deviations.log()
         logits = F.logsigmoid(torch.where(labels > 0.0, means, -means))
-        each = torch.where(signs, logits, density) * valid[:, None, :, None]
+        each = torch.where(planner.labels.signs, logits, density) * valid[:, None, :, None]
         whole = each.sum((2, 3)) / (valid.sum(1)[:, None] * self._actions)
         return -torch.logsumexp(F.log_softmax(likelihoods, 1) + whole, 1).mean()
 
@@ -414,8 +412,7 @@ class TransformerPlanner(Planner):
             memory["plans"] + 1,
         )
         action = sums[:, 0] / weights[:, 0, None]
-        signs = self.labels.signs(action)
-        action = torch.where(signs, torch.where(action < 0.0, -1.0, 1.0), action)
+        action = torch.where(self.labels.signs, torch.where(action < 0.0, -1.0, 1.0), action)
         # All plans move on by a step; the last place is new to them.
         moved = {"sums": sums, "weights": weights, "plans": plans}
         return action, {name: torch.cat((v[:, 1:], torch.zeros_like(v[:, :1])), 1) for name, v in moved.items()}
@@ -425,7 +422,7 @@ class TransformerPlanner(Planner):
         labels = self.labels.normalised(actions, self.encoder.vectors(observation))
         tokens = (self.observed(features)[:, None], self.shown(labels * valid[..., None]))
         first = torch.zeros_like(tokens[0])
-        seen = self.style(torch.cat((first, *tokens), 1) + self.style_places)[:, 0]
+        seen = self._styled(torch.cat((first, *tokens), 1) + self.style_places)
         mean, log_variance = self.moments(seen).chunk(2, 1)
         latent = mean + torch.randn_like(mean) * (0.5 * log_variance).exp()
         divergence = -0.5 * (1.0 + log_variance - mean.square() - log_variance.exp()).sum(1).mean()
@@ -433,9 +430,38 @@ class TransformerPlanner(Planner):
         return self.errors(outputs, labels, valid) + self._network.kl_weight * divergence
 
     def _decoded(self, features: Tensor, latent: Tensor) -> Tensor:
-        tokens = torch.stack((self.observed(features), self.latent(latent)), 1) + self.places
-        queries = self.queries.expand(len(features), -1, -1)
-        return self.head(self.writer(queries, self.reader(tokens)))
+        tokens = self.reader(torch.stack((self.observed(features), self.latent(latent)), 1) + self.places)
+        first, *others = cast("list[nn.TransformerDecoderLayer]", list(self.writer.layers))
+        # The first layer's queries are the same in all rows until they have looked at the tokens.
+        queries = _attended(first.self_attn, first.norm1, self.queries[None])
+        queries = queries.expand(len(features), -1, -1)
+        plan = _transformed(first, first.norm3, _attended(first.multihead_attn, first.norm2, queries, tokens))
+        for layer in others:
+            plan = layer(plan, tokens)
+        return self.head(plan)
+
+    def _styled(self, tokens: Tensor) -> Tensor:
+        """Return the first token (B, W) of ``style`` over ``tokens`` (B, H + 2, W)."""
+        *others, last = cast("list[nn.TransformerEncoderLayer]", list(self.style.layers))
+        for layer in others:
+            tokens = layer(tokens)
+        # The last layer for that token only, for the others are not read.
+        return _transformed(last, last.norm2, _attended(last.self_attn, last.norm1, tokens[:, :1], tokens))[:, 0]
+
+
+def _attended(
+    attention: nn.MultiheadAttention, norm: nn.LayerNorm, queries: Tensor, tokens: Tensor | None = None
+) -> Tensor:
+    """Return queries (B, Q, W) after attention to ``tokens`` (B, T, W), or to themselves, added and normalised."""
+    read = queries if tokens is None else tokens
+    return norm(queries + attention(queries, read, read, need_weights=False)[0])
+
+
+def _transformed(
+    layer: nn.TransformerEncoderLayer | nn.TransformerDecoderLayer, norm: nn.LayerNorm, tokens: Tensor
+) -> Tensor:
+    """Return tokens (B, T, W) after the linear layers of a layer of a transformer, added and normalised."""
+    return norm(tokens + layer.linear2(F.relu(layer.linear1(tokens))))
 
 
 class DiffusionPlanner(Planner):

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
@@ -27,20 +26,18 @@ from orbit_learn.cloning.networks import (
     ClonedTransformer,
     Planner,
 )
+from orbit_learn.cloning.steps import GradientSteps
 from orbit_learn.description import group_parts
 from orbit_learn.distill import copied_actor
 from orbit_learn.ends import EpisodeTally
-from orbit_learn.memory import Remembering, map_seen
+from orbit_learn.memory import Remembering
 from orbit_learn.networks import ActorNetwork
 from orbit_learn.teacher import teacher_of
-from orbit_learn.trainer import Progress, Trainer, set_half_cosine
+from orbit_learn.trainer import Progress, Trainer
 
-_MOST_GRADIENT = 1.0
 _MODES = 5
 # Added to the seed, for the episodes of corrections.
 _CORRECTED = 10_000
-_SHIFT = 4
-"""Pixels that pictures are shifted by in training."""
 ALGORITHMS = ("bc", "bc-gmm", "bc-rnn", "bc-rnn-gmm", "act", "diffusion")
 
 
@@ -143,8 +140,12 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         planner.labels.fit(shown.windows(every, settings.chunk)[0], vectors)
         self._device = _device(settings.device) if settings.device else environment.device
         self._planner = planner.to(self._device)
-        self._optimizer = torch.optim.AdamW(self._planner.parameters(), settings.learning_rate, weight_decay=1e-6)
-        self._generator = torch.Generator().manual_seed(seed)
+        updates = settings.updates_per_iteration
+        self._steps = GradientSteps(
+            self._planner, settings.chunks_per_update, updates, settings.iterations * updates, settings.learning_rate,
+            seed,
+        )  # fmt: skip
+        self._steps.show(shown)
         self._iteration = 0
         self._loss = math.nan
         self._played = (math.nan, math.nan, 0)
@@ -156,7 +157,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         for iteration in range(first, last + 1):
             if self._teacher is not None and iteration in self._rounds():
                 env_steps += self._correct()
-            self._update_all(iteration)
+            self._loss = self._steps.run(iteration)
             self._iteration = iteration + 1
             if iteration == last or (iteration + 1) % self.settings.evaluate_every == 0:
                 env_steps += self._evaluate()
@@ -168,17 +169,16 @@ class ImitationTrainer(Trainer[ImitationSettings]):
     def state(self) -> Any:
         # Corrections are of policies that are gone, so that another run could not gather them again.
         corrections = [(each.observation, each.actions, each.ends) for each in self._corrections]
-        state = {"planner": self._planner.state_dict(), "optimizer": self._optimizer.state_dict()}
+        state = {"planner": self._planner.state_dict(), "optimizer": self._steps.state()}
         return {**state, "corrections": corrections}
 
     def restore(self, state: Any, iteration: int) -> None:
         self._planner.load_state_dict(state["planner"])
         self._corrections = [Demonstrations(*each) for each in state.get("corrections", ())]
         self._demonstrations = joined([self._demonstrations, *self._corrections])
-        self._optimizer.load_state_dict(state["optimizer"])
+        self._steps.show(self._demonstrations)
+        self._steps.restore(state["optimizer"], iteration)
         self._iteration = iteration + 1
-        # Another seed for each iteration: a resumed training must not repeat the batches of its beginning.
-        self._generator.manual_seed(self.seed + self._iteration)
 
     def actor(self) -> ActorNetwork:
         return copied_actor(self._network, self._planner)  # pyright: ignore[reportArgumentType]
@@ -197,34 +197,8 @@ class ImitationTrainer(Trainer[ImitationSettings]):
         found = gather_corrections(environment, self._teacher, planner, self.seed + _CORRECTED + number)
         self._corrections.append(found)
         self._demonstrations = joined([self._demonstrations, found])
+        self._steps.show(self._demonstrations)
         return environment.max_episode_steps * environment.num_envs
-
-    def _update_all(self, iteration: int) -> None:
-        """Take the gradient steps of an iteration."""
-        settings, shown, device = self.settings, self._demonstrations, self._device
-        total = settings.iterations * settings.updates_per_iteration
-        losses = torch.zeros((), device=device)
-        sequence = torch.arange(self._planner.sequence)
-        self._planner.train()
-        for update in range(settings.updates_per_iteration):
-            progress = (iteration * settings.updates_per_iteration + update) / total
-            set_half_cosine(self._optimizer, settings.learning_rate, progress)
-            count = max(1, settings.chunks_per_update // self._planner.sequence)
-            rows = torch.randint(shown.steps, (count,), generator=self._generator)
-            if self._planner.sequence > 1:
-                # Sequences stay within their episode; near its end its last steps repeat.
-                rows = torch.minimum(rows[:, None] + sequence, shown.ends[rows][:, None])
-            actions, valid = shown.windows(rows, self._planner.network.chunk)
-            seen = map_seen(lambda value: shifted(value.to(device)), shown.observed(rows))
-            loss = self._planner.loss(seen, actions.to(device), valid.to(device))
-            self._optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(self._planner.parameters(), _MOST_GRADIENT)
-            self._optimizer.step()
-            # Summed on the device: reading each loss would wait for it.
-            losses += loss.detach()
-        self._planner.eval()
-        self._loss = float(losses) / settings.updates_per_iteration
 
     def _evaluate(self) -> int:
         """Play an episode in every environment; return the steps of all environments."""
@@ -244,21 +218,6 @@ class ImitationTrainer(Trainer[ImitationSettings]):
             first &= ~begun
         self._played = self._tally.read()
         return environment.max_episode_steps * environment.num_envs
-
-
-def shifted(value: Tensor) -> Tensor:
-    """Return pictures (B, H, W, C) shifted by up to ``_SHIFT`` pixels each way, their edges repeated; else the value.
-
-    Why: Kostrikov et al., Image Augmentation Is All You Need (2021); a network of few pictures learns their pixels.
-    """
-    if value.dim() < 4:
-        return value
-    count, height, width = value.shape[:3]
-    shift = torch.randint(-_SHIFT, _SHIFT + 1, (2, count, 1), device=value.device)
-    rows = (torch.arange(height, device=value.device) + shift[0]).clamp(0, height - 1)
-    columns = (torch.arange(width, device=value.device) + shift[1]).clamp(0, width - 1)
-    each = torch.arange(count, device=value.device)[:, None, None]
-    return value[each, rows[:, :, None], columns[:, None, :]]
 
 
 def _device(name: str) -> torch.device:

@@ -7,6 +7,7 @@ with, terms joined by ``+`` side by side. ``timeout`` is in seconds.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, urlsplit, urlunsplit
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 BEGIN = "orbit/begin"
 """Key that tells a server of ours that an episode begins; others do not get it."""
 _TIMEOUT = 30.0
+# Seconds to wait for a server whose time is over, in which an answer that has arrived is read.
+_LEAST_WAIT = 0.01
+# Seconds to wait for the other side when a connection is closed; a server that hangs costs them for each environment.
+_CLOSING = 0.1
 _TOLD = "observation/"
 
 
@@ -77,12 +82,14 @@ class PolicyServer:
 
     Args:
         address: where it listens.
+        within: seconds in which it answers; those of the address if None.
 
     Raises:
         ServerFailure: nobody listens there, or it does not speak the protocol.
     """
 
-    def __init__(self, address: ServerAddress) -> None:
+    def __init__(self, address: ServerAddress, within: float | None = None) -> None:
+        within = address.timeout if within is None else within
         try:
             from websockets.exceptions import WebSocketException
             from websockets.sync.client import connect
@@ -93,24 +100,34 @@ class PolicyServer:
         try:
             # Pictures hardly get smaller by compression, and the wait for it is longer than the way on loopback.
             self._socket = connect(
-                address.url, compression=None, max_size=MOST_BYTES, open_timeout=address.timeout, close_timeout=1.0
+                address.url, compression=None, max_size=MOST_BYTES, open_timeout=within, close_timeout=_CLOSING
             )
         except self._failures as error:
             raise ServerFailure(f"no policy server answers at {address.url}: {_first_line(error)}") from None
-        self.metadata = self._receive()
+        self.metadata = self._receive(within)
         """What the server told of itself."""
 
-    def infer(self, observation: Mapping[str, Any]) -> np.ndarray:
-        """Return actions (H, A) for an observation.
+    def ask(self, observation: Mapping[str, Any]) -> None:
+        """Send an observation, whose :meth:`answer` is due then.
 
         Raises:
-            ServerFailure: the server hangs, closes or answers something else; the connection is of no more use then.
+            ServerFailure: the server has closed the connection.
         """
         try:
             self._socket.send(encode(dict(observation)))
         except self._failures as error:
             raise ServerFailure(f"{self._address.url} closed the connection: {_first_line(error)}") from None
-        actions = self._receive().get("actions")
+
+    def answer(self, within: float | None = None) -> np.ndarray:
+        """Return actions (H, A) for the observation that was sent.
+
+        Args:
+            within: seconds to wait; those of the address if None.
+
+        Raises:
+            ServerFailure: the server hangs, closes or answers something else; the connection is of no more use then.
+        """
+        actions = self._receive(self._address.timeout if within is None else within).get("actions")
         if not (isinstance(actions, np.ndarray) and actions.ndim == 2 and len(actions) and actions.dtype.kind == "f"):
             raise ServerFailure(f"{self._address.url} answered without 'actions' (horizon, A) of floating point")
         return actions
@@ -119,9 +136,9 @@ class PolicyServer:
         """Close the connection."""
         self._socket.close()
 
-    def _receive(self) -> dict[str, Any]:
+    def _receive(self, within: float) -> dict[str, Any]:
         try:
-            message = self._socket.recv(timeout=self._address.timeout)
+            message = self._socket.recv(timeout=within)
         except TimeoutError:
             raise ServerFailure(f"{self._address.url} has not answered for {self._address.timeout:g} s") from None
         except self._failures as error:
@@ -139,6 +156,10 @@ class PolicyServer:
 
 class RemoteActor:
     """Acts in all environments by what a policy server answers, one request for each plan of an environment.
+
+    All requests of a step are sent before the first answer is awaited, and the time in which a server answers counts
+    from its last answer to any environment: a slow model may work through all, and one that hangs costs this time once
+    a step, whatever the number of environments.
 
     An environment whose server fails holds still until its episode ends, and is counted in :attr:`failed`; the others
     go on, and the next episode asks again.
@@ -172,6 +193,7 @@ class RemoteActor:
         self._plans = [np.zeros((0, size), np.float32) for _ in range(count)]
         self.unanswered = [False] * count
         """Environments whose server failed in their present episode."""
+        self._heard = time.monotonic()
         self.failed = 0
         """Episodes that ended without an answer."""
         self.failures: dict[str, int] = {}
@@ -180,20 +202,22 @@ class RemoteActor:
     def act(self) -> Tensor:
         """(N, A) the next action."""
         begun = (self._environment.state.episode_step == 0).tolist()
-        seen: dict[str, np.ndarray] | None = None
         actions = np.zeros((len(begun), self._environment.action_size), np.float32)
         for i, begins in enumerate(begun):
             if begins:
                 self._plans[i], self.unanswered[i] = self._plans[i][:0], False
-            # Still until the episode ends: a query at each step would wait for the timeout at each step.
-            if self.unanswered[i]:
-                continue
-            if not len(self._plans[i]):
-                # Copied from the device once for all environments, and only where a plan is used up.
-                seen = self._terms() if seen is None else seen
-                self._plans[i] = self._ask(i, seen, begins)
-            if len(self._plans[i]):
-                actions[i], self._plans[i] = self._plans[i][0], self._plans[i][1:]
+        # Still until the episode ends: a query at each step would wait for the timeout at each step.
+        due = [i for i, plan in enumerate(self._plans) if not len(plan) and not self.unanswered[i]]
+        if due:
+            # Copied from the device once for all environments, and only where a plan is used up.
+            seen = self._terms()
+            self._heard = time.monotonic()
+            asked = [i for i in due if self._ask(i, seen, begun[i])]
+            for i in asked:
+                self._take(i)
+        for i, plan in enumerate(self._plans):
+            if len(plan):
+                actions[i], self._plans[i] = plan[0], plan[1:]
         return torch.from_numpy(actions).to(self._environment.device)
 
     def close(self) -> None:
@@ -210,8 +234,8 @@ class RemoteActor:
             return {name: whole[:, columns] for name, columns in self._layout.columns.items()}
         return {name: each.cpu().numpy() for name, each in value.items()}
 
-    def _ask(self, index: int, terms: dict[str, np.ndarray], begins: bool) -> np.ndarray:
-        """Return the plan (H, A) of an environment; empty where the server fails."""
+    def _ask(self, index: int, terms: dict[str, np.ndarray], begins: bool) -> bool:
+        """Request a plan for an environment; return False if the server fails."""
         message: dict[str, Any] = {"prompt": self._prompt}
         for key, names in self._keys:
             values = [terms[name][index] for name in names]
@@ -219,23 +243,45 @@ class RemoteActor:
         if self._ours and begins:
             message[BEGIN] = True
         try:
-            server = self._servers[index] or PolicyServer(self._address)
-            self._servers[index] = server
-            plan = server.infer(message)
+            server = self._servers[index]
+            if server is None:
+                server = self._servers[index] = PolicyServer(self._address, self._left())
+                self._heard = time.monotonic()
+            server.ask(message)
+        except ServerFailure as failure:
+            self._give_up(index, failure)
+            return False
+        return True
+
+    def _take(self, index: int) -> None:
+        """Receive the plan (H, A) of an environment."""
+        server = self._servers[index]
+        assert server is not None
+        try:
+            plan = server.answer(self._left())
             if plan.shape[1] != self._environment.action_size:
                 raise ServerFailure(
                     f"{self._address.url} answered actions of {plan.shape[1]} components, and the task has "
                     f"{self._environment.action_size}"
                 )
-            # A model may overshoot the range a little, which is no reason to end an episode.
-            return plan.astype(np.float32).clip(-1.0, 1.0)
         except ServerFailure as failure:
-            if (broken := self._servers[index]) is not None:
-                broken.close()
-            self._servers[index], self.unanswered[index] = None, True
-            self.failed += 1
-            self.failures[str(failure)] = self.failures.get(str(failure), 0) + 1
-            return np.zeros((0, self._environment.action_size), np.float32)
+            self._give_up(index, failure)
+            return
+        self._heard = time.monotonic()
+        # A model may overshoot the range a little, which is no reason to end an episode.
+        self._plans[index] = plan.astype(np.float32).clip(-1.0, 1.0)
+
+    def _left(self) -> float:
+        """Return the seconds that the server has left to answer; an answer that is there already is still read."""
+        return max(self._heard + self._address.timeout - time.monotonic(), _LEAST_WAIT)
+
+    def _give_up(self, index: int, failure: ServerFailure) -> None:
+        """Close an environment's connection and count its episode as failed."""
+        if (broken := self._servers[index]) is not None:
+            broken.close()
+        self._servers[index], self.unanswered[index] = None, True
+        self.failed += 1
+        self.failures[str(failure)] = self.failures.get(str(failure), 0) + 1
 
 
 def _first_line(error: BaseException) -> str:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import shutil
+import signal
 import socket
+import threading
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +26,8 @@ _RETRIES = 3
 _STARTS = 3
 # Seconds in which a cluster must answer.
 _PATIENCE = 5.0
+# Seconds without an answer after which a cluster is gone. Ray ends the program after a minute, without an exception.
+_SILENT_FOR = 20.0
 
 
 def connected(address: str) -> Any:
@@ -43,7 +49,7 @@ def connected(address: str) -> Any:
         if colon:
             # Ray itself tries for minutes.
             socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE).close()
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _signals_kept():
             warnings.simplefilter("ignore")  # of Ray's own coming changes
             # What trainings print would mix line by line with the report of the sweep.
             quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
@@ -54,6 +60,17 @@ def connected(address: str) -> Any:
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"no Ray cluster answers at '{address}': {error}") from error
     return ray
+
+
+@contextlib.contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Put back the handler of SIGTERM: Ray's prints a stack and ends the program, and leaves the page unwritten."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
 
 
 def _start(ray: Any, quiet: dict[str, Any]) -> None:
@@ -73,6 +90,51 @@ def _start(ray: Any, quiet: dict[str, Any]) -> None:
         f"Ray did not start on this machine in {_STARTS} attempts ({failure}): end other programs that take its cores, "
         "or give --ray the address of a cluster that runs"
     )
+
+
+class ClusterWatch:
+    """Waits for results of a cluster, and notices when it is gone.
+
+    Args:
+        ray: the module, connected.
+        address: address that it is connected to.
+    """
+
+    def __init__(self, ray: Any, address: str) -> None:
+        self._ray = ray
+        # Ray's own client, for which its server watches the cluster, raises errors by itself.
+        self._control = "" if address.startswith("ray://") else ray.get_runtime_context().gcs_address
+        self._silent_since: float | None = None
+
+    def wait(self, references: list[Any]) -> list[Any]:
+        """Wait a second at most, and return the references whose results are there.
+
+        Raises:
+            ConfigurationError: the cluster is gone.
+        """
+        try:
+            # Not for good: Python hears Ctrl-C between two calls.
+            done, _ = self._ray.wait(references, timeout=1.0)
+        except (ConnectionError, self._ray.exceptions.RayError) as error:
+            raise self._gone(_last_line(error)) from error
+        if not done and self._control:
+            self._check()
+        return done
+
+    def _check(self) -> None:
+        host, _, port = self._control.rpartition(":")
+        try:
+            socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE).close()
+            self._silent_since = None
+        except OSError as error:
+            now = time.monotonic()
+            # A control process that is restarted by its machine comes back within seconds.
+            self._silent_since = self._silent_since or now
+            if now - self._silent_since > _SILENT_FOR:
+                raise self._gone(f"{self._control}: {error}") from error
+
+    def _gone(self, why: str) -> ConfigurationError:
+        return ConfigurationError(f"the Ray cluster is gone ({why}): start it, and repeat the command, which goes on")
 
 
 @dataclass(frozen=True)
@@ -104,6 +166,7 @@ class Cluster:
     def __init__(self, address: str, cpus: float, gpus: float) -> None:
         ray = connected(address)
         self._ray: Any = ray
+        self._watch = ClusterWatch(ray, address)
         resources = ray.cluster_resources()
         self._resources = {"num_cpus": cpus, "num_gpus": gpus}
         has = {"cores": resources.get("CPU", 0.0), "GPUs": resources.get("GPU", 0.0)}
@@ -135,14 +198,7 @@ class Cluster:
             ConfigurationError: the cluster is gone.
         """
         ray = self._ray
-        try:
-            # Not for good: Python hears Ctrl-C between two calls.
-            done, _ = ray.wait(list(self._running), timeout=1.0)
-        except (ConnectionError, ray.exceptions.RayError) as error:
-            raise ConfigurationError(
-                f"the Ray cluster is gone ({_last_line(error)}): start it, and repeat the command, which goes on"
-            ) from error
-        for reference in done:
+        for reference in self._watch.wait(list(self._running)):
             part = self._running.pop(reference)
             try:
                 yield part, ray.get(reference)

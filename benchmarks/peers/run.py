@@ -1,0 +1,170 @@
+"""Measure ORBIT and a peer in one run, in turns, and write the figures and their page.
+
+    python benchmarks/peers/run.py raw
+    python benchmarks/peers/run.py robosuite --environments out/peers
+    python benchmarks/peers/run.py mjlab --environments out/peers --num-envs 4096
+    python benchmarks/peers/run.py --page-only
+
+The first call for a peer makes a virtual environment of its own under ``--environments``, by venv and pip. Figures of
+other peers, cases and sizes stay in the file. Run no other job meanwhile.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import tyro
+from environments import python_of
+from page import page
+from peers import PEERS, Case, Peer
+from results import Measurement, Spread, merged, read, write
+from session import Request
+from turns import Place, Plan, measure
+
+from orbit_conformance.hardware import device_label
+from orbit_core.cli.output import console
+from orbit_core.files import written_whole
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Measure ORBIT and a peer in turns."""
+
+    peer: Annotated[str, tyro.conf.Positional] = ""
+    """Name of the peer; only the page is written if left out."""
+    environments: Path = Path("out/peers")
+    """Folder of the peers' virtual environments."""
+    cases: tuple[str, ...] = ()
+    """Names of cases; all if left out."""
+    num_envs: tuple[int, ...] = ()
+    """Numbers of environments; the peer's own if left out."""
+    device: str | None = None
+    """Device; the peer's own if left out."""
+    rounds: int = 7
+    """Blocks of each side."""
+    seconds: float = 0.6
+    """Length of a block."""
+    starts: int = 3
+    """Starts of each side's process."""
+    remove: bool = False
+    """Delete the peer's virtual environment at the end."""
+    json: Path = ROOT / "docs" / "figures" / "peers.json"
+    """Figures, which the new ones are added to."""
+    page: Path = ROOT / "docs" / "measured" / "peers.md"
+    """Page that is made of the figures."""
+
+
+def main(settings: Settings) -> None:
+    """Measure, and write the figures and the page."""
+    if settings.peer:
+        if settings.peer not in PEERS:
+            raise UnknownNameError(f"unknown peer {settings.peer!r}: use {', '.join(PEERS)}")
+        peer = PEERS[settings.peer]
+        for case in chosen_cases(peer, settings.cases):
+            for num_envs in settings.num_envs or peer.num_envs:
+                measurement = measured(peer, case, num_envs, settings)
+                report(measurement)
+                # After each, because a later one may run into a time limit.
+                write(settings.json, merged(read(settings.json), [measurement]))
+        if settings.remove and peer.packages:
+            shutil.rmtree(settings.environments / peer.name, ignore_errors=True)
+    text = page(read(settings.json))
+    with written_whole(settings.page) as written:
+        written.write_text(text, encoding="utf-8")
+
+
+def chosen_cases(peer: Peer, names: tuple[str, ...]) -> list[Case]:
+    """Return a peer's cases of those names, or all.
+
+    Raises:
+        UnknownNameError: the peer has no case of a name.
+    """
+    known = {case.name: case for case in peer.cases}
+    if unknown := [name for name in names if name not in known]:
+        raise UnknownNameError(f"{peer.title} has no case {unknown[0]!r}: use {', '.join(known)}")
+    return [known[name] for name in names or known]
+
+
+def measured(peer: Peer, case: Case, num_envs: int, settings: Settings) -> Measurement:
+    """Measure one case and number of environments; what cannot run is absent, with the reason."""
+    device = settings.device or peer.device
+    identity = {"peer": peer.name, "case": case.name, "num_envs": num_envs, "device": device}
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        return Measurement(**identity, absent="not run: no GPU on the machine")
+    plan = Plan(rounds=settings.rounds, seconds=settings.seconds, starts=settings.starts)
+    try:
+        sides = measure(places(peer, case, num_envs, device, python_of(peer, settings.environments)), plan)
+    except ConfigurationError as error:
+        return Measurement(**identity, absent=f"not run: {error}")
+    hardware = device_label(torch.device(device))
+    load = Path("/proc/loadavg")
+    busy = float(load.read_text().split()[0]) if load.exists() else 0.0
+    return Measurement(**identity, hardware=hardware, block_seconds=plan.seconds, load=busy, sides=sides)
+
+
+def places(peer: Peer, case: Case, num_envs: int, device: str, python: Path) -> list[Place]:
+    """Return the sides of a case: the peer's ways of stepping, and ORBIT's, plain and compiled.
+
+    Args:
+        peer: the peer; one without packages is ORBIT's own engine, which ORBIT's side measures.
+        case: environments of both.
+        num_envs: number of environments.
+        device: where they are stepped.
+        python: interpreter of the peer.
+    """
+    ways = (peer.ways if num_envs > 1 else peer.ways[:1]) if peer.packages else ()
+    theirs = [
+        Place(
+            peer.name,
+            python,
+            Request(
+                adapter=peer.name,
+                environment=case.environment,
+                options=case.options,
+                way=way if num_envs > 1 else "one",
+                num_envs=num_envs,
+                device=device,
+            ),
+        )
+        for way in ways
+    ]
+    options = {"backend": case.orbit.backend, "fields": case.orbit.fields}
+    ours = [
+        Place(
+            "orbit",
+            Path(sys.executable),
+            Request(
+                adapter="orbit",
+                environment=case.orbit.task,
+                options=options,
+                way=way,
+                num_envs=num_envs,
+                device=device,
+            ),
+        )
+        for way in ("plain", "compiled")
+    ]
+    return theirs + ours
+
+
+def report(measurement: Measurement) -> None:
+    """Print a measurement."""
+    title = f"{measurement.peer} {measurement.case}, {measurement.num_envs:,} environments"
+    if measurement.absent:
+        console().print(f"{title}: {measurement.absent}")
+    for side in measurement.sides:
+        rate = Spread.of(side.rates)
+        raw = f", {Spread.of_ratio(side.rates, side.raw_rates).median:.2f} of raw" if side.raw_rates else ""
+        console().print(f"{title}: {side.project}, {side.way}: {rate.median:,.0f} steps/s{raw}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
