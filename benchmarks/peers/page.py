@@ -181,7 +181,9 @@ def _versions(measurements: Sequence[Measurement]) -> str:
     machines = sorted({each.hardware for each in measurements})
     lengths = sorted({f"{len(each.sides[0].rates)} blocks of {each.block_seconds:g} s" for each in measurements})
     loads = [each.load for each in measurements]
-    text = f"## Machine and versions\n\n{'; '.join(machines)}. {'; '.join(lengths)} on each side. Load average before a "
+    text = (
+        f"## Machine and versions\n\n{'; '.join(machines)}. {'; '.join(lengths)} on each side. Load average before a "
+    )
     text += f"measurement: {min(loads):.1f} to {max(loads):.1f}.\n\n"
     return text + _table(("project", "engine", "versions"), rows)
 
