@@ -239,7 +239,7 @@ class Encoder(nn.Module):
         seen = [vectors.index_select(1, self.shown)]
         if self.encoding.rotations:
             quaternions = vectors.index_select(1, self.turned).reshape(-1, 4)
-            seen.append(rotation_features(quaternions).reshape(len(vectors), -1))
+            seen.append(rotation_features(quaternions).reshape(-1, _ROTATION_FEATURES * len(self.encoding.rotations)))
         if self.encoding.vectors:
             places = vectors.index_select(1, self.places).unflatten(1, (-1, 3))
             differences = places.index_select(1, self.seconds) - places.index_select(1, self.firsts)
