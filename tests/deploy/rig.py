@@ -26,6 +26,7 @@ from orbit_deploy.computer import ComputerSettings, RobotComputer
 from orbit_deploy.description import RobotDescription
 from orbit_deploy.follower import FollowerSettings, PathKind
 from orbit_deploy.local import LocalLink
+from orbit_deploy.messages import Mode
 from orbit_deploy.simulated import Imperfections, SimulatedHardware
 from orbit_zmq.server import ZmqServer
 
@@ -101,6 +102,11 @@ def served(keys: Path | None = None) -> Iterator[tuple[RobotComputer, str]]:
         thread.join(5.0)
         server.close()
         computer.hardware.close()
+
+
+def rests(computer: RobotComputer) -> bool:
+    """Return True if a robot holds still, with or without a fault."""
+    return computer.follower.limiter.at_rest and computer.follower.mode in (Mode.HOLDING, Mode.FAULT)
 
 
 def eventually(condition: Callable[[], bool], seconds: float = 5.0) -> bool:

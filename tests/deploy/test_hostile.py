@@ -6,7 +6,6 @@ import random
 import socket
 import threading
 import time
-from collections.abc import Iterator
 
 import msgspec
 import pytest
@@ -15,32 +14,13 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_deploy.computer import RobotComputer
 from orbit_deploy.link import RobotFaultError, RobotLinkError, connect
 from orbit_deploy.messages import VERSION, Arrangement, JointCommand, Mode
-from tests.deploy.rig import PERIOD, eventually, served
+from tests.deploy.rig import PERIOD, eventually, rests
 
 zmq = pytest.importorskip("zmq")
 
 from orbit_zmq import client as client_module  # noqa: E402
 from orbit_zmq.client import ZmqLink  # noqa: E402
 from orbit_zmq.wire import Codec, FromClient, Hello, MoveTo, Offer, Order, Ping, Pong, Refusal  # noqa: E402
-
-
-@pytest.fixture(scope="module")
-def robot() -> Iterator[tuple[RobotComputer, str]]:
-    with served() as robot:
-        yield robot
-
-
-@pytest.fixture
-def link(robot: tuple[RobotComputer, str]) -> Iterator[ZmqLink]:
-    assert eventually(lambda: not robot[0].client)
-    link = connect(robot[1], PERIOD)
-    assert isinstance(link, ZmqLink)
-    yield link
-    link.close()
-
-
-def rests(computer: RobotComputer) -> bool:
-    return computer.follower.limiter.at_rest and computer.follower.mode in (Mode.HOLDING, Mode.FAULT)
 
 
 def mutated(data: bytes, source: random.Random) -> bytes:

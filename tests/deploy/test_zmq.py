@@ -18,7 +18,7 @@ from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_deploy.computer import RobotComputer
 from orbit_deploy.link import RobotFaultError, RobotLink, RobotLinkError, connect
 from orbit_deploy.messages import VERSION, JointCommand, Mode, RobotState
-from tests.deploy.rig import PERIOD, eventually, served
+from tests.deploy.rig import PERIOD, eventually, rests, served
 
 zmq = pytest.importorskip("zmq")
 
@@ -28,31 +28,12 @@ from orbit_zmq.keys import make_keys  # noqa: E402
 from orbit_zmq.wire import Codec, Hello, Offer, Ping, Refusal  # noqa: E402
 
 
-@pytest.fixture(scope="module")
-def robot() -> Iterator[tuple[RobotComputer, str]]:
-    with served() as robot:
-        yield robot
-
-
-@pytest.fixture
-def link(robot: tuple[RobotComputer, str]) -> Iterator[ZmqLink]:
-    assert eventually(lambda: not robot[0].client)
-    link = connect(robot[1], PERIOD)
-    assert isinstance(link, ZmqLink)
-    yield link
-    link.close()
-
-
 def swing(link: ZmqLink, steps: int) -> RobotState:
     begin = [*link.state().targets]
     for step in range(steps):
         link.send([begin[0] + 0.01 * step, *begin[1:]], [0.0] * 3, [0.0] * 3)
         link.wait(link.now() + PERIOD)
     return link.state()
-
-
-def rests(computer: RobotComputer) -> bool:
-    return computer.follower.limiter.at_rest and computer.follower.mode in (Mode.HOLDING, Mode.FAULT)
 
 
 def test_a_robot_follows_and_its_answers_are_timed(link: ZmqLink) -> None:

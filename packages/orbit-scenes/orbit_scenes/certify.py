@@ -14,6 +14,7 @@ from orbit_core.interfaces.layout import home_positions
 from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import Entity, ObjectSpec, Plane, Pose, Scene
 from orbit_core.scene.pose import FloatArray
+from orbit_scenes.separate import separated
 
 # Metres by which shapes may enter each other: what is written and read in single precision touches so.
 _TOUCH = 0.001
@@ -112,6 +113,8 @@ def certify(scene: Scene, backend: str | None = None, seconds: float = 1.0) -> C
 def settled(scene: Scene, backend: str, seconds: float = 10.0) -> Scene:
     """Simulate a scene until it rests, and return it with free objects where they then are.
 
+    Contact leaves objects pressed into each other by up to a millimetre; they are moved out of one another.
+
     Args:
         scene: as it starts.
         backend: name of an installed backend that simulates it.
@@ -125,7 +128,7 @@ def settled(scene: Scene, backend: str, seconds: float = 10.0) -> Scene:
         if each.distance > 5.0 or poses[each.name].position[2] < -0.5:
             raise PremiseError(f"'{each.name}' leaves the scene while it settles: it goes {each.distance:.1f} m")
     objects = tuple(replace(each, pose=poses[each.name]) if each.is_free_body else each for each in scene.objects)
-    return replace(scene, objects=objects)
+    return separated(replace(scene, objects=objects))
 
 
 def _simulated(

@@ -26,8 +26,6 @@ class BulletConfig:
     """Share of the penetration that a step removes."""
     joint_erp: float = 0.8
     """Share of the opening of loops that a step removes, and in scenes with loops of the way beyond joint limits."""
-    contact_margin: float = 0.001
-    """Metres of rounding around convex meshes, whose faces stand 1 mm further in to make room for it."""
     restitution_threshold: float = 0.05
     """m/s; slower impacts do not rebound."""
     renderer: str = "auto"
@@ -46,8 +44,7 @@ class BulletConfig:
         for name in ("solver_iterations", "contact_erp", "joint_erp"):
             if getattr(self, name) <= 0:
                 raise ConfigurationError(f"{name} must be positive, not {getattr(self, name)}")
-        for name in ("contact_margin", "restitution_threshold"):
-            if getattr(self, name) < 0:
-                raise ConfigurationError(f"{name} must not be negative, but is {getattr(self, name)}")
+        if self.restitution_threshold < 0:
+            raise ConfigurationError(f"restitution_threshold must not be negative, but is {self.restitution_threshold}")
         if self.renderer not in ("auto", "tiny", "egl"):
             raise ConfigurationError(f"renderer '{self.renderer}' is not one of auto, tiny, egl")

@@ -68,7 +68,7 @@ class Simulation:
                 # Before anything is added: it empties the world.
                 self.client.resetSimulation(self.client.RESET_USE_DEFORMABLE_WORLD)
             self._set_options(config)
-            self.stage = Stage(self.client, layout, files, self.count, config)
+            self.stage = Stage(self.client, layout, files, self.count)
             """Bodies and links of all environments."""
             self.actuation = Actuation(self.stage, buffers)
             """Drives, by wheels where they have gains."""
@@ -101,7 +101,6 @@ class Simulation:
             useSplitImpulse=0,  # it would leave joints that passed a limit by more than 40 mrad where they are
             restitutionVelocityThreshold=config.restitution_threshold,
             enableFileCaching=0,
-            enableSAT=1,
         )
 
     # Time ------------------------------------------------------------------------------------------------------------

@@ -112,15 +112,13 @@ class ClosedLoop:
 class Stage:
     """K environments: which body and which link is what."""
 
-    def __init__(self, client: Any, layout: SceneLayout, files: SceneFiles, count: int, config: BulletConfig) -> None:
+    def __init__(self, client: Any, layout: SceneLayout, files: SceneFiles, count: int) -> None:
         self.client = client
         """Connection to Bullet."""
         self.layout = layout
         """Numbers of the scene's links and joints."""
         self.files = files
         """Files that bodies are loaded from."""
-        self.config = config
-        """Settings of the backend."""
         self.count = count
         """K, environments in this client."""
         self.origins = np.outer(SPACING * np.arange(count), (1.0, 0.0, 0.0))
@@ -243,8 +241,8 @@ class Stage:
         client, spec, number = self.client, entity.spec, entity.index
         articulation = spec.articulation
         flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_USE_IMPLICIT_CYLINDER
-        # Faces and edges of hulls, without which separating axes (`enableSAT`) do not apply to them.
-        flags |= client.URDF_INITIALIZE_SAT_FEATURES
+        # Without URDF_INITIALIZE_SAT_FEATURES: Bullet would clip faces of hulls and boxes and ignore their margin, so
+        # that a hull sinks 1 mm into a box, and 2 mm into a hull.
         if articulation.self_collisions:
             flags |= client.URDF_USE_SELF_COLLISION | client.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         with refusals(f"Bullet cannot load the model of '{entity.name}'", AssetError):
@@ -306,8 +304,9 @@ class Stage:
             self.client.setCollisionFilterPair(body, body, index_of[first], index_of[second], 0)
 
     def _set_contact(self, body: int, link: int, shape: Shape) -> None:
-        if isinstance(shape.geometry, Mesh):
-            self.client.changeDynamics(body, link, collisionMargin=self.config.contact_margin)
+        if isinstance(shape.geometry, Mesh) and shape.geometry.collision is MeshCollision.TRIANGLES:
+            # Triangles stay where they are; hulls are written smaller by the margin, and keep it.
+            self.client.changeDynamics(body, link, collisionMargin=0.0)
         if shape.material.compliance:
             spring = shape.material.compliance
             self.client.changeDynamics(body, link, contactStiffness=spring.stiffness, contactDamping=spring.damping)

@@ -10,7 +10,7 @@ import pytest
 from orbit_assets import sources
 from orbit_assets.catalogue import robot
 from orbit_assets.files import load_articulation
-from orbit_bullet import BulletConfig, stage, urdf
+from orbit_bullet import stage, urdf
 from orbit_bullet.actuation import Actuation
 from orbit_bullet.buffers import private_buffers, shapes_of
 from orbit_bullet.library import Client
@@ -40,7 +40,7 @@ def robot_layout(spec: RobotSpec) -> SceneLayout:
 
 
 def stage_of(layout: SceneLayout, folder: Path, client: Client) -> Stage:
-    return Stage(client, layout, write_scene(layout, folder), 1, BulletConfig())
+    return Stage(client, layout, write_scene(layout, folder), 1)
 
 
 def read_back(stage: Stage) -> BuiltModel:
@@ -152,7 +152,7 @@ def test_a_model_that_bullet_refuses_is_told_by_its_name(tmp_path: Path) -> None
     files.entities[0].write_text("<robot")
     client = Client()
     with pytest.raises(AssetError, match="'broken'"):
-        Stage(client, layout, files, 1, BulletConfig())
+        Stage(client, layout, files, 1)
     client.close()
 
 

@@ -69,6 +69,8 @@ class ScanSettings:
     """Metres of one unit of the file; needed unless it is glTF."""
     up: Literal["x", "y", "z"] | None = None
     """The file's axis that points up; needed unless it is glTF."""
+    check_up: bool = True
+    """Refuse a scan whose floor clearly faces another axis."""
     triangles: int = 50_000
     """Triangles that are drawn, and collide with --collision triangles."""
     collision: Literal["boxes", "triangles"] = "boxes"
@@ -157,7 +159,7 @@ def _scan(words: Sequence[str]) -> None:
     from orbit_assets.usd.scene_writer import write_usd_scene
     from orbit_scenes.scan import ScanCollision, cleaned, decimated, floor_map, on_floor, read_scan, scan_scene
 
-    raw = read_scan(settings.file, unit=settings.unit, up=settings.up)
+    raw = read_scan(settings.file, unit=settings.unit, up=settings.up, check_up=settings.check_up)
     scan = on_floor(decimated(cleaned(raw), settings.triangles))
     scene = scan_scene(scan, collision=ScanCollision(settings.collision), voxel=settings.voxel)
     write_usd_scene(scene, output)

@@ -18,8 +18,11 @@ from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ArgumentError, AssetError, ConfigurationError
 from orbit_core.scene import Box, Mesh, MeshCollision, Pose
 from orbit_core.scene.pose import FloatArray
+from orbit_scenes.scan.upright import better_up
 
 Up = Literal["x", "y", "z"]
+# Axes of the file that become x, y and z; cyclic, so that no surface is reflected.
+_ORDERS: dict[Up, tuple[int, int, int]] = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
 # The only formats whose specification fixes metres and y up.
 _GLTF = (".glb", ".gltf")
 # Properties of faces or vertices by which PLY files of scans label them (ScanNet, Replica, Matterport3D).
@@ -78,6 +81,7 @@ def read_scan(
     unit: float | None = None,
     up: Up | None = None,
     names: Mapping[int, str] | None = None,
+    check_up: bool = True,
     options: ReadOptions = ReadOptions(),
 ) -> Scan:
     """Read a scan from an OBJ, PLY, glTF or other mesh file.
@@ -90,11 +94,12 @@ def read_scan(
         unit: metres of one unit of the file; glTF is in metres.
         up: the file's axis that points up; y in glTF.
         names: of a PLY file's numbers; "label_7" for others.
+        check_up: whether a scan whose floor clearly faces another axis is refused.
         options: limits on size; a scan of more triangles than ``ReadLimits.vertices`` is refused before it is decoded.
 
     Raises:
-        AssetError: the file cannot be read, is too large, or its unit or up axis is neither given nor fixed by its
-            format.
+        AssetError: the file cannot be read, is too large, its unit or up axis is neither given nor fixed by its
+            format, or another axis is clearly the one that points up.
     """
     path = Path(path)
     gltf = path.suffix.lower() in _GLTF
@@ -110,7 +115,28 @@ def read_scan(
     scale = 1.0 if unit is None else unit
     if not 0.0 < scale < math.inf:
         raise AssetError(f"the unit of scan '{path}' is {unit} m: give a number above zero")
-    return replace(read, vertices=scale * _upright(vertices, up or "y"))
+    scan = replace(read, vertices=scale * _upright(vertices, up or "y"))
+    if check_up:
+        _check_up(scan, path, up or "y")
+    return scan
+
+
+def _check_up(scan: Scan, path: Path, up: Up) -> None:
+    """Reject a scan whose floor clearly faces another axis of its file than the one that was given."""
+    found = better_up(scan.vertices, scan.corners)
+    if found is None:
+        return
+    given, better = found
+    number = next(index for index, part in enumerate(better.direction) if part)
+    axis = "xyz"[_ORDERS[up][number]]
+    remedy = f"give up='{axis}' (--up {axis})"
+    if better.direction[number] < 0:
+        remedy = f"it is upside down: turn the file over, for its {axis} axis points down"
+    raise AssetError(
+        f"scan '{path}' is read with {up} up, where its floor has {given.floor:.1f} m^2 and {given.height:.1f} m above "
+        f"it; along {'-' if better.direction[number] < 0 else ''}{axis} these are {better.floor:.1f} m^2 and "
+        f"{better.height:.1f} m: {remedy}, or keep {up} by read_scan(..., check_up=False) or --no-check-up"
+    )
 
 
 def labelled(surfaces: Sequence[Any], names: Mapping[int, str]) -> Scan:
@@ -167,11 +193,8 @@ def _relabelled(scan: Scan, source: Scan) -> Scan:
 
 
 def _upright(vertices: FloatArray, up: Up) -> FloatArray:
-    """Return vertices with ``up`` turned to z; cyclic, so that no surface is reflected."""
-    shift = {"x": 2, "y": 1, "z": 0}[up]
-    # x up: (y, z, x); y up: (z, x, y). Both are rotations.
-    order = {0: (0, 1, 2), 1: (2, 0, 1), 2: (1, 2, 0)}[shift]
-    return vertices[:, order]
+    """Return vertices with ``up`` turned to z."""
+    return vertices[:, _ORDERS[up]]
 
 
 def cleaned(scan: Scan, least_area: float = 0.02) -> Scan:

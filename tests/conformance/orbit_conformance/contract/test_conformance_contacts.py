@@ -17,11 +17,14 @@ from orbit_assets.joint_models import BALL, compound
 from orbit_conformance.bodies import WEIGHTLESS, G, ball, cube, fixed, index, scene
 from orbit_conformance.contract.fixtures import MakeEngine, Needs, assert_near
 from orbit_core.interfaces import TERRAIN, Capability, Engine
+from orbit_core.plugin_kit.meshes import triangles
 from orbit_core.scene import (
     Articulation,
     Box,
     Compliance,
     ContactSensorSpec,
+    Cylinder,
+    Geometry,
     HeightField,
     Joint,
     JointType,
@@ -97,6 +100,36 @@ def test_convex_meshes_collide(make_engine: MakeEngine, needs: Needs) -> None:
     engine = make_engine(scene(dataclasses.replace(solid, articulation=Articulation("solid", (link,)))))
     engine.step(300)
     assert engine.link_poses[0, 0, 2] == pytest.approx(0.033, abs=1e-3)
+
+
+@pytest.mark.parametrize("lower", ["box", "cylinder", "hull", "triangles"])
+def test_solids_rest_on_the_surface_of_what_is_below_them(lower: str, make_engine: MakeEngine, needs: Needs) -> None:
+    """A box, a ball, a cylinder and a hull stand within 0.5 mm of their height on a plate of each kind."""
+    needs(Capability.CONVEX_MESHES, *((Capability.TRIANGLE_MESHES,) if lower == "triangles" else ()))
+    flat, low = (0.15, 0.15, 0.05), (0.025, 0.025, 0.025)
+    plates: dict[str, Geometry] = {
+        "box": Box(flat),
+        "cylinder": Cylinder(0.15, 0.05),
+        "hull": _block(flat),
+        "triangles": dataclasses.replace(_block(flat), collision=MeshCollision.TRIANGLES),
+    }
+    solids: tuple[Geometry, ...] = (Box(low), Sphere(0.025), Cylinder(0.025, 0.025), _block(low))
+    things = []
+    for number, geometry in enumerate(solids):
+        place = 0.5 * number
+        solid = cube(f"solid{number}", pose=Pose((place, 0.0, 0.525)))
+        link = dataclasses.replace(solid.articulation.root, mass=0.2, collisions=(Shape(geometry),))
+        things.append(dataclasses.replace(solid, articulation=Articulation("solid", (link,))))
+        things.append(fixed(f"plate{number}", plates[lower], Pose((place, 0.0, 0.45))))
+    engine = make_engine(scene(*things))
+    engine.step(200)
+    assert engine.link_poses[0, ::2, 2].tolist() == pytest.approx([0.525] * 4, abs=5e-4)
+
+
+def _block(half: tuple[float, float, float]) -> Mesh:
+    """A mesh of a box."""
+    surface = triangles(Box(half))
+    return Mesh(surface.vertices, surface.faces)
 
 
 def tray(half: float, height: float) -> Mesh:
