@@ -32,7 +32,8 @@ from orbit_learn.recorded import RecordedFunction
 from orbit_learn.trainer import half_cosine
 
 ENCODING = Encoding(
-    (Part("joints", 2), Part("cube", 3), Part("goal", 3), Part("last_action", 3)), hidden=(8, 9, 10), vectors=(2, 5),
+    (Part("joints", 2), Part("cube", 7), Part("goal", 3), Part("last_action", 3)), hidden=(12, 13, 14), vectors=(2, 9),
+    rotations=(5,),
     joints=(0, 1, -1), gains=(0.5, 2.0, 0.0), biases=(0.1, 0.0, 0.0), binary=(False, False, True),
 )  # fmt: skip
 SHARED: dict[str, Any] = {"encoding": ENCODING, "chunk": 4, "executed": 2}
