@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,10 +21,6 @@ def scripts(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for name in set(sys.modules) - before:
         if str(getattr(sys.modules[name], "__file__", None)).startswith(str(FOLDER)):
             del sys.modules[name]
-
-
-def run(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, str(FOLDER / "run.py"), *words], capture_output=True, text=True)
 
 
 def measurement(peer: str = "robosuite", case: str = "lift", num_envs: int = 1, **fields: Any) -> Any:
@@ -49,24 +44,35 @@ def measurement(peer: str = "robosuite", case: str = "lift", num_envs: int = 1, 
     return Measurement(peer=peer, case=case, num_envs=num_envs, device="cpu", **values)
 
 
-def test_raw_stepping_is_measured_and_written_to_the_page(tmp_path: Path) -> None:
-    figures, page = tmp_path / "peers.json", tmp_path / "peers.md"
-    amount = ("--num-envs", "1", "--rounds", "1", "--seconds", "0.2", "--starts", "1", "--ways", "plain")
-    done = run("raw", *amount, "--json", str(figures), "--page", str(page))
-    assert done.returncode == 0, done.stderr
-    assert "raw Lift, 1 environments: orbit, plain:" in done.stdout
-    assert "| raw MuJoCo, Lift | 1 |" in page.read_text()
-    first = page.read_bytes()
-    again = run("--json", str(figures), "--page", str(page))
-    assert again.returncode == 0, again.stderr
-    assert page.read_bytes() == first
+def test_raw_stepping_is_measured_and_written_to_the_page(scripts: None, tmp_path: Path) -> None:
+    from page import page  # pyright: ignore[reportMissingImports]
+    from results import read  # pyright: ignore[reportMissingImports]
+    from run import Settings, main  # pyright: ignore[reportMissingImports]
+
+    figures, written = tmp_path / "peers.json", tmp_path / "peers.md"
+    amount = {"num_envs": (1,), "rounds": 1, "seconds": 0.2, "starts": 1, "ways": ("plain",)}
+    main(Settings(peer="raw", json=figures, page=written, **amount))
+    (kept,) = read(figures)
+    (side,) = kept.sides
+    assert side.rates[0] > 0.0
+    assert side.raw_rates[0] > 0.0
+    assert (side.facts.physics_dt, side.facts.decimation, side.facts.degrees_of_freedom) == (0.005, 4, 15)
+    text = written.read_text(encoding="utf-8")
+    assert "| raw MuJoCo, Lift | 1 |" in text
+    assert text == page([kept])
 
 
-def test_an_unknown_peer_is_named_with_those_that_there_are(tmp_path: Path) -> None:
-    done = run("genesis", "--json", str(tmp_path / "a.json"), "--page", str(tmp_path / "a.md"))
-    assert done.returncode != 0
-    assert done.stderr.startswith("error: unknown peer 'genesis': known: dm_control, ")
-    assert not (tmp_path / "a.md").exists()
+def test_an_unknown_peer_or_case_is_named_with_those_that_there_are(scripts: None, tmp_path: Path) -> None:
+    from run import Settings, main  # pyright: ignore[reportMissingImports]
+
+    from orbit_core.interfaces.errors import UnknownNameError
+
+    files = {"json": tmp_path / "a.json", "page": tmp_path / "a.md"}
+    with pytest.raises(UnknownNameError, match=r"unknown peer 'genesis': known: dm_control, .*robosuite"):
+        main(Settings(peer="genesis", **files))
+    with pytest.raises(UnknownNameError, match="unknown case 'nope' in raw MuJoCo: known: Lift"):
+        main(Settings(peer="raw", cases=("nope",), **files))
+    assert not list(tmp_path.iterdir())
 
 
 def test_figures_are_read_as_they_were_written(scripts: None, tmp_path: Path) -> None:
