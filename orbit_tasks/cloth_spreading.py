@@ -102,13 +102,16 @@ def until_spread(target: TermFunction) -> TermFunction:
 
 
 def stroke(name: str, pressed: float) -> tuple[Phase, ...]:
-    """Phases that press the closed fingers on a key point, the hand at a height, and draw it outwards."""
+    """Phases that press the closed fingers on a key point, the hand at a height, draw it outwards and let it go."""
     point, place = cloth.key_point(name), place_of(name)
     return (
         Phase(until_spread(cloth.over(point, TRAY + 0.07)), False, position_tolerance=0.015, timeout=1.2),
         Phase(until_spread(cloth.over(point, pressed)), False, position_tolerance=0.008, timeout=0.6),
         Phase(until_spread(cloth.over(place, pressed)), False, position_tolerance=0.01, timeout=0.8),
-        Phase(until_spread(cloth.here(TRAY + 0.07)), False, position_tolerance=0.03, timeout=0.5),
+        # Closed fingers that press on cloth catch it between them, and it would rise with them and fold again. They
+        # open once they are off the tray: on it they would sweep the cloth along.
+        Phase(until_spread(cloth.here(pressed + 0.03)), False, position_tolerance=0.01, timeout=0.3),
+        Phase(until_spread(cloth.here(TRAY + 0.07)), position_tolerance=0.03, dwell=0.25, timeout=0.5),
     )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.deformables import cuboid, ring
 from orbit_assets.joint_models import BALL, compound
 from orbit_conformance.bodies import pendulum, scene, slider
 from orbit_core import backends
@@ -18,6 +19,7 @@ from orbit_core.plugin_kit.bodies import (
     stand_in_approximations,
     with_stand_in,
 )
+from orbit_core.plugin_kit.closed_surfaces import inside_lattice, is_convex
 from orbit_core.plugin_kit.engines import contact_signs, velocity_at
 from orbit_core.plugin_kit.meshes import AXIS_COLORS, height_field_mesh, marker_shapes
 from orbit_core.plugin_kit.rendering import DeformableSurface, HostRenderer, HostRequest, Pictures
@@ -222,3 +224,17 @@ def test_a_fluid_is_its_particles_which_a_painter_draws_a_surface_around() -> No
     particles = torch.as_tensor(fluid.rest_positions, dtype=torch.float32)[None]
     assert torch.equal(surface.vertices(particles), particles)
     assert surface.faces.shape == (0, 3)
+
+
+def test_a_surface_that_bulges_everywhere_touches_itself_nowhere() -> None:
+    block, hollow = cuboid((0.05, 0.05, 0.05), (2, 2, 2)), ring(0.03, 0.01)
+    assert is_convex(block.vertices, block.faces)
+    assert not is_convex(hollow.vertices, hollow.faces)
+
+
+def test_points_of_a_lattice_are_inside_of_a_ring_but_not_of_its_hole() -> None:
+    mesh = ring(0.03, 0.01)
+    line, middle = np.array((-0.03, 0.0, 0.03)), np.array((0.0, 0.02))
+    found = inside_lattice((line, line, middle), np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    assert found[:, :, 0].tolist() == [[False, True, False], [True, False, True], [False, True, False]]
+    assert not found[:, :, 1].any(), "above it"

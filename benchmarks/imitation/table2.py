@@ -102,6 +102,7 @@ def main() -> None:
     parser.add_argument("--transfer", nargs="*", default=None, help="other engines; all that are installed if left out")
     parser.add_argument("--device", default="cpu", help="of training: cpu or cuda")
     parser.add_argument("--gpus", type=int, default=1, help="that trainings are dealt to with --device cuda")
+    parser.add_argument("--eager", action="store_true", help="train without recorded graphs on --device cuda")
     parser.add_argument("--iterations", type=int, help="of each training, to try the script out")
     parser.add_argument("--budget", type=float, default=1e9, help="seconds of wall time")
     parser.add_argument("--output", type=Path, default=Path("out/table2"))
@@ -174,6 +175,7 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
         for seed, folder in enumerate(folders):
             iterations = arguments.iterations or ITERATIONS[algorithm]
             settings = (f"evaluate_every={iterations}", f"device={arguments.device}")
+            settings += ("recorded=false",) if arguments.eager else ()
             words = (
                 "train", *task, "--backend", arguments.engine, "--num-envs", str(action.watched),
                 "--library", "imitation", "--algorithm", algorithm, *data, "--iterations", str(iterations),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -73,25 +74,25 @@ def page(results: Mapping[str, Any]) -> str:
             parts.setdefault(tuple(place[:4]), []).extend(done["result"])
     found = [_Outcome(*place, trainings) for place, trainings in parts.items()]  # pyright: ignore[reportCallIssue]
     actions = _unique(outcome.action for outcome in found)
-    algorithms = _unique(outcome.algorithm for outcome in found)
     engines = _unique(outcome.engine for outcome in found)
     engines.sort(key=lambda name: name != settings["engine"])
-    text = [_HEAD.format(**settings, versions=", ".join(_versions(found)))]
+    paragraphs = _HEAD.format(**settings, versions=", ".join(_versions(found))).split("\n\n")
+    text = ["\n\n".join(textwrap.fill(each, 120) for each in paragraphs) + "\n"]
     for action in actions:
         for engine in engines:
             where = "the engine of the demonstrations" if engine == settings["engine"] else "transferred"
-            text.append(f"## `{action}` on {engine}, {where}\n")
             own = [outcome for outcome in found if (outcome.action, outcome.engine) == (action, engine)]
-            text.append(_table(own, algorithms, settings["seeds"]))
+            if own:
+                text += [f"## `{action}` on {engine}, {where}\n", _table(own, settings["seeds"])]
     text.append("## Cost\n\nCore seconds of one thread on the machine of these figures, mean of a job.\n")
     text.append(_costs(jobs))
     return "\n".join(text)
 
 
-def _table(outcomes: Sequence[_Outcome], algorithms: Sequence[str], seeds: int) -> str:
+def _table(outcomes: Sequence[_Outcome], seeds: int) -> str:
     cells = {(outcome.algorithm, outcome.cell): outcome.text(seeds) for outcome in outcomes}
     lines = ["| | " + " | ".join(_COLUMNS.values()) + " |", "|---" * (1 + len(_COLUMNS)) + "|"]
-    for algorithm in algorithms:
+    for algorithm in _unique(outcome.algorithm for outcome in outcomes):
         row = [cells.get((algorithm, cell), "not run") for cell in _COLUMNS]
         lines.append(f"| `{algorithm}` | " + " | ".join(row) + " |")
         if published := _PUBLISHED.get(algorithm):
@@ -135,4 +136,5 @@ episodes of each training and engine, all from the same starts. Versions: {versi
 Each field is success with Wilson's interval of 95 %, and the mean number of steps of 0.02 s until the success that
 lasts to the episode's end; failures count with their whole episode. The published figures are success and length over
 100 trials, whose task, controller and rate differ from these. The arm's joints start within 0.05 rad everywhere.
+Engines and algorithms without a table or a row have not been run.
 """

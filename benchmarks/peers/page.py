@@ -7,16 +7,22 @@ from collections.abc import Iterable, Sequence
 from peers import PEERS, Case, Peer
 from results import Measurement, Side, Spread
 
+_ORBIT_PACKAGES = ("python", "orbit-core", "torch", "numpy")
+
 _INTRODUCTION = """# Measured: peers
 
-ORBIT and other projects on one machine in one run. Both sides' processes stay alive and step in turns, a block each;
-a ratio is that of neighbouring blocks, given as the median over the blocks, with quartiles in brackets. Each project
-has its own virtual environment. Actions are random; observations, rewards, terminations and resets are made, pictures
-are not. Of several ways of stepping, each side shows its fastest. "Of raw" is the rate as a share of the bare engine of
-the side's own model, stepped through the same motions with the same decimation: it holds the cost of a project's
-layer, while the ratio of the two sides also holds the difference of their models.
+ORBIT and other projects on one machine in one run. The processes of both sides stay alive and step in turns, a block
+each; a ratio is that of neighbouring blocks, given as the median over the blocks, with quartiles in brackets. Actions
+are random and drawn before; observations, rewards, terminations and resets are made, pictures are not.
 
-`benchmarks/peers/run.py` writes this page from `docs/figures/peers.json`:
+* **Way.** "One" is a single environment. Several are stepped by Gymnasium's vector environments, in a process each or
+  in turn, and by ORBIT as a batch, plain or compiled. Each side shows the fastest way that was measured.
+* **"Of raw"** is the rate as a share of the bare engine of the side's model, stepped through the same motions with the
+  same decimation, on all cores where there are several environments. It holds the cost of a project's layer. The ratio
+  of the two sides also holds the difference of their models.
+* **Absolute figures** are of a machine that other work may have shared: compare within a row.
+
+`benchmarks/peers/run.py` measures and writes this page from `docs/figures/peers.json`:
 
 ```sh
 python benchmarks/peers/run.py robosuite --environments out/peers
@@ -32,7 +38,7 @@ def page(measurements: Sequence[Measurement]) -> str:
     parts = [_INTRODUCTION]
     if present:
         parts += [_rates(present), _starts(present), _models(present), _versions(present)]
-    parts.append(_absent([each for each in ordered if not each.sides]))
+    parts.append(_absent(measurements))
     return "\n".join(part for part in parts if part)
 
 
@@ -52,9 +58,16 @@ def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
-def _label(measurement: Measurement) -> str:
-    peer, case = case_of(measurement)
-    return f"{peer.title}, {case.environment}" if peer.packages else f"{peer.title}, {case.name}"
+def _label(peer: Peer, case: Case) -> str:
+    """Return the name of a case, with its own name where the peer's environment is in several."""
+    alike = [each for each in peer.cases if each.environment == case.environment]
+    return f"{peer.title}, {case.environment}" + (f" ({case.name})" if len(alike) > 1 else "")
+
+
+def _counterpart(case: Case) -> str:
+    fields = case.orbit.fields
+    words = (case.orbit.task, *(str(fields[key]) for key in ("robot", "action") if key in fields))
+    return f"{', '.join(words)} on `{case.orbit.backend}`"
 
 
 def _ratio(above: Sequence[float], below: Sequence[float]) -> str:
@@ -81,7 +94,7 @@ def _rates(measurements: Sequence[Measurement]) -> str:
         assert ours is not None  # each measurement has ORBIT's side
         rows.append(
             (
-                _label(each),
+                _label(*case_of(each)),
                 f"{each.num_envs:,}",
                 _rate(theirs),
                 _ratio(theirs.rates, theirs.raw_rates) if theirs else "-",
@@ -108,29 +121,34 @@ def _pictures(side: Side | None) -> str:
     return f"{Spread.of(side.pictures).median:,.0f}" if side is not None and side.pictures else "-"
 
 
+_STARTS = """## Start, memory, pictures
+
+Start is from the first import to the end of the first step, with warm caches; from the command adds the interpreter's
+own start. First steps are ORBIT's second to fifth, which trace and, where the row says so, compile. Memory is that of
+the process and its children after the first steps, pages that they share counted once. Pictures are of 84 x 84 pixels,
+one environment, drawn in software.
+
+"""
+
+
 def _starts(measurements: Sequence[Measurement]) -> str:
-    text = (
-        "## Start, memory, pictures\n\nStart is from the first import to the end of the first step, with warm caches; from the "
-        "command adds the interpreter's own start. Memory is that of the process and its children after the first steps, pages "
-        "that they share counted once. Pictures are of 84 x 84 pixels, one environment, drawn in software. ORBIT is not compiled "
-        "here.\n\n"
-    )
     rows = []
     for each in measurements:
-        theirs = next((side for side in each.sides if side.project == each.peer), None)
-        ours = next(side for side in each.sides if side.project == "orbit")
+        theirs, ours = each.fastest(each.peer), each.fastest("orbit")
+        assert ours is not None  # each measurement has ORBIT's side
         rows.append(
             (
-                _label(each),
+                _label(*case_of(each)),
                 f"{each.num_envs:,}",
                 *(_seconds(side, kind) for kind in ("start_seconds", "command_seconds") for side in (theirs, ours)),
+                f"{ours.settle_seconds:.1f}",
                 *(f"{side.memory_mib:,.0f}" if side else "-" for side in (theirs, ours)),
                 *(_pictures(side) for side in (theirs, ours)),
             )
         )
     headings = (
-        "peer", "environments", "start, s: peer", "ORBIT", "from the command, s: peer", "ORBIT", "memory, MiB: peer", "ORBIT",
-        "pictures/s: peer", "ORBIT",
+        "peer", "environments", "start, s: peer", "ORBIT", "from the command, s: peer", "ORBIT",
+        "ORBIT's first steps, s", "memory, MiB: peer", "ORBIT", "pictures/s: peer", "ORBIT",
     )  # fmt: skip
     notes = {
         f"* {PEERS[each.peer].title if side.project != 'orbit' else 'ORBIT'} drew no pictures: {side.no_pictures}\n"
@@ -138,7 +156,7 @@ def _starts(measurements: Sequence[Measurement]) -> str:
         for side in each.sides
         if side.no_pictures
     }
-    return text + _table(headings, rows) + ("\n" + "".join(sorted(notes)) if notes else "")
+    return _STARTS + _table(headings, rows) + ("\n" + "".join(sorted(notes)) if notes else "")
 
 
 def _model(side: Side) -> tuple[str, ...]:
@@ -155,17 +173,16 @@ def _models(measurements: Sequence[Measurement]) -> str:
     first = {(each.peer, each.case): each for each in reversed(measurements)}
     rows = []
     for each in reversed(first.values()):
-        _, case = case_of(each)
+        peer, case = case_of(each)
         ours = each.fastest("orbit")
         theirs = each.fastest(each.peer) or ours
         assert ours is not None
         assert theirs is not None
-        fields = case.orbit.fields
-        counterpart = ", ".join((case.orbit.task, *(str(fields[key]) for key in ("robot", "action") if key in fields)))
         pairs = (" / ".join(dict.fromkeys(pair)) for pair in zip(_model(theirs), _model(ours), strict=True))
-        rows.append((_label(each), case.robot, f"{counterpart} on `{case.orbit.backend}`", *pairs, case.differs))
+        rows.append((_label(peer, case), case.robot, _counterpart(case), *pairs, case.differs))
     headings = (
-        "peer", "robot", "ORBIT's task", "control, physics, decimation", "action components", "degrees of freedom", "what differs",
+        "peer", "robot", "ORBIT's task", "control, physics, decimation", "action components", "degrees of freedom",
+        "what differs",
     )  # fmt: skip
     text = "## Models and rates\n\nWhere a cell has two values, the peer's comes first.\n\n"
     return text + _table(headings, rows)
@@ -176,7 +193,9 @@ def _versions(measurements: Sequence[Measurement]) -> str:
     for each in measurements:
         for side in each.sides:
             project = "ORBIT" if side.project == "orbit" else PEERS[side.project].title
-            found = ", ".join(f"{name} {version}" for name, version in side.versions.items())
+            # ORBIT's environment may hold engines and projects that the measurement does not use.
+            shown = _ORBIT_PACKAGES if side.project == "orbit" else side.versions
+            found = ", ".join(f"{name} {side.versions[name]}" for name in shown if name in side.versions)
             rows[project, f"{side.facts.engine}", found] = None
     machines = sorted({each.hardware for each in measurements})
     lengths = sorted({f"{len(each.sides[0].rates)} blocks of {each.block_seconds:g} s" for each in measurements})
@@ -189,8 +208,15 @@ def _versions(measurements: Sequence[Measurement]) -> str:
 
 
 def _absent(measurements: Sequence[Measurement]) -> str:
-    """Return the table of what was not measured, with cases that no run has tried."""
-    if not measurements:
-        return ""
-    rows = [(_label(each), f"{each.num_envs:,}", each.absent.replace("|", "/")) for each in measurements]
-    return "## Not measured\n\n" + _table(("peer", "environments", "why"), rows)
+    """Return the table of what was not measured: what a run could not, and what no run has tried."""
+    kept = {each.key: each.absent for each in measurements}
+    sizes: dict[tuple[str, str], list[str]] = {}
+    for peer in PEERS.values():
+        for case in peer.cases:
+            label = _label(peer, case)
+            for num_envs in peer.num_envs:
+                why = kept.get((peer.name, case.name, num_envs), "no run yet")
+                if why:
+                    sizes.setdefault((label, why.replace("|", "/")), []).append(f"{num_envs:,}")
+    rows = [(label, "; ".join(numbers), why) for (label, why), numbers in sizes.items()]
+    return "## Not measured\n\n" + _table(("peer", "environments", "why"), rows) if rows else ""

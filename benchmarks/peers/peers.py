@@ -57,8 +57,9 @@ class Peer:
     """Environments that are compared."""
 
 
-# One engine for all where they take it; newer releases of the peers' own requirements would measure the engine.
-_MUJOCO = "mujoco==3.17.0"
+# ORBIT's release where the peer runs with it. Gymnasium-Robotics and robosuite compare joint types in a way that newer
+# bindings answer otherwise, and Meta-World requires 3.3.0.
+_MUJOCO, _OLDER_MUJOCO = "mujoco==3.17.0", "mujoco==3.3.7"
 _GYMNASIUM = "gymnasium==1.4.0"
 # Of Gymnasium's vector environments: a process for each environment, and one environment after the other.
 _PROCESSES = ("processes", "in turn")
@@ -77,7 +78,6 @@ _RAW = Peer(
             name="Lift",
             environment="Lift",
             robot="franka_panda",
-            options={"backend": "mujoco"},
             orbit=Counterpart(task="Lift", fields=_rates(0.005, 4)),
             differs="the same model, states and commands; the peer makes no observation, reward or reset",
         ),
@@ -93,7 +93,7 @@ _DM_CONTROL = Peer(
         Case(
             name="humanoid",
             environment="humanoid-run",
-            robot="CMU-like humanoid of 21 joints",
+            robot="humanoid of 21 joints",
             orbit=Counterpart(task="Humanoid", fields=_rates(0.005, 5)),
             differs="another model of a humanoid: 21 driven joints against 17",
         ),
@@ -116,8 +116,8 @@ _DM_CONTROL = Peer(
 
 _GYMNASIUM_ROBOTICS = Peer(
     name="gymnasium_robotics",
-    title="Gymnasium, Gymnasium-Robotics",
-    packages=("gymnasium-robotics==1.4.2", _MUJOCO, _GYMNASIUM),
+    title="Gymnasium-Robotics",
+    packages=("gymnasium-robotics==1.4.2", _OLDER_MUJOCO, _GYMNASIUM),
     ways=_PROCESSES,
     cases=(
         Case(
@@ -125,7 +125,7 @@ _GYMNASIUM_ROBOTICS = Peer(
             environment="FetchPickAndPlace-v4",
             robot="Fetch",
             orbit=Counterpart(task="Lift", fields=_rates(0.002, 20, action="ik_relative")),
-            differs="Fetch's hand hangs on a mocap body, so that its arm needs no controller; ORBIT has no Fetch: Panda",
+            differs="Fetch's hand hangs on a mocap body, so its arm needs no controller; ORBIT has no Fetch: Panda",
         ),
         Case(
             name="ant",
@@ -138,7 +138,7 @@ _GYMNASIUM_ROBOTICS = Peer(
             name="humanoid",
             environment="Humanoid-v5",
             robot="Humanoid",
-            orbit=Counterpart(task="Humanoid", fields=_rates(0.003, 5)),
+            orbit=Counterpart(task="Humanoid", fields=_rates(0.003, 5, episode_length=15.0)),
             differs="the same robot; RK4 against ORBIT's implicit integrator: four evaluations a step",
         ),
     ),
@@ -147,8 +147,8 @@ _GYMNASIUM_ROBOTICS = Peer(
 _METAWORLD = Peer(
     name="metaworld",
     title="Meta-World",
-    packages=("metaworld==3.1.1", _GYMNASIUM),
-    ways=_PROCESSES,
+    packages=("metaworld==3.1.1", "mujoco==3.3.0", _GYMNASIUM, "packaging==25.0"),
+    ways=("processes",),
     cases=(
         Case(
             name="pick-place",
@@ -163,16 +163,24 @@ _METAWORLD = Peer(
 _ROBOSUITE = Peer(
     name="robosuite",
     title="robosuite",
-    packages=("robosuite==1.5.2", _MUJOCO, _GYMNASIUM),
-    ways=_PROCESSES,
+    packages=("robosuite==1.5.2", _OLDER_MUJOCO, _GYMNASIUM, "h5py==3.15.1"),
+    ways=("processes",),
     cases=(
         Case(
             name="lift",
             environment="Lift",
             robot="Panda",
             orbit=Counterpart(task="Lift", fields=_rates(0.002, 25, action="osc")),
-            differs="operational-space control on both sides; mesh bodies and a mount; robosuite has no vector environment: "
-            "Gymnasium's around its own wrapper",
+            differs="operational-space control on both sides, computed at every physics step; robosuite has no vector "
+            "environment: Gymnasium's around its own wrapper",
+        ),
+        Case(
+            name="lift-ik",
+            environment="Lift",
+            robot="Panda",
+            orbit=Counterpart(task="Lift", fields=_rates(0.002, 25, action="ik_relative")),
+            differs="ORBIT's usual `ik_relative`, which the engine's drives track, against robosuite's "
+            "operational-space control at every physics step",
         ),
     ),
 )

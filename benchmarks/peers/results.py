@@ -30,6 +30,8 @@ class Side:
     """From the first import to the end of the first step, for each start of the process."""
     command_seconds: list[float]
     """From the command to the end of the first step, for each start of the process."""
+    settle_seconds: float
+    """Of the steps after the first that do something once: compiling and recording."""
     memory_mib: float
     """Largest memory of the process and its children that was seen after a block of steps."""
     rates: list[float]
@@ -92,7 +94,7 @@ class Spread:
 
     @staticmethod
     def of_ratio(above: Sequence[float], below: Sequence[float]) -> Spread:
-        """Return the spread of the ratios of two lists, block by block: neighbours in time share the machine's state."""
+        """Return the spread of ratios, block by block: neighbours in time share the machine's state."""
         return Spread.of([one / other for one, other in zip(above, below, strict=True)])
 
 

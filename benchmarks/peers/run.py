@@ -3,10 +3,11 @@
     python benchmarks/peers/run.py raw
     python benchmarks/peers/run.py robosuite --environments out/peers
     python benchmarks/peers/run.py mjlab --environments out/peers --num-envs 4096
-    python benchmarks/peers/run.py --page-only
+    python benchmarks/peers/run.py
 
-The first call for a peer makes a virtual environment of its own under ``--environments``, by venv and pip. Figures of
-other peers, cases and sizes stay in the file. Run no other job meanwhile.
+Without a peer only the page is written. The first call for a peer makes its virtual environment under
+``--environments``, by venv and pip. Figures of other peers, cases and sizes stay in the file. Run no other
+job meanwhile.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from turns import Place, Plan, measure
 from orbit_conformance.hardware import device_label
 from orbit_core.cli.output import console
 from orbit_core.files import written_whole
-from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.interfaces.errors import ConfigurationError, OrbitError, UnknownNameError
 
 ROOT = Path(__file__).parents[2]
 
@@ -54,6 +55,8 @@ class Settings:
     """Length of a block."""
     starts: int = 3
     """Starts of each side's process."""
+    ways: tuple[str, ...] = ("plain", "compiled")
+    """Ways of stepping ORBIT."""
     remove: bool = False
     """Delete the peer's virtual environment at the end."""
     json: Path = ROOT / "docs" / "figures" / "peers.json"
@@ -66,7 +69,7 @@ def main(settings: Settings) -> None:
     """Measure, and write the figures and the page."""
     if settings.peer:
         if settings.peer not in PEERS:
-            raise UnknownNameError(f"unknown peer {settings.peer!r}: use {', '.join(PEERS)}")
+            raise UnknownNameError("peer", settings.peer, PEERS)
         peer = PEERS[settings.peer]
         for case in chosen_cases(peer, settings.cases):
             for num_envs in settings.num_envs or peer.num_envs:
@@ -89,7 +92,7 @@ def chosen_cases(peer: Peer, names: tuple[str, ...]) -> list[Case]:
     """
     known = {case.name: case for case in peer.cases}
     if unknown := [name for name in names if name not in known]:
-        raise UnknownNameError(f"{peer.title} has no case {unknown[0]!r}: use {', '.join(known)}")
+        raise UnknownNameError("case", unknown[0], known, peer.title)
     return [known[name] for name in names or known]
 
 
@@ -101,7 +104,10 @@ def measured(peer: Peer, case: Case, num_envs: int, settings: Settings) -> Measu
         return Measurement(**identity, absent="not run: no GPU on the machine")
     plan = Plan(rounds=settings.rounds, seconds=settings.seconds, starts=settings.starts)
     try:
-        sides = measure(places(peer, case, num_envs, device, python_of(peer, settings.environments)), plan)
+        python = python_of(peer, settings.environments)
+        sides = measure(
+            theirs(peer, case, num_envs, device, python) + ours(case, num_envs, device, settings.ways), plan
+        )
     except ConfigurationError as error:
         return Measurement(**identity, absent=f"not run: {error}")
     hardware = device_label(torch.device(device))
@@ -110,49 +116,34 @@ def measured(peer: Peer, case: Case, num_envs: int, settings: Settings) -> Measu
     return Measurement(**identity, hardware=hardware, block_seconds=plan.seconds, load=busy, sides=sides)
 
 
-def places(peer: Peer, case: Case, num_envs: int, device: str, python: Path) -> list[Place]:
-    """Return the sides of a case: the peer's ways of stepping, and ORBIT's, plain and compiled.
+def theirs(peer: Peer, case: Case, num_envs: int, device: str, python: Path) -> list[Place]:
+    """Return the peer's sides of a case: one for each of its ways of stepping.
 
     Args:
-        peer: the peer; one without packages is ORBIT's own engine, which ORBIT's side measures.
+        peer: the peer; one without packages has no side, because ORBIT's measures its own bare engine.
         case: environments of both.
         num_envs: number of environments.
         device: where they are stepped.
         python: interpreter of the peer.
     """
-    ways = (peer.ways if num_envs > 1 else peer.ways[:1]) if peer.packages else ()
-    theirs = [
-        Place(
-            peer.name,
-            python,
-            Request(
-                adapter=peer.name,
-                environment=case.environment,
-                options=case.options,
-                way=way if num_envs > 1 else "one",
-                num_envs=num_envs,
-                device=device,
-            ),
-        )
-        for way in ways
-    ]
+    ways = () if not peer.packages else peer.ways if num_envs > 1 else ("one",)
+    common = {"environment": case.environment, "options": case.options, "num_envs": num_envs, "device": device}
+    return [Place(peer.name, python, Request(adapter=peer.name, way=way, **common)) for way in ways]
+
+
+def ours(case: Case, num_envs: int, device: str, ways: tuple[str, ...]) -> list[Place]:
+    """Return ORBIT's sides of a case.
+
+    Args:
+        case: environments of both.
+        num_envs: number of environments.
+        device: where they are stepped.
+        ways: ways of stepping: "plain" and "compiled".
+    """
     options = {"backend": case.orbit.backend, "fields": case.orbit.fields}
-    ours = [
-        Place(
-            "orbit",
-            Path(sys.executable),
-            Request(
-                adapter="orbit",
-                environment=case.orbit.task,
-                options=options,
-                way=way,
-                num_envs=num_envs,
-                device=device,
-            ),
-        )
-        for way in ("plain", "compiled")
-    ]
-    return theirs + ours
+    common = {"environment": case.orbit.task, "options": options, "num_envs": num_envs, "device": device}
+    python = Path(sys.executable)
+    return [Place("orbit", python, Request(adapter="orbit", way=way, **common)) for way in ways]
 
 
 def report(measurement: Measurement) -> None:
@@ -167,4 +158,7 @@ def report(measurement: Measurement) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings))
+    try:
+        main(tyro.cli(Settings))
+    except OrbitError as error:
+        sys.exit(f"error: {error}")

@@ -11,6 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+# Drawing numbers is no part of a step, and takes ORBIT and its peers different times.
+ACTIONS = 64
+"""Random actions that are drawn before, and repeated."""
 PICTURE = 84
 """Width and height in pixels of the pictures that are drawn."""
 
@@ -77,13 +80,18 @@ class Session(ABC):
         """Step all environments once."""
 
     def settle(self) -> None:
-        """Do work that belongs to neither the start nor a step, such as compiling."""
-        repeated(self.step, 0.3)
+        """Do what the first steps do once, such as compiling."""
+        self.step()
 
     def stepped(self, seconds: float) -> Block:
         """Step for about that many seconds."""
+        self.wait()
         calls, taken = repeated(self.step, seconds)
-        return Block(calls * self.num_envs, taken)
+        _, rest = repeated(self.wait, 0.0)
+        return Block(calls * self.num_envs, taken + rest)
+
+    def wait(self) -> None:
+        """Wait until the device has finished its work."""
 
     def stepped_raw(self, seconds: float) -> Block | None:
         """Step the bare engine through the same kind of motion; None where there is no such measurement."""

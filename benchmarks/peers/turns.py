@@ -64,7 +64,8 @@ class Worker:
         environment.setdefault("MUJOCO_GL", "egl")
         if place.project != "orbit":
             environment.pop("PYTHONPATH", None)  # ORBIT's packages are not the peer's
-        self._project, self._errors = place.project, tempfile.TemporaryFile("w+", errors="replace")
+        self._project = place.project
+        self._errors = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115, closed with the worker
         begin = time.perf_counter()
         self._process = subprocess.Popen(
             [str(place.python), str(_WORKER), json.dumps(asdict(place.request))], env=environment, text=True,
@@ -150,8 +151,7 @@ def measure(places: Sequence[Place], plan: Plan) -> list[Side]:
     with ExitStack() as stack:
         workers = [stack.enter_context(start(index)) for index in range(len(places))]
         memory = [[worker.ask("memory")["mib"]] for worker in workers]
-        for worker in workers:
-            worker.ask("settle")
+        settling = [worker.ask("settle", plan.seconds)["seconds"] for worker in workers]
         rates: list[list[float]] = [[] for _ in workers]
         raw: list[list[float]] = [[] for _ in workers]
         for _ in range(plan.rounds):
@@ -171,6 +171,7 @@ def measure(places: Sequence[Place], plan: Plan) -> list[Side]:
             versions=worker.versions,
             start_seconds=[seconds for seconds, _ in starts[index]],
             command_seconds=[seconds for _, seconds in starts[index]],
+            settle_seconds=settling[index],
             memory_mib=max(memory[index]),
             rates=rates[index],
             raw_rates=raw[index],

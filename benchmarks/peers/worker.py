@@ -2,21 +2,18 @@
 
     python benchmarks/peers/worker.py '{"adapter": "dm_control", "environment": "humanoid-run"}'
 
-Each line of input is a JSON array of a command and its argument, each line of output a JSON object. Runs in a peer's own
+Each line of input is a JSON array of a command and its argument, each line of output a JSON object. Runs in a peer's
 virtual environment: standard library only.
 """
 
 from __future__ import annotations
-
-import time
-
-BEGIN = time.perf_counter()  # before any import of the project
 
 import gc
 import importlib
 import json
 import os
 import sys
+import time
 from contextlib import suppress
 from dataclasses import asdict
 from importlib import metadata
@@ -24,6 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from session import Block, Request, Session, repeated
+
+# Before the project's import, which its adapter makes.
+BEGIN = time.perf_counter()
 
 
 def main() -> None:
@@ -51,12 +51,16 @@ def answer(session: Session, command: str, argument: float) -> dict[str, Any]:
         argument: seconds of the measurement.
 
     Returns:
-        Values to send: a block's fields, ``mib``, or an ``error`` where a project cannot draw.
+        Values to send: a block's fields, ``seconds`` of settling, ``mib``, or an ``error`` where a project cannot draw.
     """
     gc.collect()
     if command == "settle":
+        begin = time.perf_counter()
         session.settle()
-        return {}
+        session.wait()
+        taken = time.perf_counter() - begin
+        session.stepped(argument)  # caches fill
+        return {"seconds": taken}
     if command == "memory":
         return {"mib": family_mib()}
     if command == "draw":

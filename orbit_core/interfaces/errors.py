@@ -18,6 +18,17 @@ if TYPE_CHECKING:
 class OrbitError(Exception):
     """Base of all errors below; the command line prints its message alone, without a traceback."""
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # By its message, not by calling __init__ with it: an error that a process cannot read breaks its whole pool.
+        return _restored, (type(self), self.args, self.__dict__.copy())
+
+
+def _restored(kind: type[OrbitError], arguments: tuple[object, ...], values: dict[str, object]) -> OrbitError:
+    """Return an error that another process raised."""
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(values)
+    return error
+
 
 class ConfigurationError(OrbitError):
     """A setting that is not possible: a rate that does not divide, a field out of range, a malformed file."""

@@ -28,6 +28,7 @@ from orbit_learn.cloning.steps import GradientSteps, shifted
 from orbit_learn.description import Part
 from orbit_learn.memory import map_seen
 from orbit_learn.networks import convolutional
+from orbit_learn.recorded import RecordedFunction
 from orbit_learn.trainer import half_cosine
 
 ENCODING = Encoding(
@@ -110,6 +111,26 @@ def test_steps_learn_what_a_plain_loop_learns(network: ClonedNetwork) -> None:
     begun, learned, wanted = (each.eval()(shown.observation).detach() for each in (planner_of(network), planner, plain))
     torch.testing.assert_close(learned, wanted, rtol=1e-3, atol=1e-4)
     assert float((learned - begun).abs().max()) > 1e-2
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs the capability of a GPU")
+@pytest.mark.parametrize("network", NETWORKS, ids=name_of)
+def test_a_recorded_step_on_a_gpu_learns_what_a_plain_one_learns(network: ClonedNetwork) -> None:
+    shown, plans, losses = demonstrations(network.encoding), [], []
+    for recorded in (False, True):
+        planner = planner_of(network).cuda()
+        steps = GradientSteps(planner, BATCH, 8, 32, RATE, 5, recorded)
+        steps.show(shown)
+        torch.manual_seed(2)
+        losses.append([steps.run(iteration) for iteration in range(4)])
+        plans.append(planner(steps._shown.observation).detach())
+        assert isinstance(steps._step, RecordedFunction) == recorded
+    assert losses[1][3] < losses[1][0]
+    # Noise within the step is another in a graph, and so are shifts of pictures.
+    drawn = isinstance(network, ClonedTransformer | ClonedDiffusion) or network.encoding.pictures
+    assert losses[0] == pytest.approx(losses[1], rel=0.3 if drawn else 0.01)
+    if not drawn:
+        torch.testing.assert_close(plans[0], plans[1], rtol=1e-2, atol=1e-2)
 
 
 def test_steps_go_on_from_their_state_with_other_samples() -> None:

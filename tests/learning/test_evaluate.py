@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +21,11 @@ from orbit_core.cli import main
 from orbit_core.cli.making import configured_task
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.envs import Environment, Task
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_learn.evaluation.disturbances import LEVELS, Disturbance
 from orbit_learn.evaluation.page import page
 from orbit_learn.evaluation.results import BASE, Block, BlockKey, Plan, ResultFile, read_results
+from orbit_learn.evaluation.running import run_blocks
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
 from orbit_learn.remote.client import ServerAddress
 
@@ -149,6 +155,48 @@ def test_the_command_evaluates_once_and_then_reads(tmp_path: Path, capsys: pytes
     assert (tmp_path / "results.jsonl").read_text() == first
     assert "Where success varies" in (tmp_path / "index.html").read_text()
     capsys.readouterr()
+
+
+def test_processes_report_each_block_as_it_ends() -> None:
+    plan = Plan("Reach", ("zero", "nowhere.safetensors"), (default_backend(),), {BASE: ()}, (0,), 1)
+    own = EnvironmentSettings(task="Reach", set=("episode_length=0.1",))
+    found: list[Block] = []
+    with pytest.raises(OrbitError, match="nowhere"):
+        run_blocks(plan, list(plan.blocks()), dict.fromkeys(plan.policies, own), 2, found.append)
+    assert [each.key.policy for each in found] == ["zero"], "the second of the process's two blocks fails"
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are found in /proc")
+def test_a_killed_evaluation_leaves_no_process_behind(tmp_path: Path) -> None:
+    words = f"evaluate zero --task Reach --backend {default_backend()} --episodes 1 --seeds 2000 --jobs 2"
+    words += f" --set episode_length=0.1 --variant near:position_tolerance=10 --output {tmp_path}"
+    call = [sys.executable, "-c", "from orbit_core.cli import main; import sys; main(sys.argv[1:])", *words.split()]
+    with subprocess.Popen(call, stdout=subprocess.DEVNULL) as command:
+        found = tmp_path / "results.jsonl"
+        wait_until(lambda: found.exists() and found.read_text().count("\n") > 1)
+        children = [p for p in map(int, filter(str.isdigit, os.listdir("/proc"))) if parent_of(p) == command.pid]
+        command.kill()
+    assert children
+    wait_until(lambda: not any(parent_of(child) for child in children))
+    assert read_results(found)[1], "blocks that had ended are kept"
+
+
+def parent_of(process: int) -> int:
+    """Parent of a running process; 0 of one that is gone."""
+    try:
+        state, parent = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[:2]
+    except OSError:
+        return 0
+    return 0 if state == "Z" else int(parent)
+
+
+def wait_until(come: Callable[[], bool]) -> None:
+    """Wait for up to two minutes, as long as a busy machine may take."""
+    for _ in range(1200):
+        if come():
+            return
+        time.sleep(0.1)
+    raise AssertionError("has not come")
 
 
 @pytest.mark.parametrize(

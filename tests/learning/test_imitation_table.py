@@ -87,7 +87,8 @@ def test_every_cell_is_recorded_trained_and_evaluated(tmp_path: Path) -> None:
     settings: dict[str, Any] = {
         "jobs": 1, "demos": 1001, "seeds": 2, "episodes": 100, "algorithms": ["bc", "act"], "iterations": None,
         "actions": ["joint_position", "pictures"], "cells": [cell.name for cell in CELLS], "engine": "mujoco",
-        "transfer": ["bullet"], "device": "cpu", "renderer": "sapien", "renderer_setting": [], "output": tmp_path,
+        "transfer": ["bullet"], "device": "cpu", "eager": False, "renderer": "sapien", "renderer_setting": [],
+        "output": tmp_path,
     }  # fmt: skip
     jobs = {job.name: job for job in table_jobs(argparse.Namespace(**settings))}
     assert all(need in jobs for job in jobs.values() for need in job.needs)

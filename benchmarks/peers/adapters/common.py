@@ -8,12 +8,12 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from itertools import cycle
 from typing import Any
 
 import gymnasium
 import numpy as np
-
-from session import Block, Facts, Request, Session, repeated
+from session import ACTIONS, Block, Facts, Request, Session, repeated
 
 # Environment steps whose states and commands raw stepping starts from.
 _SNAPSHOTS = 200
@@ -35,6 +35,7 @@ class GymnasiumSession(Session):
         request: number of environments, way of stepping them and seed.
         facts: reads the environment's properties.
         raw: makes the bare engine of an environment for a number of copies; None for no such measurement.
+        make_drawn: makes an environment with a renderer, for pictures; None where ``make`` does.
     """
 
     def __init__(
@@ -43,14 +44,17 @@ class GymnasiumSession(Session):
         request: Request,
         facts: Callable[[gymnasium.Env], Facts],
         raw: Callable[[gymnasium.Env, int], Raw] | None = None,
+        make_drawn: Callable[[], gymnasium.Env] | None = None,
     ) -> None:
-        self.num_envs, self._make, self._make_raw = request.num_envs, make, raw
-        self._request, self._raw = request, None
-        self._random = np.random.default_rng(request.seed)
+        self.num_envs, self._make_raw, self._make_drawn = request.num_envs, raw, make_drawn
+        self._raw: Raw | None = None
+        self._drawn: gymnasium.Env | None = None
         self._one = make()
         self.facts = facts(self._one)
         space = self._one.action_space
-        self._low, self._high = space.low, space.high
+        shape = (ACTIONS, *((self.num_envs,) if self.num_envs > 1 else ()), *space.shape)
+        actions = np.random.default_rng(request.seed).uniform(space.low, space.high, shape)
+        self._actions = cycle(actions.astype(space.dtype))
         self._one.reset(seed=request.seed)
         self._many: gymnasium.vector.VectorEnv | None = None
         if self.num_envs > 1:
@@ -60,14 +64,12 @@ class GymnasiumSession(Session):
 
     def step(self) -> None:
         if self._many is not None:
-            shape = (self.num_envs, *self._low.shape)
-            self._many.step(self._random.uniform(self._low, self._high, shape).astype(self._low.dtype))
+            self._many.step(next(self._actions))
         else:
             self._step_one()
 
     def _step_one(self) -> None:
-        action = self._random.uniform(self._low, self._high).astype(self._low.dtype)
-        _, _, terminated, truncated, _ = self._one.step(action)
+        _, _, terminated, truncated, _ = self._one.step(next(self._actions))
         if terminated or truncated:
             self._one.reset()
 
@@ -80,7 +82,10 @@ class GymnasiumSession(Session):
         return Block(calls * self.num_envs, taken)
 
     def draw(self) -> None:
-        self._one.render()
+        if self._drawn is None:
+            self._drawn = self._make_drawn() if self._make_drawn else self._one
+            self._drawn.reset(seed=1)
+        self._drawn.render()
 
     def close(self) -> None:
         if self._many is not None:
@@ -124,7 +129,7 @@ class RawMujoco(Raw):
             if terminated or truncated:
                 environment.reset()
         self._wholes, self._ends, self._next = wholes, ends, 0
-        # Data of its own: the environment's hooks do not see these steps.
+        # Separate data: the environment's own must not be changed under its wrappers.
         self._data = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1 if copies > 1 else 1)]
 
     def step(self) -> None:

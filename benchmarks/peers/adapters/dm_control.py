@@ -7,9 +7,8 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from dm_control import manipulation, suite
-
 from adapters.common import GymnasiumSession, RawMujoco, mujoco_facts
+from dm_control import manipulation, suite
 from session import PICTURE, Facts, Request
 
 

@@ -8,9 +8,8 @@ import gymnasium
 import mani_skill.envs
 import sapien
 import torch
-from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
-
 from adapters.common import GymnasiumSession
+from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
 from session import PICTURE, Facts, Request
 
 assert mani_skill.envs  # its import registers the environments
@@ -32,22 +31,11 @@ def make_one(name: str, drawn: bool) -> gymnasium.Env:
     return CPUGymWrapper(environment)
 
 
-class Drawing(GymnasiumSession):
-    """Session that makes an environment with a renderer only when a picture is asked for."""
-
-    _drawn: gymnasium.Env | None = None
-
-    def draw(self) -> None:
-        if self._drawn is None:
-            self._drawn = make_one(self._request.environment, drawn=True)
-            self._drawn.reset(seed=0)
-        self._drawn.render()
-
-
 def make(request: Request) -> GymnasiumSession:
     """Make the requested environments."""
     torch.set_num_threads(1)  # small tensors gain nothing from more
-    return Drawing(partial(make_one, request.environment, False), request, facts)
+    plain, drawn = (partial(make_one, request.environment, drawn) for drawn in (False, True))
+    return GymnasiumSession(plain, request, facts, make_drawn=drawn)
 
 
 def facts(environment: gymnasium.Env) -> Facts:

@@ -6,7 +6,6 @@ from functools import partial
 
 import gymnasium
 import metaworld
-
 from adapters.common import GymnasiumSession, RawMujoco, mujoco_facts
 from session import PICTURE, Facts, Request
 

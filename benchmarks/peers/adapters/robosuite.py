@@ -6,16 +6,15 @@ from functools import partial
 
 import gymnasium
 import robosuite
-from robosuite.wrappers import GymWrapper
-
 from adapters.common import GymnasiumSession, RawMujoco, mujoco_facts
+from robosuite.wrappers import GymWrapper
 from session import PICTURE, Facts, Request
 
 
 class Drawn(GymWrapper):
-    """robosuite's own wrapper, with pictures; each environment has its own seed."""
+    """robosuite's own wrapper, with pictures."""
 
-    def render(self):  # noqa: ANN201
+    def render(self):
         return self.env.sim.render(width=PICTURE, height=PICTURE, camera_name="frontview")
 
 
@@ -24,18 +23,21 @@ def make_one(name: str, drawn: bool) -> gymnasium.Env:
 
     Args:
         name: of the environment.
-        drawn: with a renderer, which each of many environments would make for itself.
+        drawn: with a renderer.
     """
     environment = robosuite.make(
         name, robots="Panda", has_renderer=False, has_offscreen_renderer=drawn, use_camera_obs=False,
         reward_shaping=True, control_freq=20,
     )  # fmt: skip
-    return Drawn(environment, keys=["robot0_proprio-state", "object-state"])
+    wrapped = Drawn(environment, keys=["robot0_proprio-state", "object-state"])
+    wrapped.metadata = {"render_modes": ["rgb_array"]}  # robosuite leaves None, which vector environments do not take
+    return wrapped
 
 
 def make(request: Request) -> GymnasiumSession:
     """Make the requested environments."""
-    return GymnasiumSession(partial(make_one, request.environment, request.num_envs == 1), request, facts, raw)
+    plain, drawn = (partial(make_one, request.environment, drawn) for drawn in (False, True))
+    return GymnasiumSession(plain, request, facts, raw, drawn)
 
 
 def decimation(environment: Drawn) -> int:

@@ -35,7 +35,7 @@ _DECLARED = {
         "a liquid is particles of one spacing: of six layers of them the volume at rest is within 2 %, the force on a "
         "side 5 % too small, sloshing loses a tenth of its amplitude in half a period, holes should be four spacings "
         "wide; it does not wet, has no surface tension, and meets no cloth, rope or soft body; links and free bodies "
-        "feel it one physics step late; what floats lies up to two fifths of its draught too high, and may diverge "
+        "feel it one physics step late; what floats lies up to three tenths of its draught too high, and may diverge "
         "within seconds"
     ),
     Capability.GPU: EXACT,
@@ -44,7 +44,7 @@ _DECLARED = {
 
 _GAPS = (
     Gap("fluid_rest", "sides", 0.06, "half a spacing of a side's width and height carries no pressure at its edges"),
-    Gap("fluid_draught", "draught", 0.45, "particles below what floats are packed in a layer half a spacing too thick"),
+    Gap("fluid_draught", "draught", 0.35, "the first particles below what floats are nearly a whole spacing away"),
     Gap(
         "solid_pressure",
         "round",

@@ -10,9 +10,9 @@ import torch
 from orbit_assets.catalogue import robot
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import make
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
-from orbit_tasks import cloth_folding, cloth_spreading
+from orbit_tasks import cloth, cloth_folding, cloth_spreading
 from orbit_tasks.mdp.matter import with_grip_force
 
 
@@ -160,6 +160,28 @@ def test_corners_are_drawn_outwards_whichever_side_of_the_cloth_is_up(monkeypatc
         place = cloth_spreading.place_of(name)(environment) - body.key_point("middle")
         torch.testing.assert_close(place[:, :2], cloth_spreading.FURTHER * way, atol=1e-4, rtol=0.0)
     environment.close()
+
+
+def test_a_hand_that_spreads_a_cloth_leaves_it_on_the_tray(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Flat from the start, and never spread enough for the expert: it draws two corners outwards, one after the other.
+    monkeypatch.setattr(cloth_spreading, "crumpled", _flat)
+    monkeypatch.setattr(cloth_spreading, "DONE", 2.0)
+    environment = make("Cloth-Spreading", 2, "mujoco", seed=0)
+    expert = environment.task.expert(environment)
+    environment.reset(seed=0)
+    body, tops = environment.world.deformables["cloth"], []
+    for _ in range(280):
+        environment.step(expert.compute({})["action"])
+        raised = common.hand_pose(environment)[:, 2] > cloth.TRAY + 0.045
+        tops.append(torch.where(raised, body.positions[..., 2].amax(1), 0.0))
+    assert torch.stack(tops).amax() < cloth.TRAY + 0.025
+    assert cloth_spreading.covered(environment).amin() > 0.9
+    environment.close()
+
+
+def _flat(world: World, name: str) -> torch.Tensor:
+    rest = torch.as_tensor(world.deformables[name].spec.rest_positions, dtype=torch.float32)
+    return (rest + torch.tensor([0.0, 0.0, cloth.TRAY + 0.002]))[None]
 
 
 def test_fingers_that_close_on_arcs_take_a_cloth_further_in() -> None:

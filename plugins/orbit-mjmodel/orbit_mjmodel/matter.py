@@ -1,4 +1,5 @@
-"""Cloth and rope as parts of a MuJoCo model: cloth a flex of triangles, a rope a chain of capsules on ball joints.
+"""Cloth, rope and solids as parts of a MuJoCo model: cloth a flex of triangles, a rope a chain of capsules on ball
+joints, a solid a flex that follows a grid of nodes (:mod:`orbit_mjmodel.solids`).
 
 Cloth follows its membrane stiffness E t, Poisson's ratio nu and bending stiffness D. MuJoCo 3's two-dimensional
 flex of Young's modulus Y, ratio p and thickness h has, as stretched strips and cantilevers show, the membrane's
@@ -12,7 +13,7 @@ flex of Young's modulus Y, ratio p and thickness h has, as stretched strips and 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -22,22 +23,28 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout, UnsupportedCapabilityError
 from orbit_core.plugin_kit.bodies import hanging_weight
-from orbit_core.scene import Attachment, Cloth, Rope, Scene
+from orbit_core.plugin_kit.closed_surfaces import is_convex
+from orbit_core.scene import Attachment, Cloth, Rope, Scene, SoftBody
 from orbit_mjmodel.addresses import MATTER_BODY, body_name
 from orbit_mjmodel.chains import chain_positions
 from orbit_mjmodel.materials import OVERRIDING
+from orbit_mjmodel.solids import SolidGrid, embed, shortest_edge, skin
 
 # What MuJoCo's bending of flexes is too soft by: strips that droop by a quarter and by four fifths of their length then
 # do so as elasticas within 7 % at 10 pieces, and 1 % at 20.
 _BENDING = 1.75
 # Impedance of contacts and of what is held: a particle is so light that a softer contact gives way by centimetres.
 _STIFF = (0.99, 0.9999, 0.001, 0.5, 2.0)
+# The same of solids: with that of cloth a block crept by 0.6 mm/s in a grasp, and seven times as fast on a slope.
+_STIFFER = (0.9995, *_STIFF[1:])
 # How many times as stiff contacts of cloth are as MuJoCo would have them, which are as soft as a particle is light: a
 # finger's corner came through triangles of 7 mg, which are 2 mm thick, as it pinched, and the cloth hung on it, 1.9 mm
 # deep, when the fingers had opened. Six times as stiff, cloth that slides on a slope is 3 % too fast.
 _FIRMER = 4.0
 # Time constant of contacts in seconds, where two steps are not longer.
 _FASTEST = 0.004
+# Layer of elements, counted from the surface, that never collide.
+_NEVER = 1000
 _SELF_CONTACT = int(mujoco.mjtFlexSelf.mjFLEXSELF_AUTO)
 _EXACT_MEMBRANE = int(mujoco.__version__.partition(".")[0]) >= 4
 # Of MuJoCo's ``elastic2d``.
@@ -51,8 +58,13 @@ _MOST_PIECES = 1000
 # cloth as stiff as this falls as it should on meshes of 9 to 33 rows, and at two to seven times that more slowly.
 _STIFFEST_BEND = 100.0
 
-# How many times as long as cloth's the time constant of a rope's contacts is: on the limit of two steps its pieces
-# rattle on what they lie on, and creep by 4 mm/s where friction should hold them.
+# Of ``E h^2 / (rho l^2)`` of a cell of edge l: up to 6e5 a block and a beam fell, came to rest and kept their shape
+# within 1e-6; MuJoCo's solver ends at a residual of 1e-8 of the largest forces.
+_STIFFEST_CELL = 5e5
+
+# How many times as long as cloth's the time constant of contacts of rope and solids is: on the limit of two steps a
+# rope's pieces rattle on what they lie on, and creep by 4 mm/s where friction should hold them; a block trembled on
+# another at 2 cm/s.
 _SOFTER = 2.0
 # Inertia of a rope's pieces about their own axes, over that of their mass at their radius. A rope that rolled would
 # turn by more than a radian in a step, and so could not be bent: its pieces' spin, which does not move anything else,
@@ -71,18 +83,28 @@ _INNER_DAMPING = 0.1
 class MatterAddresses:
     """Addresses of one deformable in MuJoCo's arrays; each is a range, in the order of its particles or pieces."""
 
-    spec: Cloth | Rope
+    spec: Cloth | Rope | SoftBody
     """Description in the scene."""
+    index: int
+    """Among the scene's deformables."""
     particles: slice
     """Among the particles of all deformables."""
     bodies: slice
-    """Of each particle of a cloth, or each piece of a rope."""
+    """Of each particle of a cloth, each piece of a rope, or each node of a solid that moves."""
     positions: slice
-    """Into ``qpos``: displacements of a cloth's particles; a rope's first place and orientation, then ball joints."""
+    """Into ``qpos``: displacements of particles or nodes; a rope's first place and orientation, then ball joints."""
     velocities: slice
     """Into ``qvel``."""
     anchors: slice
     """Of each particle: the equality constraints that hold them."""
+    firmness: npt.NDArray[np.float64]
+    """(bodies,) by which contacts, and what holds particles, are stiffer than MuJoCo makes them of a body's mass."""
+    grid: SolidGrid | None = None
+    """Of a solid."""
+
+    def flex(self, model: mujoco.MjModel) -> int:
+        """Number of its flex; a rope has none."""
+        return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, matter_name(self.index)))
 
     def own_geoms(self, model: mujoco.MjModel) -> npt.NDArray[np.int64]:
         """A rope's capsules; a cloth has none."""
@@ -95,13 +117,27 @@ def matter_name(deformable: int) -> str:
     return f"{MATTER_BODY}{deformable}"
 
 
-def simulated(layout: SceneLayout) -> list[Cloth | Rope]:
+def simulated(layout: SceneLayout) -> list[Cloth | Rope | SoftBody]:
     """The scene's deformables, which are of these kinds: their needs were held against what the backend declares."""
-    return [spec for spec in layout.scene.deformables if isinstance(spec, Cloth | Rope)]
+    return [spec for spec in layout.scene.deformables if isinstance(spec, Cloth | Rope | SoftBody)]
 
 
-def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
-    """Add the scene's cloths and ropes, each particle with an inactive constraint that may hold it to any body.
+def solid_grids(layout: SceneLayout) -> tuple[SolidGrid | None, ...]:
+    """Return the grids of the scene's solids, and None for each other deformable.
+
+    Raises:
+        ConfigurationError: a grid has too many nodes.
+    """
+    return tuple(embed(thing) if isinstance(thing, SoftBody) else None for thing in simulated(layout))
+
+
+def add_matter(spec: mujoco.MjSpec, layout: SceneLayout, grids: Sequence[SolidGrid | None]) -> list[Approximation]:
+    """Add the scene's deformables, each particle with an inactive constraint that may hold it to any body.
+
+    Args:
+        spec: to add them to.
+        layout: of the scene.
+        grids: of its solids.
 
     Returns:
         What MuJoCo does not take as it is.
@@ -115,14 +151,19 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
     for index, thing in enumerate(simulated(layout)):
         _check_solvable(thing, layout.scene.physics_dt)
         solref = (max(_FASTEST, 2.0 * layout.scene.physics_dt), 1.0)
+        grid = grids[index]
         if isinstance(thing, Cloth):
             _add_cloth(spec, index, thing, solref)
+        elif isinstance(thing, SoftBody):
+            assert grid is not None
+            _add_solid(spec, index, thing, grid, (_SOFTER * solref[0], solref[1]))
+            report += _report_solid(thing, grid)
         else:
             report += _add_rope(spec, index, thing, (_SOFTER * solref[0], solref[1]), layout.scene)
             for _, link in _attached_links(thing, layout):
                 _exclude_held(spec, index, thing, link)
         report += _report_held(thing)
-        _add_anchors(spec, index, thing, layout)
+        _add_anchors(spec, index, thing, grid, layout)
     return report
 
 
@@ -136,8 +177,18 @@ def _check_one_cloth(layout: SceneLayout) -> None:
         )
 
 
-def _check_solvable(thing: Cloth | Rope, dt: float) -> None:
-    """Refuse cloth that MuJoCo would not let fall, and ropes whose matrices fill memory."""
+def _check_solvable(thing: Cloth | Rope | SoftBody, dt: float) -> None:
+    """Refuse cloth that would not fall, solids beyond what was tried, and ropes whose matrices fill memory."""
+    if isinstance(thing, SoftBody):
+        edge = shortest_edge(thing)
+        most = math.sqrt(_STIFFEST_CELL * thing.density / thing.youngs_modulus) * edge
+        if dt > most:
+            raise ConfigurationError(
+                f"soft body '{thing.name}' is too stiff for MuJoCo's own solids at a physics_dt of {dt:g} s, "
+                f"{thing.youngs_modulus:.3g} Pa and cells of {edge:.2g} m: use at most {most:.2g} s, larger cells "
+                "(resolution), or a rigid object"
+            )
+        return
     if isinstance(thing, Rope):
         if (pieces := len(thing.rest_positions) - 1) > _MOST_PIECES:
             raise ConfigurationError(
@@ -162,11 +213,7 @@ def _add_cloth(spec: mujoco.MjSpec, index: int, cloth: Cloth, solref: tuple[floa
     base = spec.worldbody.add_body(name=matter_name(index))
     masses = particle_masses(cloth)
     for number, (place, mass) in enumerate(zip(cloth.pose.transform(cloth.rest_positions), masses, strict=True)):
-        body = base.add_body(name=f"{matter_name(index)}_{number}", pos=place)
-        body.explicitinertial = True
-        body.mass, body.inertia = mass, np.full(3, 1e-4 * mass)  # which never turns
-        for axis in np.eye(3):
-            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        _add_particle(base, f"{matter_name(index)}_{number}", place, float(mass))
     young, ratio, thickness = flex_material(cloth)
     flex = spec.add_flex(name=matter_name(index), dim=2)
     flex.vertbody = [f"{matter_name(index)}_{number}" for number in range(len(masses))]
@@ -178,6 +225,15 @@ def _add_cloth(spec: mujoco.MjSpec, index: int, cloth: Cloth, solref: tuple[floa
     flex.friction = (cloth.friction, 0.0, 0.0)
     flex.solref, flex.solimp, flex.solmix = solref, _STIFF, OVERRIDING
     flex.selfcollide = _SELF_CONTACT if cloth.self_collisions else int(mujoco.mjtFlexSelf.mjFLEXSELF_NONE)
+
+
+def _add_particle(base: mujoco.MjsBody, name: str, place: npt.NDArray[np.float64], mass: float) -> None:
+    """Add a body that moves along the axes of the world and never turns."""
+    body = base.add_body(name=name, pos=place)
+    body.explicitinertial = True
+    body.mass, body.inertia, body.ipos = mass, np.full(3, 1e-4 * mass), np.zeros(3)
+    for axis in np.eye(3):
+        body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
 
 
 def flex_material(cloth: Cloth) -> tuple[float, float, float]:
@@ -198,6 +254,64 @@ def particle_masses(cloth: Cloth) -> npt.NDArray[np.float64]:
     shares = np.zeros(len(points))
     np.add.at(shares, faces, (cloth.area_density * np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0)[:, None])
     return shares
+
+
+# Solids --------------------------------------------------------------------------------------------------------------
+
+
+def _add_solid(spec: mujoco.MjSpec, index: int, solid: SoftBody, grid: SolidGrid, solref: tuple[float, float]) -> None:
+    base, name = spec.worldbody.add_body(name=matter_name(index)), matter_name(index)
+    places = solid.pose.transform(grid.nodes)
+    # Nodes of empty cells come last, so that those that move follow each other.
+    for number in np.flatnonzero(grid.moving):
+        _add_particle(base, f"{name}_{number}", places[number], float(grid.masses[number]))
+    for number in np.flatnonzero(~grid.moving):
+        base.add_body(name=f"{name}_{number}", pos=places[number])
+    points, tetrahedra = skin(solid)
+    # MuJoCo's compiler wants every cell whose nodes move to hold an element.
+    fillers = len(points) + grid.fillers
+    points, tetrahedra = np.concatenate((points, grid.nodes)), np.concatenate((tetrahedra, fillers))
+    flex = spec.add_flex(name=name, dim=3)
+    flex.order, flex.cellcount = 1, grid.counts.tolist()
+    flex.nodebody = [f"{name}_{number}" for number in range(len(places))]
+    flex.vertbody, flex.vert = [name] * len(points), solid.pose.transform(points).ravel().tolist()
+    flex.elem = tetrahedra.ravel().tolist()
+    flex.young, flex.poisson, flex.damping = solid.youngs_modulus, solid.poissons_ratio, solid.damping
+    flex.radius, flex.activelayers = 0.0, 1
+    flex.friction = (solid.friction, 0.0, 0.0)
+    flex.solref, flex.solimp, flex.solmix = solref, _STIFFER, OVERRIDING
+    flex.selfcollide = int(mujoco.mjtFlexSelf.mjFLEXSELF_NONE)
+
+
+def _report_solid(solid: SoftBody, grid: SolidGrid) -> list[Approximation]:
+    subject, report = f"'{solid.name}'", list[Approximation]()
+    if not is_convex(solid.rest_positions, np.asarray(solid.mesh.faces)):
+        why = "MuJoCo's contacts of a solid with itself take 100 to 400 ms a step, and let its sides overlap by 8 mm"
+        report.append(Approximation(subject, "contact with itself", "none", why))
+    if solid.attachments:
+        why = "MuJoCo's constraints hold bodies, and a vertex is a mean of several nodes"
+        report.append(Approximation(subject, "held vertices", "the nodes nearest to them held", why))
+    if thin := [axis for axis, count in zip("xyz", grid.counts.tolist(), strict=True) if count == 1]:
+        asked, got = "the inertia of its mass", f"three times as much of what is spread along {' and '.join(thin)}"
+        report.append(Approximation(subject, asked, got, "the nodes of a single cell are all on the surface"))
+    return report
+
+
+def finish_solids(model: mujoco.MjModel, matter: Iterable[MatterAddresses]) -> None:
+    """Give the cells of solids their own stiffness, and have nothing collide but their skin."""
+    for one in matter:
+        if one.grid is None:
+            continue
+        flex, grid = one.flex(model), one.grid
+        start = int(model.flex_stiffnessadr[flex])
+        model.flex_stiffness[start : start + grid.stiffness.size] = -grid.stiffness.ravel()  # MuJoCo keeps a minus
+        stop = int(model.flex_elemadr[flex] + model.flex_elemnum[flex])
+        model.flex_elemlayer[stop - len(grid.fillers) : stop] = _NEVER
+        stop = int(model.flex_vertadr[flex] + model.flex_vertnum[flex])
+        # Planes meet vertices: those of fillers are put where the first vertex is.
+        own = slice(stop - len(grid.nodes), stop)
+        for field in (model.flex_vert, model.flex_vert0):
+            field[own] = field[int(model.flex_vertadr[flex])]
 
 
 # Rope ----------------------------------------------------------------------------------------------------------------
@@ -283,25 +397,28 @@ def _exclude_neighbours(spec: mujoco.MjSpec, index: int, rope: Rope, lengths: np
 
 def _exclude_held(spec: mujoco.MjSpec, index: int, rope: Rope, link: str) -> None:
     for piece in range(len(rope.rest_positions) - 1):
-        spec.add_exclude(bodyname1=_carrier(index, rope, piece), bodyname2=link)
+        spec.add_exclude(bodyname1=_piece(index, piece), bodyname2=link)
 
 
 # What holds particles ------------------------------------------------------------------------------------------------
 
 
-def _add_anchors(spec: mujoco.MjSpec, index: int, thing: Cloth | Rope, layout: SceneLayout) -> None:
+def _add_anchors(
+    spec: mujoco.MjSpec, index: int, thing: Cloth | Rope | SoftBody, grid: SolidGrid | None, layout: SceneLayout
+) -> None:
     """Springs and dampers that halve what is amiss in a step, and so do not swing."""
     dt = layout.scene.physics_dt
     to = dict.fromkeys(range(len(thing.rest_positions)), "world")
     held = {particle for attachment in thing.attachments for particle in attachment.particles}
     for attachment, link in _attached_links(thing, layout):
         to.update(dict.fromkeys(attachment.particles, link))
+    carriers = _carriers(index, thing, grid)
     for particle, other in to.items():
         spec.add_equality(
             name=f"{matter_name(index)}_anchor{particle}",
             type=mujoco.mjtEq.mjEQ_CONNECT,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=_carrier(index, thing, particle),
+            name1=carriers[particle],
             name2=other,
             data=_own_place(thing, particle),
             active=particle in held,
@@ -310,7 +427,7 @@ def _add_anchors(spec: mujoco.MjSpec, index: int, thing: Cloth | Rope, layout: S
         )
 
 
-def _attached_links(thing: Cloth | Rope, layout: SceneLayout) -> Iterator[tuple[Attachment, str]]:
+def _attached_links(thing: Cloth | Rope | SoftBody, layout: SceneLayout) -> Iterator[tuple[Attachment, str]]:
     """The attachments to links, with the link's body."""
     for attachment in thing.attachments:
         if attachment.entity is not None and attachment.link is not None:
@@ -319,7 +436,7 @@ def _attached_links(thing: Cloth | Rope, layout: SceneLayout) -> Iterator[tuple[
             yield attachment, body_name(number)
 
 
-def _report_held(thing: Cloth | Rope) -> list[Approximation]:
+def _report_held(thing: Cloth | Rope | SoftBody) -> list[Approximation]:
     why = "what lies in the link would be pushed out of what holds it"
     links = dict.fromkeys(attachment.link for attachment in thing.attachments if attachment.link is not None)
     return [
@@ -327,7 +444,7 @@ def _report_held(thing: Cloth | Rope) -> list[Approximation]:
     ]
 
 
-def _own_place(thing: Cloth | Rope, particle: int) -> npt.NDArray[np.float64]:
+def _own_place(thing: Cloth | Rope | SoftBody, particle: int) -> npt.NDArray[np.float64]:
     """Return a particle's position in the body that carries it, as constraint data; that in the other is set later."""
     data = np.zeros(mujoco.mjNEQDATA)
     if isinstance(thing, Rope) and particle == len(thing.rest_positions) - 1:
@@ -335,24 +452,31 @@ def _own_place(thing: Cloth | Rope, particle: int) -> npt.NDArray[np.float64]:
     return data
 
 
-def _carrier(index: int, thing: Cloth | Rope, particle: int) -> str:
-    """The body that a particle belongs to: of a rope's last one, the last piece."""
+def _carriers(index: int, thing: Cloth | Rope | SoftBody, grid: SolidGrid | None) -> list[str]:
+    """The body that each particle belongs to: of a rope's last one, the last piece; of a solid's, the nearest node."""
+    name, count = matter_name(index), len(thing.rest_positions)
     if isinstance(thing, Rope):
-        particle = min(particle, len(thing.rest_positions) - 2)
-        return matter_name(index) + (f"_{particle}" if particle else "")
-    return f"{matter_name(index)}_{particle}"
+        return [_piece(index, min(particle, count - 2)) for particle in range(count)]
+    if grid is None:
+        return [f"{name}_{particle}" for particle in range(count)]
+    return [f"{name}_{node}" for node in np.flatnonzero(grid.moving)[grid.nearest()]]
 
 
-def spare_holders(model: mujoco.MjModel, layout: SceneLayout) -> None:
-    """Have cloth and the links that hold it pass each other by, for flexes know no excluded pairs.
+def _piece(index: int, number: int) -> str:
+    return matter_name(index) + (f"_{number}" if number else "")
 
-    Each such cloth collides by a separate bit, which all geoms and flexes but those links' answer to.
+
+def spare_holders(model: mujoco.MjModel, layout: SceneLayout, matter: Iterable[MatterAddresses]) -> None:
+    """Have cloth or solids and the links that hold them pass each other by, for flexes know no excluded pairs.
+
+    Each such flex collides by a separate bit, which all geoms and flexes but those links' answer to.
     """
-    flex, bit = 0, 1
-    for thing in simulated(layout):
-        if not isinstance(thing, Cloth):
+    bit = 1
+    for one in matter:
+        if isinstance(one.spec, Rope):
             continue
-        links = [model.body(link).id for _, link in _attached_links(thing, layout)]
+        flex = one.flex(model)
+        links = [model.body(link).id for _, link in _attached_links(one.spec, layout)]
         if links:
             bit *= 2
             model.flex_contype[flex] = bit
@@ -361,13 +485,12 @@ def spare_holders(model: mujoco.MjModel, layout: SceneLayout) -> None:
             model.geom_conaffinity[~np.isin(model.geom_bodyid, links)] |= bit
             solid = (model.body_geomnum > 0) & ~np.isin(np.arange(model.nbody), links)
             model.body_conaffinity[solid] |= bit
-        flex += 1
 
 
 def firm_contacts(
     of_bodies: npt.NDArray[np.float64], of_freedoms: npt.NDArray[np.float64], matter: Iterable[MatterAddresses]
 ) -> None:
-    """Have contacts of cloth give way less; its impedance, of which MuJoCo takes no more than 0.9999, does not do it.
+    """Have contacts of cloth and solids give way less; impedance, of which MuJoCo takes 0.9999 at most, does not do it.
 
     Args:
         of_bodies: (..., bodies, 2) ``body_invweight0`` as MuJoCo computes it, changed in place: it determines only how
@@ -376,31 +499,39 @@ def firm_contacts(
         matter: all deformables.
     """
     for one in matter:
-        if isinstance(one.spec, Cloth):
-            of_bodies[..., one.bodies, :] /= _FIRMER
-            of_freedoms[..., one.velocities] /= _FIRMER
+        if not isinstance(one.spec, Rope):
+            of_bodies[..., one.bodies, :] /= one.firmness[:, None]
+            of_freedoms[..., one.velocities] /= np.repeat(one.firmness, 3)
 
 
-def matter_addresses(model: mujoco.MjModel, layout: SceneLayout) -> tuple[MatterAddresses, ...]:
+def matter_addresses(
+    model: mujoco.MjModel, layout: SceneLayout, grids: Sequence[SolidGrid | None]
+) -> tuple[MatterAddresses, ...]:
     """The addresses of each of the scene's deformables in a compiled model."""
     found: list[MatterAddresses] = []
     start = 0
-    for index, thing in enumerate(simulated(layout)):
+    for index, (thing, grid) in enumerate(zip(simulated(layout), grids, strict=True)):
         count = len(thing.rest_positions)
         rope = isinstance(thing, Rope)
-        first = model.body(_carrier(index, thing, 0)).id
+        moving = count - 1 if rope else count if grid is None else int(grid.moving.sum())
+        lead = matter_name(index) if rope else f"{matter_name(index)}_{0 if grid is None else grid.moving.argmax()}"
+        first = model.body(lead).id
         joint = model.body_jntadr[first]
         q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
         anchor = model.equality(f"{matter_name(index)}_anchor0").id
-        numbers = (7 + 4 * (count - 2), 6 + 3 * (count - 2)) if rope else (3 * count, 3 * count)
+        # A rope's first piece is on a free joint, the others on ball joints.
+        numbers = (7 + 4 * (moving - 1), 6 + 3 * (moving - 1)) if rope else (3 * moving, 3 * moving)
         found.append(
             MatterAddresses(
                 thing,
+                index,
                 slice(start, start + count),
-                slice(first, first + count - rope),
+                slice(first, first + moving),
                 slice(q, q + numbers[0]),
                 slice(v, v + numbers[1]),
                 slice(anchor, anchor + count),
+                np.full(moving, _FIRMER) if grid is None else grid.firmness(model.opt.timestep),
+                grid,
             )
         )
         start += count

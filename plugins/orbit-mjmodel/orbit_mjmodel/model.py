@@ -10,6 +10,7 @@ effort limit, with ``ctrl = stiffness target + damping velocity target + effort`
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -38,10 +39,12 @@ from orbit_mjmodel.materials import ContactParameters, contact_parameters, mater
 from orbit_mjmodel.matter import (
     MatterAddresses,
     add_matter,
+    finish_solids,
     firm_contacts,
     matter_addresses,
     set_matter_home,
     slow_spins,
+    solid_grids,
     spare_holders,
 )
 from orbit_mjmodel.wrenches import add_wrench_sensors
@@ -214,16 +217,20 @@ def build_models(
 
 def _compiled(builder: _Builder) -> BuiltModel:
     try:
-        model = builder.spec.compile()
+        with warnings.catch_warnings():
+            # MuJoCo looks for passive forces of edges and forgets those of a grid.
+            warnings.filterwarnings("ignore", message=".*has no equality constraints or passive forces")
+            model = builder.spec.compile()
     except ValueError as error:
         raise AssetError(f"MuJoCo refuses the scene: {str(error).replace(chr(10), ' ').strip()}") from error
     if builder.massless:
         _take_mass_away(model, [model.body(name).id for name in builder.massless])
     addresses = Addresses.of(builder.layout, model)
-    matter = matter_addresses(model, builder.layout)
+    matter = matter_addresses(model, builder.layout, builder.grids)
     _set_home(builder.layout, model, addresses)
     set_matter_home(model, matter)
-    spare_holders(model, builder.layout)
+    finish_solids(model, matter)
+    spare_holders(model, builder.layout, matter)
     slow_spins(model, matter)
     firm_contacts(model.body_invweight0, model.dof_invweight0, matter)
     report = (*builder.report, *hold_drives(model, addresses, builder.layout))
@@ -276,7 +283,8 @@ class _Builder:
         if self._one_step and any(collider.material.restitution for collider in self._colliders):
             excluded = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in self.spec.excludes}
             add_rebound_pairs(self.spec, self._colliders, excluded, layout.scene.physics_dt)
-        self.report += add_matter(self.spec, layout)
+        self.grids = solid_grids(layout)
+        self.report += add_matter(self.spec, layout, self.grids)
         self.spec.add_key(name="home")
 
     def set_options(self, solver: str, disabled: int) -> None:

@@ -1,4 +1,4 @@
-"""Cloth and rope of MuJoCo's own: particles read, written, held, damped and measured, in all environments at once."""
+"""Cloth, rope and solids of MuJoCo's own, in all environments at once: read, written, held, damped and measured."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is an extension module without type information.
@@ -41,10 +41,12 @@ class NativeMatter:
         self._model: mujoco.MjModel = batch.model
         self._parameters, self._state = parameters, state
         self._step: float = batch.model.opt.timestep
-        self.damped = any(one.spec.damping > 0.0 or isinstance(one.spec, Rope) for one in matter)
+        # That of a solid is of its material, and is in its flex.
+        self._drags = [one.grid is None and (one.spec.damping > 0.0 or isinstance(one.spec, Rope)) for one in matter]
+        self.damped = any(self._drags)
         """Whether :meth:`damp` has anything to do before each physics step."""
-        self.bends = any(isinstance(one.spec, Cloth) for one in matter)
-        """Whether MuJoCo warns, at the rounding of its solver, of cloth that is stiff to bend."""
+        self.bends = any(not isinstance(one.spec, Rope) for one in matter)
+        """Whether MuJoCo warns, at the rounding of its solver, of cloth and solids that are stiff."""
         self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
         self._xpos, self._xquat, self._xipos = batch.bind("xpos"), batch.bind("xquat"), batch.bind("xipos")
         self._cvel, self._subtree_com = batch.bind("cvel"), batch.bind("subtree_com")
@@ -63,8 +65,9 @@ class NativeMatter:
 
     def _positions(self, deformable: int) -> FloatArray:
         one = self._matter[deformable]
-        if isinstance(one.spec, Cloth):
-            return self._rest[deformable] + self._qpos[:, one.positions].reshape(self._batch.nsim, -1, 3)
+        if not isinstance(one.spec, Rope):
+            moved = self._qpos[:, one.positions].reshape(self._batch.nsim, -1, 3)
+            return self._rest[deformable] + (moved if one.grid is None else one.grid.weights @ moved)
         self._state.derive()
         starts, frames = self._xpos[:, one.bodies], self._xquat[:, one.bodies]
         end = tips(starts[:, -1], frames[:, -1], self._lengths[deformable][-1])
@@ -73,8 +76,9 @@ class NativeMatter:
     def velocities(self, deformable: int) -> Tensor:
         """(N, P, 3) m/s."""
         one = self._matter[deformable]
-        if isinstance(one.spec, Cloth):
+        if not isinstance(one.spec, Rope):
             found = self._qvel[:, one.velocities].reshape(self._batch.nsim, -1, 3)
+            found = found if one.grid is None else one.grid.weights @ found
         else:
             self._state.derive()
             starts, last = self._xpos[:, one.bodies], self._positions(deformable)[:, -1:]
@@ -89,10 +93,13 @@ class NativeMatter:
         return spatial[..., 3:] + cross(spatial[..., :3], points - middle)
 
     def write(self, deformable: int, positions: FloatArray, velocities: FloatArray, rows: HostRows) -> None:
-        """Set (n, P, 3) positions and velocities; pieces of a rope keep their lengths."""
+        """Set (n, P, 3) positions and velocities: ropes keep their lengths, solids take what their grid can."""
         one = self._matter[deformable]
-        if isinstance(one.spec, Cloth):
-            self._qpos[rows, one.positions] = (positions - self._rest[deformable]).reshape(len(positions), -1)
+        if not isinstance(one.spec, Rope):
+            moved = positions - self._rest[deformable]
+            if one.grid is not None:
+                moved, velocities = one.grid.fit @ moved, one.grid.fit @ velocities
+            self._qpos[rows, one.positions] = moved.reshape(len(positions), -1)
             self._qvel[rows, one.velocities] = velocities.reshape(len(velocities), -1)
         else:
             # A chain cannot stretch, so that only the directions of what was asked for can be taken.
@@ -119,14 +126,16 @@ class NativeMatter:
         What stops the spin of a rope's pieces about their own axes goes with it: round pieces would roll.
         """
         self._state.derive()
-        for one in self._matter:
+        for one, drags in zip(self._matter, self._drags, strict=True):
+            if not drags:
+                continue
             # The force that slows exactly by exp(-rate h) over an explicit step; rate itself would overshoot at large
             # steps.
             rate = -np.expm1(-one.spec.damping * self._step) / self._step
             masses = self._parameters.masses[..., one.bodies]
             if isinstance(one.spec, Cloth):
                 self._qfrc[:, one.velocities] = -rate * np.repeat(masses, 3, -1) * self._qvel[:, one.velocities]
-            else:
+            elif isinstance(one.spec, Rope):
                 speeds = self._velocities_at(one, self._xipos[:, one.bodies])
                 self._xfrc[:, one.bodies, :3] = -rate * masses[..., None] * speeds
                 axes = rotate(self._xquat[:, one.bodies], np.array((1.0, 0.0, 0.0)))
@@ -166,11 +175,18 @@ class NativeMatter:
             return
         self._state.derive()
         for deformable, one in enumerate(self._matter):
-            points = self._positions(deformable)[rows]
+            # Of a solid the node is held that carries the vertex: constraints hold bodies.
+            carried = self._positions(deformable) if one.grid is None else self._carriers(one)
+            points = carried[rows]
             holders = self._holders[rows, one.anchors]
             numbers = np.arange(self._batch.nsim)[rows, None]
             places, frames = self._xpos[numbers, holders], self._xquat[numbers, holders]
             self._places[rows, one.anchors, 3:6] = rotate_inverse(frames, points - places)
+
+    def _carriers(self, one: MatterAddresses) -> FloatArray:
+        """(N, P, 3) m of the nodes that carry a solid's vertices."""
+        assert one.grid is not None
+        return self._xpos[:, one.bodies.start + one.grid.nearest()]
 
     def measure(self, meter: MatterMeter) -> None:
         """After a step: have the forces on links taken."""
@@ -193,7 +209,7 @@ class NativeMatter:
             if rope:
                 parameters.field("geom_friction")[(*block(rows, one.own_geoms(self._model)), 0)] = values[:, None]
             else:
-                parameters.field("flex_friction")[rows, self._flex(deformable), 0] = values
+                parameters.field("flex_friction")[rows, one.flex(self._model), 0] = values
         elif rope and name == "stiffness":
             raise UnsupportedCapabilityError(
                 f"MuJoCo's own ropes do not stretch, so '{one.spec.name}' has no axial stiffness to set: "
@@ -207,15 +223,12 @@ class NativeMatter:
         else:
             parameters.scale(*self._elasticity(deformable, name), values, rows)
 
-    def _flex(self, deformable: int) -> int:
-        return sum(isinstance(one.spec, Cloth) for one in self._matter[:deformable])
-
     def _elasticity(self, deformable: int, name: str) -> tuple[str, npt.NDArray[np.int64]]:
-        """The field of a cloth's membrane or bending stiffness, and where in it the cloth's are."""
+        """The field of a cloth's membrane or bending stiffness or of a solid's, and where in it they are."""
         field, starts, size = {
             "stiffness": ("flex_stiffness", self._model.flex_stiffnessadr, self._model.nflexstiffness),
             "bending": ("flex_bending", self._model.flex_bendingadr, self._model.nflexbending),
         }[name]
-        flex = self._flex(deformable)
+        flex = self._matter[deformable].flex(self._model)
         later = [start for start in starts[flex + 1 :] if start >= 0]
         return field, np.arange(starts[flex], later[0] if later else size) if starts[flex] >= 0 else np.arange(0)

@@ -280,4 +280,9 @@ class MatterMeter:
             links = np.concatenate((links[:, :-2], np.where(held[:, -1:], links[:, -1:], links[:, -2:-1])), axis=1)
             held = np.concatenate((held[:, :-2], held[:, -2:].any(1, keepdims=True)), axis=1)
         rows, particles = np.nonzero(held & (links >= 0))
+        if one.grid is not None:  # vertices share nodes: each counts once
+            links_of_nodes = np.full(pull.shape[:2], -1, dtype=links.dtype)
+            links_of_nodes[rows, one.grid.nearest()[particles]] = links[rows, particles]
+            links = links_of_nodes
+            rows, particles = np.nonzero(links >= 0)
         np.add.at(self._forces[:, index], (rows, links[rows, particles]), -pull[rows, particles])

@@ -17,7 +17,7 @@ from orbit_learn.trainer import half_cosine
 _MOST_GRADIENT = 1.0
 _SHIFT = 4
 """Pixels that pictures are shifted by in training."""
-# Of the free memory of a device: demonstrations leave room for gradients, and for other trainings beside this one.
+# Of the free memory of a device: demonstrations leave room for gradients, and for other trainings on the device.
 _MOST_SHARE = 0.5
 
 
@@ -34,12 +34,15 @@ class GradientSteps:
         total: steps of the whole training, over which the rate falls.
         learning_rate: step size of AdamW at the beginning.
         seed: of the samples.
+        recorded: False runs each operation from Python on a GPU too.
     """
 
     def __init__(
-        self, planner: Planner, samples: int, steps: int, total: int, learning_rate: float, seed: int
+        self, planner: Planner, samples: int, steps: int, total: int, learning_rate: float, seed: int,
+        recorded: bool = True,
     ) -> None:  # fmt: skip
         self._planner, self._total, self._initial, self._seed = planner, total, learning_rate, seed
+        self._recorded = recorded
         self._device = device = planner.labels.mean.device
         self._weights = list(planner.parameters())
         # A tensor, because the recorded step changes it.
@@ -97,9 +100,9 @@ class GradientSteps:
 
     def _record(self) -> None:
         """Record the step again: its tensors have moved."""
-        held = self._shown.actions.device == self._device
         # Demonstrations that stay on the host are copied in each step, which no graph can hold.
-        self._step = RecordedFunction(self._descend, self._device if held else torch.device("cpu"))
+        held = self._shown.actions.device == self._device
+        self._step = RecordedFunction(self._descend, self._device) if held and self._recorded else self._descend
 
     def _descend(self) -> None:
         """Take one gradient step."""

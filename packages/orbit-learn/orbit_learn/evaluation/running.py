@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import TYPE_CHECKING
 
 import torch
@@ -21,6 +23,8 @@ from orbit_learn.evaluation.disturbances import Disturbance
 from orbit_learn.evaluation.results import Block, BlockKey, Plan
 
 if TYPE_CHECKING:
+    from multiprocessing.queues import SimpleQueue
+
     from orbit_core.envs.environment import Environment
     from orbit_core.envs.episode import EpisodeEnd
 
@@ -50,19 +54,48 @@ def run_blocks(
                 done(block)
         return
     # Engines and torch keep threads, which a fork would leave locked.
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        running = [pool.submit(_whole_group, plan, each, settings[each[0].policy]) for each in groups.values()]
+    context = get_context("spawn")
+    ended: SimpleQueue[Block | None] = context.SimpleQueue()
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_report_to, initargs=(ended,)) as pool:
+        running = [pool.submit(_report_group, plan, each, settings[each[0].policy]) for each in groups.values()]
+        for future in running:
+            future.add_done_callback(lambda _: ended.put(None))
         try:
-            for future in as_completed(running):
-                for block in future.result():
+            # Block by block: a group may take an hour, which must not be lost with this process.
+            for _ in running:
+                while (block := ended.get()) is not None:
                     done(block)
+                for future in running:
+                    if future.done():
+                        future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _whole_group(plan: Plan, keys: Sequence[BlockKey], settings: EnvironmentSettings) -> list[Block]:
-    return list(run_group(plan, keys, settings))
+_ended: SimpleQueue[Block | None] | None = None
+"""Queue that a process of the pool puts its blocks into."""
+
+
+def _report_to(ended: SimpleQueue[Block | None]) -> None:
+    """Let this process put its blocks into a queue, and end with the process that started it."""
+    global _ended
+    _ended = ended
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # A killed parent closes no pool: its processes would finish their groups for nobody, and wait for ever then.
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _report_group(plan: Plan, keys: Sequence[BlockKey], settings: EnvironmentSettings) -> None:
+    assert _ended is not None
+    for block in run_group(plan, keys, settings):
+        _ended.put(block)
 
 
 def run_group(plan: Plan, keys: Sequence[BlockKey], settings: EnvironmentSettings) -> Iterable[Block]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_matter.contact import NEAREST, Felt, Normals, carried, feel, normal_of, surface
+from orbit_matter.contact import NEAREST, STILL, Felt, Normals, carried, feel, normal_of, surface
 from orbit_matter.fluid.pairs import LANES, diverged_from, pressed_by
 from orbit_matter.kernels import Links
 from orbit_matter.self_contact import bucket_of, cell_of
@@ -38,6 +38,13 @@ SHOCK = wp.constant(2.0)
 """Quadratic artificial viscosity, the usual value (Monaghan, "Smoothed particle hydrodynamics", 1992): a blow loses its
 energy, which drops would bounce by else, and what flows smoothly feels next to none of it."""
 
+APART = wp.constant(0.5)
+"""Spacings between a particle and a free body above which there is a void between them."""
+BEYOND = wp.constant(1.2)
+"""Spacings from which on other particles are between it and the body."""
+LEVELLING = wp.constant(8.0)
+"""Times the usual diffusion of densities at a void: a particle there has the pressure of its neighbours at once, and a
+third more than this would overshoot."""
 CLEARERS = wp.constant(64)
 """Threads that empty the cells of an environment."""
 
@@ -325,12 +332,21 @@ def velocity_of(row: wp.vec4) -> wp.vec3:
 
 
 @wp.kernel(enable_backward=False)
-def flow(f: Fluid, links: Links, gravity: wp.array[wp.vec3], h: float):
+def flow(f: Fluid, links: Links, shapes: Shapes, gravity: wp.array[wp.vec3], h: float):
     """Compute the rates of densities."""
     env, i = wp.tid()
+    kind = env % shapes.kind.shape[0]
     x, v, s = f.x[env, i], velocity_of(f.pushed[env, i]), f.s[env, i]
     lean, count = gravity[env] / (f.sound * f.sound), f.count[env, i]
-    half, smooth = 0.5 / f.length, 2.0 * f.smooth
+    half, smooth, nearest = 0.5 / f.length, 2.0 * f.smooth, float(BEYOND)
+    for k in range(f.walls[env, i]):
+        # Only free bodies: particles at walls that stand jitter by as much, and levelling them stirs the liquid.
+        if shapes.still[kind, f.shape[env, i, k]] > STILL:
+            nearest = wp.min(nearest, f.plane[env, i, k][3] / f.spacing)
+    if nearest < BEYOND:
+        # A body that comes near presses through the void before it, and the density would keep that pressure.
+        void = wp.clamp((1.0 - f.packed[env, i]) * 10.0, 0.0, 1.0) * wp.clamp(4.0 * (nearest - APART), 0.0, 1.0)
+        smooth *= 1.0 + LEVELLING * void
     rate = diverged_from(f.place, f.pushed, f.neighbours, env, i, count, half, smooth, lean)
     rate *= f.slope
     for k in range(f.walls[env, i]):

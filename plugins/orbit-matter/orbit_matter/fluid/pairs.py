@@ -20,6 +20,7 @@ FAR = 1e9
 """Metres; where the neighbour is that fills up a list."""
 
 Pressing = wp.types.vector(length=7, dtype=float)
+"""Pressure on a particle, differences of velocities to it, and the sum of the kernel."""
 
 # A CPU turns eight rows of four numbers, two in each register, into four vectors of eight numbers by shuffles:
 # gathers of single numbers take half as much again for the whole loop.

@@ -101,7 +101,7 @@ class FluidPart:
         wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, most])
         self._launch_search(renewed=1)
         wp.launch(kernels.push, shape, inputs=[f, links, shapes, self._felt, gravity, h, share])
-        wp.launch(kernels.flow, shape, inputs=[f, links, gravity, h])
+        wp.launch(kernels.flow, shape, inputs=[f, links, shapes, gravity, h])
         wp.launch(kernels.move, shape, inputs=[f, links, shapes, self._felt, h, share])
 
     def search_again(self) -> None:

@@ -20,8 +20,6 @@ _FINEST, _MOST = 8, 200_000
 """Spaces of the lattice along each edge of a cell, and points that it may have before they become fewer."""
 _AROUND = 2
 """Spaces by which the lattice reaches beyond the solid: along an edge, distances inside have no slope."""
-_CONVEX = 2e-3
-"""Part of the extent by which a vertex may be in front of a face of a surface that is taken for convex."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +72,3 @@ def distances(spec: SoftBody, points: FloatArray) -> npt.NDArray[np.float32]:
         flat = wp.array(points.astype(np.float32), dtype=wp.vec3)
         wp.launch(_measure, len(flat), inputs=[mesh.id, flat, farthest, found])
         return np.array(found.numpy(), np.float32)
-
-
-def is_convex(spec: SoftBody) -> bool:
-    """Return True if no vertex is in front of a face, so that the solid cannot touch itself."""
-    vertices = spec.rest_positions
-    a, b, c = (vertices[np.asarray(spec.mesh.faces)[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    ahead = normals @ vertices.T - (normals * a).sum(axis=1, keepdims=True)
-    return bool(ahead.max() < _CONVEX * np.ptp(vertices, axis=0).max())

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.closed_surfaces import inside_lattice
 from orbit_core.scene import SoftBody
 from orbit_matter.solids import element, skin
 from orbit_matter.solids.element import NODES, FloatArray
@@ -23,8 +24,6 @@ LEAST_FILL = 0.02
 """Part of its stiffness and mass that a cell has at least, so that no node of a cell with a vertex is left loose."""
 MOST_UNKNOWNS = 6000
 """Of one solid: its dense inverse then takes 144 MB."""
-_OFF_EDGES = np.array([1.3e-5, 0.7e-5])
-"""Part of the extent by which sampling lines are moved, so that they miss edges and vertices of regular meshes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,29 +158,11 @@ def _check_whole(spec: SoftBody, cells: IntArray) -> None:
 def _inside(
     vertices: FloatArray, faces: npt.NDArray[np.int64], low: FloatArray, size: FloatArray, counts: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.bool_]:
-    """Return which samples of each cell are inside, (X, Y, Z, s, s, s) along x, y and z.
-
-    Along a line of samples the winding number is the sum of the crossings above, signed by how triangles face.
-    """
+    """Return which samples of each cell are inside, (X, Y, Z, s, s, s) along x, y and z."""
     steps = SAMPLES * counts
     axes = [low[a] + size[a] / SAMPLES * (np.arange(steps[a]) + 0.5) for a in range(3)]
-    off = _OFF_EDGES * np.ptp(vertices, axis=0)[:2]
-    # Triangles that are seen edge-on cover no line of samples.
-    found = np.zeros(steps, dtype=np.int64)
-    flat = vertices[faces][..., :2]
-    a, ab, ac = flat[:, 0], flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    facing = np.abs(area) > 1e-12 * np.prod(np.ptp(vertices, axis=0)[:2])
-    a, ab, ac, area, heights = a[facing], ab[facing], ac[facing], area[facing], vertices[faces][facing][..., 2]
-    for i, x in enumerate(axes[0] + off[0]):
-        for j, y in enumerate(axes[1] + off[1]):
-            at = np.array([x, y]) - a
-            u = (at[:, 0] * ac[:, 1] - at[:, 1] * ac[:, 0]) / area
-            v = (ab[:, 0] * at[:, 1] - ab[:, 1] * at[:, 0]) / area
-            hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
-            z = heights[hit, 0] * (1.0 - u[hit] - v[hit]) + heights[hit, 1] * u[hit] + heights[hit, 2] * v[hit]
-            found[i, j] = (np.sign(area[hit])[:, None] * (z[:, None] > axes[2])).sum(axis=0)
-    blocks = found.reshape(counts[0], SAMPLES, counts[1], SAMPLES, counts[2], SAMPLES) > 0
+    found = inside_lattice(axes, vertices, faces)
+    blocks = found.reshape(counts[0], SAMPLES, counts[1], SAMPLES, counts[2], SAMPLES)
     return blocks.transpose(0, 2, 4, 1, 3, 5)
 
 

@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.plugin_kit.closed_surfaces import is_convex
 from orbit_core.scene import Scene, SoftBody
-from orbit_matter.solids.distance import Lattice, is_convex, lattice
+from orbit_matter.solids.distance import Lattice, lattice
 from orbit_matter.solids.element import CENTER, FloatArray
 from orbit_matter.solids.grid import Embedding, IntArray, embed
 from orbit_matter.solids.kernels import LANES
@@ -106,7 +107,7 @@ def build(scene: Scene, h: float) -> SolidModel:
         for held in spec.attachments:
             attached[site_starts[len(parts) + number] + np.array(held.particles, np.int64)] = 1
     inverses, places = _preconditioners([spec for _, spec in found], h)
-    concave = [not is_convex(spec) for _, spec in found]
+    concave = [not is_convex(spec.rest_positions, np.asarray(spec.mesh.faces)) for _, spec in found]
     meets = bool(found) and (len(scene.deformables) > 1 or any(concave))
     return SolidModel(
         deformables=tuple(n for n, _ in found),
