@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import pytest
 import torch
 
@@ -89,6 +92,20 @@ def test_boxes_of_all_weights_are_lifted_by_a_grip_that_slip_tightens() -> None:
     assert torch.allclose(ratio, gentle_lift.grip_ratio(env))
     assert (ratio > 1.2).all()
     env.close()
+
+
+@pytest.mark.parametrize(("shears", "slips"), [((0.9, 0.0), False), ((0.9, 0.9), True), ((0.2, 0.2), False)])
+def test_a_box_slips_where_both_pads_are_at_their_limit(
+    shears: tuple[float, float], slips: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Rigid bodies leave undetermined how a weight is shared between two pads: an engine may hang it on one.
+    pads = [
+        SimpleNamespace(normal_forces=torch.ones(1, 4, 4), shear_forces=torch.full((1, 4, 4, 2), each / 2**0.5))
+        for each in shears
+    ]
+    monkeypatch.setattr(gentle_lift.touch, "sensors", lambda world: pads)
+    grip, apart, near = gentle_lift.touched(cast(Any, SimpleNamespace(world=None)))
+    assert (float(grip), bool(apart), bool(near)) == (16.0, False, slips)
 
 
 def test_a_fixed_grip_drops_heavy_boxes_and_squeezes_light_ones() -> None:
