@@ -220,12 +220,18 @@ def test_noise_disturbs_the_executed_actions_and_leaves_the_labels(demos: Path) 
     assert len({round(float(each), 5) for each in spreads}) > 8, "each episode has its own"
 
 
-def test_a_graph_with_memory_acts_as_its_module(demos: Path, environment: Environment, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("algorithm", "own"),
+    [("bc-rnn", ["hidden", "cell", "seen"]), ("bc-gmm", []), ("act", []), ("diffusion", [])],
+)
+def test_a_graph_with_memory_acts_as_its_module(
+    demos: Path, environment: Environment, tmp_path: Path, algorithm: str, own: list[str]
+) -> None:
     onnxruntime = pytest.importorskip("onnxruntime")
-    train(environment, demos, tmp_path, replace(QUICK, algorithm="bc-rnn"))
+    train(environment, demos, tmp_path, replace(QUICK, algorithm=algorithm))
     assert main(["export", str(tmp_path), "--output", str(tmp_path / "out")]) == 0
     policy = load_policy(tmp_path / "out" / "policy.safetensors")
-    assert [part.name for part in policy.description.memory] == ["plan", "step", "hidden", "cell", "seen"]
+    assert [part.name for part in policy.description.memory] == ["plan", "step", *own]
     session = onnxruntime.InferenceSession(str(tmp_path / "out" / "policy.onnx"))
     assert isinstance(policy.module, Planner)
     memory = policy.module.initial_memory(3, "cpu")

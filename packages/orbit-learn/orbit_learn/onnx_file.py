@@ -14,7 +14,8 @@ import copy
 import json
 import math
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -247,6 +248,17 @@ KEY = "orbit"
 _MEMORY = "orbit_memory"
 
 
+@contextmanager
+def _attention_of_parts() -> Iterator[None]:
+    """Keep torch from joining a transformer's layer into one operator, which ONNX does not have."""
+    joined = torch.backends.mha.get_fastpath_enabled()
+    torch.backends.mha.set_fastpath_enabled(False)
+    try:
+        yield
+    finally:
+        torch.backends.mha.set_fastpath_enabled(joined)
+
+
 def write_onnx(
     path: Path | str, module: nn.Module, description: PolicyDescription, manifest: Manifest | None = None
 ) -> None:
@@ -279,7 +291,7 @@ def write_onnx(
     elif isinstance(example, dict):
         exported = TermByTerm(exported, names)
     with written_whole(path) as written:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _attention_of_parts():
             warnings.simplefilter("ignore")  # that this exporter is old; the newer one needs another package
             torch.onnx.export(
                 exported,

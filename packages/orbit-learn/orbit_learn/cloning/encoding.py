@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.manifest.manifest import ActionTermManifest, Manifest, ObservationTermManifest
 from orbit_learn.description import Part
@@ -154,23 +153,27 @@ def _relative(
 
 
 def rotation_features(quaternions: Tensor) -> Tensor:
-    """Return (N, 14) features of unit quaternions (N, 4), equal for both quaternions of a rotation.
+    """Return (..., 14) features of unit quaternions (..., 4), equal for both quaternions of a rotation.
 
     The first two columns of the matrix (Zhou et al., On the Continuity of Rotation Representations in Neural Networks,
     2019), then the cosine, and the axis times the sine, of twice and of four times the angle. These repeat with every
     half and quarter turn, as grasps of boxes do, which a network does not learn from the angle and few demonstrations
     (Tancik et al., Fourier Features Let Networks Learn High Frequency Functions in Low Dimensional Domains, 2020).
     """
-    columns = quat_to_matrix(quaternions)[:, :, :2].flatten(1)
+    w, x, y, z = quaternions.unbind(-1)
+    # Not by quat_to_matrix: the exporter of ONNX would keep the number of rows of what it unflattens.
+    first = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
+    second = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)
+    columns = torch.stack((*first, *second), -1)
     # A quaternion holds half the angle.
     twice = _squared(_squared(quaternions))
-    return torch.cat((columns, twice, _squared(twice)), 1)
+    return torch.cat((columns, twice, _squared(twice)), -1)
 
 
 def _squared(quaternions: Tensor) -> Tensor:
-    """Return quaternions (N, 4) of twice the angle about the same axis."""
-    w, axis = quaternions[:, :1], quaternions[:, 1:]
-    return torch.cat((w.square() - axis.square().sum(1, keepdim=True), 2.0 * w * axis), 1)
+    """Return quaternions (..., 4) of twice the angle about the same axis."""
+    w, axis = quaternions[..., :1], quaternions[..., 1:]
+    return torch.cat((w.square() - axis.square().sum(-1, keepdim=True), 2.0 * w * axis), -1)
 
 
 def _keep(module: nn.Module, name: str, values: Sequence[object], kind: torch.dtype) -> None:
@@ -238,10 +241,10 @@ class Encoder(nn.Module):
         # All terms of a kind in one operation each: on a GPU a step takes as long as it has operations.
         seen = [vectors.index_select(1, self.shown)]
         if self.encoding.rotations:
-            quaternions = vectors.index_select(1, self.turned).reshape(-1, 4)
-            seen.append(rotation_features(quaternions).reshape(-1, _ROTATION_FEATURES * len(self.encoding.rotations)))
+            quaternions = vectors.index_select(1, self.turned).view(vectors.shape[0], -1, 4)
+            seen.append(rotation_features(quaternions).flatten(1))
         if self.encoding.vectors:
-            places = vectors.index_select(1, self.places).unflatten(1, (-1, 3))
+            places = vectors.index_select(1, self.places).view(vectors.shape[0], -1, 3)
             differences = places.index_select(1, self.seconds) - places.index_select(1, self.firsts)
             fine = (torch.cat((places, differences), dim=1) / FINE).tanh()
             seen += [differences.flatten(1), fine.flatten(1)]

@@ -399,7 +399,7 @@ class TransformerPlanner(Planner):
         return {"sums": sums, "weights": torch.zeros(size, device=device), "plans": torch.zeros(size, device=device)}
 
     def outputs(self, features: Tensor) -> Tensor:
-        return self._decoded(features, features.new_zeros(len(features), self._network.latent))
+        return self._decoded(features, features.new_zeros(features.shape[0], self._network.latent))
 
     def act(self, observation: Tensor | Mapping[str, Tensor], memory: Memory) -> tuple[Tensor, Memory]:
         if self._network.ensemble is None:
@@ -434,7 +434,8 @@ class TransformerPlanner(Planner):
         first, *others = cast("list[nn.TransformerDecoderLayer]", list(self.writer.layers))
         # The first layer's queries are the same in all rows until they have looked at the tokens.
         queries = _attended(first.self_attn, first.norm1, self.queries[None])
-        queries = queries.expand(len(features), -1, -1)
+        # Sizes by shape: an exported graph keeps len() as a constant.
+        queries = queries.expand(features.shape[0], -1, -1)
         plan = _transformed(first, first.norm3, _attended(first.multihead_attn, first.norm2, queries, tokens))
         for layer in others:
             plan = layer(plan, tokens)
@@ -481,12 +482,13 @@ class DiffusionPlanner(Planner):
         """Denoiser, from features, noisy plan and level of noise to the clean plan."""
 
     def outputs(self, features: Tensor) -> Tensor:
-        plan = self.noise.expand(len(features), -1, -1)
+        count = features.shape[0]  # len() would be a constant of an exported graph
+        plan = self.noise.expand(count, -1, -1)
         noises, samples = self._network.noises, self._network.samples
         levels = [round(i * noises / samples) for i in range(samples, -1, -1)]
         for level, following in itertools.pairwise(levels):
             kept, next_kept = self._kept(level), self._kept(following)
-            clean = self._clean(features, plan, features.new_full((len(features),), level / noises))
+            clean = self._clean(features, plan, features.new_full((count,), level / noises))
             noise = (plan - math.sqrt(kept) * clean) / math.sqrt(1.0 - kept)
             plan = math.sqrt(next_kept) * clean + math.sqrt(1.0 - next_kept) * noise
         return plan
