@@ -162,9 +162,12 @@ def rotation_features(quaternions: Tensor) -> Tensor:
     """
     w, x, y, z = quaternions.unbind(-1)
     # Not by quat_to_matrix: the exporter of ONNX would keep the number of rows of what it unflattens.
-    first = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
-    second = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)
-    columns = torch.stack((*first, *second), -1)
+    rows = (
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x),
+    )  # fmt: skip
+    columns = torch.stack(rows, -1)
     # A quaternion holds half the angle.
     twice = _squared(_squared(quaternions))
     return torch.cat((columns, twice, _squared(twice)), -1)
