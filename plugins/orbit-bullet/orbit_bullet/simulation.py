@@ -101,6 +101,7 @@ class Simulation:
             useSplitImpulse=0,  # it would leave joints that passed a limit by more than 40 mrad where they are
             restitutionVelocityThreshold=config.restitution_threshold,
             enableFileCaching=0,
+            enableSAT=1,  # for bodies that have the features
         )
 
     # Time ------------------------------------------------------------------------------------------------------------

@@ -212,8 +212,7 @@ class Stage:
             case HeightField() as field if path is None:
                 return self._height_field(field, pose)
             case Mesh() | HeightField() as surface:
-                convex = isinstance(surface, Mesh) and surface.collision is not MeshCollision.TRIANGLES
-                flags = 0 if convex else client.GEOM_FORCE_CONCAVE_TRIMESH
+                flags = 0 if _is_hull(surface) else client.GEOM_FORCE_CONCAVE_TRIMESH
                 return client.createCollisionShape(client.GEOM_MESH, fileName=str(path), flags=flags), pose
             case other:
                 raise ConfigurationError(f"Bullet cannot collide a {type(other).__name__}")
@@ -241,8 +240,10 @@ class Stage:
         client, spec, number = self.client, entity.spec, entity.index
         articulation = spec.articulation
         flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_USE_IMPLICIT_CYLINDER
-        # Without URDF_INITIALIZE_SAT_FEATURES: Bullet would clip faces of hulls and boxes and ignore their margin, so
-        # that a hull sinks 1 mm into a box, and 2 mm into a hull.
+        # Boxes are clipped against triangles, whose edges they would catch on. Not hulls: Bullet would ignore their
+        # margin, and they would sink 1 mm into a box, and 2 mm into a hull.
+        if not any(_is_hull(shape.geometry) for link in articulation.links for shape in link.collisions):
+            flags |= client.URDF_INITIALIZE_SAT_FEATURES
         if articulation.self_collisions:
             flags |= client.URDF_USE_SELF_COLLISION | client.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         with refusals(f"Bullet cannot load the model of '{entity.name}'", AssetError):
@@ -304,7 +305,7 @@ class Stage:
             self.client.setCollisionFilterPair(body, body, index_of[first], index_of[second], 0)
 
     def _set_contact(self, body: int, link: int, shape: Shape) -> None:
-        if isinstance(shape.geometry, Mesh) and shape.geometry.collision is MeshCollision.TRIANGLES:
+        if isinstance(shape.geometry, Mesh) and not _is_hull(shape.geometry):
             # Triangles stay where they are; hulls are written smaller by the margin, and keep it.
             self.client.changeDynamics(body, link, collisionMargin=0.0)
         if shape.material.compliance:
@@ -365,6 +366,11 @@ class Stage:
             erp=_GEAR_ERP,
             relativePositionTarget=-offset / multiplier,
         )
+
+
+def _is_hull(geometry: object) -> bool:
+    """Return True for a mesh that collides as convex hulls."""
+    return isinstance(geometry, Mesh) and geometry.collision is not MeshCollision.TRIANGLES
 
 
 def split_evenly(count: int, parts: int) -> list[tuple[int, int]]:
