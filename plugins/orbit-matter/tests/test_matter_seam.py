@@ -230,7 +230,7 @@ def test_what_cannot_be_is_refused_by_name(thing: Cloth | Rope | SoftBody | Flui
 def test_what_the_solver_cannot_do_is_refused_with_the_reason() -> None:
     soft = SoftBody("soft", _tetrahedron(), 1000.0)
     with pytest.raises(UnsupportedCapabilityError, match="soft bodies"):
-        simulate(Scene(deformables=(soft,)), 1, "mujoco", matter="native")
+        simulate(Scene(deformables=(soft,)), 1, "sapien", matter="native")
     with pytest.raises(UnsupportedCapabilityError, match="fluids"):
         simulate(Scene(deformables=(Fluid("water", (0.1, 0.1, 0.1)),)), 1, "mujoco", matter="native")
     with pytest.raises(UnsupportedCapabilityError, match="cloth"):
