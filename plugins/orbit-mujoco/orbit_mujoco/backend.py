@@ -59,7 +59,7 @@ CAPABILITIES = Capabilities(
             "does not roll, and does not meet the links that it is attached to in the scene; its friction creeps"
         ),
         Capability.SOFT_BODIES: approximate(
-            "a flex that follows a grid of trilinear cells with incompatible modes: beams, blocks, slopes and grasps "
+            "a flex that follows a grid of trilinear cells with incompatible modes: beams, blocks and grasps "
             "within 2 %; its elasticity is integrated implicitly, which stops a beam's swing in half a second; cells "
             "as coarse as those of a matter solver resist dents twice as much; what is soft on both sides sticks, and "
             "a solid does not meet itself; no contact pressures"
