@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import shutil
-import socket
 import subprocess
 import sys
 import threading
@@ -40,9 +38,8 @@ from orbit_ros.messages import (
     time_of,
 )
 from tests.deploy.rig import eventually
-from tests.ros.rig import free_domain, served
+from tests.ros.rig import ROS1_PACKAGES, free_domain, ros1_master, served, skip_without_ros1
 
-ROS1_PACKAGES = Path("/usr/lib/python3/dist-packages/rospy")
 # Python of an environment with `ros-rclpy[fastrtps]` and its messages from the registry, for this test only
 ROS2_PYTHON = os.environ.get("ORBIT_ROS2_PYTHON", "")
 
@@ -55,25 +52,11 @@ def address(request: pytest.FixtureRequest) -> Iterator[str]:
         with served(host):
             yield host
         return
-    if not ROS1_PACKAGES.is_dir() or shutil.which("rosmaster") is None:
-        pytest.skip("capability 'ROS 1' is not installed: apt-get install python3-rospy python3-rosmaster ...")
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        port = found.getsockname()[1]
-    master = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL)
-    try:
-        assert eventually(lambda: _listens(port), 20.0)
+    skip_without_ros1()
+    with ros1_master() as port:
         host = f"ros1://127.0.0.1:{port}/arm"
         with served(host):
             yield host
-    finally:
-        master.terminate()
-        master.wait(10.0)
-
-
-def _listens(port: int) -> bool:
-    with socket.socket() as tried:
-        return tried.connect_ex(("127.0.0.1", port)) == 0
 
 
 @pytest.mark.parametrize("command", ["trajectory", "positions"])

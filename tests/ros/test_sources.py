@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import socket
 import subprocess
 import threading
 import time
@@ -47,11 +45,10 @@ from orbit_ros.rosbridge import from_json, to_json
 from orbit_ros.sources import FrameTree, RosCamera, camera_messages
 from tests.deploy.rig import eventually
 from tests.ros import robot_program
-from tests.ros.rig import free_domain
+from tests.ros.rig import free_domain, ros1_master, skip_without_ros1
 from tests.ros.rosbridge_server import ROS2_PYTHON, missing, rosbridge
 
 PROGRAM = Path(robot_program.__file__)
-ROS1_PACKAGES = Path("/usr/lib/python3/dist-packages/rospy")
 DEBIAN_PYTHON = Path("/usr/bin/python3")
 FRONT = CameraSpec(
     name="front",
@@ -73,29 +70,6 @@ def ros2_environment(domain: int, folder: Path) -> dict[str, str]:
 
 
 @contextmanager
-def ros1_master() -> Iterator[int]:
-    """Run a real master of ROS 1, and yield its port; this process is a node of one master only."""
-    from orbit_ros.ros1 import Ros1Node
-
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        port = found.getsockname()[1]
-    if Ros1Node._master:
-        port = int(Ros1Node._master.rpartition(":")[2])
-    with subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL) as master:
-        try:
-            assert eventually(lambda: _listens(port), 20.0)
-            yield port
-        finally:
-            master.terminate()
-
-
-def _listens(port: int) -> bool:
-    with socket.socket() as tried:
-        return tried.connect_ex(("127.0.0.1", port)) == 0
-
-
-@contextmanager
 def program(python: str | Path, words: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(
         [str(python), str(PROGRAM), *words], env=environment, stdout=subprocess.PIPE, text=True
@@ -112,8 +86,7 @@ def address(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     folder = tmp_path_factory.mktemp("ros")
     with ExitStack() as stack:
         if request.param == "ros1":
-            if not ROS1_PACKAGES.is_dir() or shutil.which("rosmaster") is None:
-                pytest.skip("capability 'ROS 1' is not installed: apt-get install python3-rospy python3-rosmaster ...")
+            skip_without_ros1()
             port = stack.enter_context(ros1_master())
             uri = {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1", "HOME": str(folder)}
             stack.enter_context(program(DEBIAN_PYTHON, ["ros1"], uri | {"PATH": "/usr/bin:/bin"}))
@@ -244,8 +217,8 @@ def test_options_that_cannot_be_are_refused() -> None:
 def test_programs_of_the_real_ros_see_the_pictures_of_a_simulated_robot(version: str, tmp_path: Path) -> None:
     if version == "ros2" and not ROS2_PYTHON:
         pytest.skip("capability 'ROS 2' (rclpy) is not named by ORBIT_ROS2_PYTHON")
-    if version == "ros1" and (not ROS1_PACKAGES.is_dir() or shutil.which("rosmaster") is None):
-        pytest.skip("capability 'ROS 1' is not installed: apt-get install python3-rospy python3-rosmaster ...")
+    if version == "ros1":
+        skip_without_ros1()
     from orbit_core.backends import default_backend
     from orbit_deploy.computer import ComputerSettings, RobotComputer
     from orbit_deploy.follower import FollowerSettings
