@@ -30,6 +30,8 @@ CACHED := sh tools/with_caches.sh
 PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
 # Every scenario is a test as well, for those who write them; `conformance` runs them here.
 UNITS := --ignore tests/conformance/test_scenarios.py
+# Robots in real time have the machine for themselves.
+REAL_TIME := tests/deploy tests/ros
 
 .PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
 	slow-list docs docs-view wheels check-wheels report-archive release clean
@@ -60,10 +62,12 @@ unit unit-all coverage example example-all mutants: export OMP_NUM_THREADS = 1
 unit-all coverage example-all: export ORBIT_TEST_ALL = 1
 
 unit: $(VENV)/.ready-dev
-	$(PYTEST) $(UNITS) --tier quick
+	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --tier quick
+	$(CACHED) $(BIN)/pytest $(REAL_TIME) --tier quick
 
 unit-all: $(VENV)/.ready-dev
-	$(PYTEST) $(UNITS) --durations-to out/durations/units.json
+	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --durations-to out/durations/units.json
+	$(CACHED) $(BIN)/pytest $(REAL_TIME) --durations-to out/durations/real_time.json
 
 # The same, a third slower, with the share of lines that it runs.
 coverage: $(VENV)/.ready-dev
