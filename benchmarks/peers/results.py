@@ -31,7 +31,7 @@ class Side:
     command_seconds: list[float]
     """From the command to the end of the first step, for each start of the process."""
     settle_seconds: float
-    """Of the steps after the first that do something once: compiling and recording."""
+    """Seconds of the steps after the first that do something once: compiling and recording."""
     memory_mib: float
     """Largest memory of the process and its children that was seen after a block of steps."""
     rates: list[float]

@@ -46,13 +46,14 @@ def ros1_master() -> Iterator[int]:
         port = int(Ros1Node._master.rpartition(":")[2])
     with subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL) as master:
         try:
-            assert eventually(lambda: _listens(port), 20.0)
+            assert eventually(lambda: listens(port), 20.0)
             yield port
         finally:
             master.terminate()
 
 
-def _listens(port: int) -> bool:
+def listens(port: int) -> bool:
+    """Return True if a server listens at this port of loopback."""
     with socket.socket() as tried:
         return tried.connect_ex(("127.0.0.1", port)) == 0
 

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tests.deploy.rig import eventually
+from tests.ros.rig import listens
 
 # Python of an environment with `ros-rclpy[fastrtps]`, its messages and `rosbridge-server-rs` from the registry
 ROS2_PYTHON = os.environ.get("ORBIT_ROS2_PYTHON", "")
@@ -47,7 +48,7 @@ def rosbridge(domain: int, folder: Path) -> Iterator[int]:
     words = [str(program), "--no-rosapi", "--bind", f"127.0.0.1:{port}", "--log-level", "error"]
     with subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL) as running:
         try:
-            assert eventually(lambda: _listens(port), 20.0)
+            assert eventually(lambda: listens(port), 20.0)
             yield port
         finally:
             running.terminate()
@@ -61,8 +62,3 @@ def _python_library() -> Path | None:
     name = f"{_packages().parent.name.replace('python', 'libpython')}.so"
     folders = [Path(sysconfig.get_config_var("LIBDIR") or "/usr/lib"), *Path("/usr/lib").glob("*-linux-gnu")]
     return next((each for folder in folders for each in sorted(folder.glob(f"{name}*"))), None)
-
-
-def _listens(port: int) -> bool:
-    with socket.socket() as tried:
-        return tried.connect_ex(("127.0.0.1", port)) == 0

@@ -1,4 +1,4 @@
-"""What an engine leaves pressed together is moved apart when a scene has settled."""
+"""Settled scenes: objects that an engine leaves pressed together are moved apart."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ class Trainer(ABC, Generic[Settings]):
     name: ClassVar[str]
     """Name of the library as the user types it."""
     several_gpus: ClassVar[bool] = False
-    """Whether processes of torchrun, one for each GPU or part of the CPU, learn one policy together."""
+    """True if processes of torchrun, one for each GPU or part of the CPU, learn one policy together."""
     imitates: ClassVar[bool] = False
     """Whether the trainer can first imitate the task's expert, :attr:`PpoSettings.imitation_steps`."""
     begins_with_policies: ClassVar[bool] = False

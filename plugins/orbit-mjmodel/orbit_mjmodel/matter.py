@@ -90,7 +90,7 @@ class MatterAddresses:
     particles: slice
     """Among the particles of all deformables."""
     bodies: slice
-    """Of each particle of a cloth, each piece of a rope, or each node of a solid that moves."""
+    """Bodies of each particle of a cloth, each piece of a rope, or each node of a solid that moves."""
     positions: slice
     """Into ``qpos``: displacements of particles or nodes; a rope's first place and orientation, then ball joints."""
     velocities: slice
@@ -100,7 +100,7 @@ class MatterAddresses:
     firmness: npt.NDArray[np.float64]
     """(bodies,) by which contacts, and what holds particles, are stiffer than MuJoCo makes them of a body's mass."""
     grid: SolidGrid | None = None
-    """Of a solid."""
+    """Grid of cells that a solid follows; None for cloth and rope."""
 
     def flex(self, model: mujoco.MjModel) -> int:
         """Number of its flex; a rope has none."""

@@ -46,7 +46,7 @@ class NativeMatter:
         self.damped = any(self._drags)
         """Whether :meth:`damp` has anything to do before each physics step."""
         self.bends = any(not isinstance(one.spec, Rope) for one in matter)
-        """Whether MuJoCo warns, at the rounding of its solver, of cloth and solids that are stiff."""
+        """True if MuJoCo warns, at the rounding of its solver, of cloth and solids that are stiff."""
         self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
         self._xpos, self._xquat, self._xipos = batch.bind("xpos"), batch.bind("xquat"), batch.bind("xipos")
         self._cvel, self._subtree_com = batch.bind("cvel"), batch.bind("subtree_com")
