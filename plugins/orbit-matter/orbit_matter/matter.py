@@ -26,6 +26,7 @@ from orbit_matter.fluid import kernels as fluid_kernels
 from orbit_matter.fluid.fluids import Fluids
 from orbit_matter.model import build
 from orbit_matter.part import Part, Stepping
+from orbit_matter.solids import blocks as solid_blocks
 from orbit_matter.solids import inside as solid_inside
 from orbit_matter.solids import kernels as solid_kernels
 from orbit_matter.solids import launches as solid_launches
@@ -78,8 +79,8 @@ class ParticleMatter(Matter):
         by_rows = (rows,) if device.type == "cpu" else ()
         load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
         if self._solids.model.deformables:
-            by_rows = (solid_rows,) if device.type == "cpu" else ()
-            load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, *by_rows), self._graphs.device)
+            steps = solid_rows if device.type == "cpu" else solid_blocks
+            load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, steps), self._graphs.device)
         if self._fluids.model is not None:
             load_kernels("orbit-matter", (fluid_kernels,), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)

@@ -36,8 +36,6 @@ FIRST_TURNS = wp.constant(30)
 NONE = wp.constant(-1)
 LANES = 32
 """Rows of the preconditioner that a CPU computes at a time; solids begin at multiples of it."""
-PARTS = wp.constant(16)
-"""Threads of a GPU that share a sum: those that need it add up their parts, in one order."""
 FOUR = wp.constant(4)
 """Environments that share a pass over the preconditioner."""
 
@@ -83,8 +81,6 @@ class Solids:
     """(B,) edges of a cell."""
     stiffness: wp.array2d[Column]
     """(K, 81) columns of each kind of cell."""
-    flat: wp.array3d[float]
-    """(K, 81, 81) the same memory, column by column."""
     first_cell: wp.array[int]
     """(B + 1,)"""
     first_node: wp.array[int]
@@ -119,24 +115,16 @@ class Solve:
     """(N, n) N, matrix times the direction of search."""
     rows: wp.array2d[float]
     """(N, D) a vector in the axes of the mesh of each solid, and what the preconditioner makes of it."""
-    fours: wp.array2d[wp.vec4]
-    """(N / 4, D) what ``rows`` holds, of four environments together, on a GPU; an even number of rows."""
-    flat_fours: wp.array3d[float]
-    """(N / 4, D, 4) the same memory."""
     out: wp.array2d[float]
     """(N, D) product of the preconditioner and ``rows``."""
     out_lanes: wp.array2d[Lanes]
     """The same memory as ``out``."""
     rz: wp.array2d[float]
     """(N, B) product of each solid's residual and what the preconditioner makes of it."""
-    rz_parts: wp.array3d[float]
-    """(N, B, PARTS) the same, on a GPU."""
-    pq_parts: wp.array3d[float]
-    """(N, B, PARTS) product of the direction of search and what the matrix makes of it."""
     step: wp.array2d[float]
     """(N, B) along the direction of search: each group has its own, so that no other's contacts slow it down."""
     turned: wp.array2d[float]
-    """(N, B) part of the last direction in the new one."""
+    """(N, B) ``rz`` of another iteration: on a CPU of the one before, of each solid; on a GPU of this one."""
     group: wp.array2d[int]
     """(N, B) lowest number of the solids that touch each other in this step: they are solved as one."""
     preset: wp.array2d[int]
@@ -161,8 +149,6 @@ class Sites:
     """(V,) N/m of what holds vertices."""
     whole: wp.array2d[float]
     """(N, S) N/m of its contact or hold in this step, before anything gives way."""
-    firm_parts: wp.array3d[float]
-    """(N, F, PARTS) sum of ``whole`` on each free body, on a GPU."""
     owner: wp.array[int]
     """(S,) index of the deformable."""
     contacts: int
@@ -202,7 +188,7 @@ class Sites:
     set: wp.array[int]
     """(S,) 1 for vertices that the scene attaches."""
     active: wp.array2d[int]
-    """(N, S) sites with a link, on a CPU; ``count`` of them."""
+    """(N, S) sites with a link; ``count`` of them, on a GPU one cell after another."""
     count: wp.array[int]
     """(N,) number of sites in ``active``."""
 
@@ -667,14 +653,19 @@ def group_solids(s: Solids, t: Sites, solve: Solve, env: int):
         solve.group[env, b] = b
     if s.inside.meets == 1:
         for k in range(t.contacts):
-            c = t.mate[env, k]
-            if c != NONE:
-                one = int(solve.group[env, s.cell_body[t.cell[k]]])
-                other = int(solve.group[env, s.cell_body[c]])
-                if one != other:
-                    for i in range(count):
-                        if solve.group[env, i] == wp.max(one, other):
-                            solve.group[env, i] = wp.min(one, other)
+            if t.mate[env, k] != NONE:
+                join(s, t, solve, env, k)
+
+
+@wp.func
+def join(s: Solids, t: Sites, solve: Solve, env: int, k: int):
+    """Join the groups of two solids that touch each other at a site."""
+    one = int(solve.group[env, s.cell_body[t.cell[k]]])
+    other = int(solve.group[env, s.cell_body[t.mate[env, k]]])
+    if one != other:
+        for i in range(s.owner.shape[0]):
+            if solve.group[env, i] == wp.max(one, other):
+                solve.group[env, i] = wp.min(one, other)
 
 
 @wp.func

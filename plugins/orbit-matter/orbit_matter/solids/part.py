@@ -15,8 +15,8 @@ from torch import Tensor
 from orbit_matter import contact
 from orbit_matter import kernels as particles
 from orbit_matter import rows as particle_rows
-from orbit_matter.solids import inside, kernels, launches, rows
-from orbit_matter.solids.kernels import LANES, PARTS
+from orbit_matter.solids import blocks, inside, kernels, lanes, launches, rows
+from orbit_matter.solids.kernels import LANES
 from orbit_matter.solids.model import SolidModel
 
 SKIN = 5e-4
@@ -51,7 +51,7 @@ class SolidPart:
         self._solids = self._make_solids(memory, damping)
         self._solve = self._make_solve()
         self._sites = self._make_sites(memory)
-        self._gather = self._make_gather()
+        self._gather = None if self.takes_rows else self._make_gather()
         self._points, self._held = self._make_particles(memory)
         self._felt = self._make_felt(felt)
 
@@ -75,8 +75,7 @@ class SolidPart:
         made.size = wp.array(np.array([part.size for part in model.embeddings], np.float32), dtype=wp.vec3)
         made.first_cell, made.first_node = _ints(model.first_cell), _ints(model.first_node)
         made.first_row, made.inverse_at = _ints(model.first_row), wp.array(model.inverse_at, dtype=int)
-        columns = np.ascontiguousarray(model.stiffness.transpose(0, 2, 1))
-        made.stiffness, made.flat = _shared(columns, kernels.Column)
+        made.stiffness = wp.array(model.stiffness.transpose(0, 2, 1), dtype=kernels.Column)
         made.inverse, made.flat_inverse = _shared(model.inverses, kernels.Lanes)
         made.load = wp.from_torch(memory["solid_load"], wp.vec3)
         made.inside = self._make_insides(made)
@@ -111,8 +110,6 @@ class SolidPart:
         for name in ("delta", "r", "z", "p", "q"):
             setattr(made, name, wp.zeros((self._n, nodes), dtype=wp.vec3))
         count = int(self._model.first_row[-1])
-        eights = -(-self._n // int(launches.EIGHT))
-        made.fours, made.flat_fours = _shared(np.zeros((2 * eights, count, 4), np.float32), wp.vec4)
         made.rows, made.out = (wp.zeros((self._n, count), dtype=float) for _ in range(2))
         # A CPU writes LANES numbers at a time and reads them one by one.
         blocks = made.out.reshape((self._n, count // LANES, LANES))
@@ -121,8 +118,6 @@ class SolidPart:
         )
         for name in ("rz", "step", "turned"):
             setattr(made, name, wp.zeros((self._n, self._bodies), dtype=float))
-        for name in ("rz_parts", "pq_parts"):
-            setattr(made, name, wp.zeros((self._n, self._bodies, PARTS), dtype=float))
         made.preset, made.group = (wp.zeros((self._n, self._bodies), dtype=int) for _ in range(2))
         return made
 
@@ -136,7 +131,6 @@ class SolidPart:
         cell_body = np.repeat(model.deformables, np.diff(model.first_cell))
         made.owner, made.contacts = _ints(cell_body[model.site_cells]), model.contacts
         made.blocked = wp.zeros(self._free.link.shape, dtype=float)
-        made.firm_parts = wp.zeros((*self._free.link.shape, PARTS), dtype=float)
         made.active = wp.full(shape, -1, dtype=int)
         made.link, made.force = wp.from_torch(memory["site_link"]), wp.from_torch(memory["site_force"], wp.vec3)
         made.normal, made.last, made.pull = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
@@ -150,17 +144,26 @@ class SolidPart:
         return made
 
     def _make_gather(self) -> Any:
-        made, model = launches.Gather(), self._model
-        flat = model.cells.ravel()
+        made, model = blocks.Gather(), self._model
+        flat, shape = model.cells.ravel(), (self._n, len(model.site_cells))
         # Stable orders make sums over cells and sites the same in every run.
         order = np.argsort(flat, kind="stable")
         made.first = _ints(np.searchsorted(flat[order], np.arange(len(model.nodes) + 1)))
         made.cell, made.local = _ints(order // 27), _ints(order % 27)
-        by_cell = np.argsort(model.site_cells, kind="stable")
-        made.first_site = _ints(np.searchsorted(model.site_cells[by_cell], np.arange(len(model.cells) + 1)))
-        made.site = _ints(by_cell)
-        made.pull = wp.zeros((self._n, len(flat)), dtype=wp.vec3)
-        made.busy = wp.zeros((self._n, len(model.cells)), dtype=int)
+        made.site = _ints(np.argsort(model.site_cells, kind="stable"))
+        made.first_active = wp.zeros((self._n, len(model.cells) + 1), dtype=int)
+        made.mated, made.met = wp.zeros(shape, dtype=int), wp.zeros(self._n, dtype=int)
+        made.moved, made.pull = (wp.zeros((self._n, len(flat)), dtype=wp.vec3) for _ in range(2))
+        kinds = len(model.stiffness)
+        # From force (node, axis) by displacement (node, axis) to displacement's node, both axes, force's node.
+        columns = model.stiffness.reshape(kinds, 27, 3, 27, 3).transpose(0, 3, 4, 2, 1).reshape(27 * kinds, 9, 27)
+        made.columns = wp.array(np.pad(columns, ((0, 0), (0, 0), (0, int(blocks.WARP) - 27))), dtype=float)
+        tiles = [
+            (b, row)
+            for b, padded in enumerate(np.diff(model.first_row))
+            for row in range(0, int(padded), int(lanes.ROWS))
+        ]
+        made.tile_body, made.tile_row = (_ints(column) for column in zip(*tiles, strict=True))
         return made
 
     def _make_particles(self, memory: Mapping[str, Tensor]) -> tuple[Any, Any]:
@@ -236,7 +239,7 @@ class SolidPart:
         if self.takes_rows:
             self._launch_rows(links, shapes, gravity, share)
         else:
-            self._launch_wide(links, shapes, gravity, share)
+            self._launch_blocks(links, shapes, gravity, share)
 
     def _launch_rows(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
         s, t, solve, h = self._solids, self._sites, self._solve, self._h
@@ -250,32 +253,22 @@ class SolidPart:
             wp.launch(rows.iterate, self._n, inputs=[s, t, solve, h, int(iteration == 0)])
         wp.launch(rows.conclude, self._n, inputs=[s, t, solve, links, self._felt, h, share])
 
-    def _launch_wide(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
+    def _launch_blocks(self, links: Any, shapes: Any, gravity: Any, share: float) -> None:
         s, t, solve, g, n, h = self._solids, self._sites, self._solve, self._gather, self._n, self._h
-        cells, nodes, sites = len(self._model.cells), len(self._model.nodes), len(self._model.site_cells)
-        eights = len(solve.fours) // 2
-        wp.launch(launches.turn_bodies, (n, self._bodies), inputs=[s])
-        wp.launch(launches.turn, (n, cells), inputs=[s, g])
-        wp.launch(launches.strain, (n, 27 * cells), inputs=[s, g, h])
-        wp.launch(launches.meet, (n, sites), inputs=[s, t, g, self._held, links, shapes, self._felt])
-        wp.launch(launches.firmness, (*self._free.link.shape, PARTS), inputs=[t, self._free])
-        wp.launch(launches.soften, (n, sites), inputs=[t, self._free, links, h])
-        wp.launch(launches.choose, (n, self._bodies), inputs=[s, t, solve, self._held])
-        wp.launch(launches.begin, (n, nodes), inputs=[s, t, solve, g, gravity, h])
+        cells, sites = len(self._model.cells), len(self._model.site_cells)
+        # A CPU, on which tests run these launches, has blocks of one thread.
+        block = 1 if self._device.type == "cpu" else lanes.BLOCK
+        tiles = (-(-n // int(lanes.ENVS)), len(g.tile_body), block)
+        wp.launch(blocks.turn, (n, self._bodies + cells), inputs=[s])
+        wp.launch(blocks.meet, (n, sites), inputs=[s, t, self._held, links, shapes, self._felt])
+        inputs = [s, t, solve, g, self._held, links, self._free, gravity, h]
+        wp.launch(blocks.begin, (n, block), inputs=inputs, block_dim=lanes.BLOCK)
         for iteration in range(self._iterations):
-            wp.launch(launches.precondition, (eights, int(self._model.first_row[-1])), inputs=[s, solve])
-            wp.launch(launches.aim, (n, self._bodies, PARTS), inputs=[s, solve])
-            wp.launch(launches.direct, (n, nodes), inputs=[s, solve, int(iteration == 0)])
-            wp.launch(launches.bend, (n, 27 * cells), inputs=[s, solve, g, h])
-            wp.launch(launches.resist, (n, sites), inputs=[s, t, solve, g])
-            wp.launch(launches.apply, (n, nodes), inputs=[s, t, solve, g, h])
-            wp.launch(launches.measure, (n, self._bodies, PARTS), inputs=[s, solve])
-            wp.launch(launches.advance, (n, nodes), inputs=[s, solve])
-        wp.launch(launches.let_slip, (n, sites), inputs=[s, t, links, solve])
-        wp.launch(launches.conclude, (n, nodes), inputs=[s, solve, h])
-        wp.launch(launches.age, (n, self._bodies), inputs=[s])
-        wp.launch(launches.show, (n, sites), inputs=[s, t])
-        wp.launch(launches.press, (n, self._felt.torques.shape[1]), inputs=[t, self._felt, links, share])
+            wp.launch(blocks.precondition, tiles, inputs=[s, solve, g], block_dim=lanes.BLOCK)
+            inputs = [s, t, solve, g, h, int(iteration == 0)]
+            wp.launch(blocks.iterate, (n, block), inputs=inputs, block_dim=lanes.BLOCK)
+        inputs = [s, t, solve, links, self._felt, h, share]
+        wp.launch(blocks.conclude, (n, block), inputs=inputs, block_dim=lanes.BLOCK)
 
 
 def _ints(values: Any) -> Any:
