@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
-from orbit_assets.deformables import line, sheet
+from orbit_assets.deformables import cuboid, line, sheet
 from orbit_assets.objects import box
 from orbit_core.interfaces import World
-from orbit_core.scene import Attachment, Cloth, Pose, Rope, Scene
+from orbit_core.scene import Attachment, Cloth, Pose, Rope, Scene, SoftBody
 from orbit_core.world import simulate
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs the capability of a GPU")
@@ -17,10 +19,26 @@ CLOTH = Cloth("cloth", sheet((0.2, 0.2), (13, 13)), 0.2, Pose((0.0, 0.0, 0.104))
 ROPE = Rope("rope", line(0.2, 11), 0.1, Pose((0.0, 0.3, 0.1)), attachments=(Attachment((0,)),))
 BLOCK = box("block", size=(0.1, 0.1, 0.1), mass=0.5, pose=Pose((0.0, 0.0, 0.05)))
 SCENE = Scene(objects=(BLOCK,), deformables=(CLOTH, ROPE))
+SOFT = SoftBody("soft", cuboid((0.05, 0.05, 0.05), (2, 2, 2)), 800.0, Pose((0.0, 0.0, 0.124)), 2e5, 0.3)
+UPPER = replace(SOFT, name="upper", pose=Pose((0.0, 0.0, 0.1735)))
+SIDE = tuple(range(9))
+HELD = replace(SOFT, name="held", pose=Pose((0.0, 0.2, 0.1)), attachments=(Attachment(SIDE),))
+SOLIDS = Scene(objects=(BLOCK,), deformables=(SOFT, UPPER, HELD), physics_dt=0.0025)
 
 
-def world_on(device: str, scene: Scene = SCENE) -> World:
-    return simulate(scene, 3, "warp", device=device, matter="orbit-matter")
+def world_on(device: str, scene: Scene = SCENE, num_envs: int = 3) -> World:
+    return simulate(scene, num_envs, "warp", device=device, matter="orbit-matter")
+
+
+def solids_after_steps(device: str, num_envs: int) -> torch.Tensor:
+    """Return the vertices of blocks of which two touch, and one hangs until some environments let it go."""
+    world = world_on(device, SOLIDS, num_envs)
+    world.step(20)
+    world.deformables["held"].release(env_ids=torch.arange(1, num_envs, 2, device=device))
+    world.step(20)
+    found = torch.cat([body.positions for body in world.deformables.values()], dim=1).cpu()
+    world.close()
+    return found
 
 
 def test_cloth_drapes_and_rope_swings_as_on_a_cpu() -> None:
@@ -79,3 +97,16 @@ def test_where_one_environment_diverges_the_others_go_on() -> None:
     world.step(1)
     assert body.positions.abs().max() < 1.0
     world.close()
+
+
+def test_solids_touch_hang_and_fall_as_on_a_cpu() -> None:
+    torch.testing.assert_close(solids_after_steps("cuda", 3), solids_after_steps("cpu", 3), rtol=0.0, atol=2e-5)
+
+
+def test_solids_repeat_to_the_bit_however_many_environments_share_a_preconditioner() -> None:
+    """70 environments are two tiles of the product, the second of which is not full."""
+    one = solids_after_steps("cuda", 70)
+    assert torch.equal(solids_after_steps("cuda", 70), one)
+    assert torch.equal(one[::2], one[:1].expand(35, -1, -1))
+    assert torch.equal(one[1::2], one[1:2].expand(35, -1, -1))
+    torch.testing.assert_close(solids_after_steps("cuda", 3), one[:3], rtol=0.0, atol=0.0)
