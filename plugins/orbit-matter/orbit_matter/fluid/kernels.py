@@ -18,7 +18,7 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.contact import NEAREST, STILL, Felt, Normals, carried, feel, normal_of, surface
-from orbit_matter.fluid.pairs import LANES, diverged_from, pressed_by
+from orbit_matter.fluid.pairs import LANES, diverged_from, keep, pressed_by
 from orbit_matter.kernels import Links
 from orbit_matter.self_contact import bucket_of, cell_of
 from orbit_matter.surfaces import Shapes
@@ -288,14 +288,24 @@ def share_of(f: Fluid, d: float) -> float:
 @wp.kernel(enable_backward=False)
 def push(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, share: float):
     """Accelerate particles by pressure, viscosity and gravity, and press on links."""
-    env, i = wp.tid()
+    env, lane = wp.tid()
+    rows = keep(f.place, f.motion, env, f.place.shape[1])
+    for i in range(lane, f.x.shape[1], wp.block_dim()):
+        push_one(f, rows, links, shapes, felt, gravity, h, share, env, i)
+
+
+@wp.func
+def push_one(
+    f: Fluid, rows: wp.uint64, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float,
+    share: float, env: int, i: int,
+):  # fmt: skip
     x, v, g, owner = f.x[env, i], f.v[env, i], gravity[env], f.owner[i]
     own, half = f.motion[env, i][3], 0.5 / f.length
     scale = f.parameters[env, owner, 0]
     density, viscosity = f.rest_density[i] * scale * f.s[env, i], f.viscosity[i]
     soft, shock = 0.01 * f.length * f.length, density * SHOCK
     count = f.count[env, i]
-    found = pressed_by(f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock)
+    found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock)
     pressing, rubbing = wp.vec3(found[0], found[1], found[2]), wp.vec3(found[3], found[4], found[5])
     # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)
     a = pressing * (f.slope / density) + rubbing * (2.0 * f.slope * (f.rough + viscosity / density))
@@ -334,7 +344,16 @@ def velocity_of(row: wp.vec4) -> wp.vec3:
 @wp.kernel(enable_backward=False)
 def flow(f: Fluid, links: Links, shapes: Shapes, gravity: wp.array[wp.vec3], h: float):
     """Compute the rates of densities."""
-    env, i = wp.tid()
+    env, lane = wp.tid()
+    rows = keep(f.place, f.pushed, env, f.place.shape[1])
+    for i in range(lane, f.x.shape[1], wp.block_dim()):
+        flow_one(f, rows, links, shapes, gravity, h, env, i)
+
+
+@wp.func
+def flow_one(
+    f: Fluid, rows: wp.uint64, links: Links, shapes: Shapes, gravity: wp.array[wp.vec3], h: float, env: int, i: int
+):
     kind = env % shapes.kind.shape[0]
     x, v, s = f.x[env, i], velocity_of(f.pushed[env, i]), f.s[env, i]
     lean, count = gravity[env] / (f.sound * f.sound), f.count[env, i]
@@ -347,7 +366,7 @@ def flow(f: Fluid, links: Links, shapes: Shapes, gravity: wp.array[wp.vec3], h: 
         # A body that comes near presses through the void before it, and the density would keep that pressure.
         void = wp.clamp((1.0 - f.packed[env, i]) * 10.0, 0.0, 1.0) * wp.clamp(4.0 * (nearest - APART), 0.0, 1.0)
         smooth *= 1.0 + LEVELLING * void
-    rate = diverged_from(f.place, f.pushed, f.neighbours, env, i, count, half, smooth, lean)
+    rate = diverged_from(rows, f.place, f.pushed, f.neighbours, env, i, count, half, smooth, lean)
     rate *= f.slope
     for k in range(f.walls[env, i]):
         wall = f.shape[env, i, k]

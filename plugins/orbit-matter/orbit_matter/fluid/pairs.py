@@ -2,7 +2,9 @@
 
 Warp's own loops take one neighbour after another, and an array's element costs them some ten instructions. These loops
 are written in C++ over vectors of eight numbers, which clang compiles for the registers that a machine has; the order
-of sums is the same on all machines. On a GPU a vector is one number, and a row of four numbers is one load.
+of sums is the same on all machines. On a GPU a vector is one number, and a row of four numbers is one load; a block of
+threads takes an environment and keeps its rows in the memory that the block shares, where any order of neighbours reads
+fast.
 
 Lists of neighbours are filled up to whole vectors with a row of zeros that is out of reach.
 """
@@ -18,6 +20,8 @@ LANES = wp.constant(8)
 """Neighbours that a CPU sums side by side."""
 FAR = 1e9
 """Metres; where the neighbour is that fills up a list."""
+SHARED = 1500
+"""Most rows of an environment that a block of a GPU's threads keeps; two arrays of them are 48,000 of 49,152 bytes."""
 
 Pressing = wp.types.vector(length=7, dtype=float)
 """Pressure on a particle, differences of velocities to it, and the sum of the kernel."""
@@ -34,6 +38,11 @@ _VECTORS = """
     const auto root = [](Lanes a) { return sqrtf(a); };
     const auto positive = [](Lanes a) { return fmaxf(a, 0.0f); };
     const auto sum = [](Lanes a) { return a; };
+    // Lists are side by side, so that threads read neighbouring numbers.
+    const int stride = neighbours.strides[2] / 4;
+    const Row* const kept = reinterpret_cast<const Row*>(rows);
+    const Row* const places = kept ? kept : reinterpret_cast<const Row*>(wp::address(place, env, 0));
+    const Row* const motions = kept ? kept + 1500 : reinterpret_cast<const Row*>(wp::address(motion, env, 0));
 #else
     typedef float Row __attribute__((ext_vector_type(4)));
     typedef float Lanes __attribute__((ext_vector_type(8)));
@@ -58,15 +67,19 @@ _VECTORS = """
     const auto root = [](Lanes a) { return __builtin_elementwise_sqrt(a); };
     const auto positive = [](Lanes a) { return __builtin_elementwise_max(a, Lanes(0.0f)); };
     const auto sum = [](Lanes a) { return ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7])); };
-#endif
+    const int stride = 1;
     const Row* places = reinterpret_cast<const Row*>(wp::address(place, env, 0));
     const Row* motions = reinterpret_cast<const Row*>(wp::address(motion, env, 0));
+#endif
     const int* list = wp::address(neighbours, env, i, 0);
     const Row own = places[i], self = motions[i];
 """
 _LOOP = """
+#ifdef __CUDA_ARCH__
+    #pragma unroll 4
+#endif
     for (int k = 0; k < count; k += step) {
-        const Rows a = load(places, list + k), b = load(motions, list + k);
+        const Rows a = load(places, list + k * stride), b = load(motions, list + k * stride);
         const Lanes x = own.x - a.x, y = own.y - a.y, z = own.z - a.z;
         const Lanes square = x * x + y * y + z * z;
         const Lanes t = positive(1.0f - root(square) * half);
@@ -106,10 +119,44 @@ _DIVERGED = """
     }
     return sum(rate);
 """
+_KEEP = """
+#ifdef __CUDA_ARCH__
+    struct alignas(16) Row { float x, y, z, w; };
+    __shared__ Row rows[2 * 1500];
+    if (count > 1500) return 0;
+    const Row* places = reinterpret_cast<const Row*>(wp::address(place, env, 0));
+    const Row* motions = reinterpret_cast<const Row*>(wp::address(motion, env, 0));
+    __syncthreads();
+    for (int i = threadIdx.x; i < count; i += blockDim.x) {
+        rows[i] = places[i];
+        rows[1500 + i] = motions[i];
+    }
+    __syncthreads();
+    return reinterpret_cast<wp::uint64>(rows);
+#else
+    return 0;
+#endif
+"""
 
 
-@wp.func_native(_VECTORS + _PRESSED.replace("    // @loop\n", _LOOP))
+@wp.func_native(_KEEP.replace("1500", str(SHARED)))
+def keep(place: wp.array2d[wp.vec4], motion: wp.array2d[wp.vec4], env: int, count: int) -> wp.uint64:
+    """Copy the rows of an environment to the memory that the threads of a block share; all of them must call this.
+
+    Args:
+        place: (N, P + 1) positions and volumes.
+        motion: (N, P + 1) velocities, and another number.
+        env: of the block.
+        count: rows.
+
+    Returns:
+        Where they are, for the sums below; 0 on a CPU, and where there are more than SHARED.
+    """
+
+
+@wp.func_native(_VECTORS.replace("1500", str(SHARED)) + _PRESSED.replace("    // @loop\n", _LOOP))
 def pressed_by(
+    rows: wp.uint64,
     place: wp.array2d[wp.vec4],
     motion: wp.array2d[wp.vec4],
     neighbours: wp.array3d[int],
@@ -124,6 +171,7 @@ def pressed_by(
     """Sum the pressure on a particle, the differences of velocities to it, and the kernel over its neighbours.
 
     Args:
+        rows: those of the environment, as :func:`keep` returns them.
         place: (N, P + 1) positions and volumes.
         motion: (N, P + 1) velocities and pressures.
         neighbours: (N, P, K) rows of both.
@@ -137,8 +185,9 @@ def pressed_by(
     """
 
 
-@wp.func_native(_VECTORS + _DIVERGED.replace("    // @loop\n", _LOOP))
+@wp.func_native(_VECTORS.replace("1500", str(SHARED)) + _DIVERGED.replace("    // @loop\n", _LOOP))
 def diverged_from(
+    rows: wp.uint64,
     place: wp.array2d[wp.vec4],
     motion: wp.array2d[wp.vec4],
     neighbours: wp.array3d[int],
@@ -152,6 +201,7 @@ def diverged_from(
     """Sum the divergence of the flow at a particle and the diffusion of densities over its neighbours.
 
     Args:
+        rows: those of the environment, as :func:`keep` returns them.
         place: (N, P + 1) positions and volumes.
         motion: (N, P + 1) velocities, and densities over those at rest.
         neighbours: (N, P, K) rows of both.

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from orbit_matter import contact
 from orbit_matter import kernels as particles
+from orbit_matter.block import BLOCK
 from orbit_matter.fluid import fluids, kernels, pairs
 from orbit_matter.fluid.fluids import FluidModel
 
@@ -52,7 +53,7 @@ class FluidPart:
         made.searched = wp.from_torch(memory["fluid_searched"], wp.vec3)
         made.shielded = wp.from_torch(memory["fluid_shielded"], wp.vec4)
         made.stale, made.guarded = wp.zeros(self._n, dtype=int), wp.zeros(shape, dtype=int)
-        made.neighbours = wp.zeros((*shape, fluids.NEIGHBOURS), dtype=int)
+        made.neighbours = self._make_lists()
         made.count, made.following = wp.zeros(shape, dtype=int), wp.zeros(shape, dtype=int)
         made.head = wp.zeros((self._n, 1 << (2 * self._p - 1).bit_length()), dtype=int)
         made.spacing, made.length, made.sound = model.spacing, model.length, model.sound
@@ -65,6 +66,12 @@ class FluidPart:
         made.smooth = fluids.SMOOTHNESS * model.length * model.sound
         made.cell = 2.0 * model.length + fluids.SKIN * model.spacing
         return made
+
+    def _make_lists(self) -> Any:
+        """Return (N, P, K) zeros: on a GPU the first neighbours of all particles side by side, then the second ones."""
+        if wp.get_device().is_cpu:
+            return wp.zeros((self._n, self._p, fluids.NEIGHBOURS), dtype=int)
+        return wp.zeros((self._n, fluids.NEIGHBOURS, self._p), dtype=int).transpose((0, 2, 1))
 
     def _make_particles(self) -> Any:
         """Return the particles as the kernels that find shapes near them take them."""
@@ -100,8 +107,11 @@ class FluidPart:
         most = 0.5 * fluids.SKIN * self._model.spacing
         wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, most])
         self._launch_search(renewed=1)
-        wp.launch(kernels.push, shape, inputs=[f, links, shapes, self._felt, gravity, h, share])
-        wp.launch(kernels.flow, shape, inputs=[f, links, shapes, gravity, h])
+        # A block of threads takes an environment; a CPU's blocks have one thread.
+        blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
+        inputs = [f, links, shapes, self._felt, gravity, h, share]
+        wp.launch(kernels.push, blocks, inputs=inputs, block_dim=BLOCK)
+        wp.launch(kernels.flow, blocks, inputs=[f, links, shapes, gravity, h], block_dim=BLOCK)
         wp.launch(kernels.move, shape, inputs=[f, links, shapes, self._felt, h, share])
 
     def search_again(self) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from orbit_matter.block import rank_in_block, sum_of_block, wait
 from orbit_matter.bodies import Bodies
 from orbit_matter.contact import Felt
 from orbit_matter.kernels import FREE, Links, Particles
@@ -21,7 +22,7 @@ from orbit_matter.solids import inside
 from orbit_matter.solids import kernels as k
 from orbit_matter.solids.inside import MIDDLE, NODES
 from orbit_matter.solids.kernels import Sites, Solids, Solve
-from orbit_matter.solids.lanes import ENVS, multiply, rank_in_block, sum_of_block, wait
+from orbit_matter.solids.product import ENVS, multiply
 from orbit_matter.surfaces import Shapes
 
 WARP = wp.constant(32)

@@ -15,7 +15,8 @@ from torch import Tensor
 from orbit_matter import contact
 from orbit_matter import kernels as particles
 from orbit_matter import rows as particle_rows
-from orbit_matter.solids import blocks, inside, kernels, lanes, launches, rows
+from orbit_matter.block import BLOCK
+from orbit_matter.solids import blocks, inside, kernels, launches, product, rows
 from orbit_matter.solids.kernels import LANES
 from orbit_matter.solids.model import SolidModel
 
@@ -161,7 +162,7 @@ class SolidPart:
         tiles = [
             (b, row)
             for b, padded in enumerate(np.diff(model.first_row))
-            for row in range(0, int(padded), int(lanes.ROWS))
+            for row in range(0, int(padded), int(product.ROWS))
         ]
         made.tile_body, made.tile_row = (_ints(column) for column in zip(*tiles, strict=True))
         return made
@@ -257,18 +258,18 @@ class SolidPart:
         s, t, solve, g, n, h = self._solids, self._sites, self._solve, self._gather, self._n, self._h
         cells, sites = len(self._model.cells), len(self._model.site_cells)
         # A CPU, on which tests run these launches, has blocks of one thread.
-        block = 1 if self._device.type == "cpu" else lanes.BLOCK
-        tiles = (-(-n // int(lanes.ENVS)), len(g.tile_body), block)
+        block = 1 if self._device.type == "cpu" else BLOCK
+        tiles = (-(-n // int(product.ENVS)), len(g.tile_body), block)
         wp.launch(blocks.turn, (n, self._bodies + cells), inputs=[s])
         wp.launch(blocks.meet, (n, sites), inputs=[s, t, self._held, links, shapes, self._felt])
         inputs = [s, t, solve, g, self._held, links, self._free, gravity, h]
-        wp.launch(blocks.begin, (n, block), inputs=inputs, block_dim=lanes.BLOCK)
+        wp.launch(blocks.begin, (n, block), inputs=inputs, block_dim=BLOCK)
         for iteration in range(self._iterations):
-            wp.launch(blocks.precondition, tiles, inputs=[s, solve, g], block_dim=lanes.BLOCK)
+            wp.launch(blocks.precondition, tiles, inputs=[s, solve, g], block_dim=BLOCK)
             inputs = [s, t, solve, g, h, int(iteration == 0)]
-            wp.launch(blocks.iterate, (n, block), inputs=inputs, block_dim=lanes.BLOCK)
+            wp.launch(blocks.iterate, (n, block), inputs=inputs, block_dim=BLOCK)
         inputs = [s, t, solve, links, self._felt, h, share]
-        wp.launch(blocks.conclude, (n, block), inputs=inputs, block_dim=lanes.BLOCK)
+        wp.launch(blocks.conclude, (n, block), inputs=inputs, block_dim=BLOCK)
 
 
 def _ints(values: Any) -> Any:

@@ -1,12 +1,7 @@
-"""Steps that the threads of a GPU's block take together: waiting, sums, ranks, and a product with a shared matrix.
+"""Product of a matrix that all environments share and a vector of each, as a GPU's block of threads computes it.
 
-Warp's own kernels know no block; these functions are CUDA C++. On a CPU a block is one thread, for which a sum is its
-own number. All threads of a block must call each of them, in the same order.
-
-The preconditioner is one matrix for all environments, so that applying it is a product of two matrices. It is a kernel
-here and no call of cuBLAS: a step is recorded by several owners of graphs, on streams of their own, and cuBLAS would
-need a workspace for each of these streams that outlives each of these graphs. Tensor cores have no use: the numbers
-keep their 24 bits.
+It is a kernel here and no call of cuBLAS: a step is recorded by several owners of graphs, on streams of their own, and
+cuBLAS would need a workspace for each of these streams that outlives each of these graphs. Numbers keep their 24 bits.
 """
 
 # pyright: reportInvalidTypeForm=false, reportReturnType=false, reportCallIssue=false
@@ -16,46 +11,9 @@ from __future__ import annotations
 
 import warp as wp
 
-BLOCK = 256
-"""Threads of a block on a GPU; it is Warp's own number, for which kernels are loaded."""
 ENVS, ROWS = wp.constant(64), wp.constant(64)
-"""Environments and rows of the preconditioner that a block of threads computes the product of."""
+"""Environments and rows of the matrix that a block computes the product of."""
 
-_SUM = """
-#ifdef __CUDA_ARCH__
-    __shared__ float parts[32];
-    float whole = mine;
-    // A butterfly: every thread adds the same pairs, so that all get the same bits.
-    for (int step = 16; step > 0; step /= 2) whole += __shfl_xor_sync(0xffffffffu, whole, step);
-    // Others may still read the parts of the sum before this one.
-    __syncthreads();
-    if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = whole;
-    __syncthreads();
-    whole = 0.0f;
-    for (int warp = 0; warp < blockDim.x / 32; ++warp) whole += parts[warp];
-    return whole;
-#else
-    return mine;
-#endif
-"""
-_RANK = """
-#ifdef __CUDA_ARCH__
-    __shared__ int counts[32];
-    const unsigned votes = __ballot_sync(0xffffffffu, mine != 0);
-    const int own = threadIdx.x / 32, place = threadIdx.x % 32;
-    __syncthreads();
-    if (place == 0) counts[own] = __popc(votes);
-    __syncthreads();
-    int before = __popc(votes & ((1u << place) - 1u)), all = 0;
-    for (int warp = 0; warp < blockDim.x / 32; ++warp) {
-        if (warp < own) before += counts[warp];
-        all += counts[warp];
-    }
-    return wp::vec_t<2, wp::int32>(before, all);
-#else
-    return wp::vec_t<2, wp::int32>(0, mine);
-#endif
-"""
 # Each thread computes 4 x 4 numbers; 16 columns of both factors are in shared memory, and the next 16 on their way.
 _MULTIPLY = """
     const int envs = rows.shape[0], matrices[2] = {free, attached};
@@ -128,25 +86,6 @@ _MULTIPLY = """
         }
 #endif
 """
-
-
-@wp.func_native("""
-#ifdef __CUDA_ARCH__
-    __syncthreads();
-#endif
-""")
-def wait():
-    """Wait until all threads of the block are here; each then sees what the others have written."""
-
-
-@wp.func_native(_SUM)
-def sum_of_block(mine: float) -> float:
-    """Return the sum of the numbers of a block's threads, with the same bits in all of them and in every run."""
-
-
-@wp.func_native(_RANK)
-def rank_in_block(mine: int) -> wp.vec2i:
-    """Return how many threads before this one have a 1 and not a 0, and how many of all have."""
 
 
 @wp.func_native(_MULTIPLY)
