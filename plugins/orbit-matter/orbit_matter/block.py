@@ -13,6 +13,9 @@ import warp as wp
 
 BLOCK = 256
 """Threads of a block on a GPU; it is Warp's own number, for which kernels are loaded."""
+BOUNDS = (BLOCK, 4)
+"""Bounds of kernels whose blocks take environments: four blocks on a multiprocessor, of 64 registers a thread, are two
+rounds of an H100 for 1,024 environments; three would be three rounds."""
 
 _SUM = """
 #ifdef __CUDA_ARCH__

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from orbit_matter.block import BOUNDS
 from orbit_matter.contact import NEAREST, STILL, Felt, Normals, carried, feel, normal_of, surface
 from orbit_matter.fluid.pairs import LANES, diverged_from, keep, pressed_by
 from orbit_matter.kernels import Links
@@ -285,7 +286,7 @@ def share_of(f: Fluid, d: float) -> float:
     return t6 * (3.5 - 4.5 * t + 1.5 * t * t)
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def push(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, share: float):
     """Accelerate particles by pressure, viscosity and gravity, and press on links."""
     env, lane = wp.tid()
@@ -341,7 +342,7 @@ def velocity_of(row: wp.vec4) -> wp.vec3:
     return wp.vec3(row[0], row[1], row[2])
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def flow(f: Fluid, links: Links, shapes: Shapes, gravity: wp.array[wp.vec3], h: float):
     """Compute the rates of densities."""
     env, lane = wp.tid()

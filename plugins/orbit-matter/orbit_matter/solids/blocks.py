@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_matter.block import rank_in_block, sum_of_block, wait
+from orbit_matter.block import BOUNDS, rank_in_block, sum_of_block, wait
 from orbit_matter.bodies import Bodies
 from orbit_matter.contact import Felt
 from orbit_matter.kernels import FREE, Links, Particles
@@ -202,7 +202,7 @@ def of_group(s: Solids, solve: Solve, each: wp.array2d[float], env: int, b: int)
     return found
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def begin(
     s: Solids, t: Sites, solve: Solve, g: Gather, held: Particles, links: Links, b: Bodies,
     gravity: wp.array[wp.vec3], h: float,
@@ -250,7 +250,7 @@ def precondition(s: Solids, solve: Solve, g: Gather):
     )  # fmt: skip
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def iterate(s: Solids, t: Sites, solve: Solve, g: Gather, h: float, first: int):
     """Make an iteration of conjugate gradients from what the preconditioner makes of the residual."""
     env, lane = wp.tid()
@@ -306,7 +306,7 @@ def iterate(s: Solids, t: Sites, solve: Solve, g: Gather, h: float, first: int):
         k.to_rows(s, solve, env, i)
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def conclude(s: Solids, t: Sites, solve: Solve, links: Links, felt: Felt, h: float, share: float):
     """Move nodes and sites to the end of the step, and add up the forces on links."""
     env, lane = wp.tid()

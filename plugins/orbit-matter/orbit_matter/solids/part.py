@@ -52,7 +52,7 @@ class SolidPart:
         self._solids = self._make_solids(memory, damping)
         self._solve = self._make_solve()
         self._sites = self._make_sites(memory)
-        self._gather = None if self.takes_rows else self._make_gather()
+        self._gather: Any = None if self.takes_rows else self._make_gather()
         self._points, self._held = self._make_particles(memory)
         self._felt = self._make_felt(felt)
 
