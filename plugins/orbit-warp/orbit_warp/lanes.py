@@ -13,7 +13,6 @@ LANES = 32
 """Threads of a block."""
 
 
-
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     __syncwarp();

@@ -31,6 +31,8 @@ _eval_pt_3alphas = solver._eval_pt_3alphas
 _in_bracket = solver._in_bracket
 _cone_entry = solver._elliptic_hessian_entry_from_projections
 vec5 = types.vec5
+# Worlds that a multiprocessor solves at a time; more would leave each lane less than 128 registers.
+_BLOCKS = 16
 
 
 @wp.struct
@@ -641,7 +643,13 @@ def solver_kernel(elliptic: bool, line_iterations: int) -> wp.Kernel:
     keeps_direction = not elliptic
 
     # As the line search of MuJoCo-Warp: only division and square root are approximate, to 2 units in the last place.
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options={"fast_math": True})
+    @wp.kernel(
+        module="unique",
+        enable_backward=False,
+        grid_stride=False,
+        module_options={"fast_math": True},
+        launch_bounds=(LANES, _BLOCKS),
+    )
     def solve_worlds(
         nv: int, warm: bool, limits: Limits, inertia: Inertia, rows: Rows, contacts: Contacts,
         warm_start: wp.array2d[float], free_acceleration: wp.array2d[float], free_force: wp.array2d[float],
