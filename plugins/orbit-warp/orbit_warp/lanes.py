@@ -22,7 +22,6 @@ LANES = 32
 """)
 def meet():
     """Wait for all lanes; what each has written is then seen by all."""
-    ...
 
 
 @wp.func_native("""
@@ -39,7 +38,6 @@ def meet():
 """)
 def of_lane(value: float, source: int) -> float:
     """Return a lane's value in all lanes."""
-    ...
 
 
 @wp.func_native("""
@@ -60,7 +58,6 @@ def of_lane(value: float, source: int) -> float:
 """)
 def total(value: float) -> float:
     """Return the sum over lanes, the same number in each."""
-    ...
 
 
 @wp.func_native("""
@@ -84,7 +81,6 @@ def total(value: float) -> float:
 """)
 def total3(value: wp.vec3) -> wp.vec3:
     """Return the sums of three numbers; their exchanges overlap."""
-    ...
 
 
 @wp.func_native("""
@@ -108,7 +104,6 @@ def total3(value: wp.vec3) -> wp.vec3:
 """)
 def total9(value: wp.mat33) -> wp.mat33:
     """Return the sums of nine numbers; their exchanges overlap."""
-    ...
 
 
 @wp.func_native("""
@@ -122,4 +117,3 @@ def total9(value: wp.mat33) -> wp.mat33:
 """)
 def four(rows: wp.array2d[float], row: int, quarter: int) -> wp.vec4:
     """Return four neighbours of a row in one load: its start and length must be multiples of 16 bytes."""
-    ...

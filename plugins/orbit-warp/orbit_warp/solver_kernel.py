@@ -1,13 +1,14 @@
 """Newton's method of MuJoCo-Warp for a world in a block of one warp: all rounds in one launch.
 
-Each lane keeps what belongs to its degree of freedom in registers, and goes through every 32nd constraint row. What rows
-cost along a line is computed by MuJoCo-Warp's own functions, so that both do the same arithmetic; sums over rows run in
-another order.
+Each lane keeps what belongs to its degree of freedom in registers, and goes through every 32nd constraint row. What
+rows cost along a line is computed by MuJoCo-Warp's own functions, so that both do the same arithmetic; sums over rows
+run in another order.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 # pyright: reportPrivateUsage=false
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
@@ -638,8 +639,8 @@ def solver_kernel(elliptic: bool, line_iterations: int) -> wp.Kernel:
         line_iterations: the most steps of a line search.
     """
     search_line = _line_search(elliptic, line_iterations)
-    # Without elliptic cones the cost is quadratic as long as no row changes its state: MuJoCo-Warp then keeps the search
-    # direction, whose gradient has only been scaled, and so does this.
+    # Without elliptic cones the cost is quadratic as long as no row changes its state: MuJoCo-Warp then keeps the
+    # search direction, whose gradient has only been scaled, and so does this.
     keeps_direction = not elliptic
 
     # As the line search of MuJoCo-Warp: only division and square root are approximate, to 2 units in the last place.

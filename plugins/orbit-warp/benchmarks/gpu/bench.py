@@ -2,9 +2,9 @@
 
     python plugins/orbit-warp/benchmarks/gpu/bench.py --task Lift --num-envs 4096 16384 --action ik_relative
 
-Each line is one size, random actions or a kept policy's (``--policy lift``), episodes of every age: rates are environment steps per second, medians over
-blocks. ``alone`` is MuJoCo-Warp's own captured stepping: from the state that a block began in, by the very commands
-that the environment gave; ``ratio`` is the median of the blocks' ratios.
+Each line is one size, random actions or a policy's (``--policy lift``), episodes of every age: rates are environment
+steps per second, medians over blocks. ``alone`` is MuJoCo-Warp's own captured stepping: from the state that a block
+began in, by the very commands that the environment gave; ``ratio`` is the median of the blocks' ratios.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def fields_of(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the task's fields that the policy or the command names."""
     fields: dict[str, Any] = {}
     if arguments.policy:
-        from orbit_learn import load_policy
+        from orbit_learn.policy import load_policy
         from orbit_learn.pretrained import policy_fields, policy_path
 
         learned = load_policy(policy_path(arguments.policy)).description
@@ -130,7 +130,7 @@ def fields_of(arguments: argparse.Namespace) -> dict[str, Any]:
 def actor_of(arguments: argparse.Namespace, environment: Environment) -> Callable[[int], torch.Tensor]:
     """Return what gives the action of a step: the policy, or sixteen random actions in turn."""
     if arguments.policy:
-        from orbit_learn import PolicyActor
+        from orbit_learn.policy import PolicyActor
         from orbit_learn.pretrained import policy_path
 
         actor = PolicyActor(environment, policy_path(arguments.policy))
