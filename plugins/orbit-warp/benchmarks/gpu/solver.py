@@ -113,11 +113,10 @@ def compare(model: mjw.Model, data: mjw.Data, ways: dict[str, FusedSolver], repe
 
 def _read(data: mjw.Data) -> dict[str, torch.Tensor]:
     found = {name: wp.to_torch(getattr(data, name)).clone() for name in _KEPT}
-    # Only rows in use.
-    rows = wp.to_torch(data.efc.force).shape[1]
-    used = torch.arange(rows, device=found["qacc"].device) < wp.to_torch(data.nefc)[:, None]
-    found["force"] = torch.where(used, wp.to_torch(data.efc.force), 0.0)
-    found["state"] = torch.where(used, wp.to_torch(data.efc.state), 0)
+    for name in ("force", "state"):
+        rows = wp.to_torch(getattr(data.efc, name))
+        used = torch.arange(rows.shape[1], device=rows.device) < wp.to_torch(data.nefc)[:, None]
+        found[name] = torch.where(used, rows, 0)
     return found
 
 
