@@ -1,6 +1,8 @@
 """Newton's method of MuJoCo-Warp in one launch, in the place of its loop over launches."""
 
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportPrivateUsage=false
+# pyright: reportGeneralTypeIssues=false
+# Warp's structures are classes to it alone.
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ import warp as wp
 from mujoco_warp._src import solver, types
 
 from orbit_warp.lanes import LANES
-from orbit_warp.solver_kernel import Contacts, Found, Inertia, Limits, Rows, Work, solver_kernel
+from orbit_warp.solver_arrays import Contacts, Found, Inertia, Limits, Rows, Work
+from orbit_warp.solver_kernel import solver_kernel
 
 
 class FusedSolver:
