@@ -42,6 +42,26 @@ def of_lane(value: float, source: int) -> float:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    for (int i = 0; i < 16; i++)
+        value.data[i / 4][i % 4] = __shfl_sync(0xffffffffu, value.data[i / 4][i % 4], source);
+    return value;
+#else
+    static float shared[32][16];
+    for (int i = 0; i < 16; i++)
+        shared[WP_TILE_THREAD_IDX][i] = value.data[i / 4][i % 4];
+    WP_TILE_SYNC();
+    for (int i = 0; i < 16; i++)
+        value.data[i / 4][i % 4] = shared[source][i];
+    WP_TILE_SYNC();
+    return value;
+#endif
+""")
+def of_lane16(value: wp.mat44, source: int) -> wp.mat44:
+    """Return a lane's sixteen numbers; each lane names its own source."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     for (int step = 16; step > 0; step /= 2)
         value += __shfl_xor_sync(0xffffffffu, value, step);
     return value;

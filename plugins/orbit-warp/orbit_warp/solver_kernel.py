@@ -19,7 +19,7 @@ from typing import Any
 import warp as wp
 from mujoco_warp._src import solver, types
 
-from orbit_warp.lanes import LANES, four, meet, of_lane, total, total3
+from orbit_warp.lanes import LANES, four, meet, of_lane, of_lane16, total, total3
 from orbit_warp.solver_arrays import Contacts, Found, Inertia, Limits, Rows, Work
 from orbit_warp.solver_line import line_search, prepare_cone
 
@@ -181,17 +181,6 @@ def block_place(block: int) -> tuple[int, int]:
 
 
 @wp.func
-def add_block(work: Work, world: int, block: int, values: wp.mat44, add: bool):
-    i, j = block_place(block)
-    for a in range(4):
-        for b in range(4):
-            if add:
-                work.hessian[world, 4 * i + a, 4 * j + b] += values[a, b]
-            else:
-                work.hessian[world, 4 * i + a, 4 * j + b] = values[a, b]
-
-
-@wp.func
 def assemble(
     narrowing: float, inertia: Inertia, rows: Rows, contacts: Contacts, work: Work, found: Found,
     world: int, lane: int, count: int,
@@ -199,22 +188,27 @@ def assemble(
     """Write the upper triangle of inertia and the rows' Hessian."""
     quarters = work.vector.shape[1] // 4
     blocks = quarters * (quarters + 1) // 2
-    groups = LANES // blocks
-    if groups > 1:  # few blocks: several lanes share each one's rows
-        group = lane // blocks
-        block = lane - group * blocks
+    # Where blocks are few several lanes share each one's rows.
+    groups = wp.max(LANES // blocks, 1)
+    for start in range(0, blocks, LANES):
+        group = int(0)
+        block = start + lane
+        if groups > 1:
+            group = lane // blocks
+            block = lane - group * blocks
+        has = group < groups and block < blocks
         part = wp.mat44()
-        if group < groups:
+        if has:
             part = hessian_block(narrowing, rows, contacts, work, found, world, count, group, groups, block)
-        for turn in range(groups):
-            if group == turn:
-                add_block(work, world, block, part, turn > 0)
-            meet()
-    else:
-        for block in range(lane, blocks, LANES):
-            whole = hessian_block(narrowing, rows, contacts, work, found, world, count, 0, 1, block)
-            add_block(work, world, block, whole, False)
-        meet()
+        whole = 1.0 * part
+        for turn in range(1, groups):
+            whole += of_lane16(part, wp.min(lane + turn * blocks, LANES - 1))
+        if has and group == 0:
+            i, j = block_place(block)
+            for a in range(4):
+                for b in range(4):
+                    work.hessian[world, 4 * i + a, 4 * j + b] = whole[a, b]
+    meet()
     for entry in range(lane, inertia.rows.shape[0], LANES):
         work.hessian[world, inertia.columns[entry], inertia.rows[entry]] += inertia.values[world, entry]
     meet()
