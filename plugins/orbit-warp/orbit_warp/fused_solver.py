@@ -17,6 +17,9 @@ from orbit_warp.lanes import LANES
 from orbit_warp.solver_arrays import Contacts, Found, Inertia, Limits, Rows, Work
 from orbit_warp.solver_kernel import solver_kernel
 
+# MuJoCo-Warp's own.
+_solve = solver.solve
+
 
 class FusedSolver:
     """Solves the constraints of each world in a block of its own, which goes on until that world has converged.
@@ -29,6 +32,7 @@ class FusedSolver:
     """
 
     def __init__(self, model: mjw.Model, data: mjw.Data) -> None:
+        self._data = data
         elliptic = model.opt.cone == types.ConeType.ELLIPTIC
         self._kernel = solver_kernel(elliptic, model.opt.ls_iterations)
         self._warm = not model.opt.disableflags & types.DisableBit.WARMSTART
@@ -40,7 +44,10 @@ class FusedSolver:
         work.quad = wp.zeros((worlds, rows if elliptic else 0), dtype=wp.vec3)
 
     def solve(self, model: mjw.Model, data: mjw.Data) -> None:
-        """Do what ``mujoco_warp._src.solver.solve`` does."""
+        """Do what ``mujoco_warp._src.solver.solve`` does, and for other data than this one's let that do it."""
+        if data is not self._data:  # of an engine that steps in another thread
+            _solve(model, data)
+            return
         wp.launch_tiled(
             self._kernel,
             dim=data.nworld,
@@ -57,11 +64,11 @@ class FusedSolver:
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
         """Let MuJoCo-Warp's steps within this context be solved here."""
-        kept, solver.solve = solver.solve, self.solve
+        solver.solve = self.solve
         try:
             yield
         finally:
-            solver.solve = kept
+            solver.solve = _solve
 
 
 def is_fit(model: mjw.Model, data: mjw.Data) -> bool:

@@ -167,12 +167,17 @@ def test_more_degrees_of_freedom_than_lanes_are_left_to_mujoco_warp() -> None:
     assert not is_fit(mjw.put_model(host), mjw.make_data(host, njmax=10))
 
 
-def test_steps_are_solved_here_only_within_the_context() -> None:
-    model, data = model_of()
-    fused, theirs = FusedSolver(model, data), solver.solve
+def test_steps_of_its_data_are_solved_here_within_the_context(monkeypatch: pytest.MonkeyPatch) -> None:
+    (model, data), (_, other) = model_of(), model_of()
+    theirs, asked = solver.solve, []
+    monkeypatch.setattr("orbit_warp.fused_solver._solve", lambda _, data: asked.append(id(data)))
+    fused = FusedSolver(model, data)
     with fused.installed():
         assert solver.solve == fused.solve
-    assert solver.solve is theirs
+        solver.solve(model, other)
+    assert asked == [id(other)]
+    assert solver.solve != fused.solve
+    solver.solve = theirs
 
 
 def test_a_cpu_keeps_the_solver_of_mujoco_warp() -> None:
