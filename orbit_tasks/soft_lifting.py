@@ -140,9 +140,7 @@ class SoftLifting(soft.SoftTask):
     """
 
     state_type: ClassVar[type[TaskState]] = tabletop.TabletopMemory
-    metadata: TaskMetadata = replace(
-        soft.SoftTask.metadata, training={"expert_starts": 0.5, "action": "ik_relative"}
-    )
+    metadata: TaskMetadata = replace(soft.SoftTask.metadata, training={"expert_starts": 0.5, "action": "ik_relative"})
     episode_length: float = 5.0
     tolerance: float = 0.02
     """Metres."""
