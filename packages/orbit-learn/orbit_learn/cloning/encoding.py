@@ -29,6 +29,10 @@ _MOST_DEVIATIONS = 10.0
 _LAST_ACTION = "last_action"
 # Six numbers of the matrix and two quaternions.
 _ROTATION_FEATURES = 14
+# A turn within a quarter, as a vector.
+_QUARTER_FEATURES = 3
+# Metres or radians by which the measured positions of a gripper's joints are disturbed in training.
+_BLUR = 0.002
 
 
 @dataclass(frozen=True)
@@ -55,10 +59,15 @@ class Encoding:
     """Components of the action of which only the sign counts, such as a gripper's. Empty for none."""
     pictures: tuple[PictureEncoder, ...] = ()
     """Encoders of the terms that are pictures."""
+    quarters: bool = False
+    """True to show rotations within a quarter turn as well, see ``quarter_features``."""
+    blurred: tuple[int, ...] = ()
+    """Columns of the positions of a gripper's joints, disturbed in training: where contacts stop them, engines differ
+    by a millimetre."""
 
     def __post_init__(self) -> None:
         size = self.vector_size
-        columns = (*self.hidden, *self.vectors, *(column for column in self.joints if column != -1))
+        columns = (*self.hidden, *self.vectors, *self.blurred, *(column for column in self.joints if column != -1))
         ends = (*(column + 3 for column in self.vectors), *(column + 4 for column in self.rotations))
         if any(not 0 <= column < size for column in (*columns, *self.rotations)) or any(end > size for end in ends):
             raise ValueError(f"an encoding's columns are 0 to {size - 1}")
@@ -77,7 +86,8 @@ class Encoding:
         """F, numbers that the network sees in addition to features of pictures."""
         count = len(self.vectors)
         pairs = count * (count - 1) // 2
-        shown = self.vector_size - len(self.replaced) + _ROTATION_FEATURES * len(self.rotations)
+        turns = _ROTATION_FEATURES + _QUARTER_FEATURES * self.quarters
+        shown = self.vector_size - len(self.replaced) + turns * len(self.rotations)
         return shown + 3 * pairs + 3 * (count + pairs)
 
     @property
@@ -120,7 +130,7 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
     pictures = () if concatenated else convolutional(parts, ()).encoders
     return Encoding(
         parts, concatenated, tuple(hidden), tuple(vectors), tuple(rotations), tuple(joints), tuple(gains),
-        tuple(biases), tuple(binary), pictures,
+        tuple(biases), tuple(binary), pictures, bool(rotations), _fingers(manifest, terms, columns),
     )  # fmt: skip
 
 
@@ -129,6 +139,28 @@ def _is_position(term: ObservationTermManifest) -> bool:
     shape = tuple(term.shape)
     placed = (term.unit == "m" and shape == (3,)) or (term.unit.startswith("m, quaternion") and shape == (7,))
     return placed and term.history == 1 and term.scale == 1.0
+
+
+def _fingers(
+    manifest: Manifest, terms: Mapping[str, ObservationTermManifest], columns: Mapping[str, int]
+) -> tuple[int, ...]:
+    """Return the columns of measured positions of joints that only a binary gripper moves, or joints that follow it."""
+    actions = manifest.action_terms.values()
+    if not any(action.generator == "binary_gripper" for action in actions):
+        return ()
+    others = {joint for action in actions if action.generator != "binary_gripper" for joint in action.joints}
+    return tuple(
+        columns[name] + place
+        for name, term in terms.items()
+        if name in columns and _is_joint_position(term)
+        for place, joint in enumerate(term.components)
+        if joint not in others
+    )
+
+
+def _is_joint_position(term: ObservationTermManifest) -> bool:
+    """Return True if a term's columns are the measured positions of its joints."""
+    return term.formula.startswith("measured position of each joint") and term.history == 1
 
 
 def _relative(
@@ -142,8 +174,7 @@ def _relative(
     if action.scale is None or action.offset is None or action.settings.get("mode") != "absolute":
         return -1, 0.0, 0.0
     for name, term in terms.items():
-        measured = term.formula.startswith("measured position of each joint")
-        if name in columns and measured and term.history == 1 and term.offset and joint in term.components:
+        if name in columns and _is_joint_position(term) and term.offset and joint in term.components:
             place = list(term.components).index(joint)
             gain = 1.0 / action.scale[component]
             # observed = scale * (position - its offset); commanded position = offset + scale * action
@@ -171,6 +202,20 @@ def rotation_features(quaternions: Tensor) -> Tensor:
     # A quaternion holds half the angle.
     twice = _squared(_squared(quaternions))
     return torch.cat((columns, twice, _squared(twice)), -1)
+
+
+def quarter_features(quaternions: Tensor) -> Tensor:
+    """Return (..., 3) the axis times the angle, in quarter turns, of unit quaternions (..., 4) modulo quarter turns.
+
+    It jumps at an eighth of a turn, where the nearest pair of a box's faces changes: a network needs many demonstrations
+    to fit such a jump in features that are continuous.
+    """
+    turned = _squared(_squared(quaternions))
+    # The sign of a quaternion is free; the real part is made positive for the shorter way.
+    turned = torch.where(turned[..., :1] < 0.0, -turned, turned)
+    axis = turned[..., 1:]
+    length = axis.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    return axis / length * torch.atan2(length, turned[..., :1])
 
 
 def _squared(quaternions: Tensor) -> Tensor:
@@ -205,6 +250,8 @@ class Encoder(nn.Module):
     """(4 R,) columns of the quaternions."""
     places: Tensor
     """(3 V,) columns of the positions."""
+    blurred: Tensor
+    """(B,) columns that are disturbed in training."""
     firsts: Tensor
     """(P,) positions that are subtracted."""
     seconds: Tensor
@@ -218,6 +265,7 @@ class Encoder(nn.Module):
         _keep(self, "shown", shown, torch.int64)
         _keep(self, "turned", [begin + i for begin in encoding.rotations for i in range(4)], torch.int64)
         _keep(self, "places", [begin + axis for begin in encoding.vectors for axis in range(3)], torch.int64)
+        _keep(self, "blurred", encoding.blurred, torch.int64)
         _keep(self, "firsts", [first for first, _ in pairs], torch.int64)
         _keep(self, "seconds", [second for _, second in pairs], torch.int64)
         self.register_buffer("mean", torch.zeros(encoding.feature_size))
@@ -246,6 +294,8 @@ class Encoder(nn.Module):
         if self.encoding.rotations:
             quaternions = vectors.index_select(1, self.turned).view(vectors.shape[0], -1, 4)
             seen.append(rotation_features(quaternions).flatten(1))
+            if self.encoding.quarters:
+                seen.append(quarter_features(quaternions).flatten(1))
         if self.encoding.vectors:
             places = vectors.index_select(1, self.places).view(vectors.shape[0], -1, 3)
             differences = places.index_select(1, self.seconds) - places.index_select(1, self.firsts)
@@ -254,7 +304,11 @@ class Encoder(nn.Module):
         return torch.cat(seen, dim=1)
 
     def forward(self, observation: Tensor | Mapping[str, Tensor]) -> Tensor:
-        features = (self.features(self.vectors(observation)) - self.mean) / self.std
+        vectors = self.vectors(observation)
+        if self.training and self.encoding.blurred:
+            noise = _BLUR * torch.randn(len(vectors), len(self.encoding.blurred), device=vectors.device)
+            vectors = vectors.index_add(1, self.blurred, noise)
+        features = (self.features(vectors) - self.mean) / self.std
         features = features.clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
         if self._convolutional is None:
             return features
