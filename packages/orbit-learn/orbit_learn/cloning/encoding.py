@@ -27,6 +27,9 @@ _LEAST_STD = 1e-2
 _LEAST_LABEL_STD = 1e-3
 _MOST_DEVIATIONS = 10.0
 _LAST_ACTION = "last_action"
+_GRIPPER = "binary_gripper"
+# Beginnings of terms' formulas.
+_POSITIONS, _VELOCITIES = "measured position of each joint", "measured velocity of each joint"
 # Six numbers of the matrix and two quaternions.
 _ROTATION_FEATURES = 14
 # A turn within a quarter, as a vector.
@@ -44,7 +47,8 @@ class Encoding:
     concatenated: bool = True
     """True if the terms are side by side in one tensor; False for a dictionary of them."""
     hidden: tuple[int, ...] = ()
-    """Columns that the network does not see, such as the last action, which it would learn to copy."""
+    """Columns that the network does not see: the last action, which it would learn to copy, and velocities of a
+    gripper's joints, which engines report differently where contacts stop them."""
     vectors: tuple[int, ...] = ()
     """First columns of positions and distances (3 columns in metres), of which fine differences are shown."""
     rotations: tuple[int, ...] = ()
@@ -113,6 +117,7 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
             columns[part.name] = begin
             begin += part.size
     hidden = [c for p in parts if p.name == _LAST_ACTION for c in range(columns[p.name], columns[p.name] + p.size)]
+    hidden += _of_gripper(manifest, terms, columns, _VELOCITIES)
     placed = [name for name, term in terms.items() if name in columns and _is_position(term)]
     vectors = [columns[name] for name in placed]
     rotations = [columns[name] + 3 for name in placed if tuple(terms[name].shape) == (7,)]
@@ -121,7 +126,7 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
     biases: list[float] = []
     binary: list[bool] = []
     for action in manifest.action_terms.values():
-        binary += [action.generator == "binary_gripper"] * len(action.components)
+        binary += [action.generator == _GRIPPER] * len(action.components)
         for i, joint in enumerate(action.components):
             column, gain, bias = _relative(action, i, joint, terms, columns)
             joints.append(column)
@@ -130,7 +135,7 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
     pictures = () if concatenated else convolutional(parts, ()).encoders
     return Encoding(
         parts, concatenated, tuple(hidden), tuple(vectors), tuple(rotations), tuple(joints), tuple(gains),
-        tuple(biases), tuple(binary), pictures, bool(rotations), _fingers(manifest, terms, columns),
+        tuple(biases), tuple(binary), pictures, bool(rotations), _of_gripper(manifest, terms, columns, _POSITIONS),
     )  # fmt: skip
 
 
@@ -141,26 +146,33 @@ def _is_position(term: ObservationTermManifest) -> bool:
     return placed and term.history == 1 and term.scale == 1.0
 
 
-def _fingers(
-    manifest: Manifest, terms: Mapping[str, ObservationTermManifest], columns: Mapping[str, int]
+def _of_gripper(
+    manifest: Manifest, terms: Mapping[str, ObservationTermManifest], columns: Mapping[str, int], measured: str
 ) -> tuple[int, ...]:
-    """Return the columns of measured positions of joints that only a binary gripper moves, or joints that follow it."""
+    """Return the columns of a measurement of joints that only a binary gripper moves, and of joints that follow them.
+
+    Args:
+        manifest: of the environment.
+        terms: of the observation group.
+        columns: first column of each term.
+        measured: beginning of the formula of the terms, ``_POSITIONS`` or ``_VELOCITIES``.
+    """
     actions = manifest.action_terms.values()
-    if not any(action.generator == "binary_gripper" for action in actions):
+    if not any(action.generator == _GRIPPER for action in actions):
         return ()
-    others = {joint for action in actions if action.generator != "binary_gripper" for joint in action.joints}
+    others = {joint for action in actions if action.generator != _GRIPPER for joint in action.joints}
     return tuple(
         columns[name] + place
         for name, term in terms.items()
-        if name in columns and _is_joint_position(term)
+        if name in columns and _measures(term, measured)
         for place, joint in enumerate(term.components)
         if joint not in others
     )
 
 
-def _is_joint_position(term: ObservationTermManifest) -> bool:
-    """Return True if a term's columns are the measured positions of its joints."""
-    return term.formula.startswith("measured position of each joint") and term.history == 1
+def _measures(term: ObservationTermManifest, measured: str) -> bool:
+    """Return True if each column of a term is a measurement of one joint now."""
+    return term.formula.startswith(measured) and term.history == 1
 
 
 def _relative(
@@ -174,7 +186,7 @@ def _relative(
     if action.scale is None or action.offset is None or action.settings.get("mode") != "absolute":
         return -1, 0.0, 0.0
     for name, term in terms.items():
-        if name in columns and _is_joint_position(term) and term.offset and joint in term.components:
+        if name in columns and _measures(term, _POSITIONS) and term.offset and joint in term.components:
             place = list(term.components).index(joint)
             gain = 1.0 / action.scale[component]
             # observed = scale * (position - its offset); commanded position = offset + scale * action
@@ -207,8 +219,8 @@ def rotation_features(quaternions: Tensor) -> Tensor:
 def quarter_features(quaternions: Tensor) -> Tensor:
     """Return (..., 3) the axis times the angle, in quarter turns, of unit quaternions (..., 4) modulo quarter turns.
 
-    It jumps at an eighth of a turn, where the nearest pair of a box's faces changes: a network needs many demonstrations
-    to fit such a jump in features that are continuous.
+    It jumps at an eighth of a turn, where the nearest pair of a box's faces changes. A network that is shown continuous
+    features averages both choices next to that jump, and the hand stops between the faces.
     """
     turned = _squared(_squared(quaternions))
     # The sign of a quaternion is free; the real part is made positive for the shorter way.
