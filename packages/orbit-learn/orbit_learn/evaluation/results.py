@@ -102,7 +102,7 @@ class ResultFile:
         plan: that it must hold.
 
     Raises:
-        ConfigurationError: the file holds another plan, or is none.
+        ConfigurationError: the file holds results of another plan, or is none.
     """
 
     def __init__(self, path: Path | str, plan: Plan) -> None:
@@ -114,7 +114,11 @@ class ResultFile:
             append_line(self.path, json.dumps({"plan": asdict(plan)}))
             return
         recorded, blocks = read_results(self.path)
-        if recorded != plan:
+        if recorded != plan and not blocks:
+            # Left by a call that failed before its first block ended, such as one with a wrong robot.
+            self.path.unlink()
+            append_line(self.path, json.dumps({"plan": asdict(plan)}))
+        elif recorded != plan:
             differing = [name for name in asdict(plan) if getattr(plan, name) != getattr(recorded, name)]
             raise ConfigurationError(
                 f"{self.path} holds another evaluation, which differs in {', '.join(differing)}: give another "
