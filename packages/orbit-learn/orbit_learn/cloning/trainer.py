@@ -88,6 +88,10 @@ class ImitationSettings:
             raise ConfigurationError(f"imitation setting 'batch_size' is at least 0, not {self.batch_size}")
         if not 0.0 <= self.learning_rate < math.inf:
             raise ConfigurationError(f"imitation setting 'learning_rate' is at least 0, not {self.learning_rate:g}")
+        if self.ensemble is not None and self.algorithm != "act":
+            raise ConfigurationError(
+                f"imitation setting 'ensemble' averages plans of act, and not of {self.algorithm}: leave it out"
+            )
         if self.rounds < 1:
             raise ConfigurationError(f"imitation setting 'rounds' is at least 1, not {self.rounds}")
         for name in ("updates_per_iteration", "hidden_size", "evaluate_every"):
