@@ -247,7 +247,21 @@ def _device(name: str) -> torch.device:
 
 
 def _network(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
-    """Return the network of an algorithm."""
+    """Return the network of an algorithm.
+
+    Raises:
+        ConfigurationError: the algorithm has none of these sizes.
+    """
+    try:
+        return _built(settings, encoding)
+    except ValueError as error:
+        raise ConfigurationError(
+            f"imitation settings chunk={settings.chunk}, executed={settings.executed} and hidden_size="
+            f"{settings.hidden_size} fit no network of {settings.algorithm}: {error}"
+        ) from None
+
+
+def _built(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
     shared: dict[str, Any] = {"encoding": encoding, "chunk": settings.chunk, "executed": settings.executed}
     modes = _MODES if settings.algorithm.endswith("gmm") else 1
     if settings.algorithm in ("bc", "bc-gmm"):
