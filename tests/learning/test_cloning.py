@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -23,6 +25,7 @@ from orbit_data.hdf5 import Hdf5Dataset
 from orbit_data.manifest.manifest import Manifest
 from orbit_learn.cli.trained import PlaySettings, restore
 from orbit_learn.cloning.corrections import gather_corrections
+from orbit_learn.cloning.demonstrations import load_demonstrations
 from orbit_learn.cloning.encoding import (
     FINE,
     Encoder,
@@ -307,6 +310,9 @@ def test_a_training_goes_on_where_it_was_cut_off(demos: Path, environment: Envir
             "--library imitation --dataset {demos} --imitation chunk=4 --imitation executed=8",
             "'executed' is 1 to chunk",
         ),
+        ("--algorithm act --dataset {demos} --imitation hidden_size=30", "fit no network of act: width 7"),
+        ("--library imitation --dataset {demos} --imitation chunk=1000", "chunk at most 512"),
+        ("--library imitation --dataset {demos} --imitation ensemble=0.1", "averages plans of act, and not of bc"),
         ("--library imitation --dataset {demos} --action ik_relative", "action_terms"),
         ("--library imitation --dataset {demos} --robot ur10", "joint_names"),
         ("--library imitation --dataset {demos} --set actions.joint_position.scale=0.5", "scale was 2"),
@@ -319,6 +325,33 @@ def test_bad_calls_are_told(
     line = f"train Reach --backend {BACKEND} --num-envs 2 --iterations 1 " + words.format(demos=demos)
     assert main([*line.split(), "--output", str(tmp_path / "out")]) != 0
     assert told in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "told"),
+    [
+        ("clean_actions", lambda value: value[:, :1], r"episode 0 of .* actions of shape \(50, 1\) .* \(steps, 8\)"),
+        ("clean_actions", lambda value: value.astype(np.int32), "type int32: cloning needs real numbers"),
+        ("clean_actions", lambda value: 100.0 * value, r"within \[-1, 1\]: divide them by their scale"),
+        ("obs/goal", lambda value: (10.0 * value).astype(np.uint8), "'goal' of episode 1 .* holds float32, .* uint8"),
+    ],
+)
+def test_arrays_that_would_be_cut_or_copied_in_silence_are_refused(
+    name: str,
+    change: Callable[[np.ndarray], np.ndarray],
+    told: str,
+    demos: Path,
+    environment: Environment,
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "wrong.hdf5"
+    shutil.copy(demos, path)
+    with h5py.File(path, "r+") as file:
+        value = change(file[f"data/demo_0/{name}"][()])  # pyright: ignore[reportIndexIssue]
+        del file[f"data/demo_0/{name}"]
+        file[f"data/demo_0/{name}"] = value
+    with pytest.raises(ConfigurationError, match=told):
+        load_demonstrations(path, environment, only_successes=False)
 
 
 def test_a_dataset_that_is_too_small_says_how_small(
