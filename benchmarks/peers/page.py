@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from peers import PEERS, Case, Peer
 from results import Measurement, Side, Spread
@@ -87,27 +87,35 @@ def _raw_rates(measurement: Measurement, project: str) -> Side | None:
     return side if side is not None and side.raw_rates else None
 
 
+def _fastest(measurement: Measurement) -> tuple[Side | None, Side]:
+    """Return the fastest side of the peer, if it ran, and of ORBIT."""
+    ours = measurement.fastest("orbit")
+    assert ours is not None  # each measurement has ORBIT's side
+    return measurement.fastest(measurement.peer), ours
+
+
+def _rows(
+    measurements: Sequence[Measurement], cells: Callable[[Side | None, Side], Iterable[str]]
+) -> list[tuple[str, ...]]:
+    """Return a row for each measurement: its case, its number of environments, and the cells of its fastest sides."""
+    return [(_label(*case_of(each)), f"{each.num_envs:,}", *cells(*_fastest(each))) for each in measurements]
+
+
 def _rates(measurements: Sequence[Measurement]) -> str:
-    rows = []
-    for each in measurements:
-        theirs, ours = each.fastest(each.peer), each.fastest("orbit")
-        assert ours is not None  # each measurement has ORBIT's side
-        rows.append(
-            (
-                _label(*case_of(each)),
-                f"{each.num_envs:,}",
-                _rate(theirs),
-                _ratio(theirs.rates, theirs.raw_rates) if theirs else "-",
-                _rate(ours),
-                _ratio(ours.rates, ours.raw_rates),
-                _ratio(ours.rates, theirs.rates) if theirs else "-",
-            )
+    def cells(theirs: Side | None, ours: Side) -> tuple[str, ...]:
+        return (
+            _rate(theirs),
+            _ratio(theirs.rates, theirs.raw_rates) if theirs else "-",
+            _rate(ours),
+            _ratio(ours.rates, ours.raw_rates),
+            _ratio(ours.rates, theirs.rates) if theirs else "-",
         )
+
     headings = (
         "peer", "environments", "peer, environment steps/s", "of raw", "ORBIT, environment steps/s", "of raw",
         "ORBIT / peer",
     )  # fmt: skip
-    return "## Steps\n\n" + _table(headings, rows)
+    return "## Steps\n\n" + _table(headings, _rows(measurements, cells))
 
 
 def _seconds(side: Side | None, kind: str) -> str:
@@ -132,20 +140,15 @@ one environment, drawn in software.
 
 
 def _starts(measurements: Sequence[Measurement]) -> str:
-    rows = []
-    for each in measurements:
-        theirs, ours = each.fastest(each.peer), each.fastest("orbit")
-        assert ours is not None  # each measurement has ORBIT's side
-        rows.append(
-            (
-                _label(*case_of(each)),
-                f"{each.num_envs:,}",
-                *(_seconds(side, kind) for kind in ("start_seconds", "command_seconds") for side in (theirs, ours)),
-                f"{ours.settle_seconds:.1f}",
-                *(f"{side.memory_mib:,.0f}" if side else "-" for side in (theirs, ours)),
-                *(_pictures(side) for side in (theirs, ours)),
-            )
+    def cells(theirs: Side | None, ours: Side) -> tuple[str, ...]:
+        sides = theirs, ours
+        return (
+            *(_seconds(side, kind) for kind in ("start_seconds", "command_seconds") for side in sides),
+            f"{ours.settle_seconds:.1f}",
+            *(f"{side.memory_mib:,.0f}" if side else "-" for side in sides),
+            *(_pictures(side) for side in sides),
         )
+
     headings = (
         "peer", "environments", "start, s: peer", "ORBIT", "from the command, s: peer", "ORBIT",
         "ORBIT's first steps, s", "memory, MiB: peer", "ORBIT", "pictures/s: peer", "ORBIT",
@@ -156,7 +159,7 @@ def _starts(measurements: Sequence[Measurement]) -> str:
         for side in each.sides
         if side.no_pictures
     }
-    return _STARTS + _table(headings, rows) + ("\n" + "".join(sorted(notes)) if notes else "")
+    return _STARTS + _table(headings, _rows(measurements, cells)) + ("\n" + "".join(sorted(notes)) if notes else "")
 
 
 def _model(side: Side) -> tuple[str, ...]:
@@ -174,11 +177,8 @@ def _models(measurements: Sequence[Measurement]) -> str:
     rows = []
     for each in reversed(first.values()):
         peer, case = case_of(each)
-        ours = each.fastest("orbit")
-        theirs = each.fastest(each.peer) or ours
-        assert ours is not None
-        assert theirs is not None
-        pairs = (" / ".join(dict.fromkeys(pair)) for pair in zip(_model(theirs), _model(ours), strict=True))
+        theirs, ours = _fastest(each)
+        pairs = (" / ".join(dict.fromkeys(pair)) for pair in zip(_model(theirs or ours), _model(ours), strict=True))
         rows.append((_label(peer, case), case.robot, _counterpart(case), *pairs, case.differs))
     headings = (
         "peer", "robot", "ORBIT's task", "control, physics, decimation", "action components", "degrees of freedom",

@@ -81,7 +81,7 @@ class PpoSettings:
             self._check("critic_first", 0, math.inf)
         if self.precision not in _PRECISIONS:
             raise ArgumentError(f"precision is {self.precision!r}: give one of {', '.join(_PRECISIONS)}")
-        if not all(1 <= units <= MOST_UNITS for units in self.hidden_sizes):
+        if not self.hidden_sizes or not all(1 <= units <= MOST_UNITS for units in self.hidden_sizes):
             raise ArgumentError(f"hidden_sizes are {self.hidden_sizes}: give each layer 1 to {MOST_UNITS} units")
 
     @property

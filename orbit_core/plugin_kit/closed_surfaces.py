@@ -17,9 +17,16 @@ _OFF_EDGES = np.array([1.3e-5, 0.7e-5])
 def inside_lattice(
     axes: Sequence[FloatArray], vertices: npt.NDArray[np.floating], faces: npt.NDArray[np.integer]
 ) -> npt.NDArray[np.bool_]:
-    """Return which points of a lattice are inside, (X, Y, Z).
+    """Return which points of a lattice are inside, (X, Y, Z); arguments are those of :func:`winding_numbers`."""
+    return winding_numbers(axes, vertices, faces) > 0
 
-    Along a line of points the winding number is the sum of the crossings above, signed by how triangles face.
+
+def winding_numbers(
+    axes: Sequence[FloatArray], vertices: npt.NDArray[np.floating], faces: npt.NDArray[np.integer]
+) -> npt.NDArray[np.int64]:
+    """Return how often a surface encloses the points of a lattice, (X, Y, Z).
+
+    Along a line of points it is the sum of the crossings above, signed by how triangles face.
 
     Args:
         axes: coordinates of the lattice along x, y and z, m.
@@ -42,7 +49,7 @@ def inside_lattice(
             hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
             z = heights[hit, 0] * (1.0 - u[hit] - v[hit]) + heights[hit, 1] * u[hit] + heights[hit, 2] * v[hit]
             found[i, j] = (np.sign(area[hit])[:, None] * (z[:, None] > axes[2])).sum(axis=0)
-    return found > 0
+    return found
 
 
 def is_convex(vertices: npt.NDArray[np.floating], faces: npt.NDArray[np.integer]) -> bool:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from orbit_core.configuration import TypeChecker, wrong_value
 from orbit_core.interfaces.errors import MAX_DISTANCE, MAX_SPEED, ArgumentError
+from orbit_core.plugin_kit.closed_surfaces import winding_numbers
 from orbit_core.scene import (
     AmbientLight,
     Box,
@@ -48,6 +49,10 @@ _UNIT = 1e-3
 _LEAST_AREA = 1e-6
 # Least volume of a solid, over that of the box around it.
 _LEAST_VOLUME = 1e-4
+# Part of a solid's volume that its surface may enclose twice, and the samples along each axis that tell it.
+_MOST_TWICE, _SAMPLES = 0.01, 32
+# Spacing of a liquid's particles, over the shortest edge of its box.
+_WIDEST_SPACING = 2.0
 _MOST_PARTICLES = 1_000_000
 # Largest coefficient of a material or a deformable, stiffness of a contact in N/m, and damping, friction or armature of
 # a joint in their units.
@@ -353,6 +358,12 @@ def _check_box(fluid: Fluid, where: str) -> None:
             raise wrong_value(
                 f"{where}.half_extents", fluid.half_extents, f"three lengths above 0, {MAX_DISTANCE:g} m at most"
             )
+        # One layer of particles would hold more than twice what the box does.
+        if fluid.spacing > _WIDEST_SPACING * 2.0 * half:
+            most = _WIDEST_SPACING * 2.0 * min(fluid.half_extents)
+            raise wrong_value(
+                f"{where}.spacing", fluid.spacing, f"{most:g} m at most, twice the shortest edge of its box"
+            )
     count = math.prod(max(1.0, 2.0 * half / fluid.spacing) for half in fluid.half_extents)
     if count > _MOST_PARTICLES:
         raise ArgumentError(
@@ -424,6 +435,22 @@ def _check_pieces(solid: SoftBody, where: str) -> None:
                 f"{where}.mesh has a piece that is inside out, at triangle {int(number)}: have its triangles wind "
                 "counter-clockwise as seen from outside"
             )
+    if len(numbers) > 1:
+        _check_counted_once(solid, where)
+
+
+def _check_counted_once(solid: SoftBody, where: str) -> None:
+    """Refuse pieces that overlap: their common volume would weigh twice, and be as stiff as once."""
+    low, extent = solid.rest_positions.min(axis=0), np.ptp(solid.rest_positions, axis=0)
+    between = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    axes = [low[axis] + extent[axis] * between for axis in range(3)]
+    winding = winding_numbers(axes, solid.rest_positions, np.asarray(solid.mesh.faces))
+    twice = float(np.maximum(winding - 1, 0).sum() / max((winding > 0).sum(), 1))
+    if twice > _MOST_TWICE:
+        raise ArgumentError(
+            f"{where}.mesh is of pieces that overlap, which would weigh {100.0 * twice:.0f} % too much: unite them "
+            "into one surface, or turn the wall of a cavity inside out"
+        )
 
 
 def _check_extent(spec: Cloth | Rope, where: str) -> None:

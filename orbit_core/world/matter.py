@@ -36,7 +36,7 @@ from orbit_core.interfaces import (
 from orbit_core.interfaces.errors import matter_divergence_error
 from orbit_core.interfaces.matter import PARAMETERS, Matter, MatterSolver
 from orbit_core.preparation.scene_data import check_data
-from orbit_core.scene import Cloth, DeformableSpec, Region, SoftBody
+from orbit_core.scene import Cloth, DeformableSpec, Fluid, Region, SoftBody
 from orbit_core.world.state import WorldParts
 
 # A physics engine and a matter solver as one engine -------------------------------------------------------------------
@@ -515,12 +515,17 @@ class SimulatedDeformable(Deformable):
         return self._engine.particle_forces(self._index)[:, self._link(entity, link)]
 
     def contact_pressure(self, entity: str, link: str) -> Tensor:
+        if not isinstance(self.spec, SoftBody):
+            kind = type(self.spec).__name__
+            raise ConfigurationError(f"'{self.name}' is a {kind}: only the pressure of a SoftBody is measured")
         return self._engine.particle_pressures(self._index)[:, self._link(entity, link)]
 
     def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
         find_name(name, PARAMETERS, "parameter", f"'{self.name}'")
         if name == "bending" and isinstance(self.spec, SoftBody):
             raise ArgumentError(f"soft body '{self.name}' bends as its stiffness says: set its 'stiffness'")
+        if name != "density" and isinstance(self.spec, Fluid):
+            raise ArgumentError(f"'{self.name}' is a liquid, which has no {name}: only its 'density' can be set")
         chosen = self._selector.select(env_ids)
         bounds = FRICTIONS if name == "friction" else _SCALES
         values = chosen.values(values, (), f"{name} of '{self.name}'", bounds)

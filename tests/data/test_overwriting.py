@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -88,6 +89,15 @@ def foreign(kind: str, folder: Path) -> Path:
     if kind == "another's card":
         (folder / "out.md").write_text("# out\n\nmy notes\n")
         return folder / "out.hdf5"
+    if kind == "another's file":
+        (folder / "out.hdf5").write_text("years")
+        return folder / "out.hdf5"
+    if kind == "of robomimic":
+        write_hdf5(folder / "out.hdf5", episodes(2), None)
+        with h5py.File(folder / "out.hdf5", "r+") as file:
+            for demo in file["data"].values():  # pyright: ignore[reportAttributeAccessIssue]
+                del demo.attrs["orbit_episode"]
+        return folder / "out.hdf5"
     written(output, 2)
     if kind == "notes in it":
         (output / "notes.txt").write_text("years")
@@ -108,6 +118,8 @@ def foreign(kind: str, folder: Path) -> Path:
         ("no dataset", "it holds src/thesis.tex"),
         ("file", "is a file, which no folder replaces"),
         ("another's card", "out.md is in the place of the card"),
+        ("another's file", "out.hdf5 is not a dataset that ORBIT wrote"),
+        ("of robomimic", "out.hdf5 is not a dataset that ORBIT wrote"),
         ("notes in it", "it holds notes.txt"),
         ("a hidden file in it", "it holds meta/.notes"),
         ("another card in it", "it holds README.md"),

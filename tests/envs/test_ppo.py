@@ -21,6 +21,7 @@ from orbit_tasks.reach import Reach
         ({"clip": float("nan")}, "clip is nan: give a number above zero"),
         ({"discount": 1.5}, "discount is 1.5: give 0 to 1"),
         ({"entropy_weight": -0.1}, "entropy_weight is -0.1: give at least 0"),
+        ({"hidden_sizes": ()}, r"hidden_sizes are \(\): give each layer 1 to 65536 units"),
         ({"hidden_sizes": (64, 0)}, r"hidden_sizes are \(64, 0\): give each layer 1 to 65536 units"),
     ],
 )

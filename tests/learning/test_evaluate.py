@@ -122,13 +122,39 @@ def test_a_file_of_results_goes_on_and_forgets_a_line_that_was_cut_off(tmp_path:
     assert read_results(path)[1] == [block("one", "1100")]
 
 
+def test_a_block_after_a_line_that_was_cut_off_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl"
+    ResultFile(path, PLAN).add(block("one", "1101"))
+    with path.open("a") as file:
+        file.write('{"block": {"key": {"pol')
+    ResultFile(path, PLAN).add(block("two", "0001"))
+    assert [each.key.policy for each in read_results(path)[1]] == ["one", "two"]
+
+
+def test_results_of_a_policy_that_was_trained_again_are_told(tmp_path: Path) -> None:
+    first, again = (replace(PLAN, digests={"one": digest}) for digest in ("ab", "cd"))
+    ResultFile(tmp_path / "results.jsonl", first).add(block("one", "1101"))
+    with pytest.raises(ConfigurationError, match="holds results of 'one' before it was trained again"):
+        ResultFile(tmp_path / "results.jsonl", again)
+    assert len(ResultFile(tmp_path / "results.jsonl", first).blocks) == 1
+    ResultFile(tmp_path / "earlier.jsonl", PLAN)
+    assert not ResultFile(tmp_path / "earlier.jsonl", first).blocks, "files of earlier versions have no digests"
+
+
 def test_another_evaluation_in_the_file_is_told(tmp_path: Path) -> None:
-    ResultFile(tmp_path / "results.jsonl", PLAN)
+    ResultFile(tmp_path / "results.jsonl", PLAN).add(block("one", "1100"))
     with pytest.raises(ConfigurationError, match="differs in seeds, episodes"):
         ResultFile(tmp_path / "results.jsonl", replace(PLAN, seeds=(0, 1), episodes=5))
     (tmp_path / "other.jsonl").write_text("[]\n")
     with pytest.raises(ConfigurationError, match="no results"):
         ResultFile(tmp_path / "other.jsonl", PLAN)
+
+
+def test_a_plan_without_results_makes_room_for_another(tmp_path: Path) -> None:
+    path, other = tmp_path / "results.jsonl", replace(PLAN, seeds=(0, 1))
+    ResultFile(path, PLAN)
+    ResultFile(path, other).add(block("one", "1100"))
+    assert read_results(path) == (other, [block("one", "1100")])
 
 
 def test_the_page_needs_nothing_else_and_hides_no_name() -> None:

@@ -185,6 +185,8 @@ def test_the_command_line_finds_the_library_of_an_algorithm(tmp_path: Path, caps
     assert "library 'skrl' takes no --algorithm" in capsys.readouterr().err
     assert main([*words, "sac", "--off-policy", "horizont=3"]) == 2
     assert "horizon" in capsys.readouterr().err
+    assert main([*words, "sac", "--off-policy", "noise=[0.1,0.2]"]) == 2
+    assert "algorithm 'sac' has no noise, a setting of td3" in capsys.readouterr().err
     assert main([*words, "sac", "--off-policy", "steps_per_iteration=4", "--off-policy", "batch_size=8"]) == 0
     record = json.loads((tmp_path / "training" / "training.json").read_text())
     assert (record["library"], record["algorithm"]["batch_size"]) == ("orbit", 8)

@@ -223,6 +223,16 @@ def test_a_grid_has_all_combinations_and_random_draws_stay_in_their_ranges(tmp_p
             "cannot vary ppo.learning_rate",
         ),
         ("seeds = [1, 1]" + TRAIN, ConfigurationError, "different numbers"),
+        (TRAIN + "[vary]\n'ppo.clop' = [0.1]", ConfigurationError, r"ppo.clop of .* is 0.1: unknown .* 'clop'"),
+        (TRAIN + "[vary]\n'ppo.clip' = [0.1, -1.0]", ConfigurationError, r"ppo.clip of .* is -1.0: ppo: clip is -1.0"),
+        (TRAIN + "[vary]\n'fields.tolerence' = [0.1]", ConfigurationError, "unknown field 'tolerence' in task Reach"),
+        (TRAIN + "[vary]\ntask = ['Reach', 'Reech']", ConfigurationError, "unknown task 'Reech'"),
+        (TRAIN.replace("sb3", "sb4") + "[vary]\nnum_envs = [1, 2]", UnknownNameError, "sb4"),
+        (
+            "search = 'random'\ntrials = 1" + TRAIN + "[vary]\nnum_envs = { low = 2, high = 9 }",
+            ConfigurationError,
+            "'num_envs' .* must be a whole number",
+        ),
         ("cpus = 0" + TRAIN + "[vary]\nnum_envs = [1, 2]", ConfigurationError, "cpus"),
     ],
 )  # fmt: skip
@@ -256,6 +266,9 @@ def test_curves_are_drawn_against_each_other(tmp_path: Path, capfd: pytest.Captu
             for k in range(4)
         ]
         (tmp_path / name / "curve.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+        with (tmp_path / name / "curve.jsonl").open("a") as file:
+            file.write('{"iteration": 4, "env_st')  # of a training that was killed, or writes at the moment
+        assert curve_of(tmp_path / name) == lines
     words = ["plot", str(tmp_path / "one"), str(tmp_path / "two"), "--output", str(tmp_path / "curves.png")]
     assert main(words) == 0
     assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"

@@ -288,6 +288,13 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
         (tmp_path / "curve.jsonl").write_text(f"{line}\n")
         with pytest.raises(ConfigurationError, match="is no curve of a training"):
             learn(trainer("sb3", environment, tmp_path), 2, resume=True)
+    (tmp_path / "curve.jsonl").unlink()
+    turned = Environment(Reach(rewards=Height(), episode_length=0.5, action="joint_velocity"), 2, BACKEND)
+    with pytest.raises(
+        ConfigurationError, match="resumed with the task and settings that it began with: the policy was"
+    ):
+        learn(trainer("sb3", turned, tmp_path), 2, resume=True)
+    turned.close()
     other = replace(SHORT, hidden_sizes=(32,))
     with pytest.raises(ConfigurationError, match="does not fit this training"):
         learn(trainer("sb3", environment, tmp_path, other), 2, resume=True)

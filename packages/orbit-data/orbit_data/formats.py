@@ -17,6 +17,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_data.card import CARD, card, check_card, write_card
 from orbit_data.episodes import ACTIONS, DONES, NEXT, OBSERVED, REWARDS, TAUGHT, Dataset, Episode
 from orbit_data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
+from orbit_data.hdf5 import check_replaceable as check_replaceable_file
 from orbit_data.lerobot import INFO, LeRobotDataset, check_replaceable, write_lerobot
 from orbit_data.lerobot import check_recordable as check_lerobot
 from orbit_data.manifest.manifest import Kind, Manifest, differences
@@ -163,12 +164,13 @@ def check_target(path: Path) -> None:
     """Reject the path of a new dataset that has no known format, or where something else would be lost.
 
     Raises:
-        ConfigurationError: the suffix belongs to no format that can be written, the folder contains anything but a
+        ConfigurationError: the suffix belongs to no format that can be written, the file or folder is anything but a
             dataset that ORBIT wrote, or a file in the place of the card is not a card.
     """
     if path.suffix in _SUFFIXES:
         if path.is_dir():
             raise ConfigurationError(f"cannot write {path}: it is a folder")
+        check_replaceable_file(path)
         return check_card(path)
     if path.name.endswith(ZARR):
         raise ConfigurationError(f"{path} would be Zarr, which is read and not written: name it *.hdf5, or a folder")

@@ -14,7 +14,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -178,6 +178,26 @@ class Hdf5Dataset(Dataset):
                 yield from self._arrays(child, f"{path}/", names, account)
             elif chosen(path, names):
                 yield path, self._file.numbers(group, name, account)
+
+
+def check_replaceable(path: Path) -> None:
+    """Reject a file that a dataset must not replace: only those that ORBIT wrote are replaced.
+
+    Raises:
+        ConfigurationError: it is no such file.
+    """
+    if not path.exists():
+        return
+    own = False
+    # Of a file that cannot be read nobody knows whose it is.
+    with suppress(ConfigurationError), closing(Hdf5File(path, "dataset")) as file, file.faults("the file"):
+        data = file.group(file.root, "data")
+        demos = [] if data is None else [name for name in file.names(data) if _DEMO.fullmatch(name)]
+        own = bool(demos) and file.text(file.group(data, demos[0]), _INFO, MAX_DOCUMENT) is not None
+    if not own:
+        raise ConfigurationError(
+            f"{path} is not a dataset that ORBIT wrote. It is not replaced: choose another name, or move it away first"
+        )
 
 
 @contextmanager

@@ -36,7 +36,9 @@ def curve_of(folder: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     try:
-        lines = [parse_json(line) for line in read_bytes(path, _MOST_BYTES).decode().splitlines()]
+        # A training that is being written, or was killed, may leave a partial last line.
+        whole = [line for line in read_bytes(path, _MOST_BYTES).decode().splitlines(keepends=True) if line[-1] == "\n"]
+        lines = [parse_json(line) for line in whole]
         return [{**line, "metrics": dict(line["metrics"]), "iteration": int(line["iteration"])} for line in lines]
     except (ValueError, TypeError, KeyError) as error:
         raise ConfigurationError(f"{path} is no curve of a training ({error})") from None

@@ -60,6 +60,10 @@ class DistillSettings:
                 raise ConfigurationError(f"{name} of a distillation is 1 or more, not {getattr(self, name)}")
         if not 0.0 <= self.teacher_led <= 1.0:
             raise ConfigurationError(f"teacher_led of a distillation is a share in [0, 1], not {self.teacher_led}")
+        if not self.hidden_sizes or min(self.hidden_sizes) < 1:
+            raise ConfigurationError(
+                f"hidden_sizes of a distillation are {self.hidden_sizes}: give each layer 1 or more"
+            )
         if self.shift < 0 or self.learning_rate <= 0.0:
             raise ConfigurationError("shift of a distillation is not negative, and its learning_rate above zero")
 

@@ -26,7 +26,7 @@ from orbit_data.manifest.manifest import Manifest
 from orbit_data.tensor_file import parse_json, read_tensors, write_tensors
 from orbit_learn.memory import memory_parts
 from orbit_learn.policy import Policy, PolicyDescription
-from orbit_learn.policy_file import SUFFIX, newest_file
+from orbit_learn.policy_file import SUFFIX, newest_file, read_policy
 from orbit_learn.trainer import Progress, Trainer
 
 FORMAT = 1
@@ -213,6 +213,14 @@ class Training:
                 "not read, because they may run code"
             )
         state, iteration = read_checkpoint(newest, self.trainer.name), int(newest.stem.removeprefix(f"{CHECKPOINT}_"))
+        # Weights may fit another robot or action of as many numbers, which would go on in silence.
+        if (policy := self.policy_file(iteration)).exists():
+            try:
+                read_policy(policy)[0].find_group(self.trainer.environment)
+            except ConfigurationError as error:
+                raise ConfigurationError(
+                    f"{folder} is resumed with the task and settings that it began with: {error}"
+                ) from None
         try:
             self.trainer.restore(state, iteration)
         except (RuntimeError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:

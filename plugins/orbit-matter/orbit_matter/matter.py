@@ -205,7 +205,7 @@ class ParticleMatter(Matter):
     def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None) -> None:
         if self._solids.has(deformable):
             self._solids.write(deformable, positions, velocities, env_ids)
-            self._orient(env_ids)
+            self._orient(deformable, env_ids)
             return
         if self._fluids.has(deformable):
             self._fluids.write(deformable, positions, velocities, env_ids)
@@ -251,12 +251,12 @@ class ParticleMatter(Matter):
         if depths is not None:
             limits.check_clear(self._layout, depths, self._colliders.links[0])
 
-    def _orient(self, env_ids: Tensor | None) -> None:
-        """Find the rotations of solids from scratch."""
-        chosen = self._chosen(env_ids)
+    def _orient(self, deformable: int, env_ids: Tensor | None) -> None:
+        """Find the rotations of a solid from scratch."""
+        number, chosen = self._solids.number(deformable), self._chosen(env_ids)
         with self._graphs.stream():
             for part in self._parts:
-                part.orient(chosen)
+                part.orient(number, chosen)
 
     def _chosen(self, env_ids: Tensor | None) -> Tensor:
         """(N,) bool mask of environments."""
@@ -356,7 +356,7 @@ class ParticleMatter(Matter):
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
         of_liquids = stability.tossed(self._layout) + stability.floating(self._layout)
-        of_liquids += stability.passing(self._layout)
+        of_liquids += stability.passing(self._layout) + stability.rounded(self._layout)
         of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 

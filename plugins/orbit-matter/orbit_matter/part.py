@@ -206,10 +206,10 @@ class Part:
             return None
         return self._solids.depths(self._links, self._colliders.shapes, farthest)
 
-    def orient(self, chosen: Tensor) -> None:
-        """Find the rotations of solids from scratch in chosen environments, of all (N,) bool."""
+    def orient(self, number: int, chosen: Tensor) -> None:
+        """Find the rotations of a solid from scratch in chosen environments, of all (N,) bool."""
         if self._solids is not None:
-            self._solids.orient(wp.from_torch(chosen[self._rows]))
+            self._solids.orient(number, wp.from_torch(chosen[self._rows]))
 
     def liquid_inside(self) -> np.ndarray:
         """Return the (n, P) shape that each particle of liquid is inside of; -1 for none."""

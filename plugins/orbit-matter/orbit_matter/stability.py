@@ -41,6 +41,8 @@ and 3 to 5 % after they were let go at 90 degrees, one of 2 kg 0.8 %."""
 _FLOATS = 10
 """Particles of a liquid that a free body weighs at least: of 14 it swings by 5 mm on 1 cm ones, of 5 by 9 mm, and of 4
 it jumps out."""
+_ROUNDED = 0.02
+"""Part of its mass by which a liquid may differ from its box's before it is reported."""
 LEAST_MASS = 2e-10
 """Kilograms of a particle, below which contacts overflow single precision."""
 
@@ -150,6 +152,22 @@ def passing(layout: SceneLayout) -> tuple[Approximation, ...]:
         for liquid in liquids
         for other in others
     )
+
+
+def rounded(layout: SceneLayout) -> tuple[Approximation, ...]:
+    """Report liquids whose whole layers of particles hold more or less than their boxes."""
+    found: list[Approximation] = []
+    for spec in layout.scene.deformables:
+        if isinstance(spec, Fluid):
+            asked = 8.0 * math.prod(spec.half_extents)
+            got = len(spec.rest_positions) * spec.spacing**3
+            if abs(got - asked) > _ROUNDED * asked:
+                why = (
+                    f"particles of {spec.spacing:g} m fill whole layers: let the box be a multiple of it, or refine it"
+                )
+                box, particles = (f"{spec.density * volume:.3g} kg" for volume in (asked, got))
+                found.append(Approximation(f"'{spec.name}'", box, particles, why))
+    return tuple(found)
 
 
 def _room(link: Link) -> float:

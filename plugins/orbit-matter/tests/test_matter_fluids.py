@@ -9,12 +9,12 @@ import torch
 
 from orbit_assets.deformables import sheet
 from orbit_assets.objects import box
-from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError, World
+from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout, SimulationError, World
 from orbit_core.scene import Attachment, Cloth, Fluid, Plane, Pose, Scene, Shape
 from orbit_core.world import simulate
 from orbit_matter.bodies import free_links
 from orbit_matter.fluid.fluids import build
-from orbit_matter.stability import floating, passing, tossed
+from orbit_matter.stability import floating, passing, rounded, tossed
 
 WATER = Fluid("water", (0.02, 0.02, 0.02), pose=Pose((0.0, 0.0, 0.02)), spacing=0.01)
 GROUND = (Shape(Plane()),)
@@ -178,7 +178,29 @@ def test_two_liquids_at_one_place_are_refused() -> None:
     oil = replace(WATER, name="oil", pose=Pose((0.02, 0.0, 0.02)))
     with pytest.raises(ConfigurationError, match="32 of the 64 particles of 'oil' are inside 'water'"):
         build(Scene(deformables=(WATER, oil)))
+    drop = replace(WATER, name="drop", half_extents=(0.004, 0.004, 0.004))
+    for both in ((WATER, drop), (drop, WATER)):
+        with pytest.raises(ConfigurationError, match="1 of the 1 particles of 'drop' are inside 'water'"):
+            build(Scene(deformables=both))
     assert build(Scene(deformables=(WATER, replace(oil, pose=Pose((0.04, 0.0, 0.02)))))) is not None
+
+
+def test_a_liquid_whose_particles_are_larger_than_its_box_is_refused_and_one_of_part_layers_is_reported() -> None:
+    with pytest.raises(ArgumentError, match=r"'water'\].spacing is 0.1: give 0.08 m at most, twice the shortest edge"):
+        _world(deformables=(replace(WATER, spacing=0.1),))
+    film = SceneLayout.of(Scene(deformables=(replace(WATER, half_extents=(0.02, 0.02, 0.003)),)))
+    (found,) = rounded(film)
+    assert (found.subject, found.asked, found.got) == ("'water'", "0.0096 kg", "0.016 kg")
+    assert not rounded(SceneLayout.of(Scene(deformables=(WATER,))))
+
+
+def test_parameters_that_a_liquid_lacks_are_refused(settled: World) -> None:
+    water = settled.deformables["water"]
+    for name in ("stiffness", "bending", "friction"):
+        with pytest.raises(ArgumentError, match=f"'water' is a liquid, which has no {name}"):
+            water.set_parameter(name, torch.ones(2))
+    with pytest.raises(ConfigurationError, match="'water' is a Fluid: only the pressure of a SoftBody"):
+        water.contact_pressure("right", "right")
 
 
 def test_a_liquid_that_is_too_thick_is_refused_with_the_viscosity_that_would_do() -> None:

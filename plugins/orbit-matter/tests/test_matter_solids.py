@@ -129,6 +129,22 @@ def test_written_vertices_turn_and_stretch_all_nodes_exactly() -> None:
     np.testing.assert_allclose(model.fits[0] @ written, part.nodes @ matrix.T + 0.3, atol=1e-5)
 
 
+def test_triangles_that_span_nodes_are_held_between_their_vertices_where_one_thing_holds_these() -> None:
+    coarse = cuboid((0.05, 0.05, 0.05), (1, 1, 1))
+    top = np.flatnonzero(coarse.vertices[:, 2] > 0.0)
+    held = replace(BLOCK, mesh=coarse, attachments=(Attachment(tuple(top.tolist())),))
+    model = build(Scene(deformables=(held,)), 0.0025)
+    part, own = model.embeddings[0], model.between[0]
+    places = part.weights_of(part.between) @ part.nodes
+    on_top = model.attached[own] == 1
+    assert (on_top == np.isclose(places[:, 2], 0.025)).all()
+    # Two cells along an edge have five nodes.
+    assert on_top.sum() == 25 - 4
+    halves = tuple(Attachment((int(vertex),)) for vertex in top)
+    assert build(Scene(deformables=(replace(held, attachments=halves),)), 0.0025).attached[own].sum() == 0
+    assert len(grid.embed(replace(BLOCK, mesh=cuboid((0.05, 0.05, 0.05), (4, 4, 4)))).corners) == 0
+
+
 # Worlds --------------------------------------------------------------------------------------------------------------
 
 
@@ -366,7 +382,19 @@ def test_a_piece_that_is_inside_out_is_refused_and_a_cavity_is_not() -> None:
         simulate(Scene(deformables=(outside,)), 1, "mujoco", matter="orbit-matter")
     hollow = replace(BLOCK, mesh=_joined((MESH, (0.0, 0.0, 0.0)), (inverted, (0.0, 0.0, 0.0))))
     assert hollow.volume < BLOCK.volume
+    solid = replace(BLOCK, mesh=_joined((MESH, (0.0, 0.0, 0.0)), (SMALL, (0.0, 0.0, 0.0))))
+    with pytest.raises(ArgumentError, match="or turn the wall of a cavity inside out"):
+        simulate(Scene(deformables=(solid,)), 1, "mujoco", matter="orbit-matter")
     simulate(Scene(deformables=(hollow,)), 1, "mujoco", matter="orbit-matter").close()
+
+
+@pytest.mark.parametrize(("way", "share"), [(0.0, 1.0), (0.03, 0.4**2 * 0.98)])
+def test_pieces_that_overlap_are_refused(way: float, share: float) -> None:
+    twice = replace(BLOCK, mesh=_joined((MESH, (0.0, 0.0, 0.0)), (MESH, (way, way, 0.001 if way else 0.0))))
+    with pytest.raises(ArgumentError, match="pieces that overlap, which would weigh") as error:
+        simulate(Scene(deformables=(twice,)), 1, "mujoco", matter="orbit-matter")
+    found = int(str(error.value).split("weigh ")[1].split(" %")[0])
+    assert found == pytest.approx(100.0 * share / (2.0 - share), abs=2.0)
 
 
 def test_pieces_that_do_not_touch_are_refused() -> None:
@@ -404,3 +432,42 @@ def test_the_build_report_names_light_bodies() -> None:
     said = [str(each) for each in own.build_report]
     own.close()
     assert any("'plate'" in each and "hops" in each and "0.03 kg would do" in each for each in said)
+
+
+# Hanging and writing -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("when", ["attached", "anchored"])
+def test_a_block_that_hangs_by_the_corners_of_its_face_stretches_under_its_weight(when: str) -> None:
+    length, modulus, mesh = 0.1, 5e4, cuboid((0.05, 0.05, 0.1), (1, 1, 2))
+    low, top = (np.flatnonzero(mesh.vertices[:, 2] * way > 0.04).tolist() for way in (-1, 1))
+    held = (Attachment(tuple(top)),) if when == "attached" else ()
+    block = SoftBody("block", mesh, 1000.0, Pose((0.0, 0.0, 1.0)), modulus, 0.0, damping=0.05, attachments=held)
+    world = simulate(Scene(deformables=(block,), physics_dt=0.0025), 1, "mujoco", matter="orbit-matter")
+    hanging = world.deformables["block"]
+    if when == "anchored":
+        hanging.anchor(top)
+    world.step(200)
+    stretch = 1.0 - 0.5 * length - float(hanging.positions[0, low, 2].mean())
+    # What holds gives way by a tenth more.
+    assert stretch == pytest.approx(1000.0 * 9.81 * length**2 / (2.0 * modulus), rel=0.15)
+    hanging.release()
+    before = hanging.positions[0, top, 2].mean()
+    world.step(20)
+    assert float(before - hanging.positions[0, top, 2].mean()) > 0.008, "nothing holds it any more"
+    world.close()
+
+
+def test_a_solid_that_is_written_leaves_what_others_stick_to() -> None:
+    sliding = tuple(replace(BLOCK, name=name, pose=Pose((x, 0.0, 0.026))) for name, x in (("one", 0.0), ("two", 0.2)))
+    scene = Scene(deformables=sliding, physics_dt=0.0025, gravity=(2.0, 0.0, -9.6))
+    ends = []
+    for written in (False, True):
+        world = simulate(scene, 1, "mujoco", matter="orbit-matter")
+        world.step(20)
+        if written:
+            world.deformables["one"].set_state(world.deformables["one"].positions.clone())
+        world.step(5)
+        ends.append(world.deformables["two"].positions.clone())
+        world.close()
+    assert torch.equal(*ends)

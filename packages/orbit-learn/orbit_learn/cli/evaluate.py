@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,7 @@ from orbit_core.cli.settings import EnvironmentSettings, check_positive, make_fo
 from orbit_core.configuration import assignments
 from orbit_core.envs.actors import ACTORS
 from orbit_core.envs.registry import task_entry
-from orbit_core.files import written_whole
+from orbit_core.files import read_bytes, written_whole
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_learn.acting import SCHEMES
 from orbit_learn.cli.trained import PlaySettings
@@ -182,7 +183,24 @@ def _plan(settings: EvaluateSettings, own: dict[str, EnvironmentSettings], recip
     }
     seeds = tuple(range(settings.seed, settings.seed + settings.seeds))
     return Plan(str(task), settings.policies, tuple(backends), variants, seeds, settings.episodes, told,
-                disturbances, recipes)  # fmt: skip
+                disturbances, _digests(settings.policies), recipes)  # fmt: skip
+
+
+def _digests(policies: Sequence[str]) -> dict[str, str]:
+    """Return the digest of each policy's file, by which one that was trained again is found."""
+    from orbit_learn.policy_file import newest_file
+    from orbit_learn.pretrained import policy_path
+
+    found: dict[str, str] = {}
+    for policy in policies:
+        # Built-in actors and servers have no file.
+        if policy in ACTORS or policy.startswith(SCHEMES):
+            continue
+        path = policy_path(policy)
+        file = newest_file(path, "policy") if path.is_dir() else path
+        if file is not None:
+            found[policy] = hashlib.sha256(read_bytes(file)).hexdigest()[:16]
+    return found
 
 
 def _disturbances(

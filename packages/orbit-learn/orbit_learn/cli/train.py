@@ -16,7 +16,7 @@ from rich.table import Table
 from tyro.conf import UseAppendAction, arg
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.making import make_environment
+from orbit_core.cli.making import configured_task, make_environment
 from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues, check_positive, parse_settings
 from orbit_core.configuration import assignments, configured
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from orbit_learn.trainer import Progress, Trainer
     from orbit_learn.training import Training
     from orbit_learn.training_films import TrainingFilms
+
+
+# Settings of off-policy learning that only one algorithm reads
+_ONLY_OF = {"noise": "td3", "temperature": "sac", "target_entropy": "sac"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +88,6 @@ def train(settings: TrainSettings) -> Path:
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
-    from orbit_learn.learners import library_for, trainer_type
     from orbit_learn.processes import part, started
     from orbit_learn.training import Training, check_new
 
@@ -96,12 +99,7 @@ def train(settings: TrainSettings) -> Path:
     settings, leader = _ranked(for_training(settings))
     if leader and settings.output is not None:
         check_new(settings.output)
-    library = settings.library or library_for(settings.algorithm)
-    make_trainer = trainer_type(library, settings.algorithm)
-    algorithm = settings.algorithm
-    if algorithm == "ppo" and "algorithm" not in make_trainer.options:
-        algorithm = None  # these libraries have no other
-    settings = dataclasses.replace(settings, library=library, algorithm=algorithm)
+    settings, make_trainer = _library(settings)
     if started() > 1 and not make_trainer.several_gpus:
         raise ConfigurationError(
             f"library '{settings.library}' trains in one process: for several, use --library rsl-rl, or "
@@ -133,6 +131,30 @@ def train(settings: TrainSettings) -> Path:
     if last is not None:
         console().print(_table(settings, last, folder))
     return folder
+
+
+def check_training(settings: TrainSettings) -> None:
+    """Check the task's fields and the algorithm's settings, without an environment.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    check_positive("num_envs", settings.num_envs)
+    check_positive("save_every", settings.save_every)
+    settings, make_trainer = _library(for_training(settings))
+    _algorithm(settings, make_trainer, configured_task(settings).metadata)
+
+
+def _library(settings: TrainSettings) -> tuple[TrainSettings, type[Trainer[Any]]]:
+    """Return the settings with their library, and the class of its trainers."""
+    from orbit_learn.learners import library_for, trainer_type
+
+    library = settings.library or library_for(settings.algorithm)
+    make_trainer = trainer_type(library, settings.algorithm)
+    algorithm = settings.algorithm
+    if algorithm == "ppo" and "algorithm" not in make_trainer.options:
+        algorithm = None  # these libraries have no other
+    return dataclasses.replace(settings, library=library, algorithm=algorithm), make_trainer
 
 
 def _film_saved(films: TrainingFilms, training: Training) -> Callable[[Progress], None]:
@@ -212,6 +234,9 @@ def _algorithm(settings: TrainSettings, trainer: type[Trainer[Any]], metadata: T
     presets = (metadata.ppo, metadata.off_policy)
     defaults = next((preset for preset in presets if isinstance(preset, kind)), None) or kind()
     values: dict[str, Any] = dict(assignments(getattr(settings, words), words, "algorithm setting"))
+    for name in values.keys() & _ONLY_OF.keys() if words == "off_policy" else ():
+        if settings.algorithm not in (None, _ONLY_OF[name]):
+            raise ConfigurationError(f"algorithm '{settings.algorithm}' has no {name}, a setting of {_ONLY_OF[name]}")
     for option in single:
         if given := getattr(settings, option):
             values[option] = given

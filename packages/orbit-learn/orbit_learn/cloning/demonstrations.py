@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from orbit_data.episodes import Dataset, Episode
 
 _FEWEST_STEPS = 64
+# Actions are within [-1, 1], but for rounding.
+_LARGEST_ACTION = 1.001
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,20 @@ def _taught(episode: Episode) -> np.ndarray:
     return steps
 
 
+def _check_actions(actions: np.ndarray, size: int, where: str) -> None:
+    """Reject actions of another form, which would be copied or cut in silence, or of other units."""
+    if actions.ndim != 2 or actions.shape[1] != size or actions.dtype.kind != "f":
+        raise ConfigurationError(
+            f"{where} has actions of shape {actions.shape} and type {actions.dtype}: cloning needs real numbers "
+            f"(steps, {size})"
+        )
+    largest = float(np.abs(actions).max(initial=0.0))
+    if not largest <= _LARGEST_ACTION:
+        raise ConfigurationError(
+            f"{where} has actions of up to {largest:.3g}, and a policy's are within [-1, 1]: divide them by their scale"
+        )
+
+
 def _ends(steps: np.ndarray) -> np.ndarray:
     """Return the place of the last of each stretch of consecutive steps, for each of them."""
     lasts = np.flatnonzero(np.append(np.diff(steps) != 1, True)) if len(steps) else np.zeros(0, np.int64)
@@ -176,9 +192,16 @@ def _load(
                 )
             if part.name not in arrays:
                 arrays[part.name] = np.empty((total, *value.shape[1:]), value.dtype)
+            elif arrays[part.name].dtype != value.dtype:
+                raise ConfigurationError(
+                    f"'{part.name}' of episode {episode.info.number} of {dataset.path} holds {value.dtype}, and that "
+                    f"of episodes before {arrays[part.name].dtype}: record or convert all alike"
+                )
             arrays[part.name][begin:stop] = value[steps]
         # Without the noise that was added to disturb the demonstrator, where both were recorded.
-        actions[begin:stop] = episode.arrays.get(CLEAN, episode.arrays[ACTIONS])[steps]
+        chosen = episode.arrays.get(CLEAN, episode.arrays[ACTIONS])
+        _check_actions(chosen, actions.shape[1], f"episode {episode.info.number} of {dataset.path}")
+        actions[begin:stop] = chosen[steps]
         ends[begin:stop] = begin + _ends(steps)
         begin = stop
     tensors: Mapping[str, Tensor] = {name: torch.from_numpy(value) for name, value in arrays.items()}

@@ -88,6 +88,10 @@ class ImitationSettings:
             raise ConfigurationError(f"imitation setting 'batch_size' is at least 0, not {self.batch_size}")
         if not 0.0 <= self.learning_rate < math.inf:
             raise ConfigurationError(f"imitation setting 'learning_rate' is at least 0, not {self.learning_rate:g}")
+        if self.ensemble is not None and self.algorithm != "act":
+            raise ConfigurationError(
+                f"imitation setting 'ensemble' averages plans of act, and not of {self.algorithm}: leave it out"
+            )
         if self.rounds < 1:
             raise ConfigurationError(f"imitation setting 'rounds' is at least 1, not {self.rounds}")
         for name in ("updates_per_iteration", "hidden_size", "evaluate_every"):
@@ -243,7 +247,21 @@ def _device(name: str) -> torch.device:
 
 
 def _network(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
-    """Return the network of an algorithm."""
+    """Return the network of an algorithm.
+
+    Raises:
+        ConfigurationError: the algorithm has none of these sizes.
+    """
+    try:
+        return _built(settings, encoding)
+    except ValueError as error:
+        raise ConfigurationError(
+            f"imitation settings chunk={settings.chunk}, executed={settings.executed} and hidden_size="
+            f"{settings.hidden_size} fit no network of {settings.algorithm}: {error}"
+        ) from None
+
+
+def _built(settings: ImitationSettings, encoding: Encoding) -> ClonedNetwork:
     shared: dict[str, Any] = {"encoding": encoding, "chunk": settings.chunk, "executed": settings.executed}
     modes = _MODES if settings.algorithm.endswith("gmm") else 1
     if settings.algorithm in ("bc", "bc-gmm"):

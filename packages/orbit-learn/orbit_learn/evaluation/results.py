@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -37,6 +38,8 @@ class Plan:
     """Other settings of the environment from the command line."""
     disturbances: dict[str, tuple[str, int]] = field(default_factory=dict)
     """Axis and level of the variants that are levels of an axis (:mod:`orbit_learn.evaluation.disturbances`)."""
+    digests: dict[str, str] = field(default_factory=dict)
+    """Digest of each policy's file; files of results that were begun without have none."""
     recipes: dict[str, str] = field(default_factory=dict)
     """Name of what each policy is a training of; trainings of one recipe differ in their seed."""
 
@@ -102,7 +105,7 @@ class ResultFile:
         plan: that it must hold.
 
     Raises:
-        ConfigurationError: the file holds another plan, or is none.
+        ConfigurationError: the file holds results of another plan, or is none.
     """
 
     def __init__(self, path: Path | str, plan: Plan) -> None:
@@ -114,13 +117,29 @@ class ResultFile:
             append_line(self.path, json.dumps({"plan": asdict(plan)}))
             return
         recorded, blocks = read_results(self.path)
-        if recorded != plan:
+        if recorded != plan and not blocks:
+            # Left by a call that failed before its first block ended, such as one with a wrong robot.
+            self.path.unlink()
+            append_line(self.path, json.dumps({"plan": asdict(plan)}))
+            return
+        changed = [name for name, digest in recorded.digests.items() if plan.digests.get(name, digest) != digest]
+        if changed:
+            raise ConfigurationError(
+                f"{self.path} holds results of '{changed[0]}' before it was trained again: give another --output, or "
+                "remove the file"
+            )
+        if replace(recorded, digests=plan.digests) != plan:
             differing = [name for name in asdict(plan) if getattr(plan, name) != getattr(recorded, name)]
+            differing = [name for name in differing if name != "digests"]
             raise ConfigurationError(
                 f"{self.path} holds another evaluation, which differs in {', '.join(differing)}: give another "
                 "--output, or the words that it was begun with"
             )
         self.blocks = {block.key: block for block in blocks}
+        # The next block would continue a line that was cut off, and neither could be read.
+        whole = read_bytes(self.path, _MOST_BYTES).rfind(b"\n") + 1
+        if whole < self.path.stat().st_size:
+            os.truncate(self.path, whole)
 
     def add(self, block: Block) -> None:
         """Append a block; the line is whole on disk when this returns."""

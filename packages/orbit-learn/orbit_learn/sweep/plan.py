@@ -11,8 +11,8 @@ from typing import Any, TypeAlias
 
 from orbit_core.cli.settings import COMMAND_LINE_ONLY
 from orbit_core.configuration import configured, field_types, from_plain, read_toml
-from orbit_core.interfaces import ArgumentError, ConfigurationError, UnknownNameError
-from orbit_learn.cli.train import TrainSettings
+from orbit_core.interfaces import ArgumentError, ConfigurationError, OrbitError, UnknownNameError
+from orbit_learn.cli.train import TrainSettings, check_training
 
 SEARCHES = ("grid", "random", "tpe", "population")
 # Options of `orbit train` that take key=value words, and tables of its file; a varied path may name a key of them.
@@ -46,13 +46,14 @@ class Range:
         """Draw a number."""
         low, high = (math.log(self.low), math.log(self.high)) if self.log else (self.low, self.high)
         value = generator.uniform(low, high)
-        return self._rounded(math.exp(value) if self.log else value)
+        return self.rounded(math.exp(value) if self.log else value)
 
     def changed(self, value: float, generator: random.Random) -> float:
         """Return a number that is some larger or smaller, within the range."""
-        return self._rounded(min(max(value * generator.choice(_FACTORS), self.low), self.high))
+        return self.rounded(min(max(value * generator.choice(_FACTORS), self.low), self.high))
 
-    def _rounded(self, value: float) -> float:
+    def rounded(self, value: float) -> float:
+        """Return a number, rounded where the range has whole ones."""
         return round(value) if self.whole else value
 
 
@@ -136,9 +137,10 @@ def read_plan(path: Path) -> SweepPlan:
         raise UnknownNameError("key", min(unknown), [*field_types(SweepOptions), *tables], where)
     options = configured(SweepOptions(), content, where, "key")
     train = _training(tables["train"], where)
-    vary = {path: _choices(path, given, train, where) for path, given in _flat(tables["vary"]).items()}
+    vary = {path: _choices(path, given, where) for path, given in _flat(tables["vary"]).items()}
     plan = SweepPlan(options=options, train=train, vary=vary)
     _check(plan, where)
+    _check_values(plan, where)
     return plan
 
 
@@ -177,7 +179,7 @@ def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     return flat
 
 
-def _choices(path: str, given: Any, train: TrainSettings, where: str) -> Choices:
+def _choices(path: str, given: Any, where: str) -> Choices:
     option, _, key = path.partition(".")
     known = field_types(TrainSettings).keys() - {"seed", "output", "resume", "iterations", *COMMAND_LINE_ONLY}
     if option not in known:
@@ -193,10 +195,30 @@ def _choices(path: str, given: Any, train: TrainSettings, where: str) -> Choices
         raise ConfigurationError(
             f"[vary] {path} of {where} is a list of values, or a range {{ low = 0.1, high = 0.3 }}, not {given!r}"
         )
-    # Each is set once, so that a wrong type is found before the first training.
-    for value in given if not key else ():
-        configured(train, {path: value}, f"[vary] of {where}", "setting")
     return tuple(given)
+
+
+def _check_values(plan: SweepPlan, where: str) -> None:
+    """Refuse what a training would refuse, before the first one: each value, next to the first ones of the others."""
+    tried = {path: _tried(choices) for path, choices in plan.vary.items()}
+    for path, values in tried.items():
+        for value in values if "." not in path else ():
+            configured(plan.train, {path: value}, f"[vary] of {where}", "setting")
+    firsts = {path: values[0] for path, values in tried.items()}
+    check_training(plan.train)
+    for path, values in tried.items():
+        for value in values:
+            try:
+                check_training(plan.settings({**firsts, path: value}, 0))
+            except OrbitError as error:
+                raise ConfigurationError(f"[vary] {path} of {where} is {value!r}: {error}") from None
+
+
+def _tried(choices: Choices) -> tuple[Any, ...]:
+    """Return all values of a list; of a range both ends, and a number between them, which shows if it must be whole."""
+    if not isinstance(choices, Range):
+        return choices
+    return choices.rounded(choices.low), choices.drawn(random.Random(0)), choices.rounded(choices.high)
 
 
 def _check(plan: SweepPlan, where: str) -> None:

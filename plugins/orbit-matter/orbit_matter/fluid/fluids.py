@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
 import numpy.typing as npt
@@ -95,7 +95,7 @@ def build(scene: Scene) -> FluidModel | None:
     for _, spec in chosen:
         if spec.attachments:
             raise ConfigurationError(f"'{spec.name}' is a liquid, which nothing holds: leave out its attachments")
-    for (_, first), (_, second) in combinations(chosen, 2):
+    for (_, first), (_, second) in permutations(chosen, 2):
         _check_apart(first, second)
     rest = [spec.pose.transform(spec.rest_positions) for _, spec in chosen]
     counts = [len(points) for points in rest]

@@ -58,6 +58,10 @@ class Embedding:
     """Points of the surface that meet other things."""
     vertices: Sites
     """Vertices of the mesh, which are shown, measured and held."""
+    between: Sites
+    """Points of triangles that span several nodes, which are held where all vertices around them are."""
+    corners: IntArray
+    """(between, 3) vertices around each of these points; of a point of an edge one of them twice."""
 
     def assembled(self) -> FloatArray:
         """Return the stiffness matrix of the whole solid, (3 n, 3 n), N/m."""
@@ -87,9 +91,11 @@ def embed(spec: SoftBody) -> Embedding:
     _check_count(spec, counts, extent)
     size = extent / counts
     surface = skin.sampled(vertices, faces, 0.25 * float(size.min()))
+    corners, shares = _between(vertices, faces, 0.5 * size)
     inside = _inside(vertices, faces, low, size, counts)
     fills = inside.mean(axis=(3, 4, 5))
-    places = np.concatenate((surface.points, vertices))
+    spanned = np.einsum("pk,pkc->pc", shares, vertices[corners])
+    places = np.concatenate((surface.points, vertices, spanned))
     index = np.clip(np.floor((places - low) / size).astype(np.int64), 0, counts - 1)
     # A cell that holds a vertex is kept even where none of its samples is inside.
     needed = np.zeros(counts, dtype=bool)
@@ -104,10 +110,36 @@ def embed(spec: SoftBody) -> Embedding:
     masses *= spec.mass / masses.sum()
     local = 2.0 * ((places - low) / size - index) - 1.0
     weights, owners = element.shape_functions(local), numbers[tuple(index.T)]
-    count = len(surface.points)
-    contacts = Sites(owners[:count], weights[:count], surface.areas)
-    held = Sites(owners[count:], weights[count:], np.zeros((len(vertices), 3, 3)))
-    return Embedding(size, cells, kinds, stiffness, nodes, masses, contacts, held)
+    parts = (surface.areas, np.zeros((len(vertices), 3, 3)), np.zeros((len(spanned), 3, 3)))
+    ends = np.cumsum([len(areas) for areas in parts])[:-1]
+    sites = zip(np.split(owners, ends), np.split(weights, ends), parts, strict=True)
+    contacts, held, between = (Sites(*each) for each in sites)
+    return Embedding(size, cells, kinds, stiffness, nodes, masses, contacts, held, between, corners)
+
+
+def _between(vertices: FloatArray, faces: npt.NDArray[np.int64], most: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return points of triangles longer than ``most`` (3,) m along an axis: vertices (P, 3) and their shares (P, 3).
+
+    A triangle whose vertices alone are held leaves the nodes between them free, by which a solid that hangs by the
+    corners of its cells sags forty times too deep.
+    """
+    found: dict[tuple[tuple[int, float], ...], tuple[IntArray, FloatArray]] = {}
+    lengths = np.abs(vertices[faces] - np.roll(vertices[faces], 1, axis=1)) / most
+    parts = np.ceil(lengths.max(axis=(1, 2)) - 1e-6).astype(np.int64)
+    for corners, count in zip(faces, parts.tolist(), strict=True):
+        for a in range(count + 1):
+            for b in range(count + 1 - a):
+                shares = np.array([a, b, count - a - b]) / count
+                if (shares > 0.0).sum() < 2:
+                    continue
+                # Points of an edge are shared by two triangles, and are of its two vertices only.
+                around = np.where(shares > 0.0, corners, corners[int(shares.argmax())])
+                key = tuple(sorted((int(c), round(s, 9)) for c, s in zip(corners, shares, strict=True) if s > 0.0))
+                found[key] = (around.astype(np.int32), shares)
+    if not found:
+        return np.zeros((0, 3), np.int32), np.zeros((0, 3))
+    around, shares = zip(*found.values(), strict=True)
+    return np.stack(around), np.stack(shares)
 
 
 def cell_counts(extent: FloatArray, resolution: float | None) -> npt.NDArray[np.int64]:

@@ -53,9 +53,9 @@ def whole(parts: wp.array3d[float], env: int, i: int) -> float:
 
 
 @wp.kernel(enable_backward=False)
-def orient(s: Solids, chosen: wp.array[bool]):
-    """Find rotations from scratch, in chosen environments."""
-    env, b = wp.tid()
+def orient(s: Solids, b: int, chosen: wp.array[bool]):
+    """Find the rotations of a solid from scratch, in chosen environments."""
+    env = wp.tid()
     if chosen[env]:
         s.body_turn[env, b] = k.first_rotation(k.mean_stretch(s, env, b, 0.0))
         for c in range(s.first_cell[b], s.first_cell[b + 1]):

@@ -35,8 +35,10 @@ class SolidModel:
     """Grid of each solid."""
     vertices: tuple[slice, ...]
     """Sites that are the vertices of each solid's mesh."""
+    between: tuple[slice, ...]
+    """Sites between the vertices of each solid, which are held where all vertices around them are."""
     contacts: int
-    """Sites of contact, which come before all vertices."""
+    """Sites of contact, which come before all others."""
     nodes: npt.NDArray[np.float32]
     """(n, 3) m at rest, in the environment's frame."""
     first_node: IntArray
@@ -62,9 +64,9 @@ class SolidModel:
     per_area: npt.NDArray[np.float32]
     """(B,) N/m of contacts on a square metre of each solid."""
     holds: npt.NDArray[np.float32]
-    """(V,) N/m of what holds vertices."""
+    """(S - contacts,) N/m of what holds vertices, and points between them."""
     attached: IntArray
-    """(S,) 1 for vertices that the scene attaches."""
+    """(S,) 1 for vertices, and points between them, that the scene attaches."""
     inverses: npt.NDArray[np.float32]
     """(blocks of columns, LANES)"""
     inverse_at: IntArray
@@ -96,23 +98,30 @@ def build(scene: Scene, h: float) -> SolidModel:
     counts = {name: _starts([len(getattr(part, name)) for part in parts]) for name in ("nodes", "cells", "stiffness")}
     # Rounded up to whole blocks of LANES, which a CPU multiplies at a time.
     rows = _starts([-(-3 * len(part.nodes) // LANES) * LANES for part in parts])
-    sites = [part.contacts for part in parts] + [part.vertices for part in parts]
+    sites = [getattr(part, name) for name in ("contacts", "vertices", "between") for part in parts]
     site_starts = _starts([len(each.cells) for each in sites])
-    owners = [*range(len(parts)), *range(len(parts))]
+    places = tuple(slice(int(a), int(b)) for a, b in pairwise(site_starts))
+    vertices, between = places[len(parts) : 2 * len(parts)], places[2 * len(parts) :]
+    owners = [*range(len(parts))] * 3
     firm = [_contact_firmness(spec, part, h) for (_, spec), part in zip(found, parts, strict=True)]
-    holds = [np.full(len(part.vertices.cells), _hold(spec, part)) for (_, spec), part in zip(found, parts, strict=True)]
+    holds = [
+        np.full(len(getattr(part, name).cells), _hold(spec, part))
+        for name in ("vertices", "between")
+        for (_, spec), part in zip(found, parts, strict=True)
+    ]
     contacts = int(site_starts[len(parts)]) if parts else 0
     attached = np.zeros(int(site_starts[-1]), np.int32)
     for number, (_, spec) in enumerate(found):
-        for held in spec.attachments:
-            attached[site_starts[len(parts) + number] + np.array(held.particles, np.int64)] = 1
-    inverses, places = _preconditioners([spec for _, spec in found], h)
+        for which, held in zip((vertices, between), _attached(spec, parts[number]), strict=True):
+            attached[which[number].start + held] = 1
+    inverses, inverse_at = _preconditioners([spec for _, spec in found], h)
     concave = [not is_convex(spec.rest_positions, np.asarray(spec.mesh.faces)) for _, spec in found]
     meets = bool(found) and (len(scene.deformables) > 1 or any(concave))
     return SolidModel(
         deformables=tuple(n for n, _ in found),
         embeddings=tuple(parts),
-        vertices=tuple(slice(int(a), int(b)) for a, b in pairwise(site_starts[len(parts) :])),
+        vertices=vertices,
+        between=between,
         contacts=contacts,
         nodes=_joined([spec.pose.transform(part.nodes) for (_, spec), part in zip(found, parts, strict=True)], (3,)),
         first_node=counts["nodes"],
@@ -129,7 +138,7 @@ def build(scene: Scene, h: float) -> SolidModel:
         holds=_joined(holds, ()),
         attached=attached,
         inverses=inverses,
-        inverse_at=places,
+        inverse_at=inverse_at,
         middles=_joined([part.nodes[part.cells[:, CENTER]] for part in parts], (3,)),
         contact_rest=_joined([part.weights_of(part.contacts) @ part.nodes for part in parts], (3,)),
         lattices=tuple(_lattice(_Key(spec)) for _, spec in found) if meets else (),
@@ -183,6 +192,16 @@ def _shifted(parts: list[IntArray], starts: IntArray, shape: tuple[int, ...]) ->
     return np.concatenate([np.zeros((0, *shape), np.int32), *moved]).astype(np.int32)
 
 
+def _attached(spec: SoftBody, part: Embedding) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the vertices of a solid that the scene attaches, and the points between vertices of one attachment."""
+    by = np.full(len(spec.rest_positions), -1)
+    for number, held in enumerate(spec.attachments):
+        by[list(held.particles)] = number
+    around = by[part.corners]
+    between = (around >= 0).all(axis=1) & (around == around[:, :1]).all(axis=1)
+    return np.flatnonzero(by >= 0), np.flatnonzero(between)
+
+
 def _contact_firmness(spec: SoftBody, part: Embedding, h: float) -> FloatArray:
     return _per_area(spec, part, h) * part.contacts.areas
 
@@ -210,13 +229,15 @@ def _preconditioners(specs: list[SoftBody], h: float) -> tuple[npt.NDArray[np.fl
     """Return the inverses of all solids' matrices at rest without contacts, and where each begins."""
     blocks, places, begin = [np.zeros((0, LANES), np.float32)], np.zeros((len(specs), 2), np.int32), 0
     for number, spec in enumerate(specs):
-        held = sorted({particle for attachment in spec.attachments for particle in attachment.particles})
-        for kind, particles in enumerate(([], held)):
-            if kind and not particles:
+        part = _embedded(_Key(spec))
+        vertices, between = _attached(spec, part)
+        held = [*vertices.tolist(), *(len(part.vertices.cells) + between).tolist()]
+        for kind, sites in enumerate(([], held)):
+            if kind and not sites:
                 # A solid that the scene attaches nowhere has one preconditioner, which serves for both.
                 places[number, 1] = places[number, 0]
                 continue
-            packed = _packed(_inverse(_Key(spec), spec.damping, h, tuple(particles)))
+            packed = _packed(_inverse(_Key(spec), spec.damping, h, tuple(sites)))
             blocks.append(packed)
             places[number, kind] = begin
             begin += len(packed)
@@ -225,14 +246,17 @@ def _preconditioners(specs: list[SoftBody], h: float) -> tuple[npt.NDArray[np.fl
 
 @functools.lru_cache(maxsize=8)
 def _inverse(key: _Key, damping: float, h: float, held: tuple[int, ...]) -> FloatArray:
-    """Invert the matrix of a step for a solid at rest, with some of its vertices held; once in a process."""
+    """Invert the matrix of a step for a solid at rest, once in a process.
+
+    Of its vertices, and the points between them after these, those in ``held`` are held.
+    """
     spec, part = key.spec, _embedded(key)
     # BDF2, as in the kernels: velocities are ``3 d / (2 h)``, inertias ``9 m / (4 h^2)``.
     matrix = part.assembled() * (1.0 + 1.5 * damping / h)
     matrix[np.diag_indices(len(matrix))] += np.repeat(2.25 / (h * h) * part.masses, 3)
     # Held vertices resist alike in all directions, so that the matrix may be turned with the body.
     if held:
-        weights = part.weights_of(part.vertices)[list(held)]
+        weights = np.concatenate((part.weights_of(part.vertices), part.weights_of(part.between)))[list(held)]
         firm = _hold(spec, part) * weights.T @ weights
         for axis in range(3):
             matrix[axis::3, axis::3] += firm

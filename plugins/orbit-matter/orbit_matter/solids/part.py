@@ -208,9 +208,9 @@ class SolidPart:
         wp.launch(contact.sound, (self._n, self._points.x.shape[1]), inputs=inputs)
         return found.numpy()
 
-    def orient(self, mine: Any) -> None:
-        """Find rotations from scratch, in environments chosen by ``mine`` (n,) bool."""
-        wp.launch(launches.orient, (self._n, self._bodies), inputs=[self._solids, mine])
+    def orient(self, number: int, mine: Any) -> None:
+        """Find the rotations of a solid from scratch, in environments chosen by ``mine`` (n,) bool."""
+        wp.launch(launches.orient, self._n, inputs=[self._solids, number, mine])
         wp.launch(launches.show, (self._n, len(self._model.site_cells)), inputs=[self._solids, self._sites])
 
     def launch_near(self, links: Any, shapes: Any, gravity: Any, physics_dt: float) -> None:
