@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import ClassVar
 
+import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.envs import CommandTerm, Environment, ObservationGroup, ObservationTerm, RewardTerm
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
@@ -15,17 +19,27 @@ from orbit_core.mdp.commands import UniformPositionCommand, generated_command
 from orbit_core.scene import Scene, look_at
 from orbit_motion.experts import Expert, Phase
 from orbit_tasks.lift import GOAL
-from orbit_tasks.mdp import fluid
+from orbit_tasks.mdp import fluid, tabletop
 from orbit_tasks.mdp.fluid import RAISED, in_cup
 
 LIFTED = 0.02
 """Metres off the stand at which the cup counts as lifted."""
 
 
+RAISING = 0.03
+"""Metres above its stand from which on a cup is carried aside."""
+
+
+@once_per_state
+def cup_to_goal(env: Environment[FluidTransport]) -> Tensor:
+    """(N, 3) m from the cup's middle to the goal."""
+    return env.commands["goal"] - fluid.middle(env)
+
+
 @once_per_state
 def goal_distance(env: Environment[FluidTransport]) -> Tensor:
     """(N,) metres between the cup's middle and the goal."""
-    return vector_norm(env.commands["goal"] - fluid.middle(env), dim=1)
+    return vector_norm(cup_to_goal(env), dim=1)
 
 
 @once_per_state
@@ -69,10 +83,22 @@ def raised(env: Environment[FluidTransport]) -> Tensor:
     return fluid.carrying(place)(env)
 
 
+def _stage(env: Environment[FluidTransport], opening: common.GripperOpening) -> Tensor:
+    """(N,) int64: the expert's phase, by the state only."""
+    stage, held = fluid.taking_stage(env, opening())
+    low = fluid.cup_pose(env)[:, 2] < RAISED + fluid.WALL + RAISING
+    return torch.where(held, torch.where(low, 3, 4), stage)
+
+
 @dataclass
 class FluidTransportState(fluid.CupState):
-    """The arm's joints and hand, the cup, how much is in it, the goal and the last action."""
+    """The arm's joints and hand, the cup, how much is in it, ways to handle and goal, the goal and the last action."""
 
+    joint_velocities: ObservationTerm | None = ObservationTerm(tabletop.arm_velocities)
+    fine_hand_to_handle: ObservationTerm | None = tabletop.fine(fluid.hand_to_handle)
+    fine_cup_to_goal: ObservationTerm | None = tabletop.fine(cup_to_goal)
+    hand_to_handle: ObservationTerm | None = ObservationTerm(fluid.hand_to_handle, unit="m")
+    cup_to_goal: ObservationTerm | None = ObservationTerm(cup_to_goal, unit="m")
     goal: ObservationTerm | None = ObservationTerm(
         generated_command("goal"),
         unit="m",
@@ -115,8 +141,11 @@ class FluidTransport(fluid.CupTask):
     episode's end. Metrics: that distance, and that part.
     """
 
+    state_type: ClassVar[type[TaskState]] = tabletop.TabletopMemory
     metadata: TaskMetadata = replace(
-        fluid.CupTask.metadata, view=look_at(eye=(1.25, 0.55, 0.75), target=(0.5, 0.0, 0.2))
+        fluid.CupTask.metadata,
+        view=look_at(eye=(1.25, 0.55, 0.75), target=(0.5, 0.0, 0.2)),
+        training={"expert_starts": 0.5, "action": "ik_relative"},
     )
     episode_length: float = 7.0
     tolerance: float = 0.03
@@ -143,6 +172,7 @@ class FluidTransport(fluid.CupTask):
                 *fluid.taking(env.world),
                 # Straight up first: led aslant, the cup would scrape along its stand.
                 Phase(raised, gripper_open=False, position_tolerance=0.02, timeout=1.5),
-                Phase(at_goal, gripper_open=False),
+                Phase(at_goal, gripper_open=False, least=0.01),
             ),
+            stage=partial(_stage, opening=common.GripperOpening(env.world)),
         )

@@ -103,6 +103,12 @@ def yaw(env: Environment[SoftTask]) -> Tensor:
 
 
 @once_per_state
+def block_turn(env: Environment[SoftTask]) -> Tensor:
+    """(N,) rad, at most an eighth of a turn: by how much the block is turned against the hand."""
+    return picking.quarter(yaw(env) - common.turn_facing_down(common.hand_pose(env)[:, 3:]))
+
+
+@once_per_state
 def tilt(env: Environment[SoftTask]) -> Tensor:
     """(N,) rad between the block's bottom and the horizontal."""
     body = env.world.deformables[BLOCK]
@@ -144,9 +150,10 @@ def dropped(env: Environment[SoftTask]) -> Tensor:
 
 
 def at_block(env: Environment[SoftTask]) -> Tensor:
-    """(N, 7) the hand around the block, fingers along the pair of faces that needs the least turn."""
-    turn = common.facing_down(picking.quarter(yaw(env)))
-    return torch.cat((middle(env), turn), dim=1)
+    """(N, 7) the hand around the block, fingers along the pair of faces that needs the least turn from here."""
+    # From the hand and not from home: of a block that is turned by 45 degrees, fingers that touch it choose again.
+    turn = common.turn_facing_down(common.hand_pose(env)[:, 3:]) + block_turn(env)
+    return torch.cat((middle(env), common.facing_down(turn)), dim=1)
 
 
 def closing_time(world: World) -> float:
@@ -159,7 +166,7 @@ def taking(world: World) -> tuple[Phase, ...]:
     closing = closing_time(world)
     return (
         Phase(picking.raised(at_block, 0.1), position_tolerance=0.02, free=True),
-        Phase(at_block, position_tolerance=0.006, timeout=1.5),
+        Phase(at_block, position_tolerance=0.006, timeout=1.5, least=0.02),
         Phase(at_block, gripper_open=False, dwell=closing, timeout=closing + 0.1),
     )
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import ClassVar
 
 from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.envs import CommandTerm, Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm
+from orbit_core.envs.state import TaskState
+from orbit_core.envs.task import TaskMetadata
 from orbit_core.envs.terms import ENVIRONMENT, Bounds, Meaning, once_per_state
 from orbit_core.mdp import common
 from orbit_core.mdp.commands import UniformPositionCommand, generated_command
@@ -16,17 +20,39 @@ from orbit_motion.experts import Expert, Phase
 from orbit_tasks import soft
 from orbit_tasks.cloth import Smoothness
 from orbit_tasks.lift import GOAL
-from orbit_tasks.mdp import matter
-from orbit_tasks.soft import BLOCK, lifted, middle, reaching, squeeze
+from orbit_tasks.mdp import matter, stages, tabletop
+from orbit_tasks.soft import BLOCK, block_turn, lifted, middle, reaching, squeeze
 
 # Metres in x and y by which the block starts off its place.
 SPREAD = (0.08, 0.2)
 
 
 @once_per_state
+def block_to_goal(env: Environment[SoftLifting]) -> Tensor:
+    """(N, 3) m from the block's middle to the goal."""
+    return env.commands["goal"] - middle(env)
+
+
+@once_per_state
 def goal_distance(env: Environment[SoftLifting]) -> Tensor:
     """(N,) metres between the block's middle and the goal."""
-    return vector_norm(env.commands["goal"] - middle(env), dim=1)
+    return vector_norm(block_to_goal(env), dim=1)
+
+
+@once_per_state
+def hand_to_block(env: Environment[SoftLifting]) -> Tensor:
+    """(N, 3) m from the hand to the block's middle."""
+    return middle(env) - common.hand_pose(env)[:, :3]
+
+
+def _stage(env: Environment[SoftLifting], opening: common.GripperOpening) -> Tensor:
+    """(N,) int64: the expert's phase, by the state only."""
+    task, hand, grasp = env.task, common.hand_pose(env), soft.at_block(env)
+    # In units of uniform compression by the gripper's force. Fingers that strike the block squeeze it by more, and
+    # rebound; less is enough to keep a block that is off the table.
+    compression = squeeze(env) * (task.youngs_modulus * task.size**2 / task.grip_force)
+    held = (compression > 0.5 - 0.3 * lifted(env)) & ((compression < 3.0) | (lifted(env) > 0.0))
+    return stages.lifting(hand, grasp, held, closing=opening() < 0.9)
 
 
 def tracking(env: Environment[SoftLifting], scale: float) -> Tensor:
@@ -54,8 +80,15 @@ def at_goal(env: Environment[SoftLifting]) -> Tensor:
 
 @dataclass
 class SoftLiftingState(soft.SoftState):
-    """The arm's joints and hand, the block's key points, the last action and the goal."""
+    """The arm's joints and hand, the block's key points, ways to it and to its goal, the last action and the goal."""
 
+    joint_velocities: ObservationTerm | None = ObservationTerm(tabletop.arm_velocities)
+    block_turn: ObservationTerm | None = ObservationTerm(block_turn, unit="rad")
+    fine_hand_to_block: ObservationTerm | None = tabletop.fine(hand_to_block)
+    fine_block_to_goal: ObservationTerm | None = tabletop.fine(block_to_goal)
+    fine_squeeze: ObservationTerm | None = tabletop.fine(squeeze, 0.02)
+    hand_to_block: ObservationTerm | None = ObservationTerm(hand_to_block, unit="m")
+    block_to_goal: ObservationTerm | None = ObservationTerm(block_to_goal, unit="m")
     goal: ObservationTerm | None = ObservationTerm(
         generated_command("goal"),
         unit="m",
@@ -106,6 +139,8 @@ class SoftLifting(soft.SoftTask):
     and by what part of its width the block is squeezed.
     """
 
+    state_type: ClassVar[type[TaskState]] = tabletop.TabletopMemory
+    metadata: TaskMetadata = replace(soft.SoftTask.metadata, training={"expert_starts": 0.5, "action": "ik_relative"})
     episode_length: float = 5.0
     tolerance: float = 0.02
     """Metres."""
@@ -125,4 +160,5 @@ class SoftLifting(soft.SoftTask):
         return {"goal_distance_m": goal_distance(env), "squeeze": squeeze(env)}
 
     def expert(self, env: Environment) -> Expert:
-        return Expert(env, (*soft.taking(env.world), Phase(at_goal, gripper_open=False, free=True)))
+        phases = (*soft.taking(env.world), Phase(at_goal, gripper_open=False, free=True, least=0.01))
+        return Expert(env, phases, stage=partial(_stage, opening=common.GripperOpening(env.world)))

@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
 from tyro.conf import Positional, Suppress, UseAppendAction, arg
@@ -243,8 +243,10 @@ def read_file(settings_type: type[_Settings], path: Path) -> _Settings:
 
 def _check_options(kind: type, words: Sequence[str], program: str) -> None:
     """Refuse an option that the dataclass does not have, with the nearest that it has."""
-    known = {f"--{name.replace('_', '-')}" for name, hint in _hints(kind).items() if _is_option(hint)}
-    known.add("--help")
+    known = {"--help"}
+    for name, hint in _hints(kind).items():
+        if _is_option(hint):
+            known |= _words_of(name, hint)
     for word in words:
         # tyro takes underscores and dashes alike.
         option = word.partition("=")[0].replace("_", "-")
@@ -263,6 +265,14 @@ def _hints(kind: type) -> dict[str, Any]:
     """Return the types of a dataclass's fields, with the parser's marks."""
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+def _words_of(name: str, hint: Any) -> set[str]:
+    """Return the options of a field: its name, or the one that it is given, and the negation of a switch."""
+    marks = getattr(hint, "__metadata__", ())
+    given = next((mark.name for mark in marks if getattr(mark, "name", None) is not None), name).replace("_", "-")
+    switch = (get_args(hint)[0] if marks else hint) is bool
+    return {f"--{given}", f"--no-{given}"} if switch else {f"--{given}"}
 
 
 def _is_option(hint: Any) -> bool:

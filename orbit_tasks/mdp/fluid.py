@@ -32,7 +32,7 @@ from orbit_core.scene import (
 from orbit_core.scene.pose import Vector3
 from orbit_motion.experts import Phase
 from orbit_motion.workspace import arm
-from orbit_tasks.mdp import matter, picking
+from orbit_tasks.mdp import matter, picking, stages
 
 LIQUID, CUP, STAND = "liquid", "cup", "stand"
 INNER: Vector3 = (0.06, 0.06, 0.08)
@@ -47,6 +47,8 @@ GRIP: Vector3 = (-0.5 * INNER[0] - WALL - 0.016, 0.0, 0.058)
 that palms are above the rim."""
 RAISED = 0.1
 """Metres of the stand."""
+HELD = 0.53
+"""Opening of a gripper that holds the handle, at most: of a Panda's hand it takes 0.48."""
 FIRM = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
 SLOW = 0.05
 """Metres that a carrying hand is led ahead: the liquid stays calm."""
@@ -145,6 +147,12 @@ def reaching(env: Environment) -> Tensor:
     return common.nearness(vector_norm(handle(env) - common.hand_pose(env)[:, :3], dim=1), 0.1)
 
 
+@once_per_state
+def hand_to_handle(env: Environment) -> Tensor:
+    """(N, 3) m from the hand to where the cup is grasped."""
+    return handle(env) - common.hand_pose(env)[:, :3]
+
+
 def dropped(env: Environment) -> Tensor:
     """(N,) bool: the cup fell off the table."""
     return middle(env)[:, 2] < -0.05
@@ -214,9 +222,24 @@ def taking(world: World) -> tuple[Phase, ...]:
     closing = max(0.5, common.closing_time(world))
     return (
         Phase(picking.back(at_handle, 0.1), position_tolerance=0.02, free=True, timeout=4.0),
-        Phase(at_handle, position_tolerance=0.006, timeout=2.0),
+        Phase(at_handle, position_tolerance=0.006, timeout=2.0, least=0.02),
         Phase(at_handle, gripper_open=False, dwell=closing, timeout=closing + 0.1),
     )
+
+
+def taking_stage(env: Environment, opening: Tensor) -> tuple[Tensor, Tensor]:
+    """Phases of :func:`taking` that fit the state, for an expert that teaches.
+
+    Args:
+        env: with the cup.
+        opening: (N,) of the gripper, from 0 to 1.
+
+    Returns:
+        (N,) int64 of the phase of a hand that does not hold the cup, and (N,) bool, whether it does.
+    """
+    held = (opening < HELD) & (vector_norm(hand_to_handle(env), dim=1) < 0.016)
+    stage = stages.lifting(common.hand_pose(env), at_handle(env), torch.zeros_like(held), closing=opening < 0.9)
+    return stage, held
 
 
 # Configuration -------------------------------------------------------------------------------------------------------

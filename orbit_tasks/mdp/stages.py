@@ -58,17 +58,23 @@ def inserting(hand: Tensor, grasp: Tensor, offset: Tensor, rim: float, fit: floa
     return _with_carried(hand, grasp, closed, torch.where(seated, 8, carried), seated, 9)
 
 
-def lifting(hand: Tensor, grasp: Tensor, closed: Tensor) -> Tensor:
+def lifting(hand: Tensor, grasp: Tensor, closed: Tensor, closing: Tensor | None = None) -> Tensor:
     """(N,) int64 of four phases: above a thing, down, close; carry it.
 
     Args:
         hand: (N, 7) its pose now.
         grasp: (N, 7) its pose around the thing as that is now.
         closed: (N,) bool, whether the gripper holds.
+        closing: (N,) bool, whether the gripper is no longer open. Around a thing that yields it goes on closing, where
+            the thing is not held yet.
     """
-    return _with_carried(
-        hand, grasp, closed, torch.full_like(closed, 3, dtype=torch.int64), torch.zeros_like(closed), 3
-    )
+    carry = torch.full_like(closed, 3, dtype=torch.int64)
+    stage = _with_carried(hand, grasp, closed, carry, torch.zeros_like(closed), 3)
+    if closing is None:
+        return stage
+    error = pose_error(hand, grasp)
+    around = (error[:, :3].norm(dim=1) < 2.0 * _NEAR) & (error[:, 3:].norm(dim=1) < 0.15)
+    return torch.where(closing & around & (stage < carry), _CLOSE, stage)
 
 
 def following(phases: Sequence[Tensor], done: Tensor, count: int) -> Tensor:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import pytest
+from tyro.conf import arg
 
 from orbit_core.cli.settings import BenchSettings, RunSettings, parse_settings
-from orbit_core.interfaces import ConfigurationError, OrbitError
+from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
 
 FILE = """
 task = "Lift"
@@ -125,6 +128,21 @@ def test_a_pipe_and_a_device_are_no_files_of_settings(tmp_path: Path):
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
         with pytest.raises(ConfigurationError, match=f"{path} is no regular file"):
             run_settings("Lift", "--config", str(path))
+
+
+def test_switches_are_turned_off_and_options_have_the_names_that_help_shows():
+    @dataclass(frozen=True, kw_only=True)
+    class Driving(RunSettings):
+        input_device: Annotated[str, arg(name="device")] = "browser"
+        device: Annotated[str, arg(name="torch-device")] = "cpu"
+
+    settings = parse_settings(
+        Driving, ["Lift", "--no-capture", "--device", "keyboard", "--torch-device", "cpu:0"], "orbit drive"
+    )
+    assert (settings.capture, settings.input_device, settings.device) == (False, "keyboard", "cpu:0")
+    for word in ("--no-seed", "--input-device"):
+        with pytest.raises(UnknownNameError, match=f"unknown option '{word}'"):
+            parse_settings(Driving, ["Lift", word, "3"], "orbit drive")
 
 
 def test_a_missing_file_is_named():

@@ -13,6 +13,7 @@ from orbit_core.backends import default_backend
 from orbit_core.envs import PpoSettings, make
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.mdp.common import hand_pose
 from orbit_learn.cli.train import TrainSettings, for_training, train
 from orbit_learn.ends import EpisodeTally
 from orbit_learn.rsl_rl import imitate_expert
@@ -52,6 +53,24 @@ def test_a_share_of_episodes_begins_on_the_experts_way() -> None:
     assert 0 < held < began
     assert 6 < tally.read()[2] < 24
     plain.close(), closed.close()
+
+
+def test_deformables_begin_where_the_expert_had_them() -> None:
+    """By index in a reset and by mask in a step: a block off the table is in the hand, and stays there."""
+    environment = make("Soft-Lifting", 2, default_backend(), action="ik_relative", expert_starts=1.0)
+    environment._closed = CapturedStep(environment, compile=False, whole=True)
+    block, action, apart = environment.world.deformables["block"], torch.zeros(2, 7), []
+    action[:, -1] = -1.0  # closed
+    environment.reset(seed=0)
+    for step in range(12):
+        height, hand = block.positions.mean(1)[:, 2], hand_pose(environment)[:, 2]
+        apart.extend((height - hand)[height > 0.1].abs().tolist())
+        if step % 2:
+            environment.state.episode_step.fill_(environment.max_episode_steps - 1)  # whose last step this is
+        environment.step(action)
+    assert apart
+    assert max(apart) < 0.02
+    environment.close()
 
 
 def test_shares_and_tasks_that_cannot_be() -> None:

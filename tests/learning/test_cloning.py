@@ -22,10 +22,19 @@ from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
 from orbit_data.hdf5 import Hdf5Dataset
+from orbit_data.manifest.manifest import Manifest
 from orbit_learn.cli.trained import PlaySettings, restore
 from orbit_learn.cloning.corrections import gather_corrections
 from orbit_learn.cloning.demonstrations import load_demonstrations
-from orbit_learn.cloning.encoding import FINE, Encoder, Encoding, Labels, encoding_for, rotation_features
+from orbit_learn.cloning.encoding import (
+    FINE,
+    Encoder,
+    Encoding,
+    Labels,
+    encoding_for,
+    quarter_features,
+    rotation_features,
+)
 from orbit_learn.cloning.networks import ClonedRecurrent, ClonedTransformer, Planner
 from orbit_learn.cloning.steps import shifted
 from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer
@@ -176,7 +185,9 @@ def test_the_encoding_follows_from_what_the_manifest_says(demos: Path, environme
     assert poses <= set(encoding.rotations)
     assert all(first + i in encoding.replaced for first in encoding.rotations for i in range(4))
     columns = [name for part in parts for name in [part.name] * part.size]
-    assert all(columns[column] == "last_action" for column in encoding.hidden)
+    assert {columns[column] for column in encoding.hidden} == {"last_action", "joint_velocities"}
+    velocities = [columns[column] for column in encoding.hidden].count("joint_velocities")
+    assert velocities == 2, "those of the two fingers"
     # What the joint's position commands is where the joint is: the robot rests at it.
     for column, gain, bias in zip(encoding.joints[:7], encoding.gains, encoding.biases, strict=False):
         assert gain == pytest.approx(1.0 / manifest.action_terms["joint_position"].scale[0])  # pyright: ignore
@@ -198,6 +209,34 @@ def test_rotations_are_shown_without_sign_and_by_half_and_quarter_turns() -> Non
     torch.testing.assert_close(upright[0, 10:], upright[1, 10:])
     torch.testing.assert_close(upright[0, 6:10], upright[2, 6:10])
     assert not torch.allclose(upright[0, 6:10], upright[1, 6:10])
+
+
+def test_a_turn_within_a_quarter_grows_evenly_and_jumps_at_an_eighth_of_a_turn() -> None:
+    yaw = torch.tensor([0.0, 0.3, -0.3, 0.78, 0.79, 0.3 + math.pi / 2, 0.3 - math.pi])
+    half = 0.5 * yaw[:, None]
+    turned = torch.cat((half.cos(), torch.zeros(7, 2), half.sin()), 1)
+    expected = torch.zeros(7, 3)
+    expected[:, 2] = 2.0 * (yaw - math.pi / 2 * torch.round(yaw / (math.pi / 2)))
+    torch.testing.assert_close(quarter_features(turned), expected, atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(quarter_features(-turned), expected, atol=1e-5, rtol=0.0)
+
+
+def test_a_grippers_positions_are_blurred_in_training_and_its_velocities_are_hidden() -> None:
+    environment = make("Lift", num_envs=1, backend=BACKEND)
+    layout = environment.observation["policy"]
+    encoding = encoding_for(Manifest.of(environment, "Lift", 0), "policy", group_parts(layout), True)
+    joints = environment.world.robots["robot"].joint_names
+    fingers = [place for place, name in enumerate(joints) if "finger" in name]
+    environment.close()
+    positions, velocities = (layout.columns[name].start for name in ("joint_positions", "joint_velocities"))
+    assert fingers
+    assert encoding.blurred == tuple(positions + place for place in fingers)
+    assert {velocities + place for place in fingers} == encoding.replaced & set(range(velocities, velocities + 9))
+    encoder, seen = Encoder(encoding).train(), torch.zeros(512, encoding.vector_size)
+    spread = (encoder(seen) - encoder.eval()(seen)).std(0)
+    places = [encoder.shown.tolist().index(column) for column in encoding.blurred]
+    assert spread.nonzero().flatten().tolist() == places
+    assert 0.0015 < float(spread[places].mean()) < 0.0025
 
 
 def test_policies_that_were_shown_quaternions_are_still_shown_them() -> None:

@@ -126,7 +126,8 @@ def test_a_recorded_step_on_a_gpu_learns_what_a_plain_one_learns(network: Cloned
         losses.append([steps.run(iteration) for iteration in range(4)])
         plans.append(planner(steps._shown.observation).detach())
         assert isinstance(steps._step, RecordedFunction) == recorded
-    assert losses[1][3] < losses[1][0]
+    begun = planner_of(network).cuda().eval()(steps._shown.observation).detach()
+    assert float((plans[1] - begun).abs().max()) > 1e-2
     # Noise within the step is another in a graph, and so are shifts of pictures.
     drawn = isinstance(network, ClonedTransformer | ClonedDiffusion) or network.encoding.pictures
     assert losses[0] == pytest.approx(losses[1], rel=0.3 if drawn else 0.01)

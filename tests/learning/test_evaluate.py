@@ -142,12 +142,19 @@ def test_results_of_a_policy_that_was_trained_again_are_told(tmp_path: Path) -> 
 
 
 def test_another_evaluation_in_the_file_is_told(tmp_path: Path) -> None:
-    ResultFile(tmp_path / "results.jsonl", PLAN)
+    ResultFile(tmp_path / "results.jsonl", PLAN).add(block("one", "1100"))
     with pytest.raises(ConfigurationError, match="differs in seeds, episodes"):
         ResultFile(tmp_path / "results.jsonl", replace(PLAN, seeds=(0, 1), episodes=5))
     (tmp_path / "other.jsonl").write_text("[]\n")
     with pytest.raises(ConfigurationError, match="no results"):
         ResultFile(tmp_path / "other.jsonl", PLAN)
+
+
+def test_a_plan_without_results_makes_room_for_another(tmp_path: Path) -> None:
+    path, other = tmp_path / "results.jsonl", replace(PLAN, seeds=(0, 1))
+    ResultFile(path, PLAN)
+    ResultFile(path, other).add(block("one", "1100"))
+    assert read_results(path) == (other, [block("one", "1100")])
 
 
 def test_the_page_needs_nothing_else_and_hides_no_name() -> None:

@@ -1,9 +1,10 @@
-"""Lift's expert as a teacher: its phase follows from the state, whoever brought it there."""
+"""Experts of lifting as teachers: their phase follows from the state, whoever brought it there."""
 
 from __future__ import annotations
 
 import math
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -29,6 +30,25 @@ def test_a_phase_follows_from_where_the_hand_is_and_what_it_holds() -> None:
     )
     for hand, held, expected in cases:
         assert int(stages.lifting(hand, grasp, held)) == expected, (hand, held)
+
+
+def test_a_gripper_goes_on_closing_around_a_thing_that_yields() -> None:
+    grasp, no, yes = down(0.5, 0.02), torch.tensor([False]), torch.tensor([True])
+    cases = (
+        (down(0.503, 0.03), no, no, 1),  # 10 mm above its grasp and open: down
+        (down(0.503, 0.03), no, yes, 2),  # no longer open: go on closing
+        (down(0.503, 0.03), yes, yes, 3),  # it is held: carry it
+        (down(0.5, 0.12), no, yes, 1),  # closed on nothing
+    )
+    for hand, held, closing, expected in cases:
+        assert int(stages.lifting(hand, grasp, held, closing)) == expected, (hand, held, closing)
+
+
+@pytest.mark.parametrize("task", ["Soft-Lifting", "Fluid-Transport"])
+def test_experts_carry_deformables_by_the_state_alone(task: str) -> None:
+    environment, success = episode(task, default_backend(), 2, teaches=True, action="ik_relative")
+    environment.close()
+    assert bool(success.all())
 
 
 def test_the_expert_lifts_by_the_state_alone() -> None:

@@ -361,6 +361,22 @@ def test_a_person_corrects_a_policy_and_only_the_corrections_are_learned_from(
         assert shown.ends.unique().tolist() == [sum(led) - 1]
 
 
+def test_a_leader_arm_that_rests_gives_the_lead_back(environment: Environment) -> None:
+    environment.reset(0)
+    intervention = Intervention(environment, Driver(environment), partial(scripted_actor, "zero", environment, 0))
+    patience = round(1.0 / environment.step_dt)
+    joint = environment.world.robots["robot"].joint_names[0]
+
+    def streamed(position: float) -> bool:
+        # A leader sends a frame at every step, of an encoder that flickers.
+        intervention.act(Reading(joints={joint: position}, gripper_open=True, moved_at=1.0))
+        return intervention.leads
+
+    assert streamed(0.1), "it has just been connected"
+    assert [streamed(0.1 + 0.001 * (step % 2)) for step in range(patience + 1)] == [True] * (patience - 1) + [False] * 2
+    assert [streamed(0.1 + 0.004 * step) for step in range(5)] == [False] * 3 + [True] * 2, "slow motion adds up"
+
+
 def test_a_person_takes_over_with_the_gripper_as_the_policy_left_it(environment: Environment) -> None:
     class Closing(Actor):
         """Closes the gripper."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from orbit_core.envs.observation_layout import POLICY
 from orbit_core.files import as_path, read_bytes, written_whole
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
 from orbit_data.manifest.manifest import Manifest
 from orbit_learn.description import PolicyDescription
 from orbit_learn.onnx_file import KEY, onnx_package, read_onnx
@@ -113,6 +113,8 @@ def adopt(
             message names the part.
     """
     path, target, onnx = as_path(path), as_path(target), onnx_package()
+    if not math.isfinite(scale) or scale == 0.0:
+        raise ConfigurationError(f"the factor of the action (--action-scale) is finite and not 0, not {scale:g}")
     layout = environment.observation[POLICY]
     if not layout.concatenated:
         raise ConfigurationError(
@@ -155,7 +157,11 @@ def adopt(
     with written_whole(target) as written:
         onnx.save(model, str(written))
         # A file that cannot be read again is no policy, even if its description is complete.
-        read_onnx(written)
+        try:
+            read_onnx(written)
+        except OrbitError as error:
+            # The user knows the model, not the file that is about to take the target's place.
+            raise ConfigurationError(str(error).replace(str(written), str(path))) from None
 
 
 def _model(path: Path) -> Any:

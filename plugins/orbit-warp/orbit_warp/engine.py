@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import mujoco_warp as mjw
@@ -22,6 +23,7 @@ from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
 from orbit_warp.field_contacts import FieldContacts
+from orbit_warp.fused_solver import FusedSolver, is_fit
 from orbit_warp.kernels import read_efforts, reset_state, write_commands
 from orbit_warp.model import build_models, on_device, read_back_kinds
 from orbit_warp.native import Native
@@ -70,6 +72,9 @@ class WarpEngine(PartedEngine[State, Parameters]):
             self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
             # After the data, whose buffers its kernels fill in the place of MuJoCo-Warp's own.
             FieldContacts.replace(self._model, self._data)
+            self._fused_solver = config.fused_solver and is_fit(self._model, self._data)
+            self._solver: FusedSolver | None = None
+            self._solving()  # outside of any recording, for it takes memory
             self._native = Native(built.model, self._model, self._data)
             self._state = State(layout, addresses, self._native, self._graphs)
             self.capture = WarpCapture(self._graphs, self._state, self.prepare, config.capture)
@@ -153,8 +158,16 @@ class WarpEngine(PartedEngine[State, Parameters]):
         self._wrench_meter.begin()
         if self._looped:  # their constraints take velocities as the step before left them
             self._state.derive_bodies()
-        mjw.step(self._model, self._data)
+        with self._solving():
+            mjw.step(self._model, self._data)
         self._contacts.add(share)
+
+    def _solving(self) -> contextlib.AbstractContextManager[None]:
+        """Return the context of a physics step: on a GPU one in which all rounds of the solver are one launch."""
+        if not self._fused_solver or not wp.get_device().is_cuda:
+            return contextlib.nullcontext()
+        self._solver = self._solver or FusedSolver(self._model, self._data)
+        return self._solver.installed()
 
     def _finish(self) -> None:
         self._read_efforts()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from math import inf
 from typing import TYPE_CHECKING
 
 import torch
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
     from orbit_core.envs.environment import Environment
 
+# rad or m within which a leader's joint counts as still: encoders flicker, and so do the hands that rest on them.
+_STILL = 0.01
 # Seconds without a request after which the policy acts again: a person pauses while looking.
 _RELEASED = 1.0
 
@@ -35,6 +38,7 @@ class Intervention:
         self._policy = make_policy()
         self._still = 0
         self._last: Tensor | None = None
+        self._placed: tuple[bool | None, Mapping[str, float]] = (None, {})
         self.leads = False
         """True if the person led the last step."""
 
@@ -49,7 +53,7 @@ class Intervention:
 
     def act(self, reading: Reading) -> Tensor:
         """Return the action (1, A) of whoever leads."""
-        if _asks(reading):
+        if self._asks(reading):
             if not self.leads:
                 self._take_over()
             self.leads, self._still = True, 0
@@ -66,10 +70,19 @@ class Intervention:
         if self._driver.hand is not None and self._last is not None:
             self._driver.hand.gripper_open = bool(opens_gripper(self._environment, self._last)[0])
 
+    def _asks(self, reading: Reading) -> bool:
+        """Return True if the person asks for a motion or for the gripper."""
+        moves = any(reading.twist or ()) or any(reading.base)
+        placed = reading.moved_at is not None and not reading.events and self._displaced(reading)
+        return moves or placed or Event.GRIPPER in reading.events
 
-def _asks(reading: Reading) -> bool:
-    """Return True if the person asks for a motion or for the gripper."""
-    moves = any(reading.twist or ()) or any(reading.base)
-    # Absolute positions count when they change: a leader's arm has some at all times.
-    placed = reading.moved_at is not None and not reading.events
-    return moves or placed or Event.GRIPPER in reading.events
+    def _displaced(self, reading: Reading) -> bool:
+        """Return True if absolute requests differ from those of the last motion: a leader arm repeats them at rest."""
+        if reading.pose is not None:
+            return True
+        joints, (gripper, before) = reading.joints or {}, self._placed
+        near = all(abs(value - before.get(name, inf)) < _STILL for name, value in joints.items())
+        if near and reading.gripper_open == gripper and (joints or gripper is not None):
+            return False
+        self._placed = reading.gripper_open, joints
+        return True

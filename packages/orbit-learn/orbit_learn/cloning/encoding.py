@@ -27,8 +27,15 @@ _LEAST_STD = 1e-2
 _LEAST_LABEL_STD = 1e-3
 _MOST_DEVIATIONS = 10.0
 _LAST_ACTION = "last_action"
+_GRIPPER = "binary_gripper"
+# Beginnings of terms' formulas.
+_POSITIONS, _VELOCITIES = "measured position of each joint", "measured velocity of each joint"
 # Six numbers of the matrix and two quaternions.
 _ROTATION_FEATURES = 14
+# A turn within a quarter, as a vector.
+_QUARTER_FEATURES = 3
+# Metres or radians by which the measured positions of a gripper's joints are disturbed in training.
+_BLUR = 0.002
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,8 @@ class Encoding:
     concatenated: bool = True
     """True if the terms are side by side in one tensor; False for a dictionary of them."""
     hidden: tuple[int, ...] = ()
-    """Columns that the network does not see, such as the last action, which it would learn to copy."""
+    """Columns that the network does not see: the last action, which it would learn to copy, and velocities of a
+    gripper's joints, which engines report differently where contacts stop them."""
     vectors: tuple[int, ...] = ()
     """First columns of positions and distances (3 columns in metres), of which fine differences are shown."""
     rotations: tuple[int, ...] = ()
@@ -55,10 +63,15 @@ class Encoding:
     """Components of the action of which only the sign counts, such as a gripper's. Empty for none."""
     pictures: tuple[PictureEncoder, ...] = ()
     """Encoders of the terms that are pictures."""
+    quarters: bool = False
+    """True to show rotations within a quarter turn as well, see ``quarter_features``."""
+    blurred: tuple[int, ...] = ()
+    """Columns of the positions of a gripper's joints, disturbed in training: where contacts stop them, engines differ
+    by a millimetre."""
 
     def __post_init__(self) -> None:
         size = self.vector_size
-        columns = (*self.hidden, *self.vectors, *(column for column in self.joints if column != -1))
+        columns = (*self.hidden, *self.vectors, *self.blurred, *(column for column in self.joints if column != -1))
         ends = (*(column + 3 for column in self.vectors), *(column + 4 for column in self.rotations))
         if any(not 0 <= column < size for column in (*columns, *self.rotations)) or any(end > size for end in ends):
             raise ValueError(f"an encoding's columns are 0 to {size - 1}")
@@ -77,7 +90,8 @@ class Encoding:
         """F, numbers that the network sees in addition to features of pictures."""
         count = len(self.vectors)
         pairs = count * (count - 1) // 2
-        shown = self.vector_size - len(self.replaced) + _ROTATION_FEATURES * len(self.rotations)
+        turns = _ROTATION_FEATURES + _QUARTER_FEATURES * self.quarters
+        shown = self.vector_size - len(self.replaced) + turns * len(self.rotations)
         return shown + 3 * pairs + 3 * (count + pairs)
 
     @property
@@ -103,6 +117,7 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
             columns[part.name] = begin
             begin += part.size
     hidden = [c for p in parts if p.name == _LAST_ACTION for c in range(columns[p.name], columns[p.name] + p.size)]
+    hidden += _of_gripper(manifest, terms, columns, _VELOCITIES)
     placed = [name for name, term in terms.items() if name in columns and _is_position(term)]
     vectors = [columns[name] for name in placed]
     rotations = [columns[name] + 3 for name in placed if tuple(terms[name].shape) == (7,)]
@@ -111,7 +126,7 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
     biases: list[float] = []
     binary: list[bool] = []
     for action in manifest.action_terms.values():
-        binary += [action.generator == "binary_gripper"] * len(action.components)
+        binary += [action.generator == _GRIPPER] * len(action.components)
         for i, joint in enumerate(action.components):
             column, gain, bias = _relative(action, i, joint, terms, columns)
             joints.append(column)
@@ -120,7 +135,7 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
     pictures = () if concatenated else convolutional(parts, ()).encoders
     return Encoding(
         parts, concatenated, tuple(hidden), tuple(vectors), tuple(rotations), tuple(joints), tuple(gains),
-        tuple(biases), tuple(binary), pictures,
+        tuple(biases), tuple(binary), pictures, bool(rotations), _of_gripper(manifest, terms, columns, _POSITIONS),
     )  # fmt: skip
 
 
@@ -129,6 +144,35 @@ def _is_position(term: ObservationTermManifest) -> bool:
     shape = tuple(term.shape)
     placed = (term.unit == "m" and shape == (3,)) or (term.unit.startswith("m, quaternion") and shape == (7,))
     return placed and term.history == 1 and term.scale == 1.0
+
+
+def _of_gripper(
+    manifest: Manifest, terms: Mapping[str, ObservationTermManifest], columns: Mapping[str, int], measured: str
+) -> tuple[int, ...]:
+    """Return the columns of a measurement of joints that only a binary gripper moves, and of joints that follow them.
+
+    Args:
+        manifest: of the environment.
+        terms: of the observation group.
+        columns: first column of each term.
+        measured: beginning of the formula of the terms, ``_POSITIONS`` or ``_VELOCITIES``.
+    """
+    actions = manifest.action_terms.values()
+    if not any(action.generator == _GRIPPER for action in actions):
+        return ()
+    others = {joint for action in actions if action.generator != _GRIPPER for joint in action.joints}
+    return tuple(
+        columns[name] + place
+        for name, term in terms.items()
+        if name in columns and _measures(term, measured)
+        for place, joint in enumerate(term.components)
+        if joint not in others
+    )
+
+
+def _measures(term: ObservationTermManifest, measured: str) -> bool:
+    """Return True if each column of a term is a measurement of one joint now."""
+    return term.formula.startswith(measured) and term.history == 1
 
 
 def _relative(
@@ -142,8 +186,7 @@ def _relative(
     if action.scale is None or action.offset is None or action.settings.get("mode") != "absolute":
         return -1, 0.0, 0.0
     for name, term in terms.items():
-        measured = term.formula.startswith("measured position of each joint")
-        if name in columns and measured and term.history == 1 and term.offset and joint in term.components:
+        if name in columns and _measures(term, _POSITIONS) and term.offset and joint in term.components:
             place = list(term.components).index(joint)
             gain = 1.0 / action.scale[component]
             # observed = scale * (position - its offset); commanded position = offset + scale * action
@@ -171,6 +214,20 @@ def rotation_features(quaternions: Tensor) -> Tensor:
     # A quaternion holds half the angle.
     twice = _squared(_squared(quaternions))
     return torch.cat((columns, twice, _squared(twice)), -1)
+
+
+def quarter_features(quaternions: Tensor) -> Tensor:
+    """Return (..., 3) the axis times the angle, in quarter turns, of unit quaternions (..., 4) modulo quarter turns.
+
+    It jumps at an eighth of a turn, where the nearest pair of a box's faces changes. A network that is shown continuous
+    features averages both choices next to that jump, and the hand stops between the faces.
+    """
+    turned = _squared(_squared(quaternions))
+    # The sign of a quaternion is free; the real part is made positive for the shorter way.
+    turned = torch.where(turned[..., :1] < 0.0, -turned, turned)
+    axis = turned[..., 1:]
+    length = axis.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    return axis / length * torch.atan2(length, turned[..., :1])
 
 
 def _squared(quaternions: Tensor) -> Tensor:
@@ -205,6 +262,8 @@ class Encoder(nn.Module):
     """(4 R,) columns of the quaternions."""
     places: Tensor
     """(3 V,) columns of the positions."""
+    blurred: Tensor
+    """(B,) columns that are disturbed in training."""
     firsts: Tensor
     """(P,) positions that are subtracted."""
     seconds: Tensor
@@ -218,6 +277,7 @@ class Encoder(nn.Module):
         _keep(self, "shown", shown, torch.int64)
         _keep(self, "turned", [begin + i for begin in encoding.rotations for i in range(4)], torch.int64)
         _keep(self, "places", [begin + axis for begin in encoding.vectors for axis in range(3)], torch.int64)
+        _keep(self, "blurred", encoding.blurred, torch.int64)
         _keep(self, "firsts", [first for first, _ in pairs], torch.int64)
         _keep(self, "seconds", [second for _, second in pairs], torch.int64)
         self.register_buffer("mean", torch.zeros(encoding.feature_size))
@@ -246,6 +306,8 @@ class Encoder(nn.Module):
         if self.encoding.rotations:
             quaternions = vectors.index_select(1, self.turned).view(vectors.shape[0], -1, 4)
             seen.append(rotation_features(quaternions).flatten(1))
+            if self.encoding.quarters:
+                seen.append(quarter_features(quaternions).flatten(1))
         if self.encoding.vectors:
             places = vectors.index_select(1, self.places).view(vectors.shape[0], -1, 3)
             differences = places.index_select(1, self.seconds) - places.index_select(1, self.firsts)
@@ -254,7 +316,11 @@ class Encoder(nn.Module):
         return torch.cat(seen, dim=1)
 
     def forward(self, observation: Tensor | Mapping[str, Tensor]) -> Tensor:
-        features = (self.features(self.vectors(observation)) - self.mean) / self.std
+        vectors = self.vectors(observation)
+        if self.training and self.encoding.blurred:
+            noise = _BLUR * torch.randn(len(vectors), len(self.encoding.blurred), device=vectors.device)
+            vectors = vectors.index_add(1, self.blurred, noise)
+        features = (self.features(vectors) - self.mean) / self.std
         features = features.clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
         if self._convolutional is None:
             return features

@@ -105,7 +105,7 @@ class ResultFile:
         plan: that it must hold.
 
     Raises:
-        ConfigurationError: the file holds another plan, or is none.
+        ConfigurationError: the file holds results of another plan, or is none.
     """
 
     def __init__(self, path: Path | str, plan: Plan) -> None:
@@ -117,6 +117,11 @@ class ResultFile:
             append_line(self.path, json.dumps({"plan": asdict(plan)}))
             return
         recorded, blocks = read_results(self.path)
+        if recorded != plan and not blocks:
+            # Left by a call that failed before its first block ended, such as one with a wrong robot.
+            self.path.unlink()
+            append_line(self.path, json.dumps({"plan": asdict(plan)}))
+            return
         changed = [name for name, digest in recorded.digests.items() if plan.digests.get(name, digest) != digest]
         if changed:
             raise ConfigurationError(

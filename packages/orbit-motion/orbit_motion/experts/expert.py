@@ -390,7 +390,8 @@ class _Arm:
             waypoint = displaced(hand, share * step.view(-1, 6))
         commands = [generator.encode(waypoint, opened) for generator in self._generators]
         if self._route is not None:
-            free, drives = self._free[phase], self._drives[phase]
+            # A route is found when a phase begins, which a student does not see: a teacher goes straight.
+            free, drives = self._free[phase] & (not teaches), self._drives[phase]
             self._route.plan(target, begun & free)
             way, near = self._route.way(drives)
             # Once there the hand leads: on a base that still settled the posture is a little off, and would hold it.

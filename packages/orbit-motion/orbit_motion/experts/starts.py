@@ -38,9 +38,9 @@ class ExpertStarts:
     """Start of a share of all episodes at states that the task's expert passes in this very engine.
 
     The expert plays one episode in every environment once, when the environment is made. Kept are states of those
-    episodes in which it reached the goal, up to there: joint and root positions and velocities, what motion generators
-    remember, the last action, and the episode's step, so that as much time is left as the expert had. The rest of
-    a task's memory, and what a solver starts from, begins as in every episode.
+    episodes in which it reached the goal, up to there: joint and root positions and velocities, those of deformables'
+    particles, what motion generators remember, the last action, and the episode's step, so that as much time is left as
+    the expert had. The rest of a task's memory, and what a solver starts from, begins as in every episode.
 
     Args:
         env: whose task is learned, with :attr:`~orbit_core.envs.Task.expert_starts` above zero.
@@ -157,6 +157,9 @@ class ExpertStarts:
                 thing.set_root_velocity(velocity, env_ids)
             if (positions := values.get(f"{thing.name} joints")) is not None:
                 thing.set_joint_state(positions, values.get(f"{thing.name} joint velocities"), env_ids=env_ids)
+        for name, body in self._world.deformables.items():
+            if (particles := values.get(f"{name} particles")) is not None:
+                body.set_state(particles, values.get(f"{name} particle velocities"), env_ids)
         for name, memory in self._memories().items():
             if name in values:
                 write_rows(memory, values[name], rows)
@@ -172,6 +175,8 @@ class ExpertStarts:
             if thing.joint_names:
                 parts[f"{thing.name} joints"] = thing.joint_positions
                 parts[f"{thing.name} joint velocities"] = thing.joint_velocities
+        for name, body in self._world.deformables.items():
+            parts[f"{name} particles"], parts[f"{name} particle velocities"] = body.positions, body.velocities
         return parts | self._memories()
 
     def _memories(self) -> dict[str, Tensor]:

@@ -11,6 +11,8 @@
 #   tasks     Reach, Cabinet and Velocity-Flat at 4,096            about 3 minutes
 #   compiled  Lift at both sizes, compiled; needs Triton           about 3 minutes
 #   profile   kernels and gaps of a step of Lift                   about 1 minute
+#   solver    the solver in one launch against MuJoCo-Warp's: results, rounds, time    about 3 minutes
+#   rounds    steps of Lift and Go1 with either solver, random and by policies         about 6 minutes
 #   experts   each task's expert, 256 environments                 about 3 minutes
 #   soak      16,384 environments of Lift, 10,000 random steps     about 4 minutes
 #   loop      policy, step and storing as one recording; PPO's update as one graph   about 2 minutes
@@ -52,6 +54,20 @@ stage() {
     tasks) for task in Reach Cabinet Velocity-Flat; do bench $task 4096 || return 1; done ;;
     compiled) bench Lift "4096 16384" --action ik_relative --compile ;;
     profile) bench Lift 4096 --action ik_relative --profile "$out/step.json" ;;
+    solver)
+      python3 $here/solver.py --task Lift --policy lift --resident 8 24 32
+      python3 $here/solver.py --task Lift
+      python3 $here/solver.py --task Lift --policy lift --cone pyramidal --states 2
+      python3 $here/solver.py --task Velocity-Flat --policy velocity_flat_go1
+      python3 $here/solver.py --task Velocity-Flat --robot unitree_go1 --states 2 ;;
+    rounds)
+      local fused
+      for fused in true false; do
+        bench Lift 4096 --policy lift --warm 200 --steps 60 --setting fused_solver=$fused
+        bench Lift 4096 --action joint_position --steps 60 --setting fused_solver=$fused
+        bench Velocity-Flat 4096 --policy velocity_flat_go1 --warm 200 --steps 60 --setting fused_solver=$fused
+        bench Velocity-Flat 4096 --robot unitree_go1 --steps 60 --setting fused_solver=$fused
+      done ;;
     experts) python3 $here/experts.py --num-envs 256 ;;
     soak) bench Lift 16384 --action ik_relative --steps 2000 --blocks 5 ;;
     loop) python3 -m pytest -q -p no:cacheprovider -rfEs plugins/orbit-warp/tests/test_warp_loop_gpu.py ;;
