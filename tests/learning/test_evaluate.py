@@ -149,6 +149,8 @@ def test_the_page_needs_nothing_else_and_hides_no_name() -> None:
     assert "&lt;two&gt;" in text
     assert "<two>" not in text
     assert "http" not in text
+    assert "Differences on the same starts" in text
+    assert "Differences" not in page(replace(PLAN, policies=("one",)), [block("one", "1100")])
 
 
 def test_the_command_evaluates_once_and_then_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
