@@ -25,7 +25,7 @@ from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_learn.evaluation.disturbances import LEVELS, Disturbance
 from orbit_learn.evaluation.page import page
 from orbit_learn.evaluation.results import BASE, Block, BlockKey, Plan, ResultFile, read_results
-from orbit_learn.evaluation.running import run_blocks
+from orbit_learn.evaluation.running import fingerprint_of, run_blocks
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
 from orbit_learn.remote.client import ServerAddress
 
@@ -157,11 +157,19 @@ def test_a_plan_without_results_makes_room_for_another(tmp_path: Path) -> None:
     assert read_results(path) == (other, [block("one", "1100")])
 
 
+def test_starts_are_the_same_whatever_a_camera_sees_of_them() -> None:
+    state, depth = torch.rand(2, 5), torch.rand(2, 4, 6, 1)
+    assert fingerprint_of([state, depth]) == fingerprint_of([state, 2.0 * depth])
+    assert fingerprint_of([state, depth]) != fingerprint_of([state + 0.01, depth])
+
+
 def test_the_page_needs_nothing_else_and_hides_no_name() -> None:
     text = page(replace(PLAN, policies=("one", "<two>")), [block("one", "1100"), block("<two>", "1111")])
     assert "&lt;two&gt;" in text
     assert "<two>" not in text
     assert "http" not in text
+    assert "Differences on the same starts" in text
+    assert "Differences" not in page(replace(PLAN, policies=("one",)), [block("one", "1100")])
 
 
 def test_the_command_evaluates_once_and_then_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

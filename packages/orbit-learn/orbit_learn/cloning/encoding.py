@@ -220,7 +220,7 @@ def quarter_features(quaternions: Tensor) -> Tensor:
     """Return (..., 3) the axis times the angle, in quarter turns, of unit quaternions (..., 4) modulo quarter turns.
 
     It jumps at an eighth of a turn, where the nearest pair of a box's faces changes. A network that is shown continuous
-    features averages both choices next to that jump, and the hand stops between the faces.
+    features only may average both choices next to that jump, and the hand stops between the faces.
     """
     turned = _squared(_squared(quaternions))
     # The sign of a quaternion is free; the real part is made positive for the shorter way.

@@ -38,10 +38,7 @@ def page(plan: Plan, blocks: Sequence[Block], films: Mapping[str, Film] | None =
         *_different_starts(blocks),
         "<h2>Success</h2>",
         table(("policy", "variant", *plan.backends), _success_rows(plan, blocks)),
-        "<h2>Differences on the same starts</h2>",
-        "<p>Second minus first, in percentage points; p by McNemar's test with mid-p. Many comparisons stand side by "
-        "side: one in twenty is below 0.05 by chance.</p>",
-        table(("first", "second", "difference", "only first", "only second", "p"), _difference_rows(plan, blocks)),
+        *_differences(plan, blocks),
         "<h2>Where success varies</h2>",
         *_spread_of_trainings(plan, blocks),
         table(("source", "share of the variance"), _variance_rows(plan, blocks)),
@@ -75,6 +72,19 @@ def _success_rows(plan: Plan, blocks: Sequence[Block]) -> Iterable[Sequence[str]
             row = [block for block in blocks if (block.key.policy, block.key.variant) == (policy, variant)]
             cells = (_rate(success_of(b for b in row if b.key.backend == name)) for name in plan.backends)
             yield escape(policy), escape(variant), *cells
+
+
+def _differences(plan: Plan, blocks: Sequence[Block]) -> list[str]:
+    """Return the section of paired differences; empty where there is nothing to compare, such as one policy."""
+    rows = list(_difference_rows(plan, blocks))
+    if not rows:
+        return []
+    return [
+        "<h2>Differences on the same starts</h2>",
+        "<p>Second minus first, in percentage points; p by McNemar's test with mid-p. Many comparisons stand side by "
+        "side: one in twenty is below 0.05 by chance.</p>",
+        table(("first", "second", "difference", "only first", "only second", "p"), rows),
+    ]
 
 
 def _difference_rows(plan: Plan, blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
