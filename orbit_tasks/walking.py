@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import torch
@@ -100,10 +101,24 @@ def angular_velocity(robot: Robot) -> Tensor:
 
 def projected_gravity(robot: Robot) -> Tensor:
     """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
-    pose = robot.root_pose
-    down = torch.zeros_like(pose[:, :3])
-    down[:, 2] = -1.0
-    return quat_rotate_inverse(pose[:, 3:], down)
+    return quat_rotate_inverse(robot.root_pose[:, 3:], direction((0.0, 0.0, -1.0), robot.root_pose.device))
+
+
+def trunk_motion(robot: Robot) -> Tensor:
+    """Compute what the trunk feels, in its own axes.
+
+    Returns:
+        (N, 3, 3): linear velocity in m/s, angular velocity in rad/s, and the direction of gravity, turned together.
+    """
+    down = direction((0.0, 0.0, -1.0), robot.root_pose.device).expand(robot.root_pose.shape[0], 1, 3)
+    vectors = torch.cat((robot.root_velocity.view(-1, 2, 3), down), 1)
+    return quat_rotate_inverse(robot.root_pose[:, None, 3:], vectors)
+
+
+@cache
+def direction(axis: tuple[float, float, float], device: torch.device) -> Tensor:
+    """Return a constant vector (1, 3), made once."""
+    return torch.tensor((axis,), device=device)
 
 
 def heading(robot: Robot) -> Tensor:
