@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.constants import constant
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import (
     Environment,
@@ -32,7 +33,6 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Scene, look_at
 from orbit_motion import workspace as task_robots
-from orbit_tasks import walking
 from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
 
@@ -63,7 +63,7 @@ def height(env: Environment[Running]) -> Tensor:
 def heading(env: Environment[Running]) -> Tensor:
     """(N, 2) cosine and sine of the angle between the way that the trunk faces, seen from above, and x."""
     pose = common.robot_of(env.world).root_pose
-    ahead = walking.direction((1.0, 0.0, 0.0), env.device)
+    ahead = constant((1.0, 0.0, 0.0), env.device)
     # Normalised, because a trunk that leans forward projects to less than one.
     return torch.nn.functional.normalize(quat_rotate(pose[:, 3:], ahead)[:, :2], dim=1)
 
