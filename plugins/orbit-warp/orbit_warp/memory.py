@@ -61,15 +61,17 @@ def _arrays(owner: object) -> Iterator[wp.array]:
 
 def _bytes_of_convex_contact(model: mjw.Model) -> int:
     """Return the bytes in which one contact of convex shapes is searched for, as ``convex_narrowphase`` makes them."""
+    boxes = (GeomType.BOX, GeomType.BOX)
+    primitive = model.opt.disableflags & DisableBit.NATIVECCD
     # Contacts of height fields are found elsewhere.
     counts = {
         pair: model.geom_pair_type_count[upper_trid_index(len(GeomType), pair[0].value, pair[1].value)]
         for pair, kind in MJ_COLLISION_TABLE.items()
-        if kind == CollisionType.CONVEX and GeomType.HFIELD not in pair
+        if kind == CollisionType.CONVEX and GeomType.HFIELD not in pair and not (primitive and pair == boxes)
     }
     if not any(counts.values()):
         return 0
-    of_boxes = counts.get((GeomType.BOX, GeomType.BOX), 0)
+    of_boxes = counts.get(boxes, 0)
     rounds = 16 if of_boxes == sum(counts.values()) else model.opt.ccd_iterations
     vertices, faces = 10 + 2 * rounds, 6 + MJ_MAX_EPAFACES * rounds
     polytope = vertices * (_VECTOR + _NUMBER) + faces * (_VECTOR + 2 * _NUMBER) + MJ_MAX_EPAHORIZON * _NUMBER
