@@ -237,7 +237,8 @@ def check_numbers(value: Tensor, bounds: Bounds, what: str, env_ids: Tensor | No
     # NumPy's view of the tensor's own memory: on few numbers its functions cost a third of torch's. NaN passes through.
     array = value.numpy()
     # The usual case in one call, a third of the time of two reductions: no number exceeds the root of the sum.
-    if np.vdot(array, array) <= bounds.surely:
+    flat = array.reshape(-1)
+    if flat.dot(flat) <= bounds.surely:
         return
     if not (bounds.least <= np.minimum.reduce(array, axis=None) and np.maximum.reduce(array, axis=None) <= bounds.most):
         _refuse_number(value, bounds, what, env_ids)

@@ -116,7 +116,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._state.invalidate()
         if self.layout.scene.deformables:
             self._matter.measure(self._matter_forces)
-        if np.count_nonzero(self._batch.warning):  # a third of a reduction's time
+        if np.logical_or.reduce(self._batch.warning, axis=None):
             self._raise_warnings()
         if not self._state.bounded and (self.raises_divergence or self._matter.diverged()[1]):
             environments, names = self._matter.diverged()

@@ -52,7 +52,7 @@ class Parameters:
 
     def settle(self) -> None:
         """Compute what follows from the masses that were set."""
-        if np.count_nonzero(self._constants_due):
+        if np.logical_or.reduce(self._constants_due):
             self._batch.set_const(self._constants_due)
             if self._matter:
                 self._firm_contacts()
