@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.constants import constant
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import (
     Environment,
@@ -62,8 +63,7 @@ def height(env: Environment[Running]) -> Tensor:
 def heading(env: Environment[Running]) -> Tensor:
     """(N, 2) cosine and sine of the angle between the way that the trunk faces, seen from above, and x."""
     pose = common.robot_of(env.world).root_pose
-    ahead = torch.zeros_like(pose[:, :3])
-    ahead[:, 0] = 1.0
+    ahead = constant((1.0, 0.0, 0.0), env.device)
     # Normalised, because a trunk that leans forward projects to less than one.
     return torch.nn.functional.normalize(quat_rotate(pose[:, 3:], ahead)[:, :2], dim=1)
 

@@ -12,12 +12,18 @@ from orbit_tasks import walking
 TRUNK = "trunk: axes of the robot's root link"
 
 
+@once_per_state
+def trunk_motion(env: Environment) -> Tensor:
+    """(N, 3, 3) linear velocity, angular velocity and direction of gravity in the trunk's axes."""
+    return walking.trunk_motion(common.robot_of(env.world))
+
+
 @means("velocity of the root link's origin, turned into the trunk's axes: R^T v", frame=TRUNK)
 @measured_in("m/s")
 @once_per_state
 def linear_velocity(env: Environment) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
-    return walking.linear_velocity(common.robot_of(env.world))
+    return trunk_motion(env)[:, 0]
 
 
 @means("angular velocity of the root link, turned into the trunk's axes: R^T w", frame=TRUNK)
@@ -25,7 +31,7 @@ def linear_velocity(env: Environment) -> Tensor:
 @once_per_state
 def angular_velocity(env: Environment) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
-    return walking.angular_velocity(common.robot_of(env.world))
+    return trunk_motion(env)[:, 1]
 
 
 @means("direction of gravity, turned into the trunk's axes: R^T (0, 0, -1)", frame=TRUNK, components=("x", "y", "z"))
@@ -33,4 +39,4 @@ def angular_velocity(env: Environment) -> Tensor:
 @once_per_state
 def projected_gravity(env: Environment) -> Tensor:
     """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
-    return walking.projected_gravity(common.robot_of(env.world))
+    return trunk_motion(env)[:, 2]

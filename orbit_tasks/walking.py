@@ -12,6 +12,7 @@ from torch import Tensor
 
 from orbit_core.actions import joint_commands
 from orbit_core.actions.embodiment import leg_joints
+from orbit_core.dynamics.constants import constant
 from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
 from orbit_core.envs import Environment
 from orbit_core.envs.state import TaskState
@@ -88,6 +89,10 @@ def _others(spec: RobotSpec) -> list[ActuatorConfig]:
     return [replace(group, joints=tuple(re.escape(name) for name in left)) for group, left in kept if left]
 
 
+DOWN = (0.0, 0.0, -1.0)
+"""Direction of gravity."""
+
+
 def linear_velocity(robot: Robot) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
     return quat_rotate_inverse(robot.root_pose[:, 3:], robot.root_velocity[:, :3])
@@ -100,10 +105,19 @@ def angular_velocity(robot: Robot) -> Tensor:
 
 def projected_gravity(robot: Robot) -> Tensor:
     """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
+    return quat_rotate_inverse(robot.root_pose[:, 3:], constant(DOWN, robot.root_pose.device))
+
+
+def trunk_motion(robot: Robot) -> Tensor:
+    """Compute what the trunk feels, in its own axes.
+
+    Returns:
+        (N, 3, 3): linear velocity in m/s, angular velocity in rad/s, and the direction of gravity, turned together.
+    """
     pose = robot.root_pose
-    down = torch.zeros_like(pose[:, :3])
-    down[:, 2] = -1.0
-    return quat_rotate_inverse(pose[:, 3:], down)
+    down = constant(DOWN, pose.device).expand(pose.shape[0], 1, 3)
+    vectors = torch.cat((robot.root_velocity.view(-1, 2, 3), down), 1)
+    return quat_rotate_inverse(pose[:, None, 3:], vectors)
 
 
 def heading(robot: Robot) -> Tensor:

@@ -9,7 +9,7 @@ from enum import Enum
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import columns_of, write_rows
+from orbit_core.dynamics.indexing import ColumnView, columns_of, write_rows
 from orbit_core.interfaces import JointTarget, Node, Port, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 
@@ -49,8 +49,7 @@ class MotionGenerator(Node):
         """Both limits (k,) of the joints' positions, rad or m; infinite where there is none."""
         # A slice where joints are adjacent: a view costs less than a gather.
         self._columns = columns_of(self.joints, self.device)
-        # A view of nothing that no engine returns, so that the first read makes the real one.
-        self._whole = self._own = robot.joint_positions[:, :0]
+        self._position_view, self._velocity_view = ColumnView(self._columns), ColumnView(self._columns)
 
     def enter(self, world: World, step_dt: float) -> None:
         """Prepare for a world: read what the generator needs beyond its robot. Called once, before the first turn.
@@ -116,18 +115,12 @@ class MotionGenerator(Node):
     @property
     def positions(self) -> Tensor:
         """(N, k) measured positions of the generator's joints."""
-        whole = self.robot.joint_positions
-        if not isinstance(self._columns, slice):
-            return whole[:, self._columns]
-        # Most engines return the same tensor at each read, so that its columns are viewed once.
-        if whole is not self._whole:
-            self._whole, self._own = whole, whole[:, self._columns]
-        return self._own
+        return self._position_view.read(self.robot.joint_positions)
 
     @property
     def velocities(self) -> Tensor:
         """(N, k) measured velocities of the generator's joints."""
-        return self.robot.joint_velocities[:, self._columns]
+        return self._velocity_view.read(self.robot.joint_velocities)
 
 
 def speed_limited_lead(robot: Robot, joints: Sequence[int]) -> Tensor:

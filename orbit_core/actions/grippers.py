@@ -12,6 +12,7 @@ from torch import Tensor
 from orbit_core.actions.base import JointTarget, MotionGenerator
 from orbit_core.actions.embodiment import end_effector_of
 from orbit_core.actions.term import ActionTerm
+from orbit_core.dynamics.constants import constant
 from orbit_core.interfaces import ConfigurationError, Robot, match_values
 from orbit_core.scene import Gripper, RobotSpec
 
@@ -74,7 +75,7 @@ class BinaryGripper(MotionGenerator):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
         # Zero opens: a policy that outputs nothing must not grip.
-        targets = torch.where(command < 0.0, self._closed, self._open)
+        targets = torch.where(command < constant(0.0, self.device), self._closed, self._open)
         # Where a command is not a number the targets are none either, and refused by the robot.
         return {JointTarget.POSITION: torch.where(command.isnan(), command, targets)}
 

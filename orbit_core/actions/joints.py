@@ -259,12 +259,13 @@ class JointEffort(MotionGenerator):
         self._scale = torch.tensor(scales, device=self.device)
         limits = joint_limits(robot.spec, "effort_limit")[joints]
         self._strongest = torch.as_tensor(limits, dtype=torch.float32, device=self.device)
+        self._weakest = -self._strongest
         self._last = LastTargets(self.num_envs, (len(joints),), self.device)
         self._dynamics: ArmDynamics | None = None
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         efforts = self._origin() + self._scale * inputs["command"]
-        efforts = torch.clamp(efforts, -self._strongest, self._strongest)
+        efforts = torch.clamp(efforts, self._weakest, self._strongest)
         if self.config.mode is CommandMode.INTEGRATED:
             self._last.keep(efforts)
         return {

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from orbit_core.actuators.models import REFERENCE, ActuatorContext, ActuatorModel, DcMotorModel, PdModel
 from orbit_core.distributions import missing_note
-from orbit_core.dynamics.indexing import write_block, write_rows
+from orbit_core.dynamics.indexing import ColumnView, write_block, write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, UnknownNameError
 from orbit_core.interfaces.layout import actuator_of_joint
@@ -202,23 +202,23 @@ class Actuators:
         """(N, J) rad/s or m/s"""
         self.effort_targets = torch.zeros_like(engine.efforts) if self.explicit else engine.efforts
         """(N, J) N m or N, added to the PD laws"""
+        self._targets = (self.position_targets, self.velocity_targets, self.effort_targets)
+        # Of measured positions and velocities, the targets, and the engine's efforts
+        self._views = [tuple(ColumnView(model.columns) for _ in range(6)) for model in self._models]
+        self._covered = len({joint for model in self._models for joint in model.joints}) == len(layout.joints)
 
     def apply(self) -> None:
         """Compute the efforts of explicit groups from the present joint state and hand them to the engine."""
         engine = self._engine
-        # Joints without a model keep the effort that was commanded directly.
-        engine.efforts.copy_(self.effort_targets)
-        positions, velocities = engine.joint_positions, engine.joint_velocities
-        for model, delay in zip(self._models, self._delays, strict=True):
-            columns = model.columns
-            targets: Sequence[Tensor] = (
-                self.position_targets[:, columns],
-                self.velocity_targets[:, columns],
-                self.effort_targets[:, columns],
-            )
+        if not self._covered:
+            # Joints without a model keep the effort that was commanded directly.
+            engine.efforts.copy_(self.effort_targets)
+        measured = engine.joint_positions, engine.joint_velocities
+        for model, delay, views in zip(self._models, self._delays, self._views, strict=True):
+            position, velocity, *targets = map(ColumnView.read, views, (*measured, *self._targets))
             if delay is not None:
-                targets = delay.push(torch.stack(tuple(targets))).unbind(0)
-            engine.efforts[:, columns] = model.efforts(positions[:, columns], velocities[:, columns], targets)
+                targets = delay.push(torch.stack(targets)).unbind(0)
+            views[-1].write(engine.efforts, model.efforts(position, velocity, targets))
 
     @property
     def models(self) -> Mapping[str, ActuatorModel]:

@@ -25,7 +25,7 @@ from orbit_core.interfaces.capture import is_tracing
 from orbit_core.plugin_kit.rows import is_mask, take_rows, write_columns, write_rows
 
 __all__ = [
-    "Columns", "RowSelection", "RowSelector", "columns_of", "is_mask", "take_rows", "write_block",
+    "ColumnView", "Columns", "RowSelection", "RowSelector", "columns_of", "is_mask", "take_rows", "write_block",
     "write_columns", "write_rows",
 ]  # fmt: skip
 
@@ -40,6 +40,36 @@ def columns_of(indices: Sequence[int], device: torch.device) -> Columns:
     if list(indices) == list(range(first, first + len(indices))):
         return slice(first, first + len(indices))
     return torch.tensor(list(indices), dtype=torch.int64, device=device)
+
+
+class ColumnView:
+    """Some columns of tensors (N, J), viewed once for each tensor that is given, as most engines return the same one.
+
+    Args:
+        columns: slice, or indices (k,), which are gathered at each read.
+    """
+
+    __slots__ = ("_columns", "_own", "_whole")
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+        self._whole: Tensor | None = None
+        self._own: Tensor | None = None
+
+    def read(self, whole: Tensor) -> Tensor:
+        """Return the columns (N, k) of a tensor (N, J)."""
+        if not isinstance(self._columns, slice):
+            return whole[:, self._columns]
+        if self._own is None or whole is not self._whole:
+            self._whole, self._own = whole, whole[:, self._columns]
+        return self._own
+
+    def write(self, whole: Tensor, values: Tensor) -> None:
+        """Write values (N, k) into the columns of a tensor (N, J)."""
+        if isinstance(self._columns, slice):
+            self.read(whole).copy_(values)
+        else:
+            whole[:, self._columns] = values
 
 
 def write_block(target: Tensor, columns: Columns, values: Tensor, env_ids: Tensor | None) -> None:

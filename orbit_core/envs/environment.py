@@ -164,6 +164,7 @@ class Environment(Generic[TaskT, StateT]):
         self._ended = self.done.numpy() if self.device.type == "cpu" else self.done
         self.lost = LostEpisodes(self.world) if reset_diverged else None
         """Episodes that diverged, where these do not raise."""
+        self._limit = torch.tensor(self.max_episode_steps, device=self.device)
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self.actions = ActionManager(self.world, task, terms, self.step_dt)
         """Manager of the action terms."""
@@ -418,7 +419,7 @@ class Environment(Generic[TaskT, StateT]):
             state.update(self)
         reward = self._reward()
         terminated = self._terminated()
-        late = state.episode_step >= self.max_episode_steps
+        late = state.episode_step >= self._limit
         if self.lost is not None:
             reward, terminated, late = self.lost.end(reward, terminated, late)
         torch.logical_or(late, terminated, out=self.done)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +13,7 @@ from torch import Tensor
 from orbit_core.dynamics.kinematics import KinematicTree, link_ancestry
 from orbit_core.dynamics.transforms import quat_distance
 from orbit_core.interfaces import BuildError, BuiltModel, ConfigurationError, Engine, EntityLayout, SceneLayout
+from orbit_core.plugin_kit.memory import free_bytes, size_label
 from orbit_core.scene import CameraSpec, Channel
 
 # Bytes that an engine takes at least per link or joint of an environment: its state, the core's, and contacts
@@ -34,7 +33,7 @@ _COPIES = 2  # what the renderer draws into, and what the sensor holds
 
 
 def check_capacity(layout: SceneLayout, num_envs: int, device: torch.device) -> None:
-    """Refuse more environments than can fit; what engines take beyond the least is not known here.
+    """Refuse more environments than can fit; an engine that takes more than the least checks that itself.
 
     Raises:
         ConfigurationError: says how many fit, which part is pictures, and how many particles would fit.
@@ -44,36 +43,21 @@ def check_capacity(layout: SceneLayout, num_envs: int, device: torch.device) -> 
     each = pictures + _PER_BODY * (len(layout.links) + len(layout.joints) + 1) + _PER_PARTICLE * particles
     free = free_bytes(device)
     if num_envs * each > free:
-        cameras = f", {_size(num_envs * pictures)} of it for the cameras' pictures" if pictures else ""
+        cameras = f", {size_label(num_envs * pictures)} of it for the cameras' pictures" if pictures else ""
         remedy = " or smaller pictures" if pictures else ""
         matter = _PER_PARTICLE * particles
         if matter > 0.5 * each:
             fitting = max(0, free // num_envs - each + matter) // _PER_PARTICLE
             remedy += f", or for coarser meshes: {particles:,} particles in each, of which {fitting:,} fit"
         raise ConfigurationError(
-            f"{num_envs} environments take {_size(num_envs * each)} or more{cameras}, and {_size(free)} are free on "
-            f"'{device}': at most {free // each} fit; ask for fewer{remedy}"
+            f"{num_envs} environments take {size_label(num_envs * each)} or more{cameras}, and {size_label(free)} are "
+            f"free on '{device}': at most {free // each} fit; ask for fewer{remedy}"
         )
-
-
-def free_bytes(device: torch.device) -> int:
-    """Memory that is free for a process on a device."""
-    if device.type == "cuda":
-        return torch.cuda.mem_get_info(device)[0]
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, StopIteration):  # no Linux
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def _picture_bytes(spec: CameraSpec) -> int:
     held = 1 + round(spec.delay * spec.rate) if spec.rate else 1
     return spec.width * spec.height * sum(_PER_PIXEL[channel] for channel in spec.channels) * (_COPIES + held - 1)
-
-
-def _size(count: float) -> str:
-    return f"{count / 2**30:.3g} GiB"
 
 
 FloatArray = npt.NDArray[np.float64]

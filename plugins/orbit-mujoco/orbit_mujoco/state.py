@@ -24,6 +24,8 @@ from orbit_mjmodel.addresses import Addresses, columns
 FloatArray = npt.NDArray[np.floating]
 
 DERIVED_STAGE = mujoco.mjtStage.mjSTAGE_VEL.value
+# Sum of squares of numbers that are all within the bounds of divergence
+_SURELY_BOUNDED = min(MAX_DISTANCE, MAX_SPEED) ** 2
 
 
 class State:
@@ -34,6 +36,8 @@ class State:
         self._addresses = addresses
         num_envs, joints, links = batch.nsim, len(addresses.joint_positions), len(addresses.bodies)
         self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
+        # A row begins with the time, then the positions and the velocities.
+        self._coordinates = batch.state[:, 1 : 1 + self._qpos.shape[1] + self._qvel.shape[1]]
         self._mocap_pos, self._mocap_quat = batch.bind("mocap_pos"), batch.bind("mocap_quat")
         self._xpos, self._xquat = batch.bind("xpos"), batch.bind("xquat")
         self._cvel, self._subtree_com = batch.bind("cvel"), batch.bind("subtree_com")
@@ -46,7 +50,8 @@ class State:
         self._link_velocities = np.zeros((num_envs, links, 6), dtype=np.float32)
         arrays = (self._joint_positions, self._joint_velocities, self._link_poses, self._link_velocities)
         self._tensors = tuple(torch.from_numpy(array) for array in arrays)
-        self._spins, self._offsets = np.zeros((2, num_envs, links, 3))
+        self._spins, self._offsets, self._swept = np.zeros((3, num_envs, links, 3))
+        self._cross = tuple(torch.from_numpy(array) for array in (self._spins, self._offsets, self._swept))
         self._current: set[str] = set()
         self._written = np.zeros(num_envs, dtype=bool)
 
@@ -63,6 +68,10 @@ class State:
     @property
     def bounded(self) -> bool:
         """Return True if every number is within the bounds of divergence; NaN is not."""
+        # The usual case in one call, a quarter of the time of the reductions: no number exceeds the root of the sum.
+        flat = self._coordinates.reshape(-1)
+        if flat.dot(flat) <= _SURELY_BOUNDED:
+            return True
         # The ufuncs' own reductions: the arrays' methods go through functions of Python.
         lowest, highest = np.minimum.reduce, np.maximum.reduce
         return bool(
@@ -113,8 +122,9 @@ class State:
             velocities, spatial = self._link_velocities, self._cvel[:, self._bodies]
             np.subtract(self._xpos[:, self._bodies], self._subtree_com[:, self._roots], out=self._offsets)
             np.copyto(self._spins, spatial[..., :3])
-            swept = torch.linalg.cross(torch.from_numpy(self._spins), torch.from_numpy(self._offsets))
-            np.add(spatial[..., 3:], swept.numpy(), out=velocities[..., :3], casting="same_kind")
+            spins, offsets, swept = self._cross
+            torch.linalg.cross(spins, offsets, out=swept)
+            np.add(spatial[..., 3:], self._swept, out=velocities[..., :3], casting="same_kind")
             np.copyto(velocities[..., 3:], spatial[..., :3], casting="same_kind")
         return self._tensors[3]
 

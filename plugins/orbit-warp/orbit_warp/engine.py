@@ -15,6 +15,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import Approximation, BuiltModel, RayHits, SceneLayout
 from orbit_core.plugin_kit.engines import PartedEngine
+from orbit_core.plugin_kit.memory import check_memory
 from orbit_core.plugin_kit.rows import Rows, rows_of
 from orbit_mjmodel.drives import implicit_bounds, spring_lead
 from orbit_warp.buffers import BufferSizes, buffer_sizes
@@ -25,6 +26,7 @@ from orbit_warp.faults import Faults
 from orbit_warp.field_contacts import FieldContacts
 from orbit_warp.fused_solver import FusedSolver, is_fit
 from orbit_warp.kernels import read_efforts, reset_state, write_commands
+from orbit_warp.memory import bytes_per_environment
 from orbit_warp.model import build_models, on_device, read_back_kinds
 from orbit_warp.native import Native
 from orbit_warp.parameters import Parameters
@@ -69,6 +71,8 @@ class WarpEngine(PartedEngine[State, Parameters]):
             self._model = on_device(kinds, config)
             self.buffer_sizes = sizes = buffer_sizes(built.model, self._model, config)
             """Sizes of MuJoCo-Warp's buffers of contacts and constraints."""
+            remedy = f", or for smaller buffers than nconmax={sizes.nconmax} and njmax={sizes.njmax}"
+            check_memory(num_envs, bytes_per_environment(built.model, self._model, sizes), device, remedy)
             self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
             # After the data, whose buffers its kernels fill in the place of MuJoCo-Warp's own.
             FieldContacts.replace(self._model, self._data)
