@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
+import warp as wp
 
 from orbit_assets.deformables import sheet
 from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout, SimulationError, World
 from orbit_core.scene import Attachment, Cloth, Fluid, Plane, Pose, Scene, Shape
 from orbit_core.world import simulate
+from orbit_matter.block import BLOCK
 from orbit_matter.bodies import free_links
+from orbit_matter.fluid import kernels
 from orbit_matter.fluid.fluids import build
 from orbit_matter.stability import floating, passing, rounded, tossed
 
@@ -50,6 +55,24 @@ def test_water_stays_within_its_walls_and_keeps_its_height(settled: World) -> No
     assert (x[..., :2].abs() < 0.02).all()
     assert (x[..., 2] > 0.0).all()
     assert x[..., 2].mean().item() == pytest.approx(0.02, rel=0.04)
+
+
+def test_neighbours_among_all_particles_are_those_in_the_cells_around(settled: World) -> None:
+    part = settled.engine._matter._parts[0]._fluid
+    fluid = part._fluid
+
+    def found() -> list[npt.NDArray]:
+        lists, counts = fluid.neighbours.numpy().reshape(-1, fluid.neighbours.shape[2]), fluid.count.numpy().ravel()
+        return [np.sort(row[:count]) for row, count in zip(lists, counts, strict=True)]
+
+    with wp.ScopedDevice("cpu"):
+        part.search_again()
+        expected = found()
+        fluid.neighbours.zero_(), fluid.count.zero_()
+        wp.launch(kernels.compare, (settled.num_envs, 1), inputs=[fluid], block_dim=BLOCK)
+    assert max(len(row) for row in expected) > 30
+    for row, wanted in zip(found(), expected, strict=True):
+        np.testing.assert_array_equal(row, wanted)
 
 
 def test_equal_environments_stay_equal_to_the_last_bit(settled: World) -> None:

@@ -46,6 +46,8 @@ BEYOND = wp.constant(1.2)
 LEVELLING = wp.constant(8.0)
 """Times the usual diffusion of densities at a void: a particle there has the pressure of its neighbours at once, and a
 third more than this would overshoot."""
+COMPARED = 4096
+"""Particles up to which a GPU compares each with all others rather than with those in the cells around it."""
 CLEARERS = wp.constant(64)
 """Threads that empty the cells of an environment."""
 
@@ -213,6 +215,37 @@ def find(f: Fluid):
         f.neighbours[env, i, count] = f.x.shape[1]
         count += 1
     f.count[env, i] = count
+
+
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
+def compare(f: Fluid):
+    """Find neighbours as :func:`find` does, but among all particles, a block of threads for an environment.
+
+    A GPU waits for each step along the particles of a cell; all threads of a block read the same particle at a time.
+    """
+    env, lane = wp.tid()
+    if f.stale[env] == 0:
+        return
+    most = f.neighbours.shape[2]
+    for i in range(lane, f.x.shape[1], wp.block_dim()):
+        x, near = f.searched[env, i], int(0)
+        for j in range(f.x.shape[1]):
+            way = f.searched[env, j] - x
+            if wp.length_sq(way) < f.cell * f.cell and j != i and near < most:
+                f.neighbours[env, i, near] = j
+                near += 1
+        # Walls in a pass of their own: in the one above most threads would wait for the few that have come near.
+        count = int(0)
+        for k in range(near):
+            j = f.neighbours[env, i, k]
+            way = f.searched[env, j] - x
+            if not (is_behind(f, env, i, way) or is_behind(f, env, j, -way)):
+                f.neighbours[env, i, count] = j
+                count += 1
+        while count % LANES > 0:
+            f.neighbours[env, i, count] = f.x.shape[1]
+            count += 1
+        f.count[env, i] = count
 
 
 @wp.kernel(enable_backward=False)

@@ -123,4 +123,7 @@ class FluidPart:
         f, shape = self._fluid, (self._n, self._p)
         wp.launch(kernels.clear, (self._n, int(kernels.CLEARERS)), inputs=[f])
         wp.launch(kernels.insert, shape, inputs=[f, renewed])
-        wp.launch(kernels.find, shape, inputs=[f])
+        if f.x.device.is_cpu or self._p > kernels.COMPARED:
+            wp.launch(kernels.find, shape, inputs=[f])
+        else:
+            wp.launch(kernels.compare, (self._n, BLOCK), inputs=[f], block_dim=BLOCK)
