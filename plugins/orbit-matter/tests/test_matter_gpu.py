@@ -20,7 +20,7 @@ ROPE = Rope("rope", line(0.2, 11), 0.1, Pose((0.0, 0.3, 0.1)), attachments=(Atta
 BLOCK = box("block", size=(0.1, 0.1, 0.1), mass=0.5, pose=Pose((0.0, 0.0, 0.05)))
 SCENE = Scene(objects=(BLOCK,), deformables=(CLOTH, ROPE))
 SOFT = SoftBody("soft", cuboid((0.05, 0.05, 0.05), (2, 2, 2)), 800.0, Pose((0.0, 0.0, 0.124)), 2e5, 0.3)
-# Off the middle: where edges meet edges exactly, rounding tells which points touch, and grows a millionfold.
+# Off the middle: where edges meet edges exactly, rounding tells which points touch: 0.01 um became 0.08 mm.
 UPPER = replace(SOFT, name="upper", pose=Pose((0.004, 0.003, 0.1735)))
 SIDE = tuple(range(9))
 HELD = replace(SOFT, name="held", pose=Pose((0.0, 0.2, 0.1)), attachments=(Attachment(SIDE),))
