@@ -20,10 +20,11 @@ ROPE = Rope("rope", line(0.2, 11), 0.1, Pose((0.0, 0.3, 0.1)), attachments=(Atta
 BLOCK = box("block", size=(0.1, 0.1, 0.1), mass=0.5, pose=Pose((0.0, 0.0, 0.05)))
 SCENE = Scene(objects=(BLOCK,), deformables=(CLOTH, ROPE))
 SOFT = SoftBody("soft", cuboid((0.05, 0.05, 0.05), (2, 2, 2)), 800.0, Pose((0.0, 0.0, 0.124)), 2e5, 0.3)
-UPPER = replace(SOFT, name="upper", pose=Pose((0.0, 0.0, 0.1735)))
+# Off the middle: where edges meet edges exactly, rounding tells which points touch: 0.01 um became 0.08 mm.
+UPPER = replace(SOFT, name="upper", pose=Pose((0.004, 0.003, 0.1735)))
 SIDE = tuple(range(9))
 HELD = replace(SOFT, name="held", pose=Pose((0.0, 0.2, 0.1)), attachments=(Attachment(SIDE),))
-OVER = replace(SOFT, name="over", pose=Pose((0.0, 0.2, 0.1495)))
+OVER = replace(SOFT, name="over", pose=Pose((0.004, 0.203, 0.1495)))
 SOLIDS = Scene(objects=(BLOCK,), deformables=(SOFT, UPPER, HELD, OVER), physics_dt=0.0025)
 
 
@@ -101,7 +102,8 @@ def test_where_one_environment_diverges_the_others_go_on() -> None:
 
 
 def test_solids_touch_hang_and_fall_as_on_a_cpu() -> None:
-    torch.testing.assert_close(solids_after_steps("cuda", 3), solids_after_steps("cpu", 3), rtol=0.0, atol=1e-4)
+    """Where noise of 0.1 um moves the nodes before each step on a CPU, they end within 4 um of where they did."""
+    torch.testing.assert_close(solids_after_steps("cuda", 3), solids_after_steps("cpu", 3), rtol=0.0, atol=2e-5)
 
 
 def test_solids_repeat_to_the_bit_however_many_environments_share_a_preconditioner() -> None:
