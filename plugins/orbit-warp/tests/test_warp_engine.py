@@ -95,6 +95,21 @@ def test_a_replayed_graph_does_what_its_launches_do() -> None:
     assert torch.equal(recorded.link_velocities, issued.link_velocities)
 
 
+def test_a_recording_that_warp_does_not_replay_beside_a_gpu_tells_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = engine_of(cubes(1))
+    engine.step(1)
+
+    def fail(graph: wp.Graph, stream: wp.Stream | None = None) -> None:
+        raise RuntimeError("CPU graph replay failed: no operations recorded")
+
+    monkeypatch.setattr(wp, "capture_launch", fail)
+    with pytest.raises(RuntimeError, match="no operations recorded"):
+        engine.step(1)
+    monkeypatch.setattr(wp, "is_cuda_available", lambda: True)
+    with pytest.raises(SimulationError, match="CUDA_VISIBLE_DEVICES= in the environment"):
+        engine.step(1)
+
+
 def test_states_are_the_engines_own_memory() -> None:
     environment = make("Reach", 2, "warp")
     engine = environment.world.engine
