@@ -69,7 +69,7 @@ def test_neighbours_among_all_particles_are_those_in_the_cells_around(settled: W
         part.search_again()
         expected = found()
         fluid.neighbours.zero_(), fluid.count.zero_()
-        wp.launch(kernels.compare, (settled.num_envs, 1), inputs=[fluid], block_dim=BLOCK)
+        wp.launch(kernels.compare, (fluid.x.shape[0], 1), inputs=[fluid], block_dim=BLOCK)
     assert max(len(row) for row in expected) > 30
     for row, wanted in zip(found(), expected, strict=True):
         np.testing.assert_array_equal(row, wanted)
