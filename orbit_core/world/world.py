@@ -498,7 +498,8 @@ def simulate(
     if world.device.type == "cpu" and not products_ignore_other_rows():
         warnings.warn(
             "matrix products of this process depend on the number of environments, in their last bits, and so do "
-            "observations and rewards: import orbit_core before torch multiplies anything, or set MKL_CBWR=AUTO,STRICT",
+            "observations and rewards: import orbit_core before torch multiplies anything, or set MKL_CBWR=AUTO,STRICT "
+            "(where that is set, MKL has no such mode for this processor)",
             stacklevel=2,
         )
     return world

@@ -305,4 +305,6 @@ def test_an_interrupt_is_quiet(tmp_path: Path):
         out, err = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert (process.returncode, out, err) == (130, "", "")
+    # The one warning that depends on the processor.
+    said = [line for line in err.splitlines() if not line.startswith("warning: matrix products")]
+    assert (process.returncode, out, said) == (130, "", [])

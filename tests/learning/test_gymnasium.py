@@ -54,8 +54,11 @@ def test_gymnasiums_checker_passes(task: str) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(environment.unwrapped, skip_render_check=True)
-    # An unbounded observation box is what the field uses; the checker remarks on it and no more.
-    rest = [str(w.message) for w in caught if "infinity" not in str(w.message)]
+    # An unbounded observation box is what the field uses; the checker remarks on it and no more. What a processor's MKL
+    # lacks is no matter of the task's.
+    rest = [
+        str(w.message) for w in caught if not any(text in str(w.message) for text in ("infinity", "matrix products"))
+    ]
     assert not rest
     environment.close()
 
