@@ -56,7 +56,7 @@ def test_a_share_of_episodes_begins_on_the_experts_way() -> None:
 
 
 def test_deformables_begin_where_the_expert_had_them() -> None:
-    """By index in a reset and by mask in a step: a block off the table is in the hand, and stays there."""
+    """Blocks off the table are in the hand and stay there, put there by index in a reset and by mask in a step."""
     environment = make("Soft-Lifting", 2, default_backend(), action="ik_relative", expert_starts=1.0)
     environment._closed = CapturedStep(environment, compile=False, whole=True)
     block, action, apart = environment.world.deformables["block"], torch.zeros(2, 7), []

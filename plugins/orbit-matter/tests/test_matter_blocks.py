@@ -1,4 +1,4 @@
-"""What the threads of a block do together, on a GPU with all of its threads and on a CPU with one."""
+"""Operations that the threads of a block do together, on a GPU with all of its threads and on a CPU with one."""
 
 from __future__ import annotations
 

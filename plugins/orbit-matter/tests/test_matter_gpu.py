@@ -102,7 +102,7 @@ def test_where_one_environment_diverges_the_others_go_on() -> None:
 
 
 def test_solids_touch_hang_and_fall_as_on_a_cpu() -> None:
-    """Where noise of 0.1 um moves the nodes before each step on a CPU, they end within 4 um of where they did."""
+    """Noise of 0.1 um before each step on a CPU moves the nodes by 4 um at most in the end."""
     torch.testing.assert_close(solids_after_steps("cuda", 3), solids_after_steps("cpu", 3), rtol=0.0, atol=2e-5)
 
 

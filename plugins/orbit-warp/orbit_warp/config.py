@@ -25,7 +25,7 @@ class WarpConfig(ModelConfig):
     iterations: int = 30
     """Most iterations of the solver per step."""
     fused_solver: bool = True
-    """Whether on a GPU all of Newton's iterations are one launch, in which each environment ends when it has converged;
+    """Runs all of Newton's iterations as one launch on a GPU, in which each environment ends when it has converged;
     without, or above 32 degrees of freedom, launches over all environments are repeated until the last has."""
     nconmax: int = 0
     """Contacts per environment, on average over the environments; 0 chooses by the scene."""

@@ -111,7 +111,7 @@ class Work:
 
 @wp.struct
 class Found:
-    """What is solved for."""
+    """Solution: accelerations, and the forces and states of rows."""
 
     force: wp.array2d[float]
     """(N, rows)."""

@@ -187,6 +187,22 @@ def is_behind(f: Fluid, env: int, i: int, way: wp.vec3) -> bool:
     return found
 
 
+@wp.func
+def is_parted(f: Fluid, env: int, i: int, j: int, way: wp.vec3) -> bool:
+    """Return True if a wall parts two particles, ``way`` from the first to the second."""
+    # Both are asked, so that forces stay in pairs.
+    return is_behind(f, env, i, way) or is_behind(f, env, j, -way)
+
+
+@wp.func
+def end_list(f: Fluid, env: int, i: int, count: int):
+    """Fill a list of so many neighbours up to whole LANES, and write its length."""
+    while count % LANES > 0:
+        f.neighbours[env, i, count] = f.x.shape[1]
+        count += 1
+    f.count[env, i] = count
+
+
 @wp.kernel(enable_backward=False)
 def find(f: Fluid):
     """Find the neighbours of each particle that no wall parts from it."""
@@ -205,16 +221,12 @@ def find(f: Fluid):
                     if wp.length_sq(way) < f.cell * f.cell and j != i and count < most:
                         own = cell_of(f.searched[env, j], f.cell)
                         if own[0] == c[0] + a and own[1] == c[1] + b and own[2] == c[2] + d:
-                            # Both are asked, so that forces stay in pairs.
-                            parted = is_behind(f, env, i, way) or is_behind(f, env, j, -way)
+                            parted = is_parted(f, env, i, j, way)
                             if not parted:
                                 f.neighbours[env, i, count] = j
                                 count += 1
                     j = f.following[env, j]
-    while count % LANES > 0:
-        f.neighbours[env, i, count] = f.x.shape[1]
-        count += 1
-    f.count[env, i] = count
+    end_list(f, env, i, count)
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
@@ -239,13 +251,10 @@ def compare(f: Fluid):
         for k in range(near):
             j = f.neighbours[env, i, k]
             way = f.searched[env, j] - x
-            if not (is_behind(f, env, i, way) or is_behind(f, env, j, -way)):
+            if not is_parted(f, env, i, j, way):
                 f.neighbours[env, i, count] = j
                 count += 1
-        while count % LANES > 0:
-            f.neighbours[env, i, count] = f.x.shape[1]
-            count += 1
-        f.count[env, i] = count
+        end_list(f, env, i, count)
 
 
 @wp.kernel(enable_backward=False)
