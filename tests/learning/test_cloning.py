@@ -381,9 +381,10 @@ def test_a_dataset_of_another_task_is_named(demos: Path, tmp_path: Path) -> None
 
 
 def test_each_algorithm_begins_with_its_own_step_size_unless_one_is_given() -> None:
-    assert ImitationSettings(algorithm="bc").first_learning_rate == 3e-3
-    assert ImitationSettings(algorithm="act").first_learning_rate == 1e-3
-    assert ImitationSettings(algorithm="bc", learning_rate=5e-4).first_learning_rate == 5e-4
+    assert ImitationSettings(algorithm="bc").first_learning_rate(pictures=False) == 3e-3
+    assert ImitationSettings(algorithm="bc").first_learning_rate(pictures=True) == 1e-3
+    assert ImitationSettings(algorithm="act").first_learning_rate(pictures=False) == 1e-3
+    assert ImitationSettings(algorithm="bc", learning_rate=5e-4).first_learning_rate(pictures=True) == 5e-4
     with pytest.raises(ConfigurationError, match="'learning_rate' is at least 0, not -1"):
         ImitationSettings(learning_rate=-1.0)
 
