@@ -266,6 +266,7 @@ def _moving(world: World, index: int) -> tuple[Phase, ...]:
         Phase(up, False, 0.03, math.inf, timeout=2.0, retry=came),
         Phase(picking.raised(place, over), False, position_tolerance=0.003, rotation_tolerance=0.05, timeout=3.0),
         Phase(place, False, position_tolerance=0.004, rotation_tolerance=0.1, timeout=1.5),
-        Phase(place, dwell=0.3, timeout=0.4),
+        # Still: led by where the ring is, the hand would follow it as it falls and draw it aside.
+        Phase(common.hand_pose, dwell=0.3, timeout=0.4),
         Phase(up, True, 0.03, math.inf, timeout=1.5),
     )

@@ -48,8 +48,8 @@ that palms are above the rim."""
 RAISED = 0.1
 """Metres of the stand."""
 HELD = (0.4, 0.53)
-"""Least and greatest opening of a gripper that holds the handle: of a Panda's hand it takes 0.48. Fingers that strike it
-sink in to 0.1 where contacts yield, and have come out to 0.46 after 0.1 s."""
+"""Least and greatest opening of a gripper that holds the handle: of a Panda's hand it takes 0.48. Fingers that strike
+it sink in to 0.1 where contacts yield, and have come out to 0.46 after 0.1 s."""
 FIRM = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
 SLOW = 0.05
 """Metres that a carrying hand is led ahead: the liquid stays calm."""
