@@ -147,7 +147,9 @@ def start_together(places: Sequence[Place], plan: Plan) -> list[Worker | Configu
     def start(place: Place) -> Worker | ConfigurationError:
         try:
             worker = Worker(place, plan)
-            worker.ask("settle")  # compiles the rest, which is not left to one side's turn
+            # What compiles in these is not left to the turns.
+            worker.ask("settle", plan.seconds)
+            worker.ask("raw", plan.seconds)
             return worker
         except ConfigurationError as error:
             return error
