@@ -145,6 +145,10 @@ class Workers:
 
     def call(self, method: str, *arguments: Any, numbers: Sequence[int] | None = None) -> list[Any]:
         """Call a method in some processes, all of them if None, and wait for the results."""
+        return _raised(self.gather(method, *arguments, numbers=numbers))
+
+    def gather(self, method: str, *arguments: Any, numbers: Sequence[int] | None = None) -> list[Any]:
+        """Call a method as :meth:`call` does; where it raised, the result is a :class:`Failure`."""
         numbers = range(len(self._ranges)) if numbers is None else numbers
         request = pickle.dumps((method, arguments, True))
         for number in numbers:
@@ -155,7 +159,7 @@ class Workers:
         """Call a method in processes by number, each with its own arguments, and wait for the results."""
         for number, own in arguments.items():
             self._ask(number, pickle.dumps((method, own, True)))
-        return self._results(list(arguments))
+        return _raised(self._results(list(arguments)))
 
     def post(self, number: int, method: str, *arguments: Any) -> None:
         """Call a method in one process, ahead of later calls, without waiting; an error comes with the next result."""
@@ -181,11 +185,7 @@ class Workers:
     def _results(self, numbers: Sequence[int]) -> list[Any]:
         self._posted.difference_update(numbers)
         # All of them ahead of the first error: a reply that is left in a pipe would be taken for the next one.
-        results = [self._reply(number) for number in numbers]
-        for result in results:
-            if isinstance(result, Failure):
-                raise result.error
-        return results
+        return [self._reply(number) for number in numbers]
 
     def _send(self, number: int, message: bytes) -> None:
         if self._dead:
@@ -229,6 +229,14 @@ class Workers:
                 process.join()
         self._connections.clear()
         self._polls.clear()
+
+
+def _raised(results: list[Any]) -> list[Any]:
+    """Return the results, or raise the first failure."""
+    for result in results:
+        if isinstance(result, Failure):
+            raise result.error
+    return results
 
 
 # In the worker --------------------------------------------------------------------------------------------------------

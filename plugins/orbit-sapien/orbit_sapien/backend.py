@@ -20,6 +20,7 @@ from orbit_core.interfaces import (
     approximate,
     unsupported,
 )
+from orbit_core.plugin_kit.workers import split_evenly, worker_count
 from orbit_sapien.config import PathConfig, RasterConfig, SapienConfig
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
     from orbit_core.interfaces import Engine, Renderer, SceneLayout
     from orbit_core.scene import CameraSpec
+
+FEWEST_PER_WORKER = 8
+"""Environments for which a process of its own pays."""
 
 _SHADOW_MAP = "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"
 _LINEAR = "reckons in linear light: right within 4 of 255 where no directional light falls, elsewhere 8 to 33 brighter"
@@ -324,7 +328,13 @@ class SapienBackend(Backend):
             raise ConfigurationError(f"backend '{self.name}' simulates on device 'cpu' or 'cuda', not on '{device}'")
         from orbit_sapien.engine import SapienEngine
 
-        return SapienEngine(layout, num_envs, device, config)
+        size = config.envs_per_world
+        workers = worker_count(config.workers, -(-num_envs // size), num_envs // FEWEST_PER_WORKER)
+        if workers == 1:
+            return SapienEngine(layout, num_envs, device, config)
+        from orbit_core.plugin_kit.split_engine import SplitEngine
+
+        return SplitEngine(SapienEngine, layout, num_envs, config, split_evenly(num_envs, workers, size))
 
     def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: SapienConfig) -> Renderer:
         from orbit_sapien.renderer import SapienRenderer
