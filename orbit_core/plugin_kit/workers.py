@@ -28,9 +28,8 @@ from orbit_core.interfaces import SimulationError
 
 # Seconds that workers have to end by themselves, all together.
 _PATIENCE = 5.0
-# Milliseconds after which a worker without a request looks whether the program is still there: a process that was
-# forked from the program keeps its end of the pipe open, and no end of file comes.
-_LOOK_AFTER = 2000
+# Seconds between two looks of a worker whether the program is still there.
+_WATCH = 1.0
 
 Range = tuple[int, int]
 """First environment, and one past the last."""
@@ -250,6 +249,7 @@ def _work(connection: Connection, owner: int) -> None:
     reply.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupted program closes the connection
+    threading.Thread(target=_watch, args=(owner,), daemon=True).start()
     try:
         maker: Maker = pickle.loads(connection.recv_bytes())
         held, failure = maker(lambda count: connection.send_bytes(pickle.dumps(count))), None
@@ -258,13 +258,8 @@ def _work(connection: Connection, owner: int) -> None:
         with contextlib.suppress(OSError):  # the process that started it may have ended
             connection.send_bytes(pickle.dumps(Failure(_portable(error))))
         return
-    poll = select.poll()
-    poll.register(connection.fileno(), select.POLLIN)
     while True:
         try:
-            while not poll.poll(_LOOK_AFTER):
-                if os.getppid() != owner:
-                    raise EOFError
             method, arguments, reply = pickle.loads(connection.recv_bytes())
         except (EOFError, OSError):
             break
@@ -281,6 +276,17 @@ def _work(connection: Connection, owner: int) -> None:
                 break
             failure = None
     held.close()
+
+
+def _watch(owner: int) -> None:
+    """End this process, whatever it is in the midst of, soon after the program was killed.
+
+    The pipe alone does not tell: it is not looked at within a long step, and a process that was forked from the program
+    holds its other end. Linux's signal on a parent's death comes when the parent's *thread* ends that started this.
+    """
+    while os.getppid() == owner:
+        time.sleep(_WATCH)
+    os._exit(1)
 
 
 def _portable(error: Exception) -> Exception:
