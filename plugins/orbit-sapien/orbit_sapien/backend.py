@@ -158,8 +158,8 @@ CAPABILITIES = Capabilities(
         ),
         Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
         Capability.DETERMINISTIC: approximate(
-            "a run repeats bit for bit with the same number of environments; with another, PhysX's TGS solver sums "
-            "contacts in another order, and they differ in the last bit"
+            "a run repeats bit for bit with the same environments in each PhysX world; with others, PhysX's TGS solver "
+            "sums contacts in another order, and they differ in the last bit; with envs_per_world=1 none depends on any"
         ),
         **(_IMAGES | {Capability.RAY_TRACED_RGB: EXACT}),
         Capability.GPU: unsupported(
@@ -302,7 +302,7 @@ GAPS: tuple[Gap, ...] = (
 
 
 class SapienBackend(Backend):
-    """PhysX 5 on the CPU."""
+    """PhysX 5 on the CPU, in one or more processes."""
 
     name: ClassVar[str] = "sapien"
     contract: ClassVar[tuple[int, int]] = (1, 0)
