@@ -265,6 +265,11 @@ class SapienEngine(PartedEngine[State, Parameters]):
         """The PhysX systems, and the scene of each environment."""
         return self._world.systems, tuple(environment.scene for environment in self._world.environments)
 
+    @property
+    def native_joints(self) -> list[list[physx.PhysxArticulationJoint]]:
+        """PhysX's joints, per environment in the layout's order."""
+        return self._drives.joints
+
     def close(self) -> None:
         vars(self).clear()  # scenes and bodies go with the last name for them
 
