@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         BuildError,
         ClosedError,
         ConfigurationError,
+        FailedEnvironmentsError,
         NonFiniteError,
         OrbitError,
         PlanningError,
@@ -79,9 +80,9 @@ _MODULES = {
     "entities": ("Deformable", "JointTarget", "Marker", "Object", "Robot"),
     "errors": (
         "MAX_DISTANCE", "MAX_SPEED", "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError",
-        "ClosedError", "ConfigurationError", "NonFiniteError", "OrbitError", "PlanningError", "PremiseError",
-        "ShapeError", "SimulationError", "StorageError", "UnknownNameError", "UnsupportedCapabilityError", "diverged",
-        "divergence_error", "first_few", "matter_divergence_error",
+        "ClosedError", "ConfigurationError", "FailedEnvironmentsError", "NonFiniteError", "OrbitError", "PlanningError",
+        "PremiseError", "ShapeError", "SimulationError", "StorageError", "UnknownNameError",
+        "UnsupportedCapabilityError", "diverged", "divergence_error", "first_few", "matter_divergence_error",
     ),
     "layout": (
         "BACKGROUND", "TERRAIN", "Approximation", "BuiltModel", "ContactQuery", "EntityLayout", "JointParameters",
@@ -96,9 +97,9 @@ _MODULES = {
 }  # fmt: skip
 __all__ = [
     "BACKGROUND", "CONTRACT", "EXACT", "IMAGES", "MATTER", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation",
-    "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel",
-    "Capabilities", "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
-    "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "JointTarget", "Level",
+    "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities",
+    "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable", "DriveIntegration",
+    "Engine", "EntityLayout", "FailedEnvironmentsError", "Gap", "Image", "JointParameters", "JointTarget", "Level",
     "LightTable", "Marker", "Matter", "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError",
     "PlanningError", "Port", "PremiseError", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError",
     "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World",

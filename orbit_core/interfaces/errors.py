@@ -100,6 +100,19 @@ class SimulationError(OrbitError):
     """A failure or divergence of the engine while stepping."""
 
 
+class FailedEnvironmentsError(SimulationError):
+    """A failure in some environments, by index, so that one of several parts of an engine can be told for the whole."""
+
+    def __init__(self, environments: Sequence[int], what: str) -> None:
+        """Name the environments first, then ``what`` happened to them and the remedy."""
+        which = f"environments {first_few(environments)}" if environments else "environments that were reset since"
+        super().__init__(f"{which} {what}")
+        self.environments = tuple(environments)
+        """Indices, in ascending order."""
+        self.what = what
+        """The rest of the message."""
+
+
 # A body that falls freely for seven minutes reaches neither bound; single precision resolves 6 cm at 1e6 m.
 MAX_DISTANCE = 1e6
 """Metres from the environment's origin; of a joint's position, metres or radians."""
@@ -122,11 +135,11 @@ def diverged(positions: Tensor, velocities: Tensor) -> Tensor:
 
 def divergence_error(environments: Sequence[int]) -> SimulationError:
     """Return the error that ``Engine.step`` raises for environments, by index; none if they were reset since."""
-    which = f"environments {first_few(environments)}" if environments else "environments that were reset since"
-    return SimulationError(
-        f"{which} diverged: something moved faster than {MAX_SPEED:g} m/s or rad/s, "
+    return FailedEnvironmentsError(
+        environments,
+        f"diverged: something moved faster than {MAX_SPEED:g} m/s or rad/s, "
         f"went further than {MAX_DISTANCE:g} m or rad, or is not a number; reset them, and use a smaller physics_dt, "
-        "softer drives, or armature on light joints, followers among them (orbit check-robot finds them)"
+        "softer drives, or armature on light joints, followers among them (orbit check-robot finds them)",
     )
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
+from orbit_core.plugin_kit.shared_arrays import Shapes, shared_arrays
 
 FloatArray = npt.NDArray[np.float32]
-Shapes = dict[str, tuple[int, ...]]
 
 
 @dataclass(eq=False)
@@ -74,12 +74,4 @@ def private_buffers(shapes: Shapes) -> Buffers:
 
 def shared_buffers(shapes: Shapes, path: Path) -> Buffers:
     """Create buffers in a file that several processes map; the last of them frees its memory."""
-    size = sum(int(np.prod(shape)) for shape in shapes.values())
-    # A mapping of length zero is an error, and a scene may have nothing to share.
-    block = np.memmap(path, dtype=np.float32, mode="r+" if path.exists() else "w+", shape=(max(size, 1),))
-    arrays, start = {}, 0
-    for name, shape in shapes.items():
-        stop = start + int(np.prod(shape))
-        arrays[name] = np.asarray(block[start:stop]).reshape(shape)
-        start = stop
-    return Buffers(**arrays)
+    return Buffers(**shared_arrays(shapes, path))

@@ -2,19 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import multiprocessing
 import os
-import signal
-import sys
-import threading
-import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from multiprocessing import resource_tracker
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +12,12 @@ from orbit_bullet.buffers import Buffers, private_buffers, shapes_of, shared_buf
 from orbit_bullet.config import MOST_PER_CLIENT, BulletConfig
 from orbit_bullet.progress import BuildProgress
 from orbit_bullet.shard import Shard
-from orbit_bullet.stage import SceneFiles, client_ranges, envs_per_client, split_evenly
-from orbit_bullet.worker import Assignment, Failure, work
-from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
+from orbit_bullet.stage import SceneFiles, client_ranges, envs_per_client
+from orbit_bullet.worker import Assignment
+from orbit_core.interfaces import ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.scratch import ScratchFolder
+from orbit_core.plugin_kit.shared_arrays import SHARED_FOLDER
+from orbit_core.plugin_kit.workers import Workers, split_evenly, worker_count
 
 FEWEST_PER_WORKER = 8
 """Environments for which a process of its own pays."""
@@ -33,8 +25,6 @@ CLIENT_MEMORY = 29e6
 """Bytes of a Bullet world, whatever is in it."""
 MOST_CLIENTS = 1000
 """Bullet worlds in a process: Bullet has room for 1,024, renderers among them."""
-# Seconds that workers have to end by themselves, all together.
-_PATIENCE = 5.0
 
 
 class Pool(ABC):
@@ -108,123 +98,32 @@ class ProcessPool(Pool):
     ) -> None:
         self.ranges = split_evenly(num_envs, workers)
         shapes = shapes_of(layout, num_envs)
-        # In memory where the system has it: a file on a disk would be written back again and again.
-        parent = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
-        self._processes: list[Any] = []
-        self._connections: list[Any] = []
-        self._posted: set[int] = set()
-        self._dead = ""
-        try:
-            with ScratchFolder(f"orbit-bullet-{os.getpid()}-", parent) as folder:
-                memory = folder / "state"
-                self.buffers = shared_buffers(shapes, memory)
-                """State and commands of all environments, in memory that workers share."""
-                # In a separate thread: an exception that a signal raises here would cut a start short, and the
-                # worker would complain of half a message.
-                with ThreadPoolExecutor(1) as starter:
-                    starter.submit(self._start_workers).result()
-                for number, (start, stop) in enumerate(self.ranges):
-                    self._send(number, Assignment(layout, files, config, start, stop, shapes, memory))
-                self._await_build(progress)
-        except BaseException:
-            self.close()
-            raise
-
-    def _start_workers(self) -> None:
-        """Start all of them; each then waits for its assignment, which is too long for the pipe that starts it."""
-        context = multiprocessing.get_context("spawn")
-        with _hidden_main(), _interrupts_held():
-            for _ in self.ranges:
-                ours, theirs = context.Pipe()
-                process = context.Process(target=work, args=(theirs,), daemon=True)
-                process.start()
-                theirs.close()
-                self._processes.append(process)
-                self._connections.append(ours)
-
-    def _await_build(self, progress: BuildProgress) -> None:
-        """Count what the workers build until all of them are done."""
-        building = set(range(len(self._processes)))
-        while building:
-            wait([self._connections[number] for number in building])
-            for number in [number for number in building if self._connections[number].poll()]:
-                built = self._receive(number)
-                if isinstance(built, Failure):
-                    raise built.error
-                if built is None:
-                    building.remove(number)
-                else:
-                    progress.add(built)
+        with ScratchFolder(f"orbit-bullet-{os.getpid()}-", SHARED_FOLDER) as folder:
+            memory = folder / "state"
+            self.buffers = shared_buffers(shapes, memory)
+            """State and commands of all environments, in memory that workers share."""
+            makers = [Assignment(layout, files, config, *own, shapes, memory) for own in self.ranges]
+            self._workers = Workers(self.ranges, makers, progress.add)
 
     @property
     def pids(self) -> list[int]:
         """Process numbers of the workers."""
-        return [process.pid for process in self._processes]
+        return self._workers.pids
 
     def call(self, method: str, *arguments: Any, numbers: list[int] | None = None) -> list[Any]:
-        numbers = list(range(len(self.ranges))) if numbers is None else numbers
-        return self.call_each(method, dict.fromkeys(numbers, arguments))
+        return self._workers.call(method, *arguments, numbers=numbers)
 
     def call_each(self, method: str, arguments: dict[int, tuple[Any, ...]]) -> list[Any]:
-        for number, own in arguments.items():
-            self._send(number, (method, own, True))
-        self._posted -= set(arguments)
-        results = [self._receive(number) for number in arguments]
-        for result in results:
-            if isinstance(result, Failure):
-                raise result.error
-        return results
+        return self._workers.call_each(method, arguments)
 
     def post(self, number: int, method: str, *arguments: Any) -> None:
-        self._send(number, (method, arguments, False))
-        self._posted.add(number)
+        self._workers.post(number, method, *arguments)
 
     def settle(self) -> None:
-        if self._posted:
-            self.call("", numbers=sorted(self._posted))
-
-    def _send(self, number: int, message: Any) -> None:
-        if self._dead:
-            raise SimulationError(self._dead)
-        try:
-            self._connections[number].send(message)
-        except (BrokenPipeError, ConnectionResetError):
-            self._mourn(number)
-
-    def _receive(self, number: int) -> Any:
-        connection, process = self._connections[number], self._processes[number]
-        while True:
-            ready = wait([connection, process.sentinel])
-            if connection in ready:
-                try:
-                    return connection.recv()
-                except (EOFError, ConnectionResetError):
-                    self._mourn(number)
-            self._mourn(number)
-
-    def _mourn(self, number: int) -> None:
-        process = self._processes[number]
-        process.join(_PATIENCE)
-        start, stop = self.ranges[number]
-        cause = _cause(process.exitcode)
-        self._dead = (
-            f"the worker process {process.pid} of environments {start} to {stop - 1} died, {cause}: "
-            "the world is closed, make another"
-        )
-        self.close()
-        raise SimulationError(self._dead)
+        self._workers.settle()
 
     def close(self) -> None:
-        self._dead = self._dead or "the world is closed: make another"
-        for connection in self._connections:
-            connection.close()
-        end = time.monotonic() + _PATIENCE
-        for process in self._processes:
-            process.join(max(0.0, end - time.monotonic()))
-            if process.is_alive():
-                process.kill()
-                process.join()
-        self._connections.clear()
+        self._workers.close()
 
 
 def make_pool(layout: SceneLayout, files: SceneFiles, num_envs: int, config: BulletConfig) -> Pool:
@@ -233,10 +132,8 @@ def make_pool(layout: SceneLayout, files: SceneFiles, num_envs: int, config: Bul
     Raises:
         ConfigurationError: more environments than the memory, or Bullet, has room for.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     fewest = 1 if layout.scene.deformables else FEWEST_PER_WORKER
-    workers = min(config.workers or min(cores, num_envs // fewest), num_envs)
-    workers = max(workers, 1)
+    workers = worker_count(config.workers, num_envs, num_envs // fewest)
     clients = sum(
         len(client_ranges(stop - start, envs_per_client(layout, config)))
         for start, stop in split_evenly(num_envs, workers)
@@ -274,40 +171,3 @@ def _available_memory() -> float:
     except OSError:
         return math.inf
     return next((1024.0 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), math.inf)
-
-
-def _cause(code: int | None) -> str:
-    if code is None:
-        return "without a word"
-    if code < 0:
-        name = signal.Signals(-code).name
-        return f"killed by {name}" + (", perhaps for want of memory" if name == "SIGKILL" else "")
-    return f"with exit code {code}"
-
-
-# Held while the user's script is hidden, so that each thread puts back what it found.
-_hiding = threading.Lock()
-
-
-@contextlib.contextmanager
-def _hidden_main() -> Iterator[None]:
-    """Workers need nothing of the user's script, which may lack the guard that its import would call for."""
-    main = sys.modules["__main__"]
-    with _hiding:
-        kept = {name: main.__dict__.pop(name) for name in ("__file__", "__spec__") if name in main.__dict__}
-        main.__dict__["__spec__"] = None
-        try:
-            yield
-        finally:
-            main.__dict__.update(kept)
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Have workers that start in this thread never get the interrupt key, even while they import."""
-    resource_tracker.ensure_running()  # which lets the key through again where it has to be started
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from orbit_bullet.library import refusals
 from orbit_bullet.urdf import MeshFiles, child_poses, write_entity
 from orbit_core.interfaces import TERRAIN, AssetError, ConfigurationError, EntityLayout, SceneLayout
 from orbit_core.plugin_kit.meshes import fans, few_faces
+from orbit_core.plugin_kit.workers import split_evenly
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -371,12 +371,6 @@ class Stage:
 def _is_hull(geometry: object) -> bool:
     """Return True for a mesh that collides as convex hulls."""
     return isinstance(geometry, Mesh) and geometry.collision is not MeshCollision.TRIANGLES
-
-
-def split_evenly(count: int, parts: int) -> list[tuple[int, int]]:
-    """Ranges of nearly equal length."""
-    bounds = [round(count * part / parts) for part in range(parts + 1)]
-    return list(itertools.pairwise(bounds))
 
 
 def envs_per_client(layout: SceneLayout, config: BulletConfig) -> int:

@@ -20,6 +20,7 @@ from orbit_core.interfaces import (
     approximate,
     unsupported,
 )
+from orbit_core.plugin_kit.workers import split_evenly, worker_count
 from orbit_sapien.config import PathConfig, RasterConfig, SapienConfig
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
     from orbit_core.interfaces import Engine, Renderer, SceneLayout
     from orbit_core.scene import CameraSpec
+
+FEWEST_PER_WORKER = 8
+"""Environments for which a process of its own pays."""
 
 _SHADOW_MAP = "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"
 _LINEAR = "reckons in linear light: right within 4 of 255 where no directional light falls, elsewhere 8 to 33 brighter"
@@ -154,8 +158,8 @@ CAPABILITIES = Capabilities(
         ),
         Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
         Capability.DETERMINISTIC: approximate(
-            "a run repeats bit for bit with the same number of environments; with another, PhysX's TGS solver sums "
-            "contacts in another order, and they differ in the last bit"
+            "a run repeats bit for bit with the same environments in each PhysX world; with others, PhysX's TGS solver "
+            "sums contacts in another order, and they differ in the last bit; with envs_per_world=1 none depends on any"
         ),
         **(_IMAGES | {Capability.RAY_TRACED_RGB: EXACT}),
         Capability.GPU: unsupported(
@@ -298,7 +302,7 @@ GAPS: tuple[Gap, ...] = (
 
 
 class SapienBackend(Backend):
-    """PhysX 5 on the CPU."""
+    """PhysX 5 on the CPU, in one or more processes."""
 
     name: ClassVar[str] = "sapien"
     contract: ClassVar[tuple[int, int]] = (1, 0)
@@ -324,7 +328,13 @@ class SapienBackend(Backend):
             raise ConfigurationError(f"backend '{self.name}' simulates on device 'cpu' or 'cuda', not on '{device}'")
         from orbit_sapien.engine import SapienEngine
 
-        return SapienEngine(layout, num_envs, device, config)
+        size = config.envs_per_world
+        workers = worker_count(config.workers, -(-num_envs // size), num_envs // FEWEST_PER_WORKER)
+        if workers == 1:
+            return SapienEngine(layout, num_envs, device, config)
+        from orbit_core.plugin_kit.split_engine import SplitEngine
+
+        return SplitEngine(SapienEngine, layout, num_envs, config, split_evenly(num_envs, workers, size))
 
     def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: SapienConfig) -> Renderer:
         from orbit_sapien.renderer import SapienRenderer

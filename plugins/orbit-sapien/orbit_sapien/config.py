@@ -41,8 +41,12 @@ class PathConfig:
 class SapienConfig(RasterConfig, PathConfig):
     """Settings of PhysX and of the renderer."""
 
-    workers: int = 2
-    """Threads of PhysX; 0 steps in the calling thread. Results do not depend on it."""
+    workers: int = 1
+    """Processes that share the environments; 1 simulates in this process, 0 takes one per core where it pays. Results
+    do not depend on it."""
+    envs_per_world: int = 8
+    """Environments in a PhysX world; a process holds whole ones. With 1, what an environment does depends on no other
+    and not on their number; with more it depends on those of its world, in the last bit, and a step is cheaper."""
     position_iterations: int = 24
     """Iterations of the solver per step and body."""
     velocity_iterations: int = 4
@@ -60,10 +64,10 @@ class SapienConfig(RasterConfig, PathConfig):
     tendon_stiffness: float = 1e5
     """Stiffness of the constraint that makes a mimic joint follow, N m/rad or N/m."""
     env_spacing: float = 2.0
-    """Metres between the environments' origins in PhysX's world, four times as many over a shared ground; poses are
+    """Metres between the environments' origins in a PhysX world, four times as many over a shared ground; poses are
     given without it."""
     shared_ground_above: int = 64
-    """Number of environments above which a level ground plane is shared by all, which is faster."""
+    """Number of environments in a PhysX world above which they share a level ground plane, which is faster."""
     tier: str = "fast"
     """Quality of images: ``fast`` and ``pbr`` rasterise, ``rt`` traces paths."""
 
@@ -72,7 +76,7 @@ class SapienConfig(RasterConfig, PathConfig):
         PathConfig.__post_init__(self)
         _one_of(self, "tier", TIERS)
         _at_least(self, 0, "workers", "velocity_iterations", "bounce_threshold", "shared_ground_above")
-        _at_least(self, 1, "position_iterations")
+        _at_least(self, 1, "position_iterations", "envs_per_world")
         for name in ("contact_offset", "max_depenetration_velocity", "tendon_stiffness", "env_spacing"):
             if getattr(self, name) <= 0:
                 raise ConfigurationError(f"{name} must be positive, not {getattr(self, name)}")

@@ -95,10 +95,10 @@ class SapienGpuEngine(Engine):
         if layout.wrench_links:
             raise UnsupportedCapabilityError("SAPIEN on a GPU measures no joint wrenches here: use device 'cpu'")
         super().__init__(layout, num_envs, device)
-        configure_physx(layout, config, enable_enhanced_determinism=False)
+        configure_physx(layout, config, threads=2, enable_enhanced_determinism=False)
         self._system = physx.PhysxGpuSystem(f"cuda:{device.index or 0}")
         self._system.timestep = self._dt = layout.scene.physics_dt
-        self._world: BuiltWorld = build_world(layout, num_envs, config, self._system)
+        self._world: BuiltWorld = build_world(layout, num_envs, config, lambda: self._system, num_envs)
         # The drives' properties are those of the bodies on the host, which PhysX takes over when it starts.
         self._drives = Drives(layout, self._world, config.position_iterations).to(device)
         # After everything is built: PhysX takes no new bodies or properties on a GPU from here on.

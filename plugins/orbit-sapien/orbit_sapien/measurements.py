@@ -7,13 +7,14 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from orbit_core.interfaces import TERRAIN, ContactQuery, SceneLayout
 from orbit_sapien.model import BuiltWorld
-from orbit_sapien.native import physx
 from orbit_sapien.parameters import Parameters
 
 
@@ -23,14 +24,12 @@ class ContactMeter:
     Queries past the layout's own are those of :class:`WrenchMeter`: what presses on links that the world holds.
     """
 
-    def __init__(
-        self, layout: SceneLayout, world: BuiltWorld, system: physx.PhysxCpuSystem, held: tuple[int, ...]
-    ) -> None:
+    def __init__(self, layout: SceneLayout, world: BuiltWorld, held: tuple[int, ...]) -> None:
         self._queries = (*layout.contact_queries, *(ContactQuery(link) for link in held))
         self._own = len(layout.contact_queries)
         self.active = bool(self._queries)
         """False without queries: contacts are then not read."""
-        self._system, self._dt = system, layout.scene.physics_dt
+        self._systems, self._dt = world.systems, layout.scene.physics_dt
         self._place: dict[object, tuple[int, int]] = {}
         for row, environment in enumerate(world.environments):
             bodies = [body for entity in environment.entities for body in entity.bodies]
@@ -56,13 +55,13 @@ class ContactMeter:
         signs: list[float] = []
         impulses: list[npt.NDArray[np.float32]] = []
         points: list[npt.NDArray[np.float32]] = []
-        for contact in self._system.get_contacts():
+        for contact in chain.from_iterable(system.get_contacts() for system in self._systems):
             one, other = contact.bodies
             (row, first), (other_row, second) = self._place[one], self._place[other]
             asked = self._asked_of(first, second)
             if not asked:
                 continue
-            row = other_row if first == TERRAIN else row  # a shared ground belongs to the first environment
+            row = other_row if first == TERRAIN else row  # a shared ground belongs to its world's first environment
             for point in contact.points:
                 impulse, position = point.impulse, point.position
                 for column, sign in asked:

@@ -1,4 +1,4 @@
-"""Copies of a scene in one PhysX world, side by side on a grid.
+"""Copies of a scene in PhysX worlds, in each side by side on a grid.
 
 A link is an articulation link, a free body alone, or an immovable one. Environments do not see each other: PhysX kills
 pairs of shapes whose filter data name different environments. Where a level ground is shared by all, shapes carry one
@@ -13,6 +13,7 @@ of 31 colours instead, dealt so that equal ones lie far apart.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -67,7 +68,7 @@ class NativeEnvironment:
     scene: sapien.Scene
     """SAPIEN's scene of the environment."""
     offset: npt.NDArray[np.float64]
-    """(3,) m of the environment in PhysX's world."""
+    """(3,) m of the environment in its PhysX world."""
     entities: list[NativeEntity] = field(default_factory=list)
     """Bodies and joints of each entity, in the layout's order."""
     shapes: dict[int, list[tuple[int, physx.PhysxCollisionShape]]] = field(default_factory=dict)
@@ -82,26 +83,45 @@ class BuiltWorld:
 
     environments: tuple[NativeEnvironment, ...]
     """Environments in order."""
+    systems: tuple[physx.PhysxSystem, ...]
+    """PhysX worlds, in the order of their environments."""
+    per_system: int
+    """Environments of each world; the last may have fewer."""
     rule: PairRule
     """Coefficients of pairs of groups."""
     report: tuple[Approximation, ...]
     """Differences from the scene."""
     shared_ground: bool
-    """True if all environments stand on one plane."""
+    """True if all environments of a world stand on one plane."""
     reach: float
     """Metres that bodies may go from their origin, over a shared ground, before they could meet other environments'."""
 
 
-def build_world(layout: SceneLayout, num_envs: int, config: SapienConfig, system: physx.PhysxSystem) -> BuiltWorld:
-    """Make every environment in that system.
+def build_world(
+    layout: SceneLayout,
+    num_envs: int,
+    config: SapienConfig,
+    make_system: Callable[[], physx.PhysxSystem],
+    per_system: int,
+) -> BuiltWorld:
+    """Make every environment.
+
+    Args:
+        layout: the scene.
+        num_envs: number of environments.
+        config: settings of the backend.
+        make_system: makes an empty PhysX world.
+        per_system: environments of each world.
 
     Raises:
         AssetError: PhysX refuses a shape or link; names it.
     """
-    return _Builder(layout, num_envs, config, system).world
+    return _Builder(layout, num_envs, config, make_system, per_system).world
 
 
-def configure_physx(layout: SceneLayout, config: SapienConfig, *, enable_enhanced_determinism: bool) -> None:
+def configure_physx(
+    layout: SceneLayout, config: SapienConfig, *, threads: int, enable_enhanced_determinism: bool
+) -> None:
     """Set PhysX's defaults, which apply to everything created from now on."""
     physx.set_scene_config(
         gravity=np.asarray(layout.scene.gravity, np.float32),
@@ -109,14 +129,21 @@ def configure_physx(layout: SceneLayout, config: SapienConfig, *, enable_enhance
         enable_tgs=config.temporal_gauss_seidel,
         enable_enhanced_determinism=enable_enhanced_determinism,
         enable_friction_every_iteration=True,
-        cpu_workers=config.workers,
+        cpu_workers=threads,
     )
     physx.set_body_config(config.position_iterations, config.velocity_iterations, 0.0)
     physx.set_shape_config(config.contact_offset, 0.0)
 
 
 class _Builder:
-    def __init__(self, layout: SceneLayout, num_envs: int, config: SapienConfig, system: physx.PhysxSystem) -> None:
+    def __init__(
+        self,
+        layout: SceneLayout,
+        num_envs: int,
+        config: SapienConfig,
+        make_system: Callable[[], physx.PhysxSystem],
+        per_system: int,
+    ) -> None:
         self.layout, self.config = layout, config
         self.report: list[Approximation] = []
         self.rule = PairRule(layout)
@@ -125,26 +152,35 @@ class _Builder:
         self.patch_radii = self.rule.patch_radii(self.rule.asked("dynamic"))
         self.level = [shape for shape in layout.scene.terrain if _is_level(shape)]
         tilted = any(isinstance(s.geometry, Plane) and not _is_level(s) for s in layout.scene.terrain)
-        self.shared_ground = num_envs > config.shared_ground_above and bool(self.level) and not tilted
+        crowded = min(num_envs, per_system) > config.shared_ground_above
+        self.shared_ground = crowded and bool(self.level) and not tilted
         self.spacing = config.env_spacing * (_SHARED_SPREAD if self.shared_ground else 1.0)
-        environments = [NativeEnvironment(sapien.Scene([system]), np.zeros(3)) for _ in range(num_envs)]
-        for index, environment in enumerate(environments):
-            environment.offset = grid_offset(index, self.spacing)
-            self._fill(environment, index)
+        systems = tuple(make_system() for _ in range(-(-num_envs // per_system)))
+        environments: list[NativeEnvironment] = []
+        for index in range(num_envs):
+            number, slot = divmod(index, per_system)
+            place = grid_offset(slot, self.spacing)
+            environments.append(NativeEnvironment(sapien.Scene([systems[number]]), place))
+            self._fill(environments[-1], slot, self.report if index == 0 else None)
         self.report += self.rule.approximations(layout)
         if 2.0 * config.contact_offset > _FRICTION_REACH:
             asked, got = "friction of fast impacts", f"none of contacts found beyond {1000 * _FRICTION_REACH:g} mm"
             why = f"contacts are looked for at {2000 * config.contact_offset:g} mm, by the setting 'contact_offset'"
             self.report.append(Approximation("contacts", asked, got, why))
         self.world = BuiltWorld(
-            tuple(environments), self.rule, tuple(self.report), self.shared_ground, _FREE_CELLS * self.spacing
+            tuple(environments),
+            systems,
+            per_system,
+            self.rule,
+            tuple(self.report),
+            self.shared_ground,
+            _FREE_CELLS * self.spacing,
         )
 
-    def _fill(self, environment: NativeEnvironment, index: int) -> None:
-        first = index == 0
-        report = self.report if first else None
-        isolation = self._isolation(environment, index)
-        self._add_terrain(environment, isolation, report)
+    def _fill(self, environment: NativeEnvironment, slot: int, report: list[Approximation] | None) -> None:
+        """Make the environment at a place of its world."""
+        isolation = self._isolation(environment, slot)
+        self._add_terrain(environment, isolation, report, first=slot == 0)
         for entity in self.layout.entities:
             groups = exclusion_groups(entity, report)
             bodies = [
@@ -154,24 +190,29 @@ class _Builder:
                 environment, entity, groups, isolation, report
             )  # fmt: skip
             environment.entities.append(self._add(environment, entity, bodies))
-            if first:
+            if report is not None:
                 self._report_joints(entity)
 
     # Who may touch whom ----------------------------------------------------------------------------------------------
 
-    def _isolation(self, environment: NativeEnvironment, index: int) -> tuple[int, int]:
+    def _isolation(self, environment: NativeEnvironment, slot: int) -> tuple[int, int]:
         """Colour mask and upper half of the fourth filter word."""
         if self.shared_ground:
             return 1 << color(environment.offset, self.spacing), 0
-        return 1, (index + 1) << 16
+        return 1, (slot + 1) << 16
 
     # Terrain ---------------------------------------------------------------------------------------------------------
 
     def _add_terrain(
-        self, environment: NativeEnvironment, isolation: tuple[int, int], report: list[Approximation] | None
+        self,
+        environment: NativeEnvironment,
+        isolation: tuple[int, int],
+        report: list[Approximation] | None,
+        *,
+        first: bool,
     ) -> None:
         shapes = self.layout.scene.terrain
-        if self.shared_ground and report is None:
+        if self.shared_ground and not first:
             shapes = tuple(shape for shape in shapes if shape not in self.level)
         for shape in shapes:
             body = physx.PhysxRigidStaticComponent()

@@ -71,8 +71,8 @@ class Parameters:
     def set_friction(self, links: npt.NDArray[np.int64], coefficients: FloatArray, rows: list[int]) -> None:
         if self._world.shared_ground and TERRAIN in links:
             raise UnsupportedCapabilityError(
-                f"the ground is shared by {len(self.masses)} environments, so it has one friction: set "
-                f"shared_ground_above={len(self.masses)} to give each its own"
+                f"the ground is shared by {self._world.per_system} environments, so it has one friction: set "
+                f"shared_ground_above={self._world.per_system} to give each its own"
             )
         groups = self._world.rule.groups
         for column, link in enumerate(links):

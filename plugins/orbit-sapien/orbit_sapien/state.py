@@ -19,7 +19,7 @@ from orbit_core.interfaces import SceneLayout, diverged
 from orbit_sapien.kinematics import Kinematics, rotate
 from orbit_sapien.model import BuiltWorld, NativeEntity
 from orbit_sapien.motion import moved_velocities
-from orbit_sapien.native import NativePose, physx
+from orbit_sapien.native import NativePose
 
 _ROOT = 13
 
@@ -27,8 +27,8 @@ _ROOT = 13
 class State:
     """The kinematic state of every environment, read when first asked for after a step or a write."""
 
-    def __init__(self, layout: SceneLayout, world: BuiltWorld, system: physx.PhysxCpuSystem) -> None:
-        self._layout, self._world, self._system = layout, world, system
+    def __init__(self, layout: SceneLayout, world: BuiltWorld) -> None:
+        self._layout, self._world = layout, world
         self._num_envs, self._dt = len(world.environments), layout.scene.physics_dt
         self._kinematics = Kinematics(layout)
         self._offsets = torch.from_numpy(np.stack([e.offset for e in world.environments]))
@@ -88,12 +88,21 @@ class State:
     def packed(self) -> Tensor:
         """(N, columns) float32: each environment's bodies and articulations."""
         if "packed" not in self._values:
-            flat = torch.from_numpy(np.frombuffer(self._system.pack(), np.float32).copy())
-            bodies, articulations = (self._num_envs * size for size in self._sizes)
-            parts = flat[:bodies], flat[bodies : bodies + articulations]
-            blocks = [part.view(self._num_envs, size) for part, size in zip(parts, self._sizes, strict=True)]
-            self._values["packed"] = torch.cat(blocks, -1) if all(self._sizes) else max(blocks, key=torch.numel)
+            worlds = [np.frombuffer(system.pack(), np.float32) for system in self._world.systems]
+            full, rest = divmod(self._num_envs, self._world.per_system)
+            # All worlds of the same size at once: 64 of one environment would take a millisecond one by one.
+            parts = [self._unpacked_worlds(worlds[:full], self._world.per_system)] if full else []
+            parts += [self._unpacked_worlds(worlds[full:], rest)] if rest else []
+            self._values["packed"] = torch.from_numpy(np.concatenate(parts))
         return self._values["packed"]
+
+    def _unpacked_worlds(self, worlds: list[npt.NDArray[np.float32]], count: int) -> npt.NDArray[np.float32]:
+        """Rows of environments in worlds of ``count`` each, which have all free bodies ahead of all articulations."""
+        flat = np.stack(worlds)
+        bodies, articulations = (count * size for size in self._sizes)
+        parts = flat[:, :bodies], flat[:, bodies : bodies + articulations]
+        rows = len(worlds) * count
+        return np.concatenate([part.reshape(rows, size) for part, size in zip(parts, self._sizes, strict=True)], -1)
 
     def diverged(self) -> list[int]:
         """Environments that are out of bounds."""
