@@ -39,10 +39,7 @@ ENCODING = Encoding(
 SHARED: dict[str, Any] = {"encoding": ENCODING, "chunk": 4, "executed": 2}
 FRONT = Part("front", 16 * 16 * 3, (16, 16, 3), "uint8")
 SEEING = replace(
-    ENCODING,
-    parts=(*ENCODING.parts, FRONT),
-    concatenated=False,
-    pictures=tuple(replace(encoder, places=4) for encoder in convolutional((FRONT,), ()).encoders),
+    ENCODING, parts=(*ENCODING.parts, FRONT), concatenated=False, pictures=convolutional((FRONT,), ()).encoders
 )
 NETWORKS: tuple[ClonedNetwork, ...] = (
     ClonedPerceptron(**SHARED, hidden_sizes=(16, 16)),
