@@ -38,7 +38,7 @@ from orbit_learn.trainer import Progress, Trainer
 _MODES = 5
 # Added to the seed, for the episodes of corrections.
 _CORRECTED = 10_000
-# Added to the seed, for the episodes that a policy is judged by: by starts that no recording is likely to have shown it.
+# Added to the seed, for the episodes that a policy is judged by: by starts that no recording is likely to show.
 _JUDGED = 20_000
 ALGORITHMS = ("bc", "bc-gmm", "bc-rnn", "bc-rnn-gmm", "act", "diffusion")
 
