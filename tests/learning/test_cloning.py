@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -194,6 +195,22 @@ def test_the_encoding_follows_from_what_the_manifest_says(demos: Path, environme
         assert bias == pytest.approx(0.0, abs=1e-6)
         assert columns[column] == "joint_positions"
     assert pytest.approx(0.03) == FINE
+
+
+def test_a_policy_is_judged_by_starts_that_no_recording_showed(
+    demos: Path, environment: Environment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seeds: list[int | None] = []
+    reset = environment.reset
+
+    def noted(seed: int | None = None) -> Any:
+        seeds.append(seed)
+        return reset(seed)
+
+    monkeypatch.setattr(environment, "reset", noted)
+    train(environment, demos, tmp_path, QUICK)
+    assert seeds
+    assert min(seed for seed in seeds if seed is not None) >= 20_000
 
 
 def test_key_points_are_positions_of_their_own_and_no_pairs_of_each_other(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import bisect
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -39,8 +39,6 @@ _MOST_VECTORS = 32
 _ROTATION_FEATURES = 14
 # A turn within a quarter, as a vector.
 _QUARTER_FEATURES = 3
-# Mean places that each set of pictures is shown as.
-_PLACES = 32
 # Metres or radians by which the measured positions of a gripper's joints are disturbed in training.
 _BLUR = 0.002
 
@@ -148,7 +146,6 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
             gains.append(gain)
             biases.append(bias)
     pictures = () if concatenated else convolutional(parts, ()).encoders
-    pictures = tuple(replace(encoder, places=_PLACES) for encoder in pictures)
     return Encoding(
         parts, concatenated, tuple(hidden), tuple(vectors), tuple(rotations), tuple(joints), tuple(gains),
         tuple(biases), tuple(binary), pictures, bool(rotations), _of_gripper(manifest, terms, columns, _POSITIONS),

@@ -38,6 +38,8 @@ from orbit_learn.trainer import Progress, Trainer
 _MODES = 5
 # Added to the seed, for the episodes of corrections.
 _CORRECTED = 10_000
+# Added to the seed, for the episodes that a policy is judged by: by starts that no recording is likely to show.
+_JUDGED = 20_000
 ALGORITHMS = ("bc", "bc-gmm", "bc-rnn", "bc-rnn-gmm", "act", "diffusion")
 
 
@@ -220,7 +222,7 @@ class ImitationTrainer(Trainer[ImitationSettings]):
     def _evaluate(self) -> int:
         """Play an episode in every environment; return the steps of all environments."""
         environment = self.environment
-        seen, _ = environment.reset(self.seed + 1)  # other episodes than the demonstrations'
+        seen, _ = environment.reset(self.seed + _JUDGED)
         planner = copy.deepcopy(self._planner).to(environment.device)
         acting = Remembering(planner, environment.num_envs, environment.device)
         begun = torch.ones(environment.num_envs, dtype=torch.bool, device=environment.device)
