@@ -26,11 +26,13 @@ CODE := orbit_core orbit_tasks packages bridges plugins tests benchmarks assets 
 
 # Kernels, compiled steps, parsed robots and wheels may be kept between runs, and runs may share them.
 export ORBIT_TEST_CACHE ?= $(HOME)/.cache/orbit-tests
+# Bytecode is written, whatever the machine's habit: nothing is compiled by pip, and torch takes 5 s to compile.
+unexport PYTHONDONTWRITEBYTECODE
 CACHED := sh tools/with_caches.sh
 PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
 # Every scenario is a test as well, for those who write them; `conformance` runs them here.
 UNITS := --ignore tests/conformance/test_scenarios.py
-# Robots in real time have the machine for themselves.
+# Robots in real time have no other tests beside them; they come first, so that two processes find bytecode that one wrote.
 REAL_TIME := tests/deploy tests/ros
 
 .PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
@@ -44,7 +46,11 @@ view: $(VENV)/.ready
 	$(BIN)/orbit view Lift --backend mujoco
 
 # All fast tests, a thirtieth of the slow ones that changes with each commit, and the slow ones that a change concerns.
-test: $(VENV)/.ready-dev lint types unit conformance example
+# Types are checked beside them, by what tests leave idle.
+test: $(VENV)/.ready-dev lint
+	@mkdir -p out
+	nice $(MAKE) types >out/types.txt 2>&1 & $(MAKE) unit conformance example; failed=$$?; \
+		wait $$! || failed=1; cat out/types.txt; exit $$failed
 
 # Everything, once. Its measurements are what `make slow-list` reads.
 test-all: $(VENV)/.ready-dev lint types unit-all conformance-all example-all
@@ -62,8 +68,8 @@ unit unit-all coverage example example-all mutants: export OMP_NUM_THREADS = 1
 unit-all coverage example-all: export ORBIT_TEST_ALL = 1
 
 unit: $(VENV)/.ready-dev
-	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --tier quick
 	$(CACHED) $(BIN)/pytest $(REAL_TIME) --tier quick
+	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --tier quick
 
 unit-all: $(VENV)/.ready-dev
 	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --durations-to out/durations/units.json

@@ -29,7 +29,8 @@ def refresh(durations: Path = DURATIONS, path: Path = SLOW_LIST) -> int:
         return 1
     measured = jobs | {name: seconds for run in tests for name, seconds in run["seconds"].items()}
     listed = read_slow_list(path)
-    gone = {name for run in tests for name in run["gone"]}
+    # Tests of the example backend are gone for the unit tests, which do not have it installed.
+    gone = {name for run in tests for name in run["gone"]} - {*measured}
     gone |= {name for name in listed if "::" not in name} - {*suite_names()}
     after = refreshed(listed, measured, gone)
     write_slow_list(after, path)
