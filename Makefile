@@ -52,7 +52,7 @@ test: $(VENV)/.ready-dev lint
 	nice $(MAKE) types >out/types.txt 2>&1 & $(MAKE) unit conformance example; failed=$$?; \
 		wait $$! || failed=1; cat out/types.txt; exit $$failed
 
-# Everything, once. Its measurements are what `make slow-list` reads.
+# Everything, once.
 test-all: $(VENV)/.ready-dev lint types unit-all conformance-all example-all
 
 lint: $(VENV)/.ready-dev
@@ -67,13 +67,10 @@ types: $(VENV)/.ready-dev
 unit unit-all coverage example example-all mutants: export OMP_NUM_THREADS = 1
 unit-all coverage example-all: export ORBIT_TEST_ALL = 1
 
-unit: $(VENV)/.ready-dev
-	$(CACHED) $(BIN)/pytest $(REAL_TIME) --tier quick
-	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --tier quick
-
-unit-all: $(VENV)/.ready-dev
-	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --durations-to out/durations/units.json
-	$(CACHED) $(BIN)/pytest $(REAL_TIME) --durations-to out/durations/real_time.json
+unit: TIER := --tier quick
+unit unit-all: $(VENV)/.ready-dev
+	$(CACHED) $(BIN)/pytest $(REAL_TIME) $(TIER) --durations-to out/durations/real_time.json
+	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) $(TIER) --durations-to out/durations/units.json
 
 # The same, a third slower, with the share of lines that it runs.
 coverage: $(VENV)/.ready-dev
@@ -104,7 +101,7 @@ out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.p
 
 example: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
-	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --tier quick && \
+	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --tier quick --durations-to out/durations/example.json && \
 	$(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $$($(BIN)/python -m tests.tiers share $(EXAMPLE_SCENARIOS)) && wait $$!
 
 example-all: out/orbit-torch
@@ -117,7 +114,7 @@ example-all: out/orbit-torch
 mutants: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants
 
-# Bring the list of slow tests up to what the last `make test-all` measured.
+# Bring the list of slow tests up to what the last `make test` or `make test-all` measured.
 slow-list: $(VENV)/.ready-dev
 	$(BIN)/python -m tests.tiers refresh
 

@@ -6,12 +6,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from orbit_core.backends import backend_names
 from tests.tiers.__main__ import refresh
 from tests.tiers.conformance import TASK_BACKENDS, runs, touched_jobs
+from tests.tiers.plugin import Tiers
 from tests.tiers.revision import Revision, current_revision
 from tests.tiers.selection import CHANGE_SECONDS, select
 from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed, turns, write_slow_list
@@ -175,6 +177,18 @@ def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
     assert f"{TURNS + 1} passed, {TURNS - 1} deselected" in done.stdout, done.stdout + done.stderr
     assert f"1 of {TURNS} slow ones, 5 of {5 * TURNS} s" in done.stdout
     assert "names 1 tests that are gone" in done.stdout
+
+
+def test_seconds_in_which_a_test_had_no_core_do_not_count(pytestconfig: pytest.Config) -> None:
+    waited = iter((5.0, 7.0, 7.0))
+    tiers = Tiers(pytestconfig, lambda: next(waited))
+    for expected in (0.5, 2.5):
+        report = SimpleNamespace(duration=2.5)
+        phase = tiers.pytest_runtest_makereport()
+        next(phase)
+        with pytest.raises(StopIteration):
+            phase.send(report)
+        assert report.duration == expected
 
 
 def test_caches_move_with_the_variable_and_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
