@@ -53,12 +53,14 @@ def goal(env: Environment) -> Tensor:
 
 @dataclass
 class ArmPixels(ObservationGroup):
-    """Observations of an arm from its joints, its goal and two cameras, which only see what is before it."""
+    """Observations of an arm from its joints, its hand, its goal and two cameras, which only see what is before it."""
 
     concatenate: bool = False
     """False: pictures and numbers stay apart, for networks that read each by its own encoder."""
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    """A robot knows it from its joints; without it a network has to learn kinematics to a centimetre."""
     goal: ObservationTerm | None = ObservationTerm(goal)
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
     hand_color: ObservationTerm | None = camera_color(HAND)

@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
+from orbit_assets.audit.robots.postures import gripper_posture, shapes_in_frame
 from orbit_assets.deformables import ring
 from orbit_assets.objects import SolidOptions, cylinder
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
+from orbit_core.envs.task import ROBOT, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
@@ -41,6 +42,8 @@ SPREAD = 0.02
 GRASPED = 0.003
 # Metres by which a ring is let go above what it falls on.
 LOOSE = 0.006
+# Metres that are left between the rod's tip and the palm above it.
+CLEAR = 0.005
 
 
 @once_per_state
@@ -219,20 +222,39 @@ def _grasp(index: int) -> TermFunction:
     return pose
 
 
-def _place(index: int) -> TermFunction:
-    """Term: (N, 7) the hand with which the ring that it holds is round the rod, a little above its place."""
+def _depth(world: World) -> float:
+    """Metres from the hand's frame up to its palm, where the rod comes in between the open fingers."""
+    spec = world.robots[ROBOT].spec
+    effector, gripper = spec.end_effector, spec.end_effector.gripper
+    assert gripper is not None  # the scene's robot was asked for one
+    opened = gripper_posture(spec, gripper, gripper.open_position)
+    clouds = shapes_in_frame(spec, effector.frame, spec.articulation.links, opened)
+    near = 2.0 * ROD_SIZE[0]
+    met = [cloud for cloud in clouds if (cloud[:, :2].min(0) < near).all() and (cloud[:, :2].max(0) > -near).all()]
+    return min(-float(cloud[:, 2].max()) for cloud in met)
+
+
+def _place(index: int, depth: float) -> TermFunction:
+    """Term: (N, 7) the hand with which the ring that it holds is round the rod, a little above its place.
+
+    Args:
+        index: of the ring.
+        depth: metres from the hand's frame up to its palm, which stays above the rod's tip.
+    """
 
     def pose(env: Environment) -> Tensor:
         up = torch.tensor([0.0, 0.0, LOOSE], device=env.device)
         inside = rings(env)[:, index] - common.hand_pose(env)[:, :3]
-        return common.pointing_down(places(env)[:, index] + up - inside)
+        way = places(env)[:, index] + up - inside
+        lowest = way[:, 2:].clamp_min(ROD_SIZE[1] + CLEAR - depth)
+        return common.pointing_down(torch.cat((way[:, :2], lowest), dim=1))
 
     return pose
 
 
 def _moving(world: World, index: int) -> tuple[Phase, ...]:
     """Take a ring from outside, thread it onto the rod and let it go."""
-    closing, grasp, place = soft.closing_time(world), _grasp(index), _place(index)
+    closing, grasp, place = soft.closing_time(world), _grasp(index), _place(index, _depth(world))
     came = Retry(4, lambda env: rings(env)[:, index, 2] > 3.0 * SECTION)
     # Over the rod's tip the ring is aligned: what is free around the rod is a few millimetres.
     over = ROD_SIZE[1] + 0.02 - 2.0 * SECTION * index
@@ -244,6 +266,7 @@ def _moving(world: World, index: int) -> tuple[Phase, ...]:
         Phase(up, False, 0.03, math.inf, timeout=2.0, retry=came),
         Phase(picking.raised(place, over), False, position_tolerance=0.003, rotation_tolerance=0.05, timeout=3.0),
         Phase(place, False, position_tolerance=0.004, rotation_tolerance=0.1, timeout=1.5),
-        Phase(place, dwell=0.3, timeout=0.4),
+        # Still: led by where the ring is, the hand would follow it as it falls and draw it aside.
+        Phase(common.hand_pose, dwell=0.3, timeout=0.4),
         Phase(up, True, 0.03, math.inf, timeout=1.5),
     )

@@ -119,7 +119,7 @@ def _rates(measurements: Sequence[Measurement]) -> str:
 
 
 def _seconds(side: Side | None, kind: str) -> str:
-    if side is None:
+    if side is None or not getattr(side, kind):
         return "-"
     spread = Spread.of(getattr(side, kind))
     return f"{spread.median:.1f} [{spread.low:.1f}, {spread.high:.1f}]"
@@ -144,7 +144,7 @@ def _starts(measurements: Sequence[Measurement]) -> str:
         sides = theirs, ours
         return (
             *(_seconds(side, kind) for kind in ("start_seconds", "command_seconds") for side in sides),
-            f"{ours.settle_seconds:.1f}",
+            f"{ours.settle_seconds:.1f}" if ours.start_seconds else "-",
             *(f"{side.memory_mib:,.0f}" if side else "-" for side in sides),
             *(_pictures(side) for side in sides),
         )

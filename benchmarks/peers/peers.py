@@ -275,8 +275,8 @@ _NEWTON = Peer(
             environment="nv_humanoid.xml",
             robot="humanoid of 21 joints",
             options={"physics_dt": 0.005, "decimation": 4},
-            orbit=Counterpart(task="Humanoid", backend="newton", fields=_rates(0.005, 4)),
-            differs="physics only: Newton has no environments; another model of a humanoid",
+            orbit=Counterpart(task="Humanoid", backend="warp", fields=_rates(0.005, 4)),
+            differs="physics only: Newton has no environments; another model of a humanoid; both by MuJoCo-Warp",
         ),
     ),
 )

@@ -27,9 +27,9 @@ class Side:
     versions: dict[str, str]
     """Versions by distribution."""
     start_seconds: list[float]
-    """From the first import to the end of the first step, for each start of the process."""
+    """From the first import to the end of the first step, for each start of the process that was timed."""
     command_seconds: list[float]
-    """From the command to the end of the first step, for each start of the process."""
+    """From the command to the end of the first step, for each start of the process that was timed."""
     settle_seconds: float
     """Seconds of the steps after the first that do something once: compiling and recording."""
     memory_mib: float

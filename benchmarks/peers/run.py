@@ -2,18 +2,20 @@
 
     python benchmarks/peers/run.py raw
     python benchmarks/peers/run.py robosuite --environments out/peers
-    python benchmarks/peers/run.py mjlab --environments out/peers --num-envs 4096
+    python benchmarks/peers/run.py mjlab newton --environments out/peers --num-envs 4096 --starts 0 --ways compiled
     python benchmarks/peers/run.py
 
 Without a peer only the page is written. The first call for a peer makes its virtual environment under
 ``--environments``, by venv and pip. Figures of other peers, cases and sizes stay in the file. Run no other
-job meanwhile.
+job meanwhile. With ``--starts 0`` the processes of all cases start at the same time, before the first block of any.
 """
 
 from __future__ import annotations
 
 import shutil
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -23,9 +25,9 @@ import tyro
 from environments import python_of
 from page import page
 from peers import PEERS, Case, Peer
-from results import Measurement, Spread, merged, read, write
+from results import Measurement, Side, Spread, merged, read, write
 from session import Request
-from turns import Place, Plan, measure
+from turns import Place, Plan, Worker, measure, start_together
 
 from orbit_conformance.hardware import device_label
 from orbit_core.cli.output import console
@@ -39,12 +41,12 @@ ROOT = Path(__file__).parents[2]
 class Settings:
     """Measure ORBIT and a peer in turns."""
 
-    peer: Annotated[str, tyro.conf.Positional] = ""
-    """Name of the peer; only the page is written if left out."""
+    peers: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Names of peers; only the page is written if left out."""
     environments: Path = Path("out/peers")
     """Folder of the peers' virtual environments."""
     cases: tuple[str, ...] = ()
-    """Names of cases; all if left out."""
+    """Names of cases, which every peer has; all if left out."""
     num_envs: tuple[int, ...] = ()
     """Numbers of environments; the peer's own if left out."""
     device: str | None = None
@@ -54,11 +56,15 @@ class Settings:
     seconds: float = 0.6
     """Length of a block."""
     starts: int = 3
-    """Starts of each side's process."""
+    """Starts of each side's process that are timed."""
     ways: tuple[str, ...] = ("plain", "compiled")
     """Ways of stepping ORBIT."""
+    patience: float = 540.0
+    """Seconds that a process may take for its start or an answer."""
+    logs: Path | None = None
+    """Folder that keeps what the processes print."""
     remove: bool = False
-    """Delete the peer's virtual environment at the end."""
+    """Delete the peers' virtual environments at the end."""
     json: Path = ROOT / "docs" / "figures" / "peers.json"
     """Figures, which the new ones are added to."""
     page: Path = ROOT / "docs" / "measured" / "peers.md"
@@ -67,18 +73,24 @@ class Settings:
 
 def main(settings: Settings) -> None:
     """Measure, and write the figures and the page."""
-    if settings.peer:
-        if settings.peer not in PEERS:
-            raise UnknownNameError("peer", settings.peer, PEERS)
-        peer = PEERS[settings.peer]
-        for case in chosen_cases(peer, settings.cases):
-            for num_envs in settings.num_envs or peer.num_envs:
-                measurement = measured(peer, case, num_envs, settings)
-                report(measurement)
-                # After each, because a later one may run into a time limit.
-                write(settings.json, merged(read(settings.json), [measurement]))
-        if settings.remove and peer.packages:
-            shutil.rmtree(settings.environments / peer.name, ignore_errors=True)
+    if unknown := [name for name in settings.peers if name not in PEERS]:
+        raise UnknownNameError("peer", unknown[0], PEERS)
+    chosen = [
+        (peer, case, num_envs)
+        for peer in (PEERS[name] for name in settings.peers)
+        for case in chosen_cases(peer, settings.cases)
+        for num_envs in settings.num_envs or peer.num_envs
+    ]
+    # With starts that are timed, the processes of one measurement run at a time.
+    groups = [chosen] if settings.starts == 0 else [[each] for each in chosen]
+    for group in groups:
+        for measurement in measured(group, settings):
+            report(measurement)
+            # After each, because a later one may run into a time limit.
+            write(settings.json, merged(read(settings.json), [measurement]))
+    if settings.remove:
+        for name in settings.peers:
+            shutil.rmtree(settings.environments / name, ignore_errors=True)
     text = page(read(settings.json))
     with written_whole(settings.page) as written:
         written.write_text(text, encoding="utf-8")
@@ -96,24 +108,53 @@ def chosen_cases(peer: Peer, names: tuple[str, ...]) -> list[Case]:
     return [known[name] for name in names or known]
 
 
-def measured(peer: Peer, case: Case, num_envs: int, settings: Settings) -> Measurement:
-    """Measure one case and number of environments; what cannot run is absent, with the reason."""
-    device = settings.device or peer.device
-    identity = {"peer": peer.name, "case": case.name, "num_envs": num_envs, "device": device}
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        return Measurement(**identity, absent="not run: no GPU on the machine")
-    plan = Plan(rounds=settings.rounds, seconds=settings.seconds, starts=settings.starts)
-    try:
-        python = python_of(peer, settings.environments)
-        sides = measure(
-            theirs(peer, case, num_envs, device, python) + ours(case, num_envs, device, settings.ways), plan
-        )
-    except ConfigurationError as error:
-        return Measurement(**identity, absent=f"not run: {error}")
-    hardware = device_label(torch.device(device))
-    load = Path("/proc/loadavg")
-    busy = float(load.read_text().split()[0]) if load.exists() else 0.0
-    return Measurement(**identity, hardware=hardware, block_seconds=plan.seconds, load=busy, sides=sides)
+def measured(group: Sequence[tuple[Peer, Case, int]], settings: Settings) -> Iterator[Measurement]:
+    """Measure cases and numbers of environments; what cannot run is absent, with the reason."""
+    plan = Plan(
+        rounds=settings.rounds, seconds=settings.seconds, starts=settings.starts, patience=settings.patience,
+        logs=settings.logs,
+    )  # fmt: skip
+    places: list[list[Place] | ConfigurationError] = []
+    for peer, case, num_envs in group:
+        device = settings.device or peer.device
+        try:
+            if device.startswith("cuda") and not torch.cuda.is_available():
+                raise ConfigurationError("no GPU on the machine")
+            python = python_of(peer, settings.environments)
+            sides = theirs(peer, case, num_envs, device, python) + ours(case, num_envs, device, settings.ways)
+            places.append(sides)
+        except ConfigurationError as error:
+            places.append(error)
+    with ExitStack() as stack:
+        running: dict[int, Worker | ConfigurationError] = {}
+        if settings.starts == 0:
+            flat = [place for sides in places if isinstance(sides, list) for place in sides]
+            running = dict(zip(map(id, flat), start_together(flat, plan), strict=True))
+            for worker in running.values():
+                if isinstance(worker, Worker):
+                    stack.enter_context(worker)
+        for (peer, case, num_envs), sides in zip(group, places, strict=True):
+            device = settings.device or peer.device
+            identity = {"peer": peer.name, "case": case.name, "num_envs": num_envs, "device": device}
+            try:
+                if isinstance(sides, ConfigurationError):
+                    raise sides
+                found = _measure(sides, plan, [running[id(place)] for place in sides] if running else None)
+            except ConfigurationError as error:
+                yield Measurement(**identity, absent=f"not run: {error}")
+                continue
+            hardware = device_label(torch.device(device))
+            load = Path("/proc/loadavg")
+            busy = float(load.read_text().split()[0]) if load.exists() else 0.0
+            yield Measurement(**identity, hardware=hardware, block_seconds=plan.seconds, load=busy, sides=found)
+
+
+def _measure(sides: list[Place], plan: Plan, running: Sequence[Worker | ConfigurationError] | None) -> list[Side]:
+    """Measure one case; raise what ended a worker."""
+    for worker in running or ():
+        if isinstance(worker, ConfigurationError):
+            raise worker
+    return measure(sides, plan, [worker for worker in running if isinstance(worker, Worker)] if running else None)
 
 
 def theirs(peer: Peer, case: Case, num_envs: int, device: str, python: Path) -> list[Place]:

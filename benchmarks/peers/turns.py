@@ -9,10 +9,11 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import msgspec
 from results import Side
@@ -21,8 +22,6 @@ from session import Facts, Request
 from orbit_core.interfaces.errors import ConfigurationError
 
 _WORKER = Path(__file__).with_name("worker.py")
-# Seconds that a worker may take for its start or an answer: kernels of a GPU compile in minutes.
-_PATIENCE = 540.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,12 @@ class Plan:
     seconds: float = 0.6
     """Length of a block."""
     starts: int = 3
-    """Starts of each side's process, in turns; the last ones are measured further."""
+    """Starts of each side's process, in turns; the last ones are measured further. None are timed if 0: all start at
+    the same time, which suits kernels that compile for minutes."""
+    patience: float = 540.0
+    """Seconds that a process may take for its start or an answer: kernels of a GPU compile in minutes."""
+    logs: Path | None = None
+    """Folder that keeps what the processes print; nothing but the reason of a failure is kept without it."""
 
 
 class Worker:
@@ -54,18 +58,19 @@ class Worker:
 
     Args:
         place: what it runs.
+        plan: its patience, and where what it prints is kept.
 
     Raises:
         ConfigurationError: the process ended before its first step, as where a model or a device is missing.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, plan: Plan) -> None:
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         environment.setdefault("MUJOCO_GL", "egl")
         if place.project != "orbit":
             environment.pop("PYTHONPATH", None)  # ORBIT's packages are not the peer's
-        self._project = place.project
-        self._errors = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115, closed with the worker
+        self._project, self._patience = place.project, plan.patience
+        self._errors = _log(place, plan.logs)
         begin = time.perf_counter()
         self._process = subprocess.Popen(
             [str(place.python), str(_WORKER), json.dumps(asdict(place.request))], env=environment, text=True,
@@ -99,7 +104,7 @@ class Worker:
 
     def _receive(self) -> dict[str, Any]:
         assert self._process.stdout is not None
-        if select.select([self._process.stdout], [], [], _PATIENCE)[0]:
+        if select.select([self._process.stdout], [], [], self._patience)[0]:
             line = self._process.stdout.readline()
             if line.endswith("\n"):
                 return json.loads(line)
@@ -107,7 +112,7 @@ class Worker:
             self._errors.seek(0)
             said = [line.strip() for line in self._errors.read().splitlines() if line.strip()]
             raise ConfigurationError(f"{self._project} ended: {said[-1] if said else 'without a word'}")
-        raise ConfigurationError(f"{self._project} gave no answer in {_PATIENCE:g} s")
+        raise ConfigurationError(f"{self._project} gave no answer in {self._patience:g} s")
 
     def __enter__(self) -> Self:
         return self
@@ -125,12 +130,39 @@ class Worker:
         self._errors.close()
 
 
-def measure(places: Sequence[Place], plan: Plan) -> list[Side]:
+def _log(place: Place, folder: Path | None) -> IO[str]:
+    """Open the file of what a worker prints; it is closed with the worker."""
+    if folder is None:
+        return tempfile.TemporaryFile("w+", errors="replace")
+    folder.mkdir(parents=True, exist_ok=True)
+    request = place.request
+    options = "-".join(f"{value}" for value in request.options.get("fields", {}).values())
+    name = "-".join((place.project, request.environment, options, str(request.num_envs), request.way)).replace("/", "_")
+    return (folder / f"{name}.log").open("w+", errors="replace")
+
+
+def start_together(places: Sequence[Place], plan: Plan) -> list[Worker | ConfigurationError]:
+    """Start workers at the same time, and return each when all have made a step, or why it ended."""
+
+    def start(place: Place) -> Worker | ConfigurationError:
+        try:
+            worker = Worker(place, plan)
+            worker.ask("settle")  # compiles the rest, which is not left to one side's turn
+            return worker
+        except ConfigurationError as error:
+            return error
+
+    with ThreadPoolExecutor(max(1, len(places))) as pool:
+        return list(pool.map(start, places))
+
+
+def measure(places: Sequence[Place], plan: Plan, workers: Sequence[Worker] | None = None) -> list[Side]:
     """Measure several sides in turns.
 
     Args:
         places: sides, in the order of their turns.
         plan: amount of measuring.
+        workers: of the places, if they run already; their starts are not timed.
 
     Returns:
         A result for each side.
@@ -141,7 +173,7 @@ def measure(places: Sequence[Place], plan: Plan) -> list[Side]:
     starts: list[list[tuple[float, float]]] = [[] for _ in places]
 
     def start(index: int) -> Worker:
-        worker = Worker(places[index])
+        worker = Worker(places[index], plan)
         starts[index].append((worker.start_seconds, worker.command_seconds))
         return worker
 
@@ -149,7 +181,8 @@ def measure(places: Sequence[Place], plan: Plan) -> list[Side]:
         for index in range(len(places)):
             start(index).__exit__()
     with ExitStack() as stack:
-        workers = [stack.enter_context(start(index)) for index in range(len(places))]
+        if workers is None:
+            workers = [stack.enter_context(start(index)) for index in range(len(places))]
         memory = [[worker.ask("memory")["mib"]] for worker in workers]
         settling = [worker.ask("settle", plan.seconds)["seconds"] for worker in workers]
         rates: list[list[float]] = [[] for _ in workers]

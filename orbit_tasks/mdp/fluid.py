@@ -47,8 +47,9 @@ GRIP: Vector3 = (-0.5 * INNER[0] - WALL - 0.016, 0.0, 0.058)
 that palms are above the rim."""
 RAISED = 0.1
 """Metres of the stand."""
-HELD = 0.53
-"""Opening of a gripper that holds the handle, at most: of a Panda's hand it takes 0.48."""
+HELD = (0.4, 0.53)
+"""Least and greatest opening of a gripper that holds the handle: of a Panda's hand it takes 0.48. Fingers that strike
+it sink in to 0.1 where contacts yield, and have come out to 0.46 after 0.1 s."""
 FIRM = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
 SLOW = 0.05
 """Metres that a carrying hand is led ahead: the liquid stays calm."""
@@ -227,6 +228,20 @@ def taking(world: World) -> tuple[Phase, ...]:
     )
 
 
+def gripped(opening: Tensor, away: Tensor) -> Tensor:
+    """Return True (N,) where a gripper holds the handle.
+
+    Fingers that strike it do not hold it yet. A student whose hand rose then would rise while the fingers close, where
+    they close slowly, and take the cup too high.
+
+    Args:
+        opening: (N,) of the gripper, from 0 to 1.
+        away: (N,) m from the hand to where the cup is grasped.
+    """
+    least, most = HELD
+    return (opening > least) & (opening < most) & (away < 0.016)
+
+
 def taking_stage(env: Environment, opening: Tensor) -> tuple[Tensor, Tensor]:
     """Phases of :func:`taking` that fit the state, for an expert that teaches.
 
@@ -237,7 +252,7 @@ def taking_stage(env: Environment, opening: Tensor) -> tuple[Tensor, Tensor]:
     Returns:
         (N,) int64 of the phase of a hand that does not hold the cup, and (N,) bool, whether it does.
     """
-    held = (opening < HELD) & (vector_norm(hand_to_handle(env), dim=1) < 0.016)
+    held = gripped(opening, vector_norm(hand_to_handle(env), dim=1))
     stage = stages.lifting(common.hand_pose(env), at_handle(env), torch.zeros_like(held), closing=opening < 0.9)
     return stage, held
 

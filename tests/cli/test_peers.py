@@ -51,7 +51,7 @@ def test_raw_stepping_is_measured_and_written_to_the_page(scripts: None, tmp_pat
 
     figures, written = tmp_path / "peers.json", tmp_path / "peers.md"
     amount = {"num_envs": (1,), "rounds": 1, "seconds": 0.2, "starts": 1, "ways": ("plain",)}
-    main(Settings(peer="raw", json=figures, page=written, **amount))
+    main(Settings(peers=("raw",), json=figures, page=written, **amount))
     (kept,) = read(figures)
     (side,) = kept.sides
     assert side.rates[0] > 0.0
@@ -69,9 +69,9 @@ def test_an_unknown_peer_or_case_is_named_with_those_that_there_are(scripts: Non
 
     files = {"json": tmp_path / "a.json", "page": tmp_path / "a.md"}
     with pytest.raises(UnknownNameError, match=r"unknown peer 'genesis': known: dm_control, .*robosuite"):
-        main(Settings(peer="genesis", **files))
+        main(Settings(peers=("genesis",), **files))
     with pytest.raises(UnknownNameError, match="unknown case 'nope' in raw MuJoCo: known: Lift"):
-        main(Settings(peer="raw", cases=("nope",), **files))
+        main(Settings(peers=("raw",), cases=("nope",), **files))
     assert not list(tmp_path.iterdir())
 
 

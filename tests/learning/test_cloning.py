@@ -196,6 +196,30 @@ def test_the_encoding_follows_from_what_the_manifest_says(demos: Path, environme
     assert pytest.approx(0.03) == FINE
 
 
+def test_key_points_are_positions_of_their_own_and_no_pairs_of_each_other(
+    demos: Path, environment: Environment
+) -> None:
+    """The way from the hand to a cloth's middle is what its pinch is learned from."""
+    dataset = Hdf5Dataset(demos)
+    manifest = dataset.known()
+    dataset.close()
+    known = manifest.observations["policy"].terms
+    points = replace(known["goal"], shape=(9,), unit="m", formula="positions of the key points of 'cloth'")
+    lengths = replace(points, formula="lengths of the key points")
+    many = replace(points, shape=(39,))
+    terms = {"points": points, "lengths": lengths, "many": many, "hand_pose": known["hand_pose"]}
+    group = replace(manifest.observations["policy"], terms=terms)
+    parts = (Part("points", 9), Part("lengths", 9), Part("many", 39), Part("hand_pose", 7))
+    encoding = encoding_for(replace(manifest, observations={"policy": group}, action_terms={}), "policy", parts, True)
+    assert encoding.vectors == (0, 3, 6, 57)
+    assert encoding.rotations == (60,)
+    assert encoding.pairs == ((0, 3), (1, 3), (2, 3))
+    features = Encoder(encoding).features(torch.arange(64.0)[None])
+    assert features.shape == (1, encoding.feature_size)
+    ways = features[0, -3 * (4 + 2 * 3) : -3 * (4 + 3)].view(3, 3)
+    torch.testing.assert_close(ways[:, 0], torch.tensor([57.0, 54.0, 51.0]))
+
+
 def test_rotations_are_shown_without_sign_and_by_half_and_quarter_turns() -> None:
     torch.manual_seed(0)
     turned = torch.nn.functional.normalize(torch.randn(5, 4), dim=1)
@@ -381,9 +405,10 @@ def test_a_dataset_of_another_task_is_named(demos: Path, tmp_path: Path) -> None
 
 
 def test_each_algorithm_begins_with_its_own_step_size_unless_one_is_given() -> None:
-    assert ImitationSettings(algorithm="bc").first_learning_rate == 3e-3
-    assert ImitationSettings(algorithm="act").first_learning_rate == 1e-3
-    assert ImitationSettings(algorithm="bc", learning_rate=5e-4).first_learning_rate == 5e-4
+    assert ImitationSettings(algorithm="bc").first_learning_rate(pictures=False) == 3e-3
+    assert ImitationSettings(algorithm="bc").first_learning_rate(pictures=True) == 1e-3
+    assert ImitationSettings(algorithm="act").first_learning_rate(pictures=False) == 1e-3
+    assert ImitationSettings(algorithm="bc", learning_rate=5e-4).first_learning_rate(pictures=True) == 5e-4
     with pytest.raises(ConfigurationError, match="'learning_rate' is at least 0, not -1"):
         ImitationSettings(learning_rate=-1.0)
 

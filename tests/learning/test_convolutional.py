@@ -18,6 +18,7 @@ from orbit_core.mdp.sensing import camera_color, camera_depth
 from orbit_core.scene import CameraSpec, Channel
 from orbit_learn.description import Part, PolicyDescription, group_parts
 from orbit_learn.networks import ActorNetwork, Convolutional, Picture, PictureEncoder, convolutional
+from orbit_learn.picture_layers import MeanPlaces
 from orbit_learn.policy import Policy, PolicyNode, load_policy
 from orbit_tasks.reach import Reach
 
@@ -63,6 +64,28 @@ def test_a_policy_its_file_and_its_onnx_act_alike(tmp_path: Path) -> None:
         assert torch.equal(read.module(seen), expected)
         (action,) = session.run(["action"], {name: value.numpy() for name, value in seen.items()})
         np.testing.assert_allclose(action, expected.numpy(), atol=1e-5)
+
+
+def test_places_move_with_what_is_seen_and_act_alike_in_a_file_and_onnx(tmp_path: Path) -> None:
+    """A mean place is known to a fraction of its cell."""
+    maps = torch.zeros(3, 1, 5, 9)
+    maps[0, 0, 1, 6] = maps[1, 0, 4, 0] = maps[2, 0, 2, 3] = maps[2, 0, 2, 4] = 50.0
+    expected = torch.tensor([[-0.5, 0.5], [1.0, -1.0], [0.0, -0.125]])
+    torch.testing.assert_close(MeanPlaces(5, 9)(maps), expected, atol=1e-5, rtol=0.0)
+    made = policy()
+    assert isinstance(made.network, Convolutional)
+    encoders = tuple(replace(each, places=4) for each in made.network.encoders)
+    network = replace(made.network, encoders=encoders)
+    torch.manual_seed(0)
+    seeing = Policy(network.build(0, 2).requires_grad_(False).eval(), network, DESCRIPTION)
+    seeing.save(tmp_path / "policy_3.safetensors")
+    seeing.export_onnx(tmp_path / "policy.onnx")
+    seen = observation(3)
+    expected = seeing.module(seen)
+    torch.testing.assert_close(load_policy(tmp_path).module(seen), expected, atol=1e-6, rtol=0.0)
+    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+    (action,) = session.run(["action"], {name: value.numpy() for name, value in seen.items()})
+    np.testing.assert_allclose(action, expected.numpy(), atol=1e-5)
 
 
 def test_onnx_of_a_dictionary_is_not_read_back_and_says_what_is(tmp_path: Path) -> None:
@@ -135,6 +158,7 @@ def test_settings_that_cannot_be_are_refused(tmp_path: Path) -> None:
         (lambda: Picture("hand_color", 0), "'hand_color' has 1 to 4096 channels, not 0"),
         (lambda: PictureEncoder((picture,), 8, 8, filters=()), "1 to 8 convolutions"),
         (lambda: PictureEncoder((picture,), 8, 8, features=0), "1 to 65536 features"),
+        (lambda: PictureEncoder((picture,), 8, 8, places=-1), "0 to 4096 places, not -1"),
         (lambda: PictureEncoder((picture,), 10**5, 10**5), "1 to 4,194,304 pixels"),
         (lambda: Convolutional((), PARTS[:1], (16,)), "at least one picture"),
     ):

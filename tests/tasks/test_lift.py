@@ -57,7 +57,7 @@ def test_cameras_take_the_place_of_the_state_that_they_show() -> None:
     task = Lift()
     with_cameras(task, {"front": (84, 60)})
     terms = terms_of_group(task.observations.policy)
-    assert list(terms) == ["joint_positions", "joint_velocities", "goal", "last_action", "front_color"]
+    assert list(terms) == ["joint_positions", "joint_velocities", "hand_pose", "goal", "last_action", "front_color"]
     (camera,) = terms["front_color"].sensors
     assert isinstance(camera, CameraSpec)
     assert (camera.width, camera.height) == (84, 60)

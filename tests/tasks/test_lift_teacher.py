@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.backends import default_backend
-from orbit_tasks.mdp import stages
+from orbit_tasks.mdp import fluid, stages
 from tests.tasks.experts import episode
 
 
@@ -42,6 +42,12 @@ def test_a_gripper_goes_on_closing_around_a_thing_that_yields() -> None:
     )
     for hand, held, closing, expected in cases:
         assert int(stages.lifting(hand, grasp, held, closing)) == expected, (hand, held, closing)
+
+
+def test_fingers_that_strike_a_handle_do_not_hold_the_cup_yet() -> None:
+    opening = torch.tensor([0.9, 0.1, 0.46, 0.48, 0.48])  # on their way; sunk in; at rest, yielding and rigid; too far
+    away = torch.tensor([0.006, 0.006, 0.006, 0.012, 0.02])
+    assert fluid.gripped(opening, away).tolist() == [False, False, True, True, False]
 
 
 @pytest.mark.parametrize("task", ["Soft-Lifting", "Fluid-Transport"])

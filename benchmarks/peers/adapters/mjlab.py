@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import mjlab.tasks
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.tasks.registry import load_env_cfg
-from session import Facts, Request, Session
+from mjlab.utils.torch import configure_torch_backends
+from session import ACTIONS, Facts, Request, Session
 
 assert mjlab.tasks  # its import registers the tasks
 
@@ -17,13 +20,17 @@ class MjlabSession(Session):
     def __init__(self, request: Request) -> None:
         import mujoco_warp
 
+        configure_torch_backends()  # as its training does
         configuration = load_env_cfg(request.environment)
         configuration.scene.num_envs = self.num_envs = request.num_envs
         configuration.seed = request.seed
         self._environment = ManagerBasedRlEnv(cfg=configuration, device=request.device)
         self._environment.reset()
+        ages = self._environment.episode_length_buf
+        ages.random_(self._environment.max_episode_length)  # so that some episodes end at every step
         size = self._environment.action_manager.total_action_dim
-        self._shape = (self.num_envs, size)
+        actions = 2.0 * torch.rand((ACTIONS, self.num_envs, size), device=self._environment.device) - 1.0
+        self._actions = cycle(actions.unbind())
         self.facts = Facts(
             engine=f"MuJoCo-Warp {mujoco_warp.__version__}",
             physics_dt=self._environment.physics_dt,
@@ -33,7 +40,7 @@ class MjlabSession(Session):
         )
 
     def step(self) -> None:
-        self._environment.step(2.0 * torch.rand(self._shape, device=self._environment.device) - 1.0)
+        self._environment.step(next(self._actions))
 
     def wait(self) -> None:
         if str(self._environment.device).startswith("cuda"):

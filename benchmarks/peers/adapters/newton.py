@@ -5,11 +5,13 @@ Options are ``physics_dt`` and ``decimation``. Joints get random efforts; nothin
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import newton
 import newton.examples
 import torch
 import warp as wp
-from session import Facts, Request, Session
+from session import ACTIONS, Facts, Request, Session
 
 
 class NewtonSession(Session):
@@ -35,6 +37,8 @@ class NewtonSession(Session):
         efforts = wp.to_torch(self._control.joint_f).view(self.num_envs, -1)
         # The first six are the root's.
         self._efforts = efforts[:, 6:]
+        drawn = 20.0 * torch.rand((ACTIONS, *self._efforts.shape), device=self._efforts.device) - 10.0
+        self._actions = cycle(drawn.unbind())
         self.facts = Facts(
             engine=f"Newton {newton.__version__}, MuJoCo solver",
             physics_dt=self._physics_dt,
@@ -57,7 +61,7 @@ class NewtonSession(Session):
             first, second = second, first
 
     def step(self) -> None:
-        self._efforts.copy_(20.0 * torch.rand_like(self._efforts) - 10.0)
+        self._efforts.copy_(next(self._actions))
         if self._graph is None:
             self._simulate()
         else:

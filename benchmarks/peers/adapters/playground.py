@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from itertools import cycle
+
 import jax
 from mujoco_playground import registry, wrapper
-from session import Facts, Request, Session
+from session import ACTIONS, Facts, Request, Session
+
+# The other side needs memory of the same GPU.
+os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
 class PlaygroundSession(Session):
@@ -14,9 +20,11 @@ class PlaygroundSession(Session):
         self.num_envs = request.num_envs
         one = registry.load(request.environment)
         self._environment = wrapper.wrap_for_brax_training(one)
-        self._key = jax.random.PRNGKey(request.seed)
-        self._state = jax.jit(self._environment.reset)(jax.random.split(self._key, self.num_envs))
-        self._step = jax.jit(self._stepped)
+        key, drawn = jax.random.split(jax.random.PRNGKey(request.seed))
+        self._state = jax.jit(self._environment.reset)(jax.random.split(key, self.num_envs))
+        self._step = jax.jit(self._environment.step)
+        shape = (ACTIONS, self.num_envs, one.action_size)
+        self._actions = cycle(list(jax.random.uniform(drawn, shape, minval=-1.0, maxval=1.0)))
         self.facts = Facts(
             engine=f"MJX, {one.mjx_model.impl.value}",
             physics_dt=one.sim_dt,
@@ -25,13 +33,8 @@ class PlaygroundSession(Session):
             degrees_of_freedom=int(one.mj_model.nv),
         )
 
-    def _stepped(self, state, key):
-        key, drawn = jax.random.split(key)
-        action = jax.random.uniform(drawn, (self.num_envs, self.facts.action_size), minval=-1.0, maxval=1.0)
-        return self._environment.step(state, action), key
-
     def step(self) -> None:
-        self._state, self._key = self._step(self._state, self._key)
+        self._state = self._step(self._state, next(self._actions))
 
     def wait(self) -> None:
         jax.block_until_ready(self._state)

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_learn.description import Part
+from orbit_learn.picture_layers import PlaceEncoder
 
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 # The network ``convolutional``: pictures through convolutions, joined with vectors, into linear layers.
@@ -259,8 +260,13 @@ class PictureEncoder:
     """Channels of each convolution: the first is 5 x 5 pixels wide, the others are 3 x 3."""
     features: int = 128
     """Units of the linear layer."""
+    places: int = 0
+    """Maps whose mean places are features as well, from residual blocks with ``filters`` as their channels
+    (:class:`~orbit_learn.picture_layers.PlaceEncoder`); 0 for plain convolutions."""
 
     def __post_init__(self) -> None:
+        if not 0 <= self.places <= _MOST_FILTERS:
+            raise ValueError(f"an encoder has 0 to {_MOST_FILTERS} places, not {self.places}")
         if not self.pictures or not 0 < len(self.filters) <= 8:
             raise ValueError("an encoder has pictures, and 1 to 8 convolutions")
         if not all(0 < count <= _MOST_FILTERS for count in self.filters) or not 0 < self.features <= _MOST_FEATURES:
@@ -268,10 +274,12 @@ class PictureEncoder:
         if not (self.height > 0 and self.width > 0 and self.height * self.width <= _MOST_PIXELS):
             raise ValueError(f"an encoder's pictures have 1 to {_MOST_PIXELS:,} pixels")
 
-    def build(self, activation: type[nn.Module]) -> nn.Sequential:
+    def build(self, activation: type[nn.Module]) -> nn.Module:
         """Return the module from (N, C, H, W) to (N, features)."""
         layers: list[nn.Module] = []
         taken, height, width = sum(picture.channels for picture in self.pictures), self.height, self.width
+        if self.places:
+            return PlaceEncoder(taken, height, width, self.filters, self.places, self.features, activation)
         for i, given in enumerate(self.filters):
             # A wide first kernel sees more at almost no cost, because the picture has few channels.
             size = 3 if i else 5

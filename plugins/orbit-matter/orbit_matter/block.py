@@ -1,7 +1,8 @@
 """Steps that the threads of a GPU's block take together: waiting, sums and ranks.
 
 Warp's own kernels know no block; these functions are CUDA C++. On a CPU a block is one thread, for which a sum is its
-own number. All threads of a block must call each of them, in the same order.
+own number. All threads of a block must call each of them, in the same order; those ``of_warp`` and ``in_warp``, all
+32 of a warp.
 """
 
 # pyright: reportInvalidTypeForm=false, reportReturnType=false, reportCallIssue=false
@@ -52,6 +53,33 @@ _RANK = """
     return wp::vec_t<2, wp::int32>(0, mine);
 #endif
 """
+_ANY = """
+#ifdef __CUDA_ARCH__
+    return __any_sync(0xffffffffu, mine != 0) ? 1 : 0;
+#else
+    return mine;
+#endif
+"""
+_FIRST = """
+#ifdef __CUDA_ARCH__
+    const unsigned votes = __ballot_sync(0xffffffffu, mine >= 0);
+    if (votes == 0) return wp::vec_t<2, wp::int32>(-1, 0);
+    const int leader = __ffs(votes) - 1;
+    return wp::vec_t<2, wp::int32>(__shfl_sync(0xffffffffu, mine, leader), threadIdx.x % 32 == leader ? 1 : 0);
+#else
+    return wp::vec_t<2, wp::int32>(mine, 1);
+#endif
+"""
+_SUM_OF_WARP = """
+#ifdef __CUDA_ARCH__
+    wp::vec_t<6, float> whole = mine;
+    for (int step = 16; step > 0; step /= 2)
+        for (int n = 0; n < 6; ++n) whole[n] += __shfl_xor_sync(0xffffffffu, whole[n], step);
+    return whole;
+#else
+    return mine;
+#endif
+"""
 
 
 @wp.func_native("""
@@ -71,3 +99,18 @@ def sum_of_block(mine: float) -> float:
 @wp.func_native(_RANK)
 def rank_in_block(mine: int) -> wp.vec2i:
     """Return how many threads before this one have a 1 and not a 0, and how many of all have."""
+
+
+@wp.func_native(_ANY)
+def any_in_warp(mine: int) -> int:
+    """Return 1 if any thread of the warp has a number other than 0, else 0."""
+
+
+@wp.func_native(_FIRST)
+def first_in_warp(mine: int) -> wp.vec2i:
+    """Return the number of the warp's first thread that has none below 0, or -1, and 1 in this thread only."""
+
+
+@wp.func_native(_SUM_OF_WARP)
+def sum_of_warp(mine: wp.spatial_vector) -> wp.spatial_vector:
+    """Return the sum of the vectors of a warp's threads, with the same bits in all of them."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from orbit_matter.block import first_in_warp, sum_of_warp
 from orbit_matter.kernels import FREE, Links, Particles, mass_of, pose_between, target
 from orbit_matter.surfaces import HEIGHT_FIELD, PLANE, Shapes, distance
 
@@ -158,6 +159,30 @@ def feel(felt: Felt, links: Links, env: int, owner: int, link: int, force: wp.ve
         wp.atomic_add(felt.forces, env, owner, link, force)
         arm = x - wp.transform_get_translation(links.link[env, link])
         wp.atomic_add(felt.torques, env, link, wp.cross(arm, force))
+
+
+@wp.func
+def feel_together(felt: Felt, links: Links, env: int, owner: int, link: int, force: wp.vec3, x: wp.vec3):
+    """Add forces as :func:`feel` does, but summed over a warp first: its threads would wait for each other's atomics.
+
+    All threads of a warp must call it, with the same environment; one without a force gives a link of -1.
+    """
+    count, key, wrench = felt.torques.shape[1], int(-1), wp.spatial_vector()
+    if link >= 0 and link < count:
+        arm = x - wp.transform_get_translation(links.link[env, link])
+        wrench = wp.spatial_vector(force, wp.cross(arm, force))
+        key = owner * count + link
+    first = first_in_warp(key)
+    while first[0] >= 0:
+        mine = wp.spatial_vector()
+        if key == first[0]:
+            mine = wrench
+            key = -1
+        whole = sum_of_warp(mine)
+        if first[1] == 1:
+            wp.atomic_add(felt.forces, env, owner, link, wp.spatial_top(whole))
+            wp.atomic_add(felt.torques, env, link, wp.spatial_bottom(whole))
+        first = first_in_warp(key)
 
 
 @wp.func

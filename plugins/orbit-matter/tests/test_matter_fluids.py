@@ -69,7 +69,7 @@ def test_neighbours_among_all_particles_are_those_in_the_cells_around(settled: W
         part.search_again()
         expected = found()
         fluid.neighbours.zero_(), fluid.count.zero_()
-        wp.launch(kernels.compare, (fluid.x.shape[0], 1), inputs=[fluid], block_dim=BLOCK)
+        wp.launch(kernels.compare, (fluid.x.shape[0], int(kernels.SEARCHERS)), inputs=[fluid], block_dim=BLOCK)
         compared = found()
         part.search_again()  # the order of lists, which bits depend on, is the cells' again
     assert max(len(row) for row in expected) > 30

@@ -88,6 +88,9 @@ class WarpEngine(PartedEngine[State, Parameters]):
             self._home_qpos = wp.array(built.model.key_qpos[0], dtype=float)
             self._home_mocap_pos = wp.array(built.model.key_mpos[0].reshape(-1, 3), dtype=wp.vec3)
             self._home_mocap_quat = wp.array(built.model.key_mquat[0].reshape(-1, 4), dtype=wp.quat)
+            self._bounds = wp.array(implicit_bounds(built.model), dtype=float)
+            columns = (addresses.joint_positions, addresses.joint_velocities)
+            self._columns = [wp.array(each, dtype=int) for each in columns]
         self._parameters = Parameters(layout, addresses, self._native, self._graphs)
         self._rays = RayCaster(layout, addresses, self._native, self._graphs)
         self._bodies = torch.as_tensor(addresses.bodies, device=device)
@@ -98,11 +101,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
         self._home_targets = wp.from_torch(self.position_targets[0].clone())
         self._efforts = wp.zeros_like(self._data.actuator_force)
         self._joint_efforts = wp.to_torch(self._efforts)
-        self._bounds = wp.array(implicit_bounds(built.model), dtype=float)
         self._spring_lead = spring_lead(built.model)
-        self._columns = [
-            wp.array(columns, dtype=int) for columns in (addresses.joint_positions, addresses.joint_velocities)
-        ]
         self._contact_forces = wp.to_torch(self._contacts.forces)
         self._wrenches = wp.to_torch(self._data.sensordata).unflatten(1, (-1, 6)) if layout.wrench_links else None
         self._applied = wp.to_torch(self._data.xfrc_applied)

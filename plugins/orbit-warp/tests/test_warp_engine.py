@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,19 +96,33 @@ def test_a_replayed_graph_does_what_its_launches_do() -> None:
     assert torch.equal(recorded.link_velocities, issued.link_velocities)
 
 
-def test_a_recording_that_warp_does_not_replay_beside_a_gpu_tells_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = engine_of(cubes(1))
-    engine.step(1)
+@pytest.mark.parametrize("task", ["Lift", "Soft-Lifting", "Fluid-Transport"])
+def test_no_array_is_made_on_another_device_than_the_worlds(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where Warp sees a GPU, an array that names no device is made there, also for a world on the CPU."""
+    made, depth = wp.array.__init__, 0
+    enter, leave = wp.ScopedDevice.__enter__, wp.ScopedDevice.__exit__
 
-    def fail(graph: wp.Graph, stream: wp.Stream | None = None) -> None:
-        raise RuntimeError("CPU graph replay failed: no operations recorded")
+    def entered(scope: wp.ScopedDevice) -> object:
+        nonlocal depth
+        depth += 1
+        return enter(scope)
 
-    monkeypatch.setattr(wp, "capture_launch", fail)
-    with pytest.raises(RuntimeError, match="no operations recorded"):
-        engine.step(1)
-    monkeypatch.setattr(wp, "is_cuda_available", lambda: True)
-    with pytest.raises(SimulationError, match="CUDA_VISIBLE_DEVICES= in the environment"):
-        engine.step(1)
+    def left(scope: wp.ScopedDevice, *raised: Any) -> None:
+        nonlocal depth
+        depth -= 1
+        leave(scope, *raised)
+
+    def init(array: wp.array, *words: Any, **options: Any) -> None:
+        assert depth or options.get("device") is not None or options.get("ptr") is not None
+        made(array, *words, **options)
+
+    monkeypatch.setattr(wp.ScopedDevice, "__enter__", entered)
+    monkeypatch.setattr(wp.ScopedDevice, "__exit__", left)
+    monkeypatch.setattr(wp.array, "__init__", init)
+    environment = make(task, 2, "warp")
+    environment.reset()
+    environment.step(torch.zeros(2, environment.action_size))
+    environment.close()
 
 
 def test_states_are_the_engines_own_memory() -> None:

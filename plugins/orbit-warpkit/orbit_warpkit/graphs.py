@@ -20,8 +20,6 @@ from typing import Any
 import torch
 import warp as wp
 
-from orbit_core.interfaces import SimulationError
-
 # Seconds of compilation before a line is printed for the user.
 _SILENT_FOR = 4.0
 
@@ -57,7 +55,7 @@ class Graphs:
             if key not in self._recorded:
                 with _announced(self.device):
                     self._recorded[key] = self._record(launches, stream)
-            replay(self._recorded[key], stream)
+            wp.capture_launch(self._recorded[key], stream=stream)
 
     def run_side_by_side(self, launches: Mapping[Hashable, Callable[[], None]]) -> None:
         """Run each as :meth:`run` does: on a CPU in threads of their own, for what one recording does not touch of
@@ -73,8 +71,8 @@ class Graphs:
         # One thread less than launches: the caller's own takes the first.
         self._threads = self._threads or ThreadPoolExecutor(len(launches) - 1, "orbit-warp")
         first, *others = (self._recorded[key] for key in launches)
-        running = [self._threads.submit(replay, other) for other in others]
-        replay(first)
+        running = [self._threads.submit(wp.capture_launch, other) for other in others]
+        wp.capture_launch(first)
         for each in running:
             each.result()
 
@@ -99,7 +97,7 @@ class Graphs:
                 own = torch.cuda.ExternalStream(self._own.cuda_stream, device=self._torch_device)
                 with torch.cuda.stream(own), torch.cuda.use_mem_pool(self._pool):
                     self._recorded[key] = self._record(operations, stream)
-            replay(self._recorded[key], stream)
+            wp.capture_launch(self._recorded[key], stream=stream)
 
     def forget(self) -> None:
         """Drop all recordings: an array that they use was replaced."""
@@ -143,23 +141,6 @@ class Graphs:
             if graph is not None and capture.graph is None:
                 graph.graph = None
             raise
-
-
-def replay(graph: wp.Graph, stream: wp.Stream | None = None) -> None:
-    """Launch a recording.
-
-    Raises:
-        SimulationError: on a CPU beside a GPU, whose recordings Warp 1.19 has been seen not to replay.
-    """
-    try:
-        wp.capture_launch(graph, stream=stream)
-    except RuntimeError as error:
-        if graph.device.is_cpu and wp.is_cuda_available():
-            raise SimulationError(
-                f"Warp does not replay what it recorded on the CPU of a machine whose GPU it sees ({error}): hide the "
-                "GPU by CUDA_VISIBLE_DEVICES= in the environment, or take device='cuda'"
-            ) from error
-        raise
 
 
 @contextlib.contextmanager

@@ -8,9 +8,10 @@ shown without the sign of their quaternion.
 
 from __future__ import annotations
 
+import bisect
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -30,10 +31,16 @@ _LAST_ACTION = "last_action"
 _GRIPPER = "binary_gripper"
 # Beginnings of terms' formulas.
 _POSITIONS, _VELOCITIES = "measured position of each joint", "measured velocity of each joint"
+_SEVERAL = "positions of "
+# Of a term whose columns are several positions, such as the key points of a cloth; more are shown as they are.
+_MOST_POSITIONS = 12
+_MOST_VECTORS = 32
 # Six numbers of the matrix and two quaternions.
 _ROTATION_FEATURES = 14
 # A turn within a quarter, as a vector.
 _QUARTER_FEATURES = 3
+# Mean places that each set of pictures is shown as.
+_PLACES = 32
 # Metres or radians by which the measured positions of a gripper's joints are disturbed in training.
 _BLUR = 0.002
 
@@ -50,7 +57,8 @@ class Encoding:
     """Columns that the network does not see: the last action, which it would learn to copy, and velocities of a
     gripper's joints, which engines report differently where contacts stop them."""
     vectors: tuple[int, ...] = ()
-    """First columns of positions and distances (3 columns in metres), of which fine differences are shown."""
+    """First columns of positions and distances (3 columns in metres), of which fine differences are shown, but of those
+    within a term, such as the key points of a cloth."""
     rotations: tuple[int, ...] = ()
     """First columns of unit quaternions (4 columns; w, x, y, z), shown as ``rotation_features`` in their place."""
     joints: tuple[int, ...] = ()
@@ -77,8 +85,8 @@ class Encoding:
             raise ValueError(f"an encoding's columns are 0 to {size - 1}")
         if not len(self.joints) == len(self.gains) == len(self.biases):
             raise ValueError("joints, gains and biases are as many as components of the action")
-        if len(self.vectors) > 32:
-            raise ValueError("an encoding shows fine differences of up to 32 positions")
+        if len(self.vectors) > _MOST_VECTORS:
+            raise ValueError(f"an encoding shows fine differences of up to {_MOST_VECTORS} positions")
 
     @property
     def vector_size(self) -> int:
@@ -88,11 +96,17 @@ class Encoding:
     @property
     def feature_size(self) -> int:
         """F, numbers that the network sees in addition to features of pictures."""
-        count = len(self.vectors)
-        pairs = count * (count - 1) // 2
+        count, pairs = len(self.vectors), len(self.pairs)
         turns = _ROTATION_FEATURES + _QUARTER_FEATURES * self.quarters
         shown = self.vector_size - len(self.replaced) + turns * len(self.rotations)
         return shown + 3 * pairs + 3 * (count + pairs)
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Places in ``vectors`` of the positions whose difference is shown: those of different terms."""
+        ends = list(itertools.accumulate(part.size for part in self.parts if not part.is_picture))
+        terms = [bisect.bisect(ends, column) for column in self.vectors]
+        return tuple(pair for pair in itertools.combinations(range(len(terms)), 2) if terms[pair[0]] != terms[pair[1]])
 
     @property
     def replaced(self) -> frozenset[int]:
@@ -118,9 +132,10 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
             begin += part.size
     hidden = [c for p in parts if p.name == _LAST_ACTION for c in range(columns[p.name], columns[p.name] + p.size)]
     hidden += _of_gripper(manifest, terms, columns, _VELOCITIES)
-    placed = [name for name, term in terms.items() if name in columns and _is_position(term)]
-    vectors = [columns[name] for name in placed]
-    rotations = [columns[name] + 3 for name in placed if tuple(terms[name].shape) == (7,)]
+    vectors = [
+        columns[name] + 3 * i for name, term in terms.items() if name in columns for i in range(_positions_in(term))
+    ]
+    rotations = [columns[name] + 3 for name, term in terms.items() if name in columns and _is_pose(term)]
     joints: list[int] = []
     gains: list[float] = []
     biases: list[float] = []
@@ -133,17 +148,30 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
             gains.append(gain)
             biases.append(bias)
     pictures = () if concatenated else convolutional(parts, ()).encoders
+    pictures = tuple(replace(encoder, places=_PLACES) for encoder in pictures)
     return Encoding(
         parts, concatenated, tuple(hidden), tuple(vectors), tuple(rotations), tuple(joints), tuple(gains),
         tuple(biases), tuple(binary), pictures, bool(rotations), _of_gripper(manifest, terms, columns, _POSITIONS),
     )  # fmt: skip
 
 
-def _is_position(term: ObservationTermManifest) -> bool:
-    """Return True if a term's first three columns are a position or a distance in metres."""
-    shape = tuple(term.shape)
-    placed = (term.unit == "m" and shape == (3,)) or (term.unit.startswith("m, quaternion") and shape == (7,))
-    return placed and term.history == 1 and term.scale == 1.0
+def _positions_in(term: ObservationTermManifest) -> int:
+    """Return how many positions or distances in metres, of three columns each, a term begins with."""
+    if term.history != 1 or term.scale != 1.0:
+        return 0
+    if _is_pose(term):
+        return 1
+    several = term.formula.startswith(_SEVERAL) and len(term.shape) == 1 and term.shape[0] % 3 == 0
+    if term.unit != "m" or not (several or tuple(term.shape) == (3,)):
+        return 0
+    count = term.shape[0] // 3
+    return count if count <= _MOST_POSITIONS else 0
+
+
+def _is_pose(term: ObservationTermManifest) -> bool:
+    """Return True if a term is a position and a quaternion."""
+    plain = term.history == 1 and term.scale == 1.0
+    return plain and term.unit.startswith("m, quaternion") and tuple(term.shape) == (7,)
 
 
 def _of_gripper(
@@ -273,7 +301,7 @@ class Encoder(nn.Module):
         super().__init__()
         self.encoding = encoding
         shown = [column for column in range(encoding.vector_size) if column not in encoding.replaced]
-        pairs = list(itertools.combinations(range(len(encoding.vectors)), 2))
+        pairs = encoding.pairs
         _keep(self, "shown", shown, torch.int64)
         _keep(self, "turned", [begin + i for begin in encoding.rotations for i in range(4)], torch.int64)
         _keep(self, "places", [begin + axis for begin in encoding.vectors for axis in range(3)], torch.int64)

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_matter.block import BOUNDS
-from orbit_matter.contact import NEAREST, STILL, Felt, Normals, carried, feel, normal_of, surface
+from orbit_matter.block import BLOCK, BOUNDS, any_in_warp
+from orbit_matter.contact import NEAREST, STILL, Felt, Normals, carried, feel, feel_together, normal_of, surface
 from orbit_matter.fluid.pairs import LANES, diverged_from, keep, pressed_by
 from orbit_matter.kernels import Links
 from orbit_matter.self_contact import bucket_of, cell_of
@@ -48,6 +48,9 @@ LEVELLING = wp.constant(8.0)
 third more than this would overshoot."""
 COMPARED = 4096
 """Particles up to which a GPU compares each with all others rather than with those in the cells around it."""
+SEARCHERS = wp.constant(4 * BLOCK)
+"""Threads that compare the particles of an environment: few environments search at a time, and one block each would
+leave most of a GPU empty."""
 CLEARERS = wp.constant(64)
 """Threads that empty the cells of an environment."""
 
@@ -231,7 +234,7 @@ def find(f: Fluid):
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def compare(f: Fluid):
-    """Find neighbours as :func:`find` does, but among all particles, a block of threads for an environment.
+    """Find neighbours as :func:`find` does, but among all particles, SEARCHERS threads for an environment.
 
     A GPU waits for each step along the particles of a cell; all threads of a block read the same particle at a time.
     """
@@ -239,7 +242,7 @@ def compare(f: Fluid):
     if f.stale[env] == 0:
         return
     most = f.neighbours.shape[2]
-    for i in range(lane, f.x.shape[1], wp.block_dim()):
+    for i in range(lane, f.x.shape[1], SEARCHERS):
         x, near = f.searched[env, i], int(0)
         for j in range(f.x.shape[1]):
             way = f.searched[env, j] - x
@@ -333,21 +336,28 @@ def push(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[w
     """Accelerate particles by pressure, viscosity and gravity, and press on links."""
     env, lane = wp.tid()
     rows = keep(f.place, f.motion, env, f.place.shape[1])
-    for i in range(lane, f.x.shape[1], wp.block_dim()):
+    # All threads of a warp take as many turns, as they sum forces together.
+    for first in range(0, f.x.shape[1], wp.block_dim()):
+        i = first + lane
         push_one(f, rows, links, shapes, felt, gravity, h, share, env, i)
 
 
 @wp.func
 def push_one(
     f: Fluid, rows: wp.uint64, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float,
-    share: float, env: int, i: int,
+    share: float, env: int, particle: int,
 ):  # fmt: skip
+    # A thread beyond the last particle has no neighbours, no walls, and nothing to write.
+    i = wp.min(particle, f.x.shape[1] - 1)
+    count, walls = int(0), int(0)
+    if particle == i:
+        count = int(f.count[env, i])
+        walls = int(f.walls[env, i])
     x, v, g, owner = f.x[env, i], f.v[env, i], gravity[env], f.owner[i]
     own, half = f.motion[env, i][3], 0.5 / f.length
     scale = f.parameters[env, owner, 0]
     density, viscosity = f.rest_density[i] * scale * f.s[env, i], f.viscosity[i]
     soft, shock = 0.01 * f.length * f.length, density * SHOCK
-    count = f.count[env, i]
     found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock)
     pressing, rubbing = wp.vec3(found[0], found[1], found[2]), wp.vec3(found[3], found[4], found[5])
     # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)
@@ -355,27 +365,34 @@ def push_one(
     # A particle is within its own kernel.
     packed = (found[6] + 1.0) * f.peak
     mass = f.rest_density[i] * scale * f.volume
-    for k in range(f.walls[env, i]):
-        wall = f.shape[env, i, k]
-        plane = f.plane[env, i, k]
-        weight = f.weight[env, i, k]
-        packed += weight[1] - weight[0] * plane[3]
-        n = wp.vec3(plane[0], plane[1], plane[2])
-        passed = v - carried(links, env, wall, x) / h
-        near, toward = wp.max(plane[3], 0.5 * f.spacing), -wp.dot(n, passed)
-        closing = wp.max(toward, 0.0) * f.length / near
-        # No more than what stops it within the substep.
-        stopped = wp.min(SHOCK * closing * closing * weight[0], wp.max(toward, 0.0) / h)
-        pressed = 2.0 * own * weight[0] / density - wp.dot(g, n) * weight[1] + stopped
-        slid = passed + n * toward
-        rubbed = wp.min(2.0 * viscosity / density * weight[0] / near, 1.0 / h)
-        given = n * pressed - slid * rubbed
-        a += given
-        kind = env % shapes.kind.shape[0]
-        feel(felt, links, env, owner, shapes.link[kind, wall], given * (-mass * share), x - n * plane[3])
-    f.packed[env, i] = packed
-    ahead = v + (a + g) * h
-    f.pushed[env, i] = wp.vec4(ahead[0], ahead[1], ahead[2], f.s[env, i])
+    kind, k = env % shapes.kind.shape[0], int(0)
+    while any_in_warp(int(k < walls)) == 1:
+        link, force, at = int(-1), wp.vec3(), wp.vec3()
+        if k < walls:
+            wall = f.shape[env, i, k]
+            plane = f.plane[env, i, k]
+            weight = f.weight[env, i, k]
+            packed += weight[1] - weight[0] * plane[3]
+            n = wp.vec3(plane[0], plane[1], plane[2])
+            passed = v - carried(links, env, wall, x) / h
+            near, toward = wp.max(plane[3], 0.5 * f.spacing), -wp.dot(n, passed)
+            closing = wp.max(toward, 0.0) * f.length / near
+            # No more than what stops it within the substep.
+            stopped = wp.min(SHOCK * closing * closing * weight[0], wp.max(toward, 0.0) / h)
+            pressed = 2.0 * own * weight[0] / density - wp.dot(g, n) * weight[1] + stopped
+            slid = passed + n * toward
+            rubbed = wp.min(2.0 * viscosity / density * weight[0] / near, 1.0 / h)
+            given = n * pressed - slid * rubbed
+            a += given
+            link = shapes.link[kind, wall]
+            force = given * (-mass * share)
+            at = x - n * plane[3]
+        feel_together(felt, links, env, owner, link, force, at)
+        k += 1
+    if particle == i:
+        f.packed[env, i] = packed
+        ahead = v + (a + g) * h
+        f.pushed[env, i] = wp.vec4(ahead[0], ahead[1], ahead[2], f.s[env, i])
 
 
 @wp.func

@@ -126,4 +126,4 @@ class FluidPart:
         if f.x.device.is_cpu or self._p > kernels.COMPARED:
             wp.launch(kernels.find, shape, inputs=[f])
         else:
-            wp.launch(kernels.compare, (self._n, BLOCK), inputs=[f], block_dim=BLOCK)
+            wp.launch(kernels.compare, (self._n, int(kernels.SEARCHERS)), inputs=[f], block_dim=BLOCK)
