@@ -26,11 +26,13 @@ CODE := orbit_core orbit_tasks packages bridges plugins tests benchmarks assets 
 
 # Kernels, compiled steps, parsed robots and wheels may be kept between runs, and runs may share them.
 export ORBIT_TEST_CACHE ?= $(HOME)/.cache/orbit-tests
+# Bytecode is written, whatever the machine's habit: nothing is compiled by pip, and torch takes 5 s to compile.
+unexport PYTHONDONTWRITEBYTECODE
 CACHED := sh tools/with_caches.sh
 PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
 # Every scenario is a test as well, for those who write them; `conformance` runs them here.
 UNITS := --ignore tests/conformance/test_scenarios.py
-# Robots in real time have the machine for themselves.
+# Robots in real time have no other tests beside them; they come first, so that two processes find bytecode that one wrote.
 REAL_TIME := tests/deploy tests/ros
 
 .PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
@@ -44,9 +46,13 @@ view: $(VENV)/.ready
 	$(BIN)/orbit view Lift --backend mujoco
 
 # All fast tests, a thirtieth of the slow ones that changes with each commit, and the slow ones that a change concerns.
-test: $(VENV)/.ready-dev lint types unit conformance example
+# Types are checked beside them, by one thread: two would take 1.6 times as much of the cores in all.
+test: $(VENV)/.ready-dev lint
+	@mkdir -p out
+	nice $(MAKE) types >out/types.txt 2>&1 & $(MAKE) unit conformance example; failed=$$?; \
+		wait $$! || failed=1; cat out/types.txt; exit $$failed
 
-# Everything, once. Its measurements are what `make slow-list` reads.
+# Everything, once.
 test-all: $(VENV)/.ready-dev lint types unit-all conformance-all example-all
 
 lint: $(VENV)/.ready-dev
@@ -55,19 +61,16 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/python tools/docs_site.py check
 
 types: $(VENV)/.ready-dev
-	$(BIN)/basedpyright --threads
+	$(BIN)/basedpyright
 
 # Test processes share the cores, and torch's threads would only wait for each other.
 unit unit-all coverage example example-all mutants: export OMP_NUM_THREADS = 1
 unit-all coverage example-all: export ORBIT_TEST_ALL = 1
 
-unit: $(VENV)/.ready-dev
-	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --tier quick
-	$(CACHED) $(BIN)/pytest $(REAL_TIME) --tier quick
-
-unit-all: $(VENV)/.ready-dev
-	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) --durations-to out/durations/units.json
-	$(CACHED) $(BIN)/pytest $(REAL_TIME) --durations-to out/durations/real_time.json
+unit: TIER := --tier quick
+unit unit-all: $(VENV)/.ready-dev
+	$(CACHED) $(BIN)/pytest $(REAL_TIME) $(TIER) --durations-to out/durations/real_time.json
+	$(PYTEST) $(UNITS) $(REAL_TIME:%=--ignore %) $(TIER) --durations-to out/durations/units.json
 
 # The same, a third slower, with the share of lines that it runs.
 coverage: $(VENV)/.ready-dev
@@ -98,7 +101,7 @@ out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.p
 
 example: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
-	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --tier quick && \
+	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --tier quick --durations-to out/durations/example.json && \
 	$(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $$($(BIN)/python -m tests.tiers share $(EXAMPLE_SCENARIOS)) && wait $$!
 
 example-all: out/orbit-torch
@@ -111,7 +114,7 @@ example-all: out/orbit-torch
 mutants: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants
 
-# Bring the list of slow tests up to what the last `make test-all` measured.
+# Bring the list of slow tests up to what the last `make test` or `make test-all` measured.
 slow-list: $(VENV)/.ready-dev
 	$(BIN)/python -m tests.tiers refresh
 

@@ -15,7 +15,7 @@ from tests.tiers.revision import current_revision
 from tests.tiers.slow_list import SLOW_LIST, TURNS, read_slow_list, refreshed, write_slow_list
 
 DURATIONS = Path("out/durations")
-"""Folder of the seconds that the last run of all tests measured."""
+"""Folder of the seconds that the last runs of tests measured."""
 
 
 def refresh(durations: Path = DURATIONS, path: Path = SLOW_LIST) -> int:
@@ -25,7 +25,7 @@ def refresh(durations: Path = DURATIONS, path: Path = SLOW_LIST) -> int:
     tests = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(durations.glob("*.json"))]
     jobs = measured_jobs(OUTPUT.rglob("result.json"))
     if not tests and not jobs:
-        print("nothing was measured yet: run `make test-all` first", file=sys.stderr)
+        print("nothing was measured yet: run `make test` or `make test-all` first", file=sys.stderr)
         return 1
     measured = jobs | {name: seconds for run in tests for name, seconds in run["seconds"].items()}
     listed = read_slow_list(path)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from orbit_assets.catalogue import robot_info, robot_names
+from orbit_conformance.hardware import cores
+from orbit_conformance.journal import LOG
+from orbit_conformance.pools import LocalPool
+from orbit_conformance.runner import run
 from orbit_conformance.scenarios import SCENARIOS
+from orbit_conformance.settings import choose
 from orbit_core.backends import backend_names
 from orbit_core.envs.registry import task_entries, task_entry
 from tests.tiers.revision import Revision, current_revision
@@ -33,16 +36,20 @@ def run_quick(output: Path = QUICK_OUTPUT) -> int:
     known = {name: seconds for name, seconds in listed.items() if name in names}
     selection = select(known, revision, touched_jobs(names, revision.changed))
     chosen = [name for name in names if name not in known or name in selection.chosen]
-    program = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())", "conformance"]
-    failed = 0
-    for folder, arguments in commands(chosen, names, revision):
-        # Fresh, for what an interrupted run of another commit left there is of other jobs.
-        words = [*program, *arguments, "--fresh", "--output", str(output / folder)]
-        failed |= subprocess.run(words, check=False).returncode
+    failed = False
+    for folder, choice in runs(chosen, known, revision).items():
+        folder = output / folder
+        # Fresh, for what an interrupted run of another commit left there is of other jobs. No report: its plots take a
+        # quarter of the time, and `orbit conformance report` makes it where a run failed.
+        result = run(choose(quick=True, **choice), folder, LocalPool(cores(), 900.0, folder / LOG), fresh=True)
+        print(f"{folder}: {len(result.judged)} jobs, {len(result.objections)} not as declared")
+        for record in result.objections:
+            print(f"{record.job.key}: {record.status.value}: {record.why}")
+        failed |= bool(result.objections)
     print(f"conformance: {selection.describe(revision.turn)}")
     if gone := sorted({*listed} - {*names}):
         print(f"the slow list names {len(gone)} jobs that are gone (`make slow-list`): {gone[0]} ...")
-    return int(failed != 0)
+    return int(failed)
 
 
 def suite_names() -> dict[str, str]:
@@ -64,26 +71,40 @@ def touched_jobs(names: Mapping[str, str], changed: Iterable[str]) -> set[str]:
     return {name for name, module in names.items() if module in modules}
 
 
-def commands(chosen: Iterable[str], names: Iterable[str], revision: Revision) -> list[tuple[str, list[str]]]:
-    """Return the runs, each as a folder and the arguments of ``orbit conformance``.
+def runs(
+    chosen: Iterable[str], known: Mapping[str, float], revision: Revision
+) -> dict[str, dict[str, tuple[str, ...]]]:
+    """Return what each run chooses of the suite, by its folder.
 
-    Scenarios run on every backend; on a backend whose plugin changed, all of them do.
+    Scenarios run on every backend. Of a backend whose plugin changed the other scenarios run as well, of which those of
+    the coming turns come first and take no longer than slow tests do that a change concerns.
+
+    Args:
+        chosen: names of this commit's jobs.
+        known: seconds of each slow job over all its backends.
+        revision: commit under test.
     """
-    by_kind: dict[str, list[str]] = defaultdict(list)
-    for name in chosen:
-        kind, _, own = name.partition("/")
-        by_kind[kind].append(own)
-    runs = [("scenarios", ["--quick", "--scenario", *by_kind["scenario"]])] if by_kind["scenario"] else []
-    others = [f"--{kind}" for kind in ("robot", "task") if by_kind[kind]]
-    if others:
-        parts = [*(["robots"] if by_kind["robot"] else []), *(["tasks", "transfers"] if by_kind["task"] else [])]
-        lists = [word for flag in others for word in (flag, *by_kind[flag.removeprefix("--")])]
-        runs.append(("tasks", ["--quick", "--part", *parts, *lists, "--backend", *TASK_BACKENDS]))
-    rest = [name.partition("/")[2] for name in names if name.startswith("scenario/")]
-    rest = [name for name in rest if name not in by_kind["scenario"]]
-    for backend in sorted(touched_backends(revision.changed) & {*backend_names()}):
-        runs.append((f"scenarios-{backend}", ["--quick", "--backend", backend, "--scenario", *rest]))
-    return [(folder, arguments) for folder, arguments in runs if arguments[-1] not in ("--scenario",)]
+    own = {
+        kind: tuple(name for name in chosen if name.startswith(f"{kind}/")) for kind in ("scenario", "robot", "task")
+    }
+    parts = (("robots",) if own["robot"] else ()) + (("tasks", "transfers") if own["task"] else ())
+    found: dict[str, dict[str, tuple[str, ...]]] = {}
+    if own["scenario"]:
+        found["scenarios"] = {"scenarios": _words(own["scenario"])}
+    if parts:
+        found["tasks"] = {"parts": parts, "backends": TASK_BACKENDS}
+        found["tasks"] |= {f"{kind}s": _words(own[kind]) for kind in ("robot", "task") if own[kind]}
+    everywhere = {*backend_names()}
+    if touched := tuple(sorted(touched_backends(revision.changed) & everywhere)):
+        part = len(touched) / len(everywhere)
+        left = {n: part * s for n, s in known.items() if n.startswith("scenario/") and n not in own["scenario"]}
+        if names := _words(sorted(select(left, revision, left).chosen)):
+            found["scenarios-touched"] = {"scenarios": names, "backends": touched}
+    return found
+
+
+def _words(names: Iterable[str]) -> tuple[str, ...]:
+    return tuple(name.partition("/")[2] for name in names)
 
 
 def measured_jobs(results: Iterable[Path]) -> dict[str, float]:

@@ -6,11 +6,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from orbit_core.backends import backend_names
 from tests.tiers.__main__ import refresh
-from tests.tiers.conformance import commands, touched_jobs
+from tests.tiers.conformance import TASK_BACKENDS, runs, touched_jobs
+from tests.tiers.plugin import Tiers
 from tests.tiers.revision import Revision, current_revision
 from tests.tiers.selection import CHANGE_SECONDS, select
 from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed, turns, write_slow_list
@@ -141,15 +144,20 @@ def test_a_change_of_a_shared_package_concerns_every_backend_that_is_built_on_it
     assert touched_backends(["plugins/orbit-sapien/README.md", "orbit_core/files.py"]) == set()
 
 
-def test_a_changed_plugin_runs_all_scenarios_on_its_backend() -> None:
+def test_a_changed_plugin_runs_slow_scenarios_on_its_backend_for_as_long_as_a_change_may() -> None:
     names = {"scenario/free_fall": "a", "scenario/spin_down": "b", "robot/ur10": "c", "task/Lift": "orbit_tasks.lift"}
     assert touched_jobs(names, ["orbit_tasks/lift.py"]) == {"task/Lift"}
     changed = frozenset({"plugins/orbit-mujoco/orbit_mujoco/engine.py"})
-    runs = dict(commands(["scenario/free_fall", "task/Lift"], names, Revision(0, changed)))
-    assert runs["scenarios"] == ["--quick", "--scenario", "free_fall"]
-    assert runs["scenarios-mujoco"] == ["--quick", "--backend", "mujoco", "--scenario", "spin_down"]
-    assert "--robot" not in runs["tasks"]
-    assert runs["tasks"][:6] == ["--quick", "--part", "tasks", "transfers", "--task", "Lift"]
+    known = {"scenario/spin_down": 2.0, "task/Jenga": 3.0, **{f"scenario/long_{i}": 30.0 for i in range(200)}}
+    found = runs(["scenario/free_fall", "task/Lift"], known, Revision(0, changed))
+    assert found["scenarios"] == {"scenarios": ("free_fall",)}
+    assert found["tasks"] == {"parts": ("tasks", "transfers"), "backends": TASK_BACKENDS, "tasks": ("Lift",)}
+    touched = found["scenarios-touched"]
+    assert touched["backends"] == ("mujoco",)
+    seconds = sum(known[f"scenario/{name}"] for name in touched["scenarios"]) / len(backend_names())
+    turn = sum(known.values()) / len(backend_names()) / TURNS
+    assert CHANGE_SECONDS - 30.0 < seconds < CHANGE_SECONDS + 2.0 * turn
+    assert "scenarios-touched" not in runs(["scenario/free_fall"], known, Revision(0))
 
 
 def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
@@ -169,6 +177,18 @@ def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
     assert f"{TURNS + 1} passed, {TURNS - 1} deselected" in done.stdout, done.stdout + done.stderr
     assert f"1 of {TURNS} slow ones, 5 of {5 * TURNS} s" in done.stdout
     assert "names 1 tests that are gone" in done.stdout
+
+
+def test_seconds_in_which_a_test_had_no_core_do_not_count(pytestconfig: pytest.Config) -> None:
+    waited = iter((5.0, 7.0, 7.0))
+    tiers = Tiers(pytestconfig, lambda: next(waited))
+    for expected in (0.5, 2.5):
+        report = SimpleNamespace(duration=2.5)
+        phase = tiers.pytest_runtest_makereport()
+        next(phase)
+        with pytest.raises(StopIteration):
+            phase.send(report)
+        assert report.duration == expected
 
 
 def test_caches_move_with_the_variable_and_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
