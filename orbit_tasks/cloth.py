@@ -185,15 +185,22 @@ def pressing(world: World) -> TermFunction:
     return pose
 
 
-def pinching(world: World) -> tuple[Phase, ...]:
+def pinching(world: World, rest: float = 0.0) -> tuple[Phase, ...]:
     """Phases that take the cloth by its middle where it is flat on a low tray.
 
     The open fingers press on it, and as they close the cloth between them buckles up and is held.
+
+    Args:
+        world: with the arm.
+        rest: seconds that the fingers rest on the cloth before they close.
     """
     opened = TRAY - pressed(world) + finger_reach(world, closed=False)
+    down = over(middle, opened)
+    resting = (Phase(down, position_tolerance=0.03, dwell=rest, timeout=rest),) if rest else ()
     return (
         Phase(over(middle, opened + 0.1), position_tolerance=0.02, free=True),
-        Phase(over(middle, opened), position_tolerance=0.008, timeout=1.0),
+        Phase(down, position_tolerance=0.008, timeout=1.0),
+        *resting,
         Phase(pressing(world), gripper_open=False, dwell=0.7, timeout=0.7),
     )
 

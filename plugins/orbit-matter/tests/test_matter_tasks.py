@@ -36,6 +36,21 @@ def test_an_arm_whose_fingers_close_on_arcs_lifts_cloth() -> None:
     environment.close()
 
 
+def test_fingers_rest_on_the_cloth_before_they_close_to_lift_it() -> None:
+    """A clone closes them some steps too soon: without the rest, above the cloth."""
+    environment = make("Cloth-Lifting", 1, "mujoco", seed=0)
+    expert = environment.task.expert(environment)
+    environment.reset(seed=0)
+    heights: list[float] = []
+    while (action := expert.compute({})["action"])[0, -1] > 0.0:
+        heights.append(float(common.hand_pose(environment)[0, 2]))
+        environment.step(action)
+        assert len(heights) < 120, "the fingers never closed"
+    environment.close()
+    assert max(heights[-15:]) < 0.032, "the fingers touch the cloth with the hand at 31.5 mm"
+    assert max(heights) > 0.3
+
+
 def test_a_hand_lifts_a_soft_block_by_friction_and_hardly_squeezes_it() -> None:
     environment = make("Soft-Lifting", 1, "mujoco", seed=0)
     task = environment.task
