@@ -99,7 +99,7 @@ def test_every_cell_is_recorded_trained_and_evaluated(tmp_path: Path) -> None:
     assert len({words[words.index("--seed") + 1] for words in recorded}) == 4
     assert "start_spread=0.0" in jobs["train.goal.joint_position.act.1"].words()
     assert "--cameras" in jobs["record.both.pictures.0"].words()
-    assert sum(name.startswith("evaluate.both.pictures.bc.bullet") for name in jobs) == 10
+    assert sum(name.startswith("evaluate.both.pictures.bc.bullet") for name in jobs) == 25
     assert "evaluate.both.joint_position.bc.bullet.0" in jobs
     # All seeds of an algorithm, and their evaluations, come before the next algorithm, and a cell before the next.
     places = {name: place for place, name in enumerate(jobs)}
