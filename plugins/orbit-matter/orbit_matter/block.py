@@ -5,7 +5,7 @@ own number. All threads of a block must call each of them, in the same order; th
 32 of a warp.
 """
 
-# pyright: reportInvalidTypeForm=false, reportReturnType=false, reportCallIssue=false
+# pyright: reportInvalidTypeForm=false, reportReturnType=false, reportCallIssue=false, reportGeneralTypeIssues=false
 # Functions are compiled by Warp; to Python they are annotations that no type checker can follow.
 
 from __future__ import annotations
