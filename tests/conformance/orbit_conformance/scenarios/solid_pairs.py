@@ -187,9 +187,9 @@ SCENARIOS = (
             Metric(
                 name="speed",
                 unit="m/s",
-                tolerance=0.05,
+                tolerance=0.1,
                 meaning="of the cloth's middle of mass",
-                looser_because="its corners swing for long",
+                looser_because="its corners swing for long: natively on MuJoCo at 0.04 to 0.08 m/s two seconds later",
             ),
         ),
     ),
