@@ -1,6 +1,6 @@
 # make demo    a Franka lifts cubes on MuJoCo; the video lands in out/lift.mp4
 # make view    the same, live in the browser
-# make test    style, types, all fast tests, a thirtieth of the slow ones, and the like of the conformance suite
+# make test    style, types, all fast tests, a sixtieth of the slow ones, and the like of the conformance suite
 # make test-all  everything
 # make docs    the documentation site, strictly, into out/site; make docs-view serves it
 # Each sets up the environment in .venv first, as far as it needs it.
@@ -45,7 +45,7 @@ demo: $(VENV)/.ready
 view: $(VENV)/.ready
 	$(BIN)/orbit view Lift --backend mujoco
 
-# All fast tests, a thirtieth of the slow ones that changes with each commit, and the slow ones that a change concerns.
+# All fast tests, a sixtieth of the slow ones that changes with each commit, and the slow ones that a change concerns.
 # Types are checked beside them, by one thread: two would take 1.6 times as much of the cores in all.
 test: $(VENV)/.ready-dev lint
 	@mkdir -p out
@@ -90,7 +90,7 @@ conformance-all: $(VENV)/.ready-dev
 	&& wait $$!
 
 # The backend that docs/write-a-backend.md builds, installed next to the environment so that nothing else sees it, and a
-# thirtieth of its scenarios and mutants.
+# sixtieth of its scenarios and mutants.
 EXAMPLE := PYTHONPATH=out/orbit-torch:. $(CACHED)
 EXAMPLE_TESTS := -k torch tests/conformance/orbit_conformance/contract/test_conformance_*.py
 EXAMPLE_RUN := conformance --quick --backend torch --matter native --output out/conformance-torch --scenario

@@ -1,7 +1,7 @@
 """``python -m tests.tiers conformance``: run this commit's share of the conformance suite.
 
 ``refresh`` brings the slow list up to the last measurement, ``turn`` prints this commit's turn, and ``share WORD ...``
-prints every thirtieth word from the turn-th on, or all where the change touches the example backend.
+prints every sixtieth word from the turn-th on, or all where the change touches the example backend.
 """
 
 from __future__ import annotations

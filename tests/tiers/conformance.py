@@ -1,4 +1,4 @@
-"""Choose a commit's share of the suite: fast jobs, a thirtieth of the slow ones, what the change concerns."""
+"""Choose a commit's share of the suite: fast jobs, a sixtieth of the slow ones, what the change concerns."""
 
 from __future__ import annotations
 

@@ -32,13 +32,13 @@ _COLLECTED, _GONE = "tiers_collected", "tiers_gone"
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("tiers")
-    group.addoption("--tier", choices=("quick", "all"), default="all", help="quick: a thirtieth of the slow tests")
+    group.addoption("--tier", choices=("quick", "all"), default="all", help="quick: a sixtieth of the slow tests")
     group.addoption("--durations-to", metavar="FILE", type=Path, help="write the seconds of each test, as JSON")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "slow: measured to be slow (tests/tiers/slow.txt); one commit in thirty runs it")
-    config.addinivalue_line("markers", "rotates: one of many alike; one commit in thirty runs each, slow or not")
+    config.addinivalue_line("markers", "slow: measured to be slow (tests/tiers/slow.txt); one commit in sixty runs it")
+    config.addinivalue_line("markers", "rotates: one of many alike; one commit in sixty runs each, slow or not")
     config.pluginmanager.register(Tiers(config), "orbit-tiers")
 
 

@@ -29,7 +29,7 @@ class Revision:
 def current_revision(root: Path = ROOT) -> Revision:
     """Read the revision of the checkout at ``root``.
 
-    The turn is the number of commits modulo thirty, so that thirty commits in a row run every slow test; the
+    The turn is the number of commits modulo sixty, so that sixty commits in a row run every slow test; the
     environment variable ``ORBIT_TEST_TURN`` overrides it. Changes count from the merge base with the upstream's main
     branch, or from the last commit but one where that is the commit itself; ``ORBIT_TEST_BASE`` names another base.
     """

@@ -9,11 +9,11 @@ from pathlib import Path
 SLOW_LIST = Path(__file__).with_name("slow.txt")
 SLOW_SECONDS = 0.25
 """A test of the suite is slow from here on, and so is a job of the conformance suite, over all its backends."""
-TURNS = 30
+TURNS = 60
 """Consecutive commits that together run every slow test once."""
 
 _HEADER = """\
-# Slow tests and their seconds, each run by one commit in thirty and by `make test-all`. Refreshed by `make slow-list`.
+# Slow tests and their seconds, each run by one commit in sixty and by `make test-all`. Refreshed by `make slow-list`.
 """
 
 

@@ -20,10 +20,10 @@ from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed
 from tests.tiers.touched import touched_backends, touched_tests
 
 ROOT = Path(__file__).parents[2]
-LISTED = {f"tests/x/test_{i}.py::test_{i}": 2.0 + i for i in range(60)}
+LISTED = {f"tests/x/test_{i}.py::test_{i}": 2.0 + i for i in range(2 * TURNS)}
 
 
-def test_thirty_commits_in_a_row_run_every_slow_test_once() -> None:
+def test_sixty_commits_in_a_row_run_every_slow_test_once() -> None:
     runs = [select(LISTED, Revision(turn), ()).chosen for turn in range(TURNS)]
     assert sorted(name for run in runs for name in run) == sorted(LISTED)
     shares = [sum(LISTED[name] for name in run) for run in runs]
@@ -40,12 +40,12 @@ def test_what_a_change_concerns_runs_whatever_the_turn() -> None:
 
 
 def test_a_change_that_concerns_everything_runs_what_time_allows_and_tells_how_many_it_left() -> None:
-    whole = {f"tests/x/test_{i}.py::test": 10.0 for i in range(200)}
+    whole = {f"tests/x/test_{i}.py::test": 10.0 for i in range(7 * TURNS)}
     selection = select(whole, Revision(3), whole)
     more = selection.chosen - selection.by_turn
     assert sum(whole[name] for name in more) == CHANGE_SECONDS
     assert {turns(whole)[name] for name in more} == {4}
-    assert selection.left == 200 - len(selection.chosen) > 0
+    assert selection.left == len(whole) - len(selection.chosen) > 0
     assert f"{selection.left} more wait for their turn" in selection.describe(3)
 
 
