@@ -45,9 +45,9 @@ class Settings:
     block_steps: int = 20
     """Steps of all environments in a block."""
     compile: bool = False
-    """Whether to compile the environment's step, as one would for learning."""
+    """Compile the environment's step, as a training does."""
     seed: int = 0
-    """Of the environments and of the actions."""
+    """Seed of the environments and of the actions."""
     json: Path | None = None
     """Write the figures here."""
     overwrite: bool = False
@@ -65,7 +65,7 @@ class Figures:
     milliseconds_per_step: float
     """Median over the blocks."""
     processor_milliseconds_per_step: float
-    """Of all processes together: median over the blocks."""
+    """Processor time of all processes together, median over the blocks."""
     speed: float
     """Speed as a multiple of the first number's: median over the blocks."""
     start_seconds: float

@@ -51,7 +51,7 @@ def waited_seconds() -> float:
 
 
 class Tiers:
-    """What the workers of a run choose, and what its controller reports.
+    """Choice of a run's tests in its workers, and report of its controller.
 
     Args:
         config: of the run.

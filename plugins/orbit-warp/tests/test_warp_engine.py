@@ -98,7 +98,7 @@ def test_a_replayed_graph_does_what_its_launches_do() -> None:
 
 @pytest.mark.parametrize("task", ["Lift", "Soft-Lifting", "Fluid-Transport"])
 def test_no_array_is_made_on_another_device_than_the_worlds(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where Warp sees a GPU, an array that names no device is made there, also for a world on the CPU."""
+    """An array that names no device is made on a GPU that Warp sees, also for a world on the CPU."""
     made, depth = wp.array.__init__, 0
     enter, leave = wp.ScopedDevice.__enter__, wp.ScopedDevice.__exit__
 
