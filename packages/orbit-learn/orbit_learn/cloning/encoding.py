@@ -154,7 +154,7 @@ def encoding_for(manifest: Manifest, group: str, parts: tuple[Part, ...], concat
 
 def _positions_in(term: ObservationTermManifest) -> int:
     """Return how many positions or distances in metres, of three columns each, a term begins with."""
-    if term.history != 1 or term.scale != 1.0:
+    if not _is_plain(term):
         return 0
     if _is_pose(term):
         return 1
@@ -165,10 +165,14 @@ def _positions_in(term: ObservationTermManifest) -> int:
     return count if count <= _MOST_POSITIONS else 0
 
 
+def _is_plain(term: ObservationTermManifest) -> bool:
+    """Return True if a term is one measurement in its own unit."""
+    return term.history == 1 and term.scale == 1.0
+
+
 def _is_pose(term: ObservationTermManifest) -> bool:
     """Return True if a term is a position and a quaternion."""
-    plain = term.history == 1 and term.scale == 1.0
-    return plain and term.unit.startswith("m, quaternion") and tuple(term.shape) == (7,)
+    return _is_plain(term) and term.unit.startswith("m, quaternion") and tuple(term.shape) == (7,)
 
 
 def _of_gripper(
