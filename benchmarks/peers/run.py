@@ -12,6 +12,7 @@ job meanwhile. With ``--starts 0`` the processes of all cases start at the same 
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -67,6 +68,8 @@ class Settings:
     """Delete the peers' virtual environments at the end."""
     json: Path = ROOT / "docs" / "figures" / "peers.json"
     """Figures, which the new ones are added to."""
+    learning: Path = ROOT / "docs" / "figures" / "peers_learning.jsonl"
+    """Lines of ``learn.py`` and of ``benchmarks/learning/speed.py``, for the page; none if there is no such file."""
     page: Path = ROOT / "docs" / "measured" / "peers.md"
     """Page that is made of the figures."""
 
@@ -91,7 +94,8 @@ def main(settings: Settings) -> None:
     if settings.remove:
         for name in settings.peers:
             shutil.rmtree(settings.environments / name, ignore_errors=True)
-    text = page(read(settings.json))
+    kept = settings.learning.read_text().splitlines() if settings.learning.exists() else []
+    text = page(read(settings.json), [json.loads(line) for line in kept])
     with written_whole(settings.page) as written:
         written.write_text(text, encoding="utf-8")
 
