@@ -12,7 +12,6 @@ job meanwhile. With ``--starts 0`` the processes of all cases start at the same 
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -26,7 +25,7 @@ import tyro
 from environments import python_of
 from page import page
 from peers import PEERS, Case, Peer
-from results import Measurement, Side, Spread, merged, read, write
+from results import Measurement, Side, Spread, merged, read, read_learned, write
 from session import Request
 from turns import Place, Plan, Worker, measure, start_together
 
@@ -94,8 +93,7 @@ def main(settings: Settings) -> None:
     if settings.remove:
         for name in settings.peers:
             shutil.rmtree(settings.environments / name, ignore_errors=True)
-    kept = settings.learning.read_text().splitlines() if settings.learning.exists() else []
-    text = page(read(settings.json), [json.loads(line) for line in kept])
+    text = page(read(settings.json), read_learned(settings.learning))
     with written_whole(settings.page) as written:
         written.write_text(text, encoding="utf-8")
 
