@@ -207,9 +207,7 @@ def _load(
             value = episode.arrays.get(OBSERVED + part.name)
             if value is None or tuple(value.shape[1:]) != part.shape:
                 held = "lacks it" if value is None else f"has shape {tuple(value.shape[1:])}"
-                raise ConfigurationError(
-                    f"the policy sees '{part.name}' of shape {part.shape}, and {where} {held}"
-                )
+                raise ConfigurationError(f"the policy sees '{part.name}' of shape {part.shape}, and {where} {held}")
             if part.name not in arrays:
                 arrays[part.name] = _empty((total, *value.shape[1:]), value.dtype, dataset)
             elif arrays[part.name].dtype != value.dtype:

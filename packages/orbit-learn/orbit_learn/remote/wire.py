@@ -18,8 +18,8 @@ from orbit_core.interfaces import ConfigurationError
 MOST_BYTES = 1 << 26
 """Of a message: sixteen pictures of a megapixel."""
 _MOST_DEPTH = 16
-# Values in all maps and lists of a message. A byte may be an empty map, which takes 64 in memory; a message of at most so
-# many bytes cannot hold more.
+# Values in all maps and lists of a message, whose every byte may be an empty map that takes 64 in memory. A message of
+# at most so many bytes cannot hold more.
 _MOST_VALUES = 1 << 20
 _KINDS = "biuf"
 
@@ -87,8 +87,8 @@ def _count_values(raw: msgspec.Raw, depth: int = 0) -> int:
             count += sum(_count_values(part, depth + 1) for part in parts)
         if depth > _MOST_DEPTH or count > _MOST_VALUES:
             raise ConfigurationError(
-                f"it holds more than {_MOST_VALUES:,} values, or is nested more than {_MOST_DEPTH} deep: send arrays in "
-                "place of lists"
+                f"it holds more than {_MOST_VALUES:,} values, or is nested more than {_MOST_DEPTH} deep: send arrays "
+                "in place of lists"
             )
         return count
     return 0
