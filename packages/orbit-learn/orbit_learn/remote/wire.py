@@ -20,7 +20,7 @@ MOST_BYTES = 1 << 26
 _MOST_DEPTH = 16
 # Values in all maps and lists of a message, whose every byte may be an empty map that takes 64 in memory. A message of
 # at most so many bytes cannot hold more.
-_MOST_VALUES = 1 << 20
+_MOST_VALUES = 1 << 16
 _KINDS = "biuf"
 
 
