@@ -212,7 +212,7 @@ def parse_settings(settings_type: type[_Settings], words: Sequence[str], program
     # Parsed twice: the first time finds the file, whose values are the defaults of the second.
     if settings.config is None:
         return settings
-    return parse_words(settings_type, words, program, read_file(settings_type, settings.config))
+    return parse_words(settings_type, words, program, read_file(settings_type, settings.config, settings))
 
 
 def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default: Any = None) -> _Parsed:
@@ -232,13 +232,22 @@ def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default
     return parsed
 
 
-def read_file(settings_type: type[_Settings], path: Path) -> _Settings:
-    """Return the settings of a TOML file over the defaults of ``settings_type``."""
+def read_file(settings_type: type[_Settings], path: Path, given: _Settings | None = None) -> _Settings:
+    """Return the settings of a TOML file over the defaults of ``settings_type``.
+
+    Args:
+        settings_type: dataclass of the command's settings.
+        path: path of the file.
+        given: settings of the command line, for fields without a default, such as the policy to play.
+    """
     values = read_toml(path, "configuration file")
     known = field_types(settings_type).keys() - {*COMMAND_LINE_ONLY}
     for key in values.keys() - known:
         raise UnknownNameError("key", key, known, f"configuration file {path}")
-    return configured(settings_type(), values, f"configuration file {path}", "key")
+    fields, missing = dataclasses.fields(settings_type), dataclasses.MISSING
+    required = [each.name for each in fields if each.default is missing and each.default_factory is missing]
+    base = settings_type(**{name: getattr(given, name) for name in required})
+    return configured(base, values, f"configuration file {path}", "key")
 
 
 def _check_options(kind: type, words: Sequence[str], program: str) -> None:

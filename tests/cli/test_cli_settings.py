@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from orbit_core.cli.settings import BenchSettings, RunSettings, parse_settings
 from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
@@ -52,6 +52,15 @@ def test_the_file_wins_over_defaults(file: Path):
     assert parsed.fields == {"tolerance": 0.06}
     assert parsed.settings == {"iterations": 50}
     assert parsed.renderer_settings == {"samples_per_pixel": 4}
+
+
+def test_a_file_goes_with_what_only_the_command_line_can_say(file: Path):
+    @dataclass(frozen=True, kw_only=True)
+    class Played(RunSettings):
+        policy: Annotated[Positional[str], arg(metavar="POLICY")]
+
+    parsed = parse_settings(Played, ["Reach", "out/policy", "--config", str(file)], "orbit play")
+    assert (parsed.task, parsed.policy, parsed.num_envs) == ("Reach", "out/policy", 8)
 
 
 def test_the_command_line_wins_over_the_file(file: Path):

@@ -65,6 +65,8 @@ def replaced(file: h5py.File, **options: Any) -> None:
         (lambda file: told(file, length=-3), "-3 steps"),
         (lambda file: told(file, length=10**15), "1000000000000000 steps"),
         (lambda file: told(file, length=0), "0 steps"),
+        (lambda file: told(file, taught=-3), "led -3 of the"),
+        (lambda file: told(file, taught=10**13), "led 10000000000000 of the"),
         (lambda file: file["data/demo_0"].attrs.__setitem__("orbit_episode", "[" * 30_000), "cannot be read"),
         (lambda file: replaced(file, shape=(10**12,), dtype="f8", chunks=(10**6,)), "made to fill the memory"),
         (lambda file: replaced(file, shape=(3 * 10**9,), dtype="f8", chunks=(10**7,), compression="gzip"), "fill the"),

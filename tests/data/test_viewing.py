@@ -115,12 +115,12 @@ def test_files_that_cannot_be_are_refused(
     assert told in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.parametrize(("suffix", "package", "extra"), [(".mcap", "mcap", "mcap"), (".rrd", "rerun", "rerun")])
+@pytest.mark.parametrize(("suffix", "package"), [(".mcap", "mcap"), (".rrd", "rerun")])
 def test_missing_packages_are_named_and_leave_no_file(
-    suffix: str, package: str, extra: str, demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    suffix: str, package: str, demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    refused = pytest.raises(ConfigurationError, match=rf"orbit-data.*{extra}")
+    refused = pytest.raises(ConfigurationError, match=rf"needs {package}.*\[viewers\]")
     with opened(demos) as dataset, refused:
         write_for_viewer(tmp_path / f"demo{suffix}", [dataset.read(0)], dataset.known())
     assert not [*tmp_path.iterdir()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import re
 import shutil
@@ -214,6 +215,19 @@ def test_processes_report_each_block_as_it_ends() -> None:
     with pytest.raises(OrbitError, match="nowhere"):
         run_blocks(plan, list(plan.blocks()), settings, 2, found.append)
     assert [each.key.policy for each in found] == ["zero"], "the second of the process's two blocks fails"
+
+
+def test_a_process_that_is_ended_from_outside_is_told() -> None:
+    plan = Plan("Reach", ("zero",), (default_backend(),), {BASE: ()}, (0, 1, 2), 1)
+
+    def end_all(block: Block) -> None:
+        time.sleep(0.2)  # so that none holds the queue
+        for child in multiprocessing.active_children():
+            child.kill()
+
+    own = EnvironmentSettings(task="Reach", set=("episode_length=4",))
+    with pytest.raises(OrbitError, match=r"ended from outside.*smaller --jobs"):
+        run_blocks(plan, list(plan.blocks()), {"zero": own}, 2, end_all)
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are found in /proc")

@@ -118,6 +118,12 @@ def array(dtype: str, data: bytes, shape: list[Any]) -> bytes:
         (msgspec.msgpack.encode({1: 2}), "no map with texts"),
         (b"\xc1", "no MessagePack"),
         (msgspec.msgpack.encode({"actions": float("inf")}), "not finite"),
+        (array("<f4", b"", [0, 1 << 26, 1 << 26, 1 << 26]), "shape is none"),
+        (b"\x91" * 100_000, "no MessagePack"),
+        (b"\x81\xa1a" * 500 + b"\xc0", "nested more than 16 deep"),
+        (b"\x81\xa1a\xa2\xff\xff", "no MessagePack"),
+        (b"\x81\xa1a\xdd\x00\x02\x00\x00" + b"\x80" * (1 << 17), "more than 65,536 values"),
+        (b"\x81\xa1a\x99" + (b"\xdc\x1f\xff" + b"\x80" * 0x1FFF) * 9, "more than 65,536 values"),
     ],
 )
 def test_hostile_messages_are_rejected(message: bytes, told: str) -> None:

@@ -151,6 +151,11 @@ def check_infos(infos: Sequence[EpisodeInfo], account: ReadAccount) -> None:
     for position, info in enumerate(infos):
         if not 0 < info.length <= _LONGEST:
             raise ConfigurationError(f"episode {position} of {account.where} would have {info.length} steps")
+        if info.taught is not None and not 0 <= info.taught <= info.length:
+            raise ConfigurationError(
+                f"a person would have led {info.taught} of the {info.length} steps of episode {position} of "
+                f"{account.where}"
+            )
 
 
 def check_episode(episode: Episode, where: str, whole: bool = True) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from orbit_core.envs.observation_layout import POLICY
 from orbit_core.files import written_whole
-from orbit_core.installing import install_command
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.episodes import ACTIONS, CONTACTS, DONES, INITIAL, NEXT, OBSERVED, POSES, STATES, Array, Episode
 from orbit_data.manifest.manifest import Manifest
@@ -166,7 +166,7 @@ class _McapFile(_ViewerFile):
             from mcap import writer
             from PIL import Image
         except ImportError:
-            raise ConfigurationError(f"MCAP needs mcap and Pillow: {install_command('orbit-data[mcap]')}") from None
+            raise ConfigurationError(f"MCAP needs mcap and Pillow: {install_extra('viewers')}") from None
         return writer, Image
 
     def note(self, time: float, facts: Mapping[str, Any]) -> None:
@@ -246,9 +246,7 @@ class _RerunFile(_ViewerFile):
             import rerun  # pyright: ignore[reportMissingImports] - an optional package
             from PIL import Image
         except ImportError:
-            raise ConfigurationError(
-                f"RRD needs rerun-sdk and Pillow: {install_command('orbit-data[rerun]')}"
-            ) from None
+            raise ConfigurationError(f"RRD needs rerun-sdk and Pillow: {install_extra('viewers')}") from None
         return rerun, Image
 
     def note(self, time: float, facts: Mapping[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from orbit_data.episodes import ACTIONS, OBSERVED, TAUGHT
 from orbit_data.formats import opened
 from orbit_data.manifest.manifest import Kind, Manifest, differences
 from orbit_data.noise import CLEAN
-from orbit_data.reading.budget import TRUSTED
+from orbit_data.reading.budget import ReadBudget
 from orbit_learn.description import Part, group_parts
 from orbit_learn.memory import map_seen
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
     from orbit_data.episodes import Dataset, Episode
 
+# Files may be anyone's. An episode of real cameras takes some GB, and reading thousands of videos any time.
+_BUDGET = ReadBudget(bytes=1 << 33, seconds=math.inf)
 _FEWEST_STEPS = 64
 # Actions are within [-1, 1], but for rounding.
 _LARGEST_ACTION = 1.001
@@ -85,15 +88,17 @@ def load_demonstrations(path: Path | str, environment: Environment, only_success
     """
     layout = environment.observation[POLICY]
     parts, concatenated = group_parts(layout), layout.concatenated
-    with opened(path, TRUSTED) as dataset:
+    with opened(path, _BUDGET) as dataset:
         check_fit(dataset, environment)
         positions = [i for i, info in enumerate(dataset.episodes) if not (only_successes and info.success is False)]
         infos = [dataset.episodes[i] for i in positions]
         total = sum(info.length if info.taught is None else info.taught for info in infos)
         if total < _FEWEST_STEPS:
+            failed = len(dataset.episodes) - len(positions)
+            left_out = f" ({failed} that failed are left out: only_successes=false takes them too)" if failed else ""
             raise ConfigurationError(
-                f"{path} has {total} steps in {len(positions)} episodes to clone, and cloning needs {_FEWEST_STEPS}: "
-                "record more"
+                f"{path} has {total} steps in {len(positions)} episodes to clone{left_out}, and cloning needs "
+                f"{_FEWEST_STEPS}: record more"
             )
         return _load(dataset, positions, total, parts, concatenated, environment)
 
@@ -136,15 +141,14 @@ def check_fit(dataset: Dataset, environment: Environment) -> None:
         raise ConfigurationError(f"{dataset.path} cannot be cloned for this environment: {'; '.join(wrong)}")
 
 
-def _taught(episode: Episode) -> np.ndarray:
+def _taught(episode: Episode, where: str) -> np.ndarray:
     """Return the steps of an episode that are learned from: all, or those that a person led in a policy's place."""
     if episode.info.taught is None:
         return np.arange(episode.info.length)
     steps = np.flatnonzero(episode.arrays.get(TAUGHT, ()))
     if len(steps) != episode.info.taught:
         raise ConfigurationError(
-            f"episode {episode.info.number} would have {episode.info.taught} steps to learn from, and has {len(steps)} "
-            f"in '{TAUGHT}'"
+            f"{where} would have {episode.info.taught} steps to learn from, and has {len(steps)} in '{TAUGHT}'"
         )
     return steps
 
@@ -169,38 +173,52 @@ def _ends(steps: np.ndarray) -> np.ndarray:
     return lasts[np.searchsorted(lasts, np.arange(len(steps)))]
 
 
+def _empty(shape: tuple[int, ...], dtype: np.dtype, dataset: Dataset) -> np.ndarray:
+    """Return memory for an array of all steps.
+
+    Raises:
+        ConfigurationError: there is not that much.
+    """
+    try:
+        return np.empty(shape, dtype)
+    except MemoryError:
+        size = math.prod(shape) * dtype.itemsize / 1e9
+        raise ConfigurationError(
+            f"{dataset.path} would take {size:.3g} GB for an array of {shape[0]:,} steps, more than this computer has: "
+            "clone a part ('orbit data filter --first')"
+        ) from None
+
+
 def _load(
     dataset: Dataset, positions: list[int], total: int, parts: tuple[Part, ...], concatenated: bool,
     environment: Environment,
 ) -> Demonstrations:  # fmt: skip
     # Filled in place: pictures of a thousand episodes do not fit into memory twice.
     arrays: dict[str, np.ndarray] = {}
-    actions = np.empty((total, environment.action_size), np.float32)
-    ends = np.empty(total, np.int64)
+    actions = _empty((total, environment.action_size), np.dtype(np.float32), dataset)
+    ends = _empty((total,), np.dtype(np.int64), dataset)
     begin = 0
     for position in positions:
         episode = dataset.read(position)
-        steps = _taught(episode)
+        where = f"episode {episode.info.number} of {dataset.path}"
+        steps = _taught(episode, where)
         stop = begin + len(steps)
         for part in parts:
             value = episode.arrays.get(OBSERVED + part.name)
             if value is None or tuple(value.shape[1:]) != part.shape:
                 held = "lacks it" if value is None else f"has shape {tuple(value.shape[1:])}"
-                raise ConfigurationError(
-                    f"the policy sees '{part.name}' of shape {part.shape}, and episode {episode.info.number} of "
-                    f"{dataset.path} {held}"
-                )
+                raise ConfigurationError(f"the policy sees '{part.name}' of shape {part.shape}, and {where} {held}")
             if part.name not in arrays:
-                arrays[part.name] = np.empty((total, *value.shape[1:]), value.dtype)
+                arrays[part.name] = _empty((total, *value.shape[1:]), value.dtype, dataset)
             elif arrays[part.name].dtype != value.dtype:
                 raise ConfigurationError(
-                    f"'{part.name}' of episode {episode.info.number} of {dataset.path} holds {value.dtype}, and that "
-                    f"of episodes before {arrays[part.name].dtype}: record or convert all alike"
+                    f"'{part.name}' of {where} holds {value.dtype}, and that of episodes before "
+                    f"{arrays[part.name].dtype}: record or convert all alike"
                 )
             arrays[part.name][begin:stop] = value[steps]
         # Without the noise that was added to disturb the demonstrator, where both were recorded.
         chosen = episode.arrays.get(CLEAN, episode.arrays[ACTIONS])
-        _check_actions(chosen, actions.shape[1], f"episode {episode.info.number} of {dataset.path}")
+        _check_actions(chosen, actions.shape[1], where)
         actions[begin:stop] = chosen[steps]
         ends[begin:stop] = begin + _ends(steps)
         begin = stop

@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context, parent_process
@@ -19,6 +20,7 @@ from orbit_core.cli.making import make_actor, make_environment
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.envs.actors import RemoteSource
 from orbit_core.envs.observation_layout import leaves_of
+from orbit_core.interfaces import OrbitError
 from orbit_learn.evaluation.disturbances import Disturbance
 from orbit_learn.evaluation.results import Block, BlockKey, Plan
 
@@ -44,6 +46,9 @@ def run_blocks(
         settings: of the environment of each policy on each engine, but for the variant.
         jobs: processes side by side; 1 for none but this.
         done: is given each block as it ends.
+
+    Raises:
+        OrbitError: of many kinds, or a process was ended from outside.
     """
     groups: dict[tuple[str, str, str], list[BlockKey]] = {}
     for key in keys:
@@ -71,6 +76,12 @@ def run_blocks(
                 for future in running:
                     if future.done():
                         future.result()
+        except BrokenProcessPool:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise OrbitError(
+                f"one of {jobs} processes was ended from outside, perhaps for its memory: the same command goes on "
+                "with what has not ended, and a smaller --jobs takes less memory"
+            ) from None
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise

@@ -7,6 +7,8 @@ with, terms joined by ``+`` side by side. ``timeout`` is in seconds.
 
 from __future__ import annotations
 
+import socket
+import struct
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -99,9 +101,15 @@ class PolicyServer:
         self._failures = (OSError, WebSocketException, EOFError)
         try:
             # Pictures hardly get smaller by compression, and the wait for it is longer than the way on loopback.
+            # Without pings: a server that computes for longer than their 40 s would lose the connection, whatever its
+            # timeout, since most answer none meanwhile.
             self._socket = connect(
-                address.url, compression=None, max_size=MOST_BYTES, open_timeout=within, close_timeout=_CLOSING
-            )
+                address.url, compression=None, max_size=MOST_BYTES, open_timeout=within, close_timeout=_CLOSING,
+                ping_interval=None,
+            )  # fmt: skip
+            # A server that reads nothing would hold a large observation up for ever.
+            seconds = struct.pack("ll", int(address.timeout), int(address.timeout % 1 * 1e6))
+            self._socket.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
         except self._failures as error:
             raise ServerFailure(f"no policy server answers at {address.url}: {_first_line(error)}") from None
         self.metadata = self._receive(within)

@@ -18,6 +18,9 @@ from orbit_core.interfaces import ConfigurationError
 MOST_BYTES = 1 << 26
 """Of a message: sixteen pictures of a megapixel."""
 _MOST_DEPTH = 16
+# Values in all maps and lists of a message, whose every byte may be an empty map that takes 64 in memory. A message of
+# at most so many bytes cannot hold more.
+_MOST_VALUES = 1 << 16
 _KINDS = "biuf"
 
 
@@ -33,8 +36,11 @@ def decode(data: bytes) -> dict[str, Any]:
         ConfigurationError: it is no map, or holds an array that is none, is of other than numbers, or is not finite.
     """
     try:
+        if len(data) > _MOST_VALUES:
+            _count_values(msgspec.Raw(data))
         message = _unpacked(msgspec.msgpack.decode(data), 0)
-    except msgspec.DecodeError as error:
+    # The decoder skips and builds nested values by recursion, and reports texts that are no UTF-8 as Python does.
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"it is no MessagePack: {error}") from None
     if not isinstance(message, dict) or not all(isinstance(key, str) for key in message):
         raise ConfigurationError("it is no map with texts as keys")
@@ -54,6 +60,38 @@ def _packed(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_packed(item) for item in value]
     return value
+
+
+# First byte of short maps and lists, which hold their number of entries in four bits, and the first byte of those whose
+# number follows in two bytes; after the next higher byte it follows in four. A map has two values for each entry.
+_HEADS = ((0x80, 0xDE, 2), (0x90, 0xDC, 1))
+
+
+def _count_values(raw: msgspec.Raw, depth: int = 0) -> int:
+    """Return the number of values in all maps and lists of a message, none of which is built.
+
+    Raises:
+        ConfigurationError: there are too many, or they are nested too deep.
+    """
+    data = memoryview(raw)
+    first = data[0] if data else 0
+    for short, long, values in _HEADS:
+        if first & 0xF0 != short and first not in (long, long + 1):
+            continue
+        size = 0 if first & 0xF0 == short else 2 if first == long else 4
+        count = values * (int.from_bytes(data[1 : 1 + size], "big") if size else first & 0x0F)
+        if depth <= _MOST_DEPTH and count <= _MOST_VALUES:
+            # A map too is read as a list, of its keys and values in turn.
+            listed = b"\xdd" + count.to_bytes(4, "big") + data[1 + size :]
+            parts = msgspec.msgpack.decode(listed, type=list[msgspec.Raw])
+            count += sum(_count_values(part, depth + 1) for part in parts)
+        if depth > _MOST_DEPTH or count > _MOST_VALUES:
+            raise ConfigurationError(
+                f"it holds more than {_MOST_VALUES:,} values, or is nested more than {_MOST_DEPTH} deep: send arrays "
+                "in place of lists"
+            )
+        return count
+    return 0
 
 
 def _unpacked(value: Any, depth: int) -> Any:
@@ -98,7 +136,11 @@ def _array(told: dict[str, Any]) -> np.ndarray:
         raise ConfigurationError("it holds an array whose shape is none")
     if math.prod(shape) * dtype.itemsize != len(data):
         raise ConfigurationError(f"it holds an array of shape {tuple(shape)} and {len(data)} bytes of {dtype}")
-    array = np.frombuffer(data, dtype).reshape(shape)
+    try:
+        array = np.frombuffer(data, dtype).reshape(shape)
+    except ValueError:
+        # An empty array may have extents whose product is beyond any size.
+        raise ConfigurationError("it holds an array whose shape is none") from None
     if dtype.kind == "f" and not np.isfinite(array).all():
         raise ConfigurationError("it holds an array with NaN or infinity")
     return array
