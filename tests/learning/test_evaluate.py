@@ -26,7 +26,7 @@ from orbit_core.envs import Environment, Task
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_learn.evaluation.disturbances import LEVELS, Disturbance
 from orbit_learn.evaluation.page import page
-from orbit_learn.evaluation.results import BASE, Block, BlockKey, Plan, ResultFile, read_results
+from orbit_learn.evaluation.results import BASE, Block, BlockKey, Plan, ResultFile, read_beside, read_results
 from orbit_learn.evaluation.running import fingerprint_of, run_blocks
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
 from orbit_learn.pretrained import policy_path
@@ -74,11 +74,32 @@ def test_results_of_other_starts_are_not_paired() -> None:
 def test_variance_goes_to_what_success_depends_on() -> None:
     by_policy = [block("one", "1111"), block("two", "0000")]
     assert variance_shares(by_policy) == pytest.approx(
-        {"start": 0.0, "policy": 1.0, "training": 0.0, "engine": 0.0, "variant": 0.0, "together and chance": 0.0}
+        {"start": 0, "policy": 1, "training": 0, "engine": 0, "version": 0, "variant": 0, "together and chance": 0}
     )
     by_start = [block("one", "1010"), block("two", "1010")]
     assert variance_shares(by_start)["start"] == pytest.approx(1.0)
     assert variance_shares([block("one", "1111")]) == {}
+
+
+def test_variance_of_versions_is_apart_from_that_of_their_engine(tmp_path: Path) -> None:
+    plan = replace(PLAN, policies=("one",), backends=("bullet", "mujoco"))
+    here = [block("one", "1111"), block("one", "1100", "bullet")]
+    there = [replace(each, engine="2.0") for each in (block("one", "0000"), block("one", "1100", "bullet"))]
+    shares = variance_shares([*here, *there])
+    # Both engines succeed in half; versions of one differ by all, those of the other by nothing.
+    assert shares["engine"] == pytest.approx(0.0)
+    assert shares["version"] == pytest.approx(0.5)
+    elsewhere = ResultFile(tmp_path / "results.jsonl", replace(plan, policies=("other name",)))
+    for each in there:
+        elsewhere.add(replace(each, key=replace(each.key, policy="other name")))
+    assert read_beside(tmp_path / "results.jsonl", plan) == there
+    text = page(plan, here, beside=there)
+    assert "<td>mujoco</td><td>2.0</td>" in text
+    with pytest.raises(ConfigurationError, match="differs in episodes"):
+        read_beside(tmp_path / "results.jsonl", replace(plan, episodes=5))
+    elsewhere.path.write_text("".join(elsewhere.path.read_text().splitlines(keepends=True)[:-1]))
+    with pytest.raises(ConfigurationError, match="lacks 1 blocks"):
+        read_beside(tmp_path / "results.jsonl", plan)
 
 
 def test_variance_of_trainings_is_apart_from_that_of_their_recipe() -> None:

@@ -57,6 +57,8 @@ class EvaluateSettings(EnvironmentSettings):
     language; repeatable."""
     videos: int = 0
     """Failures of each kind to film, by running one block of the kind again; the films are on the page."""
+    beside: Annotated[tuple[Path, ...], arg(metavar="FOLDER")] = ()
+    """Folders of the same evaluation with other versions of the engines: the page has their share of the variance."""
     jobs: Annotated[int | None, arg(metavar="INT")] = None
     """Processes side by side, each with environments of its own; one for each core if left out."""
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/evaluation")
@@ -75,7 +77,7 @@ def evaluate(settings: EvaluateSettings) -> None:
         OrbitError: of many kinds; each names the setting.
     """
     from orbit_learn.evaluation.page import page
-    from orbit_learn.evaluation.results import ResultFile
+    from orbit_learn.evaluation.results import ResultFile, read_beside
     from orbit_learn.evaluation.running import run_blocks
 
     check_positive("episodes", settings.episodes)
@@ -95,6 +97,8 @@ def evaluate(settings: EvaluateSettings) -> None:
         backend(name)
     own = {(policy, name): _settings_of(policy, name, settings) for policy in policies for name in settings.backend}
     plan = _plan(settings, own, recipes)
+    # Before anything runs: a folder of another evaluation must not show after hours.
+    beside = [block for folder in settings.beside for block in read_beside(folder / _RESULTS, plan)]
     make_folder(settings.output / _RESULTS)
     results = ResultFile(settings.output / _RESULTS, plan)
     left = results.left()
@@ -115,7 +119,7 @@ def evaluate(settings: EvaluateSettings) -> None:
     blocks = [results.blocks[key] for key in plan.blocks()]
     films = _filmed(plan, blocks, own, settings) if settings.videos else {}
     with written_whole(settings.output / _PAGE) as written:
-        written.write_text(page(plan, blocks, films), encoding="utf-8")
+        written.write_text(page(plan, blocks, films, beside), encoding="utf-8")
     console().print(_table(plan, blocks))
     console().print(f"{settings.output / _PAGE} shows differences and how episodes fail", soft_wrap=True)
 

@@ -22,13 +22,16 @@ figure{margin:1rem 0}video{max-width:100%}
 _SURE = 0.05
 
 
-def page(plan: Plan, blocks: Sequence[Block], films: Mapping[str, Film] | None = None) -> str:
+def page(
+    plan: Plan, blocks: Sequence[Block], films: Mapping[str, Film] | None = None, beside: Sequence[Block] = ()
+) -> str:
     """Return the page as HTML, which needs no other file but the films.
 
     Args:
         plan: that the blocks are of.
         blocks: all results.
         films: of kinds of failures.
+        beside: results of the same plan with other versions of engines.
     """
     engines = sorted({f"{block.key.backend} ({block.engine})" for block in blocks})
     parts = [
@@ -41,7 +44,8 @@ def page(plan: Plan, blocks: Sequence[Block], films: Mapping[str, Film] | None =
         *_differences(plan, blocks),
         "<h2>Where success varies</h2>",
         *_spread_of_trainings(plan, blocks),
-        table(("source", "share of the variance"), _variance_rows(plan, blocks)),
+        table(("source", "share of the variance"), _variance_rows(plan, (*blocks, *beside))),
+        *([table(("engine", "version", "success"), _version_rows((*blocks, *beside)))] if beside else []),
         "<h2>How episodes fail</h2>",
         "<p>Named by the first reward term that brought less than a tenth of what it brings in a success.</p>",
         table(("kind", "episodes", "where (policy, engine, variant, seed: starts)"), _failure_rows(blocks)),
@@ -129,6 +133,12 @@ def _variance_rows(plan: Plan, blocks: Sequence[Block]) -> Iterable[Sequence[str
         yield "none: all episodes end alike", ""
     for name, share in shares.items():
         yield escape(name), f'<span class="bar" style="width:{10.0 * share:.2f}rem"></span> {100.0 * share:.1f} %'
+
+
+def _version_rows(blocks: Sequence[Block]) -> Iterable[Sequence[str]]:
+    for backend, version in sorted({(block.key.backend, block.engine) for block in blocks}):
+        of_it = [block for block in blocks if (block.key.backend, block.engine) == (backend, version)]
+        yield escape(backend), escape(version), success_of(of_it).percent()
 
 
 def _failure_rows(blocks: Sequence[Block]) -> Iterable[Sequence[str]]:

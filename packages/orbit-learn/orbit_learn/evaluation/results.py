@@ -166,3 +166,29 @@ def read_results(path: Path | str) -> tuple[Plan, list[Block]]:
     except (msgspec.DecodeError, msgspec.ValidationError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{path} holds no results of an evaluation: {error}") from None
     return plan, blocks
+
+
+def read_beside(path: Path | str, plan: Plan) -> list[Block]:
+    """Read the results of a plan that was run elsewhere, such as with other versions of the engines.
+
+    Raises:
+        ConfigurationError: they are of another plan, or not all there.
+    """
+    recorded, blocks = read_results(path)
+    # What a policy is called differs from machine to machine; its digest does not.
+    names = dict(zip(recorded.policies, plan.policies, strict=False))
+    digests = {names.get(name, name): digest for name, digest in recorded.digests.items()}
+    same = replace(
+        recorded,
+        policies=tuple(names.get(name, name) for name in recorded.policies),
+        digests=digests,
+        recipes=plan.recipes,
+    )
+    if differing := [name for name in asdict(plan) if getattr(plan, name) != getattr(same, name)]:
+        raise ConfigurationError(
+            f"{path} holds another evaluation, which differs in {', '.join(differing)}: run the same words there"
+        )
+    moved = {each.key: each for each in (replace(b, key=replace(b.key, policy=names[b.key.policy])) for b in blocks)}
+    if missing := [key for key in plan.blocks() if key not in moved]:
+        raise ConfigurationError(f"{path} lacks {len(missing)} blocks: the same command goes on with it there")
+    return list(moved.values())

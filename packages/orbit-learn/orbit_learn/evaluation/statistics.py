@@ -81,15 +81,15 @@ def _mid_p(only_first: int, only_second: int) -> float:
     return min(1.0, 2.0 * (tail + 0.5 * math.comb(count, fewer) / 2**count))
 
 
-FACTORS = ("start", "policy", "training", "engine", "variant")
+FACTORS = ("start", "policy", "training", "engine", "version", "variant")
 
 
 def variance_shares(blocks: Sequence[Block], recipes: Mapping[str, str] | None = None) -> Mapping[str, float]:
-    """Split the variance of success into shares of start, policy, training, engine and variant, and the rest.
+    """Split the variance of success into shares of start, policy, training, engine, its version, variant, and the rest.
 
     Sums of squares of the main effects of a balanced table over that of all (Fisher, Statistical Methods for Research
-    Workers, 1925); trainings are nested in the recipe that they share, and their share is zero where each recipe has
-    one. The rest holds what factors do together. Empty where all episodes end alike.
+    Workers, 1925). Trainings are nested in the recipe that they share and versions in their engine: their share is zero
+    where there is one each. The rest holds what factors do together. Empty where all episodes end alike.
 
     Args:
         blocks: of all policies, engines, variants and seeds.
@@ -103,6 +103,7 @@ def variance_shares(blocks: Sequence[Block], recipes: Mapping[str, str] | None =
                 recipes.get(block.key.policy, block.key.policy),
                 block.key.policy,
                 block.key.backend,
+                f"{block.key.backend} {block.engine}",
                 block.key.variant,
             ),
             float(success),
@@ -122,8 +123,9 @@ def variance_shares(blocks: Sequence[Block], recipes: Mapping[str, str] | None =
             groups.setdefault(levels[place], []).append(value)
         effect = sum(len(group) * (np.mean(group) - values.mean()) ** 2 for group in groups.values())
         shares[name] = float(effect / total)
-    # A training's own effect is what its recipe does not have.
+    # A training's own effect is what its recipe does not have, and a version's what its engine does not.
     shares["training"] = max(0.0, shares["training"] - shares["policy"])
+    shares["version"] = max(0.0, shares["version"] - shares["engine"])
     # Rounding may leave a rest below zero.
     shares["together and chance"] = max(0.0, 1.0 - sum(shares.values()))
     return shares
