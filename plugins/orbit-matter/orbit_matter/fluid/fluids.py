@@ -25,8 +25,7 @@ ROUGHNESS = 0.004
 """Artificial viscosity, as a part of ``length * sound``: enough against noise between particles."""
 SMOOTHNESS = 0.03
 """Diffusion of densities, as a part of ``length * sound``; the usual value."""
-MESS = 0.065
-RENEWED = 0.2
+RENEWED = 0.05
 """Seconds in which densities follow where particles are."""
 NOWHERE = 1e9
 """Metres; where particles are taken to have been that were not searched yet."""
