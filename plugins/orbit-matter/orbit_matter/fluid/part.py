@@ -99,8 +99,8 @@ class FluidPart:
         inputs = [self._particles, links, shapes, self._felt, physics_dt]
         wp.launch(contact.find_near, (self._n, self._p), inputs=inputs)
 
-    def launch_substep(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
-        """Advance by one substep, a ``share`` of a physics step, against links at its end."""
+    def launch_push(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
+        """Begin a substep, a ``share`` of a physics step, against links at its end: find what presses, and on what."""
         f, shape = self._fluid, (self._n, self._p)
         f.stale.zero_()
         # Two that come from half of the skin each are just within the kernel's reach.
@@ -111,6 +111,11 @@ class FluidPart:
         blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
         inputs = [f, links, shapes, self._felt, gravity, h, share]
         wp.launch(kernels.push, blocks, inputs=inputs, block_dim=BLOCK)
+
+    def launch_flow(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
+        """End the substep: let particles flow, against links that have answered the push."""
+        f, shape = self._fluid, (self._n, self._p)
+        blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
         wp.launch(kernels.flow, blocks, inputs=[f, links, shapes, gravity, h], block_dim=BLOCK)
         wp.launch(kernels.move, shape, inputs=[f, links, shapes, self._felt, h, share])
 
