@@ -372,10 +372,12 @@ def fill(
                     if inside and surface(links, shapes, env, kind, f.shape[env, i, other], corner, 0.0)[3] > 0.0:
                         skips[found] = 1.0
                 found += 1
-    passed = v - carried(links, env, shape, x) / h
+    # Only what comes nearer is a blow: cells that a particle slides past would hold it and lift it. The image that it
+    # meets comes as fast as it does.
+    toward = wp.max(-wp.dot(n, v - carried(links, env, shape, x) / h), 0.0)
     got = filled_by(
         cells.at, cells.cell, cells.inside, cells.last, 0.5 / f.length, f.length, 0.01 * f.length * f.length,
-        gravity @ axes, -passed @ axes,
+        gravity @ axes, n @ axes * (2.0 * toward),
         wp.vec4(planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3]),
         wp.vec4(planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3]), skips[0], skips[1],
     )  # fmt: skip
@@ -384,7 +386,7 @@ def fill(
     pull = axes @ wp.vec3(got[3], got[4], got[5]) * -slope
     shock = axes @ wp.vec3(got[6], got[7], got[8]) * (slope * SHOCK)
     # No more than what stops it within the substep.
-    toward, strength = wp.max(-wp.dot(n, passed), 0.0), wp.length(shock) * h
+    strength = wp.length(shock) * h
     if strength > toward:
         shock *= toward / strength
     # Walls press along their normals: what is behind another wall, too, presses on that one as its normal says.

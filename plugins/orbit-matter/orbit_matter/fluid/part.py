@@ -60,7 +60,7 @@ class FluidPart:
         made.spacing, made.length, made.sound = model.spacing, model.length, model.sound
         made.volume = model.spacing**3
         made.slope = 105.0 / (16.0 * math.pi * model.length**5)
-        made.peak = 3465.0 / (512.0 * math.pi * (2.0 * model.length) ** 3) * made.volume
+        made.peak = 3465.0 / (512.0 * math.pi * (2.0 * model.length) ** 3) * made.volume * fluids.COUNTED
         made.renewal = 1.0 / fluids.RENEWED
         made.rough = fluids.ROUGHNESS * model.length * model.sound
         made.smooth = fluids.SMOOTHNESS * model.length * model.sound
