@@ -43,8 +43,8 @@ SHOCK = wp.constant(2.0)
 energy, which drops would bounce by else, and what flows smoothly feels next to none of it."""
 
 BLOW = wp.constant(3.0)
-"""Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm broke
-into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
+"""Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
+broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
 COMPARED = 4096
 """Particles up to which a GPU compares each with all others rather than with those in the cells around it."""
 SEARCHERS = wp.constant(4 * BLOCK)
