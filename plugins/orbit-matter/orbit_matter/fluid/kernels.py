@@ -45,6 +45,8 @@ energy, which drops would bounce by else, and what flows smoothly feels next to 
 BLOW = wp.constant(3.0)
 """Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
 broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
+GENTLE = wp.constant(0.01)
+"""m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
 COMPARED = 4096
 """Particles up to which a GPU compares each with all others rather than with those in the cells around it."""
 SEARCHERS = wp.constant(4 * BLOCK)
@@ -343,7 +345,7 @@ def fill(
 ) -> float:  # fmt: skip
     """Write what the k-th of a particle's ``count`` walls gives, and return what it adds to where particles are."""
     kind, shape, n, d = env % shapes.kind.shape[0], f.shape[env, i, k], wall_of(f, env, i, k), f.plane[env, i, k][3]
-    axes, weight = wp.mat33(links.axes[env, shape]), float(1.0)
+    axes, weight, reach = wp.mat33(links.axes[env, shape]), float(1.0), 2.0 * f.length
     local = (x - wp.transform_get_translation(links.shape[env, shape])) @ axes
     cells = lattice_of_box(local, shapes.size[kind, shape], f.spacing)
     if shapes.kind[kind, shape] != BOX:
@@ -358,7 +360,8 @@ def fill(
     planes[0, 3] = 1.0e6
     planes[1, 3] = 1.0e6
     for other in range(count):
-        if other != k and found < 2:
+        away = f.plane[env, i, other][3]
+        if other != k and found < 2 and d * d + away * away < reach * reach:
             facing = wall_of(f, env, i, other)
             if wp.abs(wp.dot(n, facing)) < ACROSS and is_facing(f, links, shapes, env, i, other):
                 plane = f.plane[env, i, other]
@@ -377,6 +380,8 @@ def fill(
                 found += 1
     # Only what comes nearer is a blow: cells that a particle slides past would hold it and lift it.
     toward = wp.max(-wp.dot(n, v - carried(links, env, shape, x) / h), 0.0)
+    if toward < GENTLE:
+        toward = 0.0
     got = filled_by(
         cells.at, cells.cell, cells.inside, cells.last, 0.5 / f.length, f.length, 0.01 * f.length * f.length,
         gravity @ axes, n @ axes * (BLOW * toward),
@@ -386,7 +391,7 @@ def fill(
     slope = f.slope * cells.volume * weight
     given = axes @ wp.vec3(got[0], got[1], got[2]) * slope
     pull = axes @ wp.vec3(got[3], got[4], got[5]) * -slope
-    shock = axes @ wp.vec3(got[6], got[7], got[8]) * (slope * SHOCK)
+    shock = axes @ wp.vec3(got[11], got[12], got[13]) * (slope * SHOCK)
     # No more than what stops it within the substep.
     strength = wp.length(shock) * h
     if strength > toward:
@@ -395,15 +400,15 @@ def fill(
     for m in range(found):
         other = others[m]
         facing = wall_of(f, env, i, other)
-        first = facing * (got[10 + 2 * m] * slope)
-        second = facing * (got[11 + 2 * m] * -slope)
+        first = facing * (got[7 + 2 * m] * slope)
+        second = facing * (got[8 + 2 * m] * -slope)
         given -= first
         pull -= second
         f.given[env, i, other] = f.given[env, i, other] + first
         f.pull[env, i, other] = f.pull[env, i, other] + second
     f.given[env, i, k] = f.given[env, i, k] + given
     f.pull[env, i, k] = f.pull[env, i, k] + pull + shock
-    return got[9] * f.peak * cells.volume / f.volume * weight
+    return got[6] * f.peak * cells.volume / f.volume * weight
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)

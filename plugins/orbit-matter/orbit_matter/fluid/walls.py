@@ -27,8 +27,8 @@ WIDE = wp.constant(17)
 """Cells across a half-space: more than a kernel reaches, and odd, so that one is behind the particle."""
 
 Filled = wp.types.vector(length=14, dtype=float)
-"""Sums over a lattice: of its volume times the kernel's slope, as vectors, once as it is, once times the pull towards
-each cell, once times the shock of the flow towards it; of the kernel; of the first two behind each of two planes."""
+"""Sums over a lattice: of its volume times the kernel's slope, as vectors, once as it is and once times the pull to
+each cell; of the kernel; of the first two behind each of two planes, along its normal; and times the shock of the flow."""
 
 _FILLED = """
 #ifdef __CUDA_ARCH__
@@ -60,9 +60,11 @@ _FILLED = """
         if (begin[k] < 0) begin[k] = 0;
         end[k] = static_cast<int>(floorf(middle + reach / size)) + 1;
         if (end[k] > last[k]) end[k] = last[k];
+        if (begin[k] >= end[k]) return wp::vec_t<14, wp::float32>();
     }
     Lanes s[14];
     for (int k = 0; k < 14; ++k) s[k] = 0.0f;
+    const bool is_corner = one[3] < 1e5f, is_blow = flow[0] != 0.0f || flow[1] != 0.0f || flow[2] != 0.0f;
     for (int c = begin[2]; c < end[2]; ++c) {
         const float z = -(at[2] + c * cell[2]);
         for (int b = begin[1]; b < end[1]; ++b) {
@@ -79,35 +81,45 @@ _FILLED = """
                 const Lanes t = positive(1.0f - root(square) * half);
                 const Lanes rest = positive(1.0f - square * (half * half));
                 Lanes here = smaller(positive(static_cast<float>(stop) - index));
-                const Lanes behind_one = smaller(positive(x * one[0] + (y * one[1] + z * one[2] - one[3])) * 1e9f);
-                const Lanes behind_two = smaller(positive(x * two[0] + (y * two[1] + z * two[2] - two[3])) * 1e9f);
-                here = here * (1.0f - skip_one * behind_one) * (1.0f - skip_two * behind_two);
+                Lanes behind_one = 0.0f, behind_two = 0.0f;
+                if (is_corner) {
+                    behind_one = smaller(positive(x * one[0] + (y * one[1] + z * one[2] - one[3])) * 1e9f);
+                    behind_two = smaller(positive(x * two[0] + (y * two[1] + z * two[2] - two[3])) * 1e9f);
+                    here = here * (1.0f - skip_one * behind_one) * (1.0f - skip_two * behind_two);
+                }
                 const Lanes part = here * t * t * t;
                 const Lanes pulled = part * (x * pull[0] + (y * pull[1] + z * pull[2]));
-                const Lanes along = positive(x * flow[0] + (y * flow[1] + z * flow[2]));
-                const Lanes closing = ratio(along * length, square + soft);
-                const Lanes shocked = part * closing * closing;
                 s[0] += x * part;
                 s[1] += y * part;
                 s[2] += z * part;
                 s[3] += x * pulled;
                 s[4] += y * pulled;
                 s[5] += z * pulled;
-                s[6] += x * shocked;
-                s[7] += y * shocked;
-                s[8] += z * shocked;
-                s[9] += here * (rest * rest) * (rest * rest);
-                const Lanes along_one = behind_one * (x * one[0] + (y * one[1] + z * one[2]));
-                const Lanes along_two = behind_two * (x * two[0] + (y * two[1] + z * two[2]));
-                s[10] += along_one * part;
-                s[11] += along_one * pulled;
-                s[12] += along_two * part;
-                s[13] += along_two * pulled;
+                s[6] += here * (rest * rest) * (rest * rest);
+                if (is_corner) {
+                    const Lanes along_one = behind_one * (x * one[0] + (y * one[1] + z * one[2]));
+                    const Lanes along_two = behind_two * (x * two[0] + (y * two[1] + z * two[2]));
+                    s[7] += along_one * part;
+                    s[8] += along_one * pulled;
+                    s[9] += along_two * part;
+                    s[10] += along_two * pulled;
+                }
+                if (is_blow) {
+                    const Lanes along = positive(x * flow[0] + (y * flow[1] + z * flow[2]));
+                    const Lanes closing = ratio(along * length, square + soft);
+                    const Lanes shocked = part * closing * closing;
+                    s[11] += x * shocked;
+                    s[12] += y * shocked;
+                    s[13] += z * shocked;
+                }
             }
         }
     }
     wp::vec_t<14, wp::float32> found;
-    for (int k = 0; k < 14; ++k) found[k] = sum(s[k]);
+    for (int k = 0; k < 14; ++k) found[k] = 0.0f;
+    for (int k = 0; k < 7; ++k) found[k] = sum(s[k]);
+    if (is_corner) for (int k = 7; k < 11; ++k) found[k] = sum(s[k]);
+    if (is_blow) for (int k = 11; k < 14; ++k) found[k] = sum(s[k]);
     return found;
 """
 
