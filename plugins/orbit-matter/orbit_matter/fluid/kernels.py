@@ -198,11 +198,11 @@ def is_parted(f: Fluid, env: int, i: int, j: int, way: wp.vec3) -> bool:
     for k in range(f.guarded[env, i]):
         own = f.shielded[env, i, k]
         if height_over(own, way) < 0.0:
-            # Around an edge particles see each other; a wall between them faces one each way.
+            # Around an edge particles see each other, and over a seam; a wall between them faces one each way.
             for m in range(f.guarded[env, j]):
                 other = f.shielded[env, j, m]
                 alike = own[0] * other[0] + own[1] * other[1] + own[2] * other[2]
-                if alike < -0.1 and height_over(other, -way) < 0.0:
+                if alike < -0.7 and height_over(other, -way) < 0.0:
                     found = True
     return found
 

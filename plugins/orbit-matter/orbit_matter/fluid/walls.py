@@ -28,7 +28,7 @@ WIDE = wp.constant(17)
 
 Filled = wp.types.vector(length=14, dtype=float)
 """Sums over a lattice: of its volume times the kernel's slope, as vectors, once as it is and once times the pull to
-each cell; of the kernel; of the first two behind each of two planes, along its normal; and times the shock of the flow."""
+each cell; of the kernel; of the first two along the normals of two planes, behind each; and times the flow's shock."""
 
 _FILLED = """
 #ifdef __CUDA_ARCH__
