@@ -45,6 +45,8 @@ energy, which drops would bounce by else, and what flows smoothly feels next to 
 BLOW = wp.constant(3.0)
 """Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
 broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
+SHALLOW = wp.constant(0.25)
+"""Spacings of depth whose pressure a particle has at least that rests on others: half of one at a surface."""
 GENTLE = wp.constant(0.01)
 """m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
 COMPARED = 4096
@@ -315,9 +317,12 @@ def meet(
             f.given[env, i, count] = wp.vec3()
             f.pull[env, i, count] = wp.vec3()
             count += 1
+    # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
+    weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
+    held = wp.clamp(pressed / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
     filled = float(0.0)
     for k in range(count):
-        filled += fill(f, links, shapes, env, i, k, count, x, v, gravity[env], h)
+        filled += fill(f, links, shapes, env, i, k, count, x, v, gravity[env] * held, h)
     f.filled[env, i] = filled
     f.walls[env, i] = count
 
