@@ -2,9 +2,8 @@
 
 Densities follow the flow's divergence and are smoothed against noise (Antuono, Colagrossi, Marrone, "Numerical
 diffusive terms in weakly-compressible SPH schemes", 2012; without the hydrostatic part, Fourtakas et al., "Local
-uniform stencil boundary conditions for arbitrary shaped boundaries", 2019), pressures follow the densities. Walls are
-half-spaces of the liquid whose integrals over the kernel are polynomials: they need no particles, and a wall may be
-as thin as it likes.
+uniform stencil boundary conditions for arbitrary shaped boundaries", 2019), and where particles are; pressures follow
+densities. Walls are filled with a lattice of the liquid (``walls.py``), and may be as thin as they like.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
