@@ -27,7 +27,7 @@ SMOOTHNESS = 0.03
 """Diffusion of densities, as a part of ``length * sound``; the usual value."""
 RENEWED = 0.04
 """Seconds in which densities follow where particles are."""
-COUNTED = 1.002
+COUNTED = 1.003
 """Times what packing is counted: a liquid of six layers is compressed by its weight, by 0.4 % in the mean."""
 NOWHERE = 1e9
 """Metres; where particles are taken to have been that were not searched yet."""
