@@ -20,7 +20,7 @@ import warp as wp
 
 from orbit_core.interfaces import SceneLayout
 from orbit_matter.contact import Felt
-from orbit_matter.kernels import Links
+from orbit_matter.kernels import Links, pose_between
 
 AHEAD = wp.constant(0.8)
 """Part of a step that the matter's end is ahead of the engine's. Half would neither take from a swinging load nor give
@@ -119,7 +119,9 @@ def write_pose(to: wp.array3d[float], env: int, link: int, x: wp.vec3, q: wp.qua
 
 
 @wp.kernel(enable_backward=False)
-def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.array[wp.vec3], dt: float, liquids: int):
+def look_ahead(
+    b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.array[wp.vec3], dt: float, h: float, liquids: int
+):  # fmt: skip
     """Extrapolate each body's pose over the step to come, and note what other than the matter accelerates it.
 
     That is what it was in the last step: gravity, and what other bodies did. Of a blow, which does not go on, no more
@@ -155,15 +157,33 @@ def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.a
     b.turning[env, i] = turning
     b.shift[env, i] = wp.vec3()
     b.turned[env, i] = wp.vec3()
-    # A window as long as the step, which begins before the engine's state and ends AHEAD of it.
-    x, c, begin, end = position + arm, b.center[env, i], (AHEAD - 1.0) * dt, AHEAD * dt
+    # A window as long as the step, which begins before the engine's state and ends AHEAD of it. On liquids each begins
+    # where the last one ended: a liquid takes from the way of a body what its velocity does not say for pressure.
+    end = AHEAD * dt
+    if liquids == 1:
+        end = 0.5 * (dt + h)
+    x, c, begin = position + arm, b.center[env, i], end - dt
     write_pose(links.start, env, link, x + v * begin, turn_by(w * begin) * q, c)
     write_pose(links.end, env, link, x + v * end, turn_by(w * end) * q, c)
 
 
 @wp.kernel(enable_backward=False)
-def respond(b: Bodies, attached: wp.array2d[int], links: Links, felt: Felt, dt: float, share: float, h: float):
-    """Move bodies by what was done to them so far, in the substep that ends after a share of the step."""
+def respond(
+    b: Bodies, attached: wp.array2d[int], links: Links, felt: Felt, dt: float, share: float, h: float, stage: int
+):  # fmt: skip
+    """Move bodies by what was done to them so far, in the substep that ends after a share of the step.
+
+    Args:
+        b: the bodies.
+        attached: (N, B) particles that are attached to each, which others move.
+        links: where they are.
+        felt: forces on them.
+        dt: seconds of a step.
+        share: of the step, at the end of the substep.
+        h: seconds of a substep.
+        stage: 0 to move them; 1 to say where they are before a liquid has pushed them in this substep, and 2 to move
+            them when it has. Pressure follows their velocity, and one that is a push late feeds what it should calm.
+    """
     env, i = wp.tid()
     if attached[env, i] > 0 or b.lags[env, i] == 1:
         return
@@ -171,13 +191,18 @@ def respond(b: Bodies, attached: wp.array2d[int], links: Links, felt: Felt, dt: 
     force = wp.vec3()
     for d in range(felt.forces.shape[1]):
         force += felt.forces[env, d, link]
-    pose = links.link[env, link]
+    pose = pose_between(links.start, links.end, env, link, share)
     origin, q = wp.transform_get_translation(pose), wp.transform_get_rotation(pose)
     arm = wp.quat_rotate(q, b.center[env, i])
     torque = felt.torques[env, link] - wp.cross(arm, force)
-    shift = b.shift[env, i] + (b.pull[env, i] * share + force / b.mass[env, i]) * (dt * h)
-    turned = b.turned[env, i] + (b.twist[env, i] * share + b.turning[env, i] * torque) * (dt * h)
-    b.shift[env, i] = shift
-    b.turned[env, i] = turned
+    pulled = share
+    if stage == 1:
+        # As long as the forces so far, or what floats would sink by ``g h`` in each substep.
+        pulled -= h / dt
+    shift = b.shift[env, i] + (b.pull[env, i] * pulled + force / b.mass[env, i]) * (dt * h)
+    turned = b.turned[env, i] + (b.twist[env, i] * pulled + b.turning[env, i] * torque) * (dt * h)
+    if stage != 1:
+        b.shift[env, i] = shift
+        b.turned[env, i] = turned
     q = turn_by(turned) * q
     links.link[env, link] = wp.transform(origin + arm + shift - wp.quat_rotate(q, b.center[env, i]), q)

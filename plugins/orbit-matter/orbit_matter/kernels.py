@@ -165,7 +165,8 @@ def turn_between(before: wp.quat, after: wp.quat) -> wp.quat:
 def place_shapes(links: Links, shapes: Shapes, first: int):
     env, shape = wp.tid()
     kind = env % shapes.kind.shape[0]
-    # On the first call of a step there is no earlier pose: shapes then count as unmoved.
+    # On the first call of a step there is no earlier pose: shapes then count as unmoved. On a call with a 2 they are
+    # placed anew in the substep, and what they moved in it is still from where the last one left them.
     if first == 0:
         links.shape_before[env, shape] = links.shape[env, shape]
     pose = links.link[env, shapes.link[kind, shape]] * shapes.pose[kind, shape]

@@ -234,7 +234,7 @@ class Part:
             inputs = [self._attached, self._bodies, links, self._particles, self._gravity, dt]
             wp.launch(attached.begin, (self._n, self._free), inputs=inputs)
             liquids = int(self._fluid is not None)
-            inputs = [self._bodies, self._attached.count, links, self._gravity, dt, liquids]
+            inputs = [self._bodies, self._attached.count, links, self._gravity, dt, self._stepping.h, liquids]
             wp.launch(bodies.look_ahead, (self._n, self._free), inputs=inputs)
         # Forces gather over the substeps of one physics step.
         self._felt.forces.zero_()
@@ -275,7 +275,8 @@ class Part:
         wp.launch(kernels.place_links, (self._n, self._count + 1), inputs=[self._links, self._count, share])
         if self._free and moving:
             dt, h, shape = self._stepping.physics_dt, self._stepping.h, (self._n, self._free)
-            inputs = [self._bodies, self._attached.count, self._links, self._felt, dt, share, h]
+            stage = 0 if self._fluid is None else 1
+            inputs = [self._bodies, self._attached.count, self._links, self._felt, dt, share, h, stage]
             wp.launch(bodies.respond, shape, inputs=inputs)
             inputs = [self._attached, self._bodies, self._links, self._particles, self._felt, dt, h]
             wp.launch(attached.predict, shape, inputs=inputs)
@@ -300,8 +301,7 @@ class Part:
             if self._free:
                 self._solids.launch_push(self._links, lasting=True)
         if self._fluid is not None:
-            share = 1.0 / self._stepping.substeps
-            self._fluid.launch_substep(self._links, self._colliders.shapes, self._gravity, self._stepping.h, share)
+            self._launch_fluid(self._fluid, number / self._stepping.substeps)
         if not self._p:
             return
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
@@ -313,6 +313,17 @@ class Part:
         if self._solids is not None:
             stiffness, h = self._stepping.contact_stiffness, self._stepping.h
             self._solids.launch_lay(self._particles, stiffness, h, steps / self._stepping.substeps)
+
+    def _launch_fluid(self, fluid: FluidPart, reached: float) -> None:
+        """A substep of liquids, which ends when a share of the step is ``reached``."""
+        shapes, h, share = self._colliders.shapes, self._stepping.h, 1.0 / self._stepping.substeps
+        fluid.launch_push(self._links, shapes, self._gravity, h, share)
+        if self._free:
+            dt = self._stepping.physics_dt
+            inputs = [self._bodies, self._attached.count, self._links, self._felt, dt, reached, h, 2]
+            wp.launch(bodies.respond, (self._n, self._free), inputs=inputs)
+            wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=[self._links, shapes, 2])
+        fluid.launch_flow(self._links, shapes, self._gravity, h, share)
 
     def _launch_rows(self, contacts: list[Any]) -> None:
         """The rest of a substep, one launch thread for each environment."""

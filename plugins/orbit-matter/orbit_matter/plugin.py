@@ -32,19 +32,16 @@ _DECLARED = {
         "ropes; links feel it one physics step late, and free bodies lighter than a third of it may hop on it"
     ),
     Capability.FLUIDS: approximate(
-        "a liquid is particles of one spacing: of six layers of them the volume at rest is within 2 %, the force on a "
-        "side 5 % too small, sloshing loses a tenth of its amplitude in half a period, holes should be four spacings "
-        "wide; it does not wet, has no surface tension, and meets no cloth, rope or soft body; links and free bodies "
-        "feel it one physics step late; what floats lies up to three tenths of its draught too high, and may diverge "
-        "within seconds"
+        "a liquid is particles of one spacing: of six layers of them the volume at rest is within 2 %, forces on floor "
+        "and sides within 1 %, sloshing loses a seventh of its amplitude in half a period, holes should be four "
+        "spacings wide; it does not wet, has no surface tension, and meets no cloth, rope or soft body; links feel it "
+        "one physics step late; the draught of a raft is within a tenth"
     ),
     Capability.GPU: EXACT,
     Capability.SNAPSHOTS: EXACT,
 }
 
 _GAPS = (
-    Gap("fluid_rest", "sides", 0.06, "half a spacing of a side's width and height carries no pressure at its edges"),
-    Gap("fluid_draught", "draught", 0.35, "the first particles below what floats are nearly a whole spacing away"),
     Gap(
         "solid_pressure",
         "round",

@@ -12,23 +12,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import trimesh
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.bodies import STANDARD_GRAVITY, hanging_weight
 from orbit_core.scene import (
     Attachment,
-    Box,
-    Capsule,
     Cloth,
-    Cylinder,
     Entity,
     Fluid,
-    Link,
-    Mesh,
-    MeshCollision,
     Rope,
-    Sphere,
 )
 from orbit_matter.substeps import edge_length
 
@@ -123,25 +115,6 @@ def tossed(layout: SceneLayout) -> tuple[Approximation, ...]:
     return tuple(found)
 
 
-def floating(layout: SceneLayout) -> tuple[Approximation, ...]:
-    """Report free bodies that are lighter than a liquid that they may float on."""
-    found: list[Approximation] = []
-    for spec in layout.scene.deformables:
-        if not isinstance(spec, Fluid):
-            continue
-        particle = spec.density * spec.spacing**3
-        for body in (entity.spec for entity in layout.entities if entity.spec.is_free_body):
-            links = [articulation.links[0] for articulation in body.alternatives]
-            lightest = min(links, key=lambda link: link.mass)
-            floats = any(link.mass < spec.density * _room(link) for link in links)
-            # Those that are lighter still are reported as tossed about.
-            if floats and lightest.mass >= _FLOATS * particle:
-                got = f"lies up to {0.5e3 * spec.spacing:.2g} mm too high, and may drift or diverge within seconds"
-                why = f"particles below it stay half of a spacing of {spec.spacing:g} m too far away"
-                found.append(Approximation(f"'{body.name}'", f"floating on '{spec.name}'", got, why))
-    return tuple(found)
-
-
 def passing(layout: SceneLayout) -> tuple[Approximation, ...]:
     """Report cloth, ropes and soft bodies in scenes of liquids, which neither meets."""
     liquids = [spec.name for spec in layout.scene.deformables if isinstance(spec, Fluid)]
@@ -168,28 +141,6 @@ def rounded(layout: SceneLayout) -> tuple[Approximation, ...]:
                 box, particles = (f"{spec.density * volume:.3g} kg" for volume in (asked, got))
                 found.append(Approximation(f"'{spec.name}'", box, particles, why))
     return tuple(found)
-
-
-def _room(link: Link) -> float:
-    """Return the volume of a link's collision shapes, m^3; overlaps count twice."""
-    total = 0.0
-    for shape in link.collisions:
-        match shape.geometry:
-            case Box(half_extents=half):
-                total += 8.0 * math.prod(half)
-            case Sphere(radius=r):
-                total += 4.0 / 3.0 * math.pi * r**3
-            case Capsule(radius=r, half_length=h):
-                total += math.pi * r**2 * (2.0 * h + 4.0 / 3.0 * r)
-            case Cylinder(radius=r, half_length=h):
-                total += 2.0 * math.pi * r**2 * h
-            case Mesh() as mesh:
-                made = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-                hull = mesh.collision is MeshCollision.CONVEX_HULL
-                total += abs(float((made.convex_hull if hull else made).volume))
-            case _:  # planes and height fields are of the terrain
-                pass
-    return total
 
 
 def _late_link(layout: SceneLayout, spec: Cloth | Rope, attachment: Attachment) -> list[Approximation]:

@@ -44,7 +44,7 @@ def _plain(place: npt.NDArray, motion: npt.NDArray, i: int, listed: list[int]) -
         closing = max(0.0, float(flow @ way)) * LENGTH / (away**2 + SOFT)
         pressing[:3] += way * part * (motion[i, 3] + motion[j, 3] + SHOCK * closing**2)
         pressing[3:6] += flow * part
-        pressing[6] += t**4 * (5.0 - 4.0 * t)
+        pressing[6] += max(0.0, 1.0 - (away * HALF) ** 2) ** 4
         lean = float(np.asarray(LEAN) @ way)
         diverging += part * (float(flow @ way) * motion[i, 3] + SMOOTH * (motion[j, 3] - motion[i, 3] + lean))
     return pressing, diverging

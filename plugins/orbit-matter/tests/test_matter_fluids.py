@@ -19,7 +19,7 @@ from orbit_matter.block import BLOCK
 from orbit_matter.bodies import free_links
 from orbit_matter.fluid import kernels
 from orbit_matter.fluid.fluids import build
-from orbit_matter.stability import floating, passing, rounded, tossed
+from orbit_matter.stability import passing, rounded, tossed
 
 WATER = Fluid("water", (0.02, 0.02, 0.02), pose=Pose((0.0, 0.0, 0.02)), spacing=0.01)
 GROUND = (Shape(Plane()),)
@@ -166,13 +166,6 @@ def test_a_body_that_weighs_few_particles_is_reported_with_the_spacing_that_woul
     (found,) = tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(WATER,), terrain=GROUND)))
     assert "weighs 4 particles of 'water': a spacing of 0.0074 m would do" in found.why
     assert not tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(replace(WATER, spacing=0.007),))))
-
-
-def test_a_body_that_floats_is_reported_and_one_that_sinks_is_not() -> None:
-    for mass, count in ((0.05, 1), (0.07, 0)):
-        raft = box("raft", size=(0.04, 0.04, 0.04), mass=mass, pose=Pose((0.0, 0.0, 0.08)))
-        found = floating(SceneLayout.of(Scene(objects=(raft,), deformables=(WATER,), terrain=GROUND)))
-        assert len(found) == count
 
 
 def test_cloth_in_a_scene_of_liquid_is_reported_as_passed_through() -> None:

@@ -25,9 +25,10 @@ ROUGHNESS = 0.004
 """Artificial viscosity, as a part of ``length * sound``: enough against noise between particles."""
 SMOOTHNESS = 0.03
 """Diffusion of densities, as a part of ``length * sound``; the usual value."""
-MESS = 0.065
-RENEWED = 0.2
+RENEWED = 0.04
 """Seconds in which densities follow where particles are."""
+COUNTED = 1.003
+"""Times what packing is counted: a liquid of six layers is compressed by its weight, by 0.4 % in the mean."""
 NOWHERE = 1e9
 """Metres; where particles are taken to have been that were not searched yet."""
 WALLS = 6

@@ -2,9 +2,8 @@
 
 Densities follow the flow's divergence and are smoothed against noise (Antuono, Colagrossi, Marrone, "Numerical
 diffusive terms in weakly-compressible SPH schemes", 2012; without the hydrostatic part, Fourtakas et al., "Local
-uniform stencil boundary conditions for arbitrary shaped boundaries", 2019), pressures follow the densities. Walls are
-half-spaces of the liquid whose integrals over the kernel are polynomials: they need no particles, and a wall may be
-as thin as it likes.
+uniform stencil boundary conditions for arbitrary shaped boundaries", 2019), and where particles are; pressures follow
+densities. Walls are filled with a lattice of the liquid (``walls.py``), and may be as thin as they like.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
@@ -18,19 +17,22 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.block import BLOCK, BOUNDS, any_in_warp
-from orbit_matter.contact import NEAREST, STILL, Felt, Normals, carried, feel, feel_together, normal_of, surface
+from orbit_matter.contact import NEAREST, Felt, Normals, carried, feel, feel_together, normal_of, surface
 from orbit_matter.fluid.pairs import LANES, diverged_from, keep, pressed_by
+from orbit_matter.fluid.walls import axes_of, filled_by, lattice_behind, lattice_of_box
 from orbit_matter.kernels import Links
 from orbit_matter.self_contact import bucket_of, cell_of
-from orbit_matter.surfaces import Shapes
+from orbit_matter.surfaces import BOX, Shapes
 
-SHADE = wp.constant(0.05)
-"""Spacings by which the nearest point of a surface must stand out of another wall to be a separate wall: of two boxes
-that make one floor, or that overlap, one hides the other."""
 PROBE = wp.constant(0.1)
-"""Spacings below a surface where its depth tells edges from faces; walls of a fifth of a spacing have faces still."""
+"""Spacings below a surface where its depth tells edges from faces, and where walls are looked for that hide others or
+overlap with them."""
 SHARP = wp.constant(2.05)
-"""Factor of the loss of a wall's weight at an edge: 0.6 of it where the faces are square to each other."""
+"""Factor of the loss of a wall's weight at an edge, of what is no box: 0.6 of it where faces are square."""
+FACING = wp.constant(0.999)
+"""Least part of a box's normal along one of its axes before a face and not an edge."""
+ACROSS = wp.constant(0.7)
+"""Most that the normals of two walls have in common which make a corner."""
 CLOSEST = wp.constant(0.25)
 """Spacings that a particle is kept from a wall, should the wall be faster than pressure."""
 ESCAPE = wp.constant(0.5)
@@ -39,13 +41,13 @@ SHOCK = wp.constant(2.0)
 """Quadratic artificial viscosity, the usual value (Monaghan, "Smoothed particle hydrodynamics", 1992): a blow loses its
 energy, which drops would bounce by else, and what flows smoothly feels next to none of it."""
 
-APART = wp.constant(0.5)
-"""Spacings between a particle and a free body above which there is a void between them."""
-BEYOND = wp.constant(1.2)
-"""Spacings from which on other particles are between it and the body."""
-LEVELLING = wp.constant(8.0)
-"""Times the usual diffusion of densities at a void: a particle there has the pressure of its neighbours at once, and a
-third more than this would overshoot."""
+BLOW = wp.constant(3.0)
+"""Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
+broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
+SHALLOW = wp.constant(0.25)
+"""Spacings of depth whose pressure a particle has at least that rests on others: half of one at a surface."""
+GENTLE = wp.constant(0.01)
+"""m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
 COMPARED = 4096
 """Particles up to which a GPU compares each with all others rather than with those in the cells around it."""
 SEARCHERS = wp.constant(4 * BLOCK)
@@ -55,6 +57,8 @@ CLEARERS = wp.constant(64)
 """Threads that empty the cells of an environment."""
 
 Distances = wp.types.vector(length=6, dtype=float)
+Others = wp.types.vector(length=2, dtype=int)
+Planes = wp.types.matrix(shape=(2, 4), dtype=float)
 
 
 @wp.struct
@@ -93,8 +97,12 @@ class Fluid:
     """(N, P) how many of them there are."""
     shielded: wp.array3d[wp.vec4]
     """(N, P, W) planes at the last search, with a distance of 1e6 for none."""
-    weight: wp.array3d[wp.vec2]
-    """(N, P, W) integrals of the kernel's gradient over a wall, of 1 (in 1/m) and of the distance (without unit)."""
+    given: wp.array3d[wp.vec3]
+    """(N, P, W) sums of the kernel's gradient over the cells of a wall, in 1/m."""
+    pull: wp.array3d[wp.vec3]
+    """(N, P, W) m/s^2 from a wall whose cells are deeper or higher, or that comes near fast."""
+    filled: wp.array2d[float]
+    """(N, P) what walls add to ``packed``."""
     neighbours: wp.array3d[int]
     """(N, P, K)"""
     count: wp.array2d[int]
@@ -124,11 +132,10 @@ class Fluid:
     smooth: float
     """m^2/s of the diffusion of densities."""
     peak: float
-    """Height of the kernel times a particle's volume: it is ``peak t^4 (5 - 4 t)``."""
-    mess: float
-    """Excess of ``packed`` of particles in disorder: each counts itself."""
+    """Height of the kernel that ``packed`` sums, times a particle's volume: ``peak (1 - r^2 / (2 length)^2)^4``. Of
+    particles in disorder it says the density three times as well as the other kernel."""
     renewal: float
-    """1/s with which densities follow ``packed`` where it is larger."""
+    """1/s with which densities follow ``packed``, and 1 where that is smaller."""
     cell: float
     """Metres within which neighbours are searched."""
 
@@ -180,21 +187,25 @@ def insert(f: Fluid, renewed: int):
 
 
 @wp.func
-def is_behind(f: Fluid, env: int, i: int, way: wp.vec3) -> bool:
-    """Return True if a point that far from a particle is on the other side of one of its walls."""
-    found = bool(False)
-    for k in range(f.guarded[env, i]):
-        plane = f.shielded[env, i, k]
-        if plane[0] * way[0] + plane[1] * way[1] + plane[2] * way[2] + plane[3] < 0.0:
-            found = True
-    return found
+def height_over(plane: wp.vec4, way: wp.vec3) -> float:
+    """Return how far in front of a particle's wall a point is that is so far from the particle."""
+    return plane[0] * way[0] + plane[1] * way[1] + plane[2] * way[2] + plane[3]
 
 
 @wp.func
 def is_parted(f: Fluid, env: int, i: int, j: int, way: wp.vec3) -> bool:
     """Return True if a wall parts two particles, ``way`` from the first to the second."""
-    # Both are asked, so that forces stay in pairs.
-    return is_behind(f, env, i, way) or is_behind(f, env, j, -way)
+    found = bool(False)
+    for k in range(f.guarded[env, i]):
+        own = f.shielded[env, i, k]
+        if height_over(own, way) < 0.0:
+            # Around an edge particles see each other, and over a seam; a wall between them faces one each way.
+            for m in range(f.guarded[env, j]):
+                other = f.shielded[env, j, m]
+                alike = own[0] * other[0] + own[1] * other[1] + own[2] * other[2]
+                if alike < -0.7 and height_over(other, -way) < 0.0:
+                    found = True
+    return found
 
 
 @wp.func
@@ -261,7 +272,9 @@ def compare(f: Fluid):
 
 
 @wp.kernel(enable_backward=False)
-def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt, most: float):
+def meet(
+    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float
+):  # fmt: skip
     """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search."""
     env, i = wp.tid()
     kind, x, s = env % shapes.kind.shape[0], f.x[env, i], f.s[env, i]
@@ -272,7 +285,7 @@ def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt, most: float):
     pressed = (s - 1.0) * stiff
     if pressed < 0.0:
         # A liquid pulls where it is whole, and not at its surface, where it would curl up.
-        pressed *= wp.clamp((f.packed[env, i] - f.mess - 0.8) * 10.0, 0.0, 1.0)
+        pressed *= wp.clamp((f.packed[env, i] - 0.8) * 10.0, 0.0, 1.0)
     v = f.v[env, i]
     f.place[env, i] = wp.vec4(x[0], x[1], x[2], f.volume / s)
     f.motion[env, i] = wp.vec4(v[0], v[1], v[2], pressed)
@@ -286,49 +299,120 @@ def meet(f: Fluid, links: Links, shapes: Shapes, felt: Felt, most: float):
         looked += 1
     count = int(0)
     for k in range(looked):
-        near = distances[k] < reach
+        near, n = distances[k] < reach, normal_of(normals, k)
         for other in range(looked):
             first = distances[other] < distances[k] or (distances[other] == distances[k] and other < k)
             if first and near:
-                out = distances[other] - distances[k] * wp.dot(normal_of(normals, k), normal_of(normals, other))
-                if out <= SHADE * f.spacing:
-                    near = False
+                # What is behind the face of a nearer wall is hidden by it, and by what goes on behind it.
+                away, facing = -n * (distances[k] + PROBE * f.spacing), normal_of(normals, other)
+                height = distances[other] + wp.dot(facing, away)
+                if height < 0.0:
+                    below = x + away - facing * (height + PROBE * f.spacing)
+                    if surface(links, shapes, env, kind, felt.near[env, i, other], below, 0.0)[3] > 0.0:
+                        near = False
         if near and count < f.shape.shape[2]:
-            n = normal_of(normals, k)
             f.plane[env, i, count] = wp.vec4(n[0], n[1], n[2], distances[k])
             f.shape[env, i, count] = felt.near[env, i, k]
+            f.given[env, i, count] = wp.vec3()
+            f.pull[env, i, count] = wp.vec3()
             count += 1
+    # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
+    weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
+    held = wp.clamp(pressed / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
+    filled = float(0.0)
     for k in range(count):
-        # In a corner walls share what is behind both of them.
-        left = float(1.0)
-        for other in range(count):
-            if other != k:
-                left *= 1.0 - share_of(f, f.plane[env, i, other][3])
-        # Just below the nearest point of an edge the surface is nearer than below that of a face.
-        n = wp.vec3(f.plane[env, i, k][0], f.plane[env, i, k][1], f.plane[env, i, k][2])
-        below = x - n * (f.plane[env, i, k][3] + PROBE * f.spacing)
-        depth = surface(links, shapes, env, kind, f.shape[env, i, k], below, 0.0)[3]
-        left *= wp.clamp(1.0 - SHARP * (1.0 - depth / (PROBE * f.spacing)), 0.1, 1.0)
-        d = wp.clamp(f.plane[env, i, k][3], 0.0, reach)
-        edge = edge_of(f, d) * left
-        f.weight[env, i, k] = wp.vec2(edge, edge * d + share_of(f, d) * left)
+        filled += fill(f, links, shapes, env, i, k, count, x, v, gravity[env] * held, h)
+    f.filled[env, i] = filled
     f.walls[env, i] = count
 
 
 @wp.func
-def edge_of(f: Fluid, d: float) -> float:
-    """Integrate the kernel over a plane at a distance, in 1/m."""
-    t = wp.max(1.0 - 0.5 * d / f.length, 0.0)
-    t5 = t * t * t * t * t
-    return 10.5 / f.length * t5 * (1.0 - 1.5 * t + 4.0 / 7.0 * t * t)
+def wall_of(f: Fluid, env: int, i: int, k: int) -> wp.vec3:
+    """Return the normal of a particle's k-th wall."""
+    plane = f.plane[env, i, k]
+    return wp.vec3(plane[0], plane[1], plane[2])
 
 
 @wp.func
-def share_of(f: Fluid, d: float) -> float:
-    """Integrate the kernel over the half-space behind a plane at a distance."""
-    t = wp.clamp(1.0 - 0.5 * d / f.length, 0.0, 1.0)
-    t6 = t * t * t * t * t * t
-    return t6 * (3.5 - 4.5 * t + 1.5 * t * t)
+def is_facing(f: Fluid, links: Links, shapes: Shapes, env: int, i: int, k: int) -> bool:
+    """Return True if a particle is in front of a face of its k-th wall, and not of an edge of a box."""
+    shape = f.shape[env, i, k]
+    local = wall_of(f, env, i, k) @ links.axes[env, shape]
+    along = wp.max(wp.abs(local[0]), wp.max(wp.abs(local[1]), wp.abs(local[2])))
+    return shapes.kind[env % shapes.kind.shape[0], shape] != BOX or along > FACING
+
+
+@wp.func
+def fill(
+    f: Fluid, links: Links, shapes: Shapes, env: int, i: int, k: int, count: int, x: wp.vec3, v: wp.vec3,
+    gravity: wp.vec3, h: float,
+) -> float:  # fmt: skip
+    """Write what the k-th of a particle's ``count`` walls gives, and return what it adds to where particles are."""
+    kind, shape, n, d = env % shapes.kind.shape[0], f.shape[env, i, k], wall_of(f, env, i, k), f.plane[env, i, k][3]
+    axes, weight, reach = wp.mat33(links.axes[env, shape]), float(1.0), 2.0 * f.length
+    local = (x - wp.transform_get_translation(links.shape[env, shape])) @ axes
+    cells = lattice_of_box(local, shapes.size[kind, shape], f.spacing)
+    if shapes.kind[kind, shape] != BOX:
+        axes = axes_of(n)
+        cells = lattice_behind(d, f.spacing)
+        # Just below the nearest point of an edge the surface is nearer than below that of a face.
+        depth = surface(links, shapes, env, kind, shape, x - n * (d + PROBE * f.spacing), 0.0)[3]
+        weight = wp.clamp(1.0 - SHARP * (1.0 - depth / (PROBE * f.spacing)), 0.1, 1.0)
+    # Two other walls that make a corner with this one.
+    others, skips, found = Others(-1, -1), wp.vec2(0.0, 0.0), int(0)
+    planes = Planes()
+    planes[0, 3] = 1.0e6
+    planes[1, 3] = 1.0e6
+    for other in range(count):
+        away = f.plane[env, i, other][3]
+        if other != k and found < 2 and d * d + away * away < reach * reach:
+            facing = wall_of(f, env, i, other)
+            if wp.abs(wp.dot(n, facing)) < ACROSS and is_facing(f, links, shapes, env, i, other):
+                plane = f.plane[env, i, other]
+                turned = facing @ axes
+                for axis in range(3):
+                    planes[found, axis] = turned[axis]
+                planes[found, 3] = plane[3]
+                others[found] = other
+                if other < k:
+                    # Where shapes overlap behind both, cells are of one of them.
+                    probe = PROBE * f.spacing
+                    corner = x - n * (d + probe) - facing * (plane[3] + probe)
+                    inside = surface(links, shapes, env, kind, shape, corner, 0.0)[3] > 0.0
+                    if inside and surface(links, shapes, env, kind, f.shape[env, i, other], corner, 0.0)[3] > 0.0:
+                        skips[found] = 1.0
+                found += 1
+    # Only what comes nearer is a blow: cells that a particle slides past would hold it and lift it.
+    toward = wp.max(-wp.dot(n, v - carried(links, env, shape, x) / h), 0.0)
+    if toward < GENTLE:
+        toward = 0.0
+    got = filled_by(
+        cells.at, cells.cell, cells.inside, cells.last, 0.5 / f.length, f.length, 0.01 * f.length * f.length,
+        gravity @ axes, n @ axes * (BLOW * toward),
+        wp.vec4(planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3]),
+        wp.vec4(planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3]), skips[0], skips[1],
+    )  # fmt: skip
+    slope = f.slope * cells.volume * weight
+    given = axes @ wp.vec3(got[0], got[1], got[2]) * slope
+    pull = axes @ wp.vec3(got[3], got[4], got[5]) * -slope
+    shock = axes @ wp.vec3(got[11], got[12], got[13]) * (slope * SHOCK)
+    # No more than what stops it within the substep.
+    strength = wp.length(shock) * h
+    if strength > toward:
+        shock *= toward / strength
+    # Walls press along their normals: what is behind another wall, too, presses on that one as its normal says.
+    for m in range(found):
+        other = others[m]
+        facing = wall_of(f, env, i, other)
+        first = facing * (got[7 + 2 * m] * slope)
+        second = facing * (got[8 + 2 * m] * -slope)
+        given -= first
+        pull -= second
+        f.given[env, i, other] = f.given[env, i, other] + first
+        f.pull[env, i, other] = f.pull[env, i, other] + second
+    f.given[env, i, k] = f.given[env, i, k] + given
+    f.pull[env, i, k] = f.pull[env, i, k] + pull + shock
+    return got[6] * f.peak * cells.volume / f.volume * weight
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
@@ -363,7 +447,7 @@ def push_one(
     # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)
     a = pressing * (f.slope / density) + rubbing * (2.0 * f.slope * (f.rough + viscosity / density))
     # A particle is within its own kernel.
-    packed = (found[6] + 1.0) * f.peak
+    packed = (found[6] + 1.0) * f.peak + f.filled[env, i]
     mass = f.rest_density[i] * scale * f.volume
     kind, k = env % shapes.kind.shape[0], int(0)
     while any_in_warp(int(k < walls)) == 1:
@@ -371,18 +455,14 @@ def push_one(
         if k < walls:
             wall = f.shape[env, i, k]
             plane = f.plane[env, i, k]
-            weight = f.weight[env, i, k]
-            packed += weight[1] - weight[0] * plane[3]
+            sides = f.given[env, i, k]
             n = wp.vec3(plane[0], plane[1], plane[2])
             passed = v - carried(links, env, wall, x) / h
             near, toward = wp.max(plane[3], 0.5 * f.spacing), -wp.dot(n, passed)
-            closing = wp.max(toward, 0.0) * f.length / near
-            # No more than what stops it within the substep.
-            stopped = wp.min(SHOCK * closing * closing * weight[0], wp.max(toward, 0.0) / h)
-            pressed = 2.0 * own * weight[0] / density - wp.dot(g, n) * weight[1] + stopped
             slid = passed + n * toward
-            rubbed = wp.min(2.0 * viscosity / density * weight[0] / near, 1.0 / h)
-            given = n * pressed - slid * rubbed
+            rubbed = wp.min(2.0 * viscosity / density * wp.max(wp.dot(sides, n), 0.0) / near, 1.0 / h)
+            # Behind the wall the pressure is the particle's own, but for the depth.
+            given = sides * (2.0 * own / density) + f.pull[env, i, k] - slid * rubbed
             a += given
             link = shapes.link[kind, wall]
             force = given * (-mass * share)
@@ -414,33 +494,19 @@ def flow(f: Fluid, links: Links, shapes: Shapes, gravity: wp.array[wp.vec3], h: 
 def flow_one(
     f: Fluid, rows: wp.uint64, links: Links, shapes: Shapes, gravity: wp.array[wp.vec3], h: float, env: int, i: int
 ):
-    kind = env % shapes.kind.shape[0]
     x, v, s = f.x[env, i], velocity_of(f.pushed[env, i]), f.s[env, i]
     lean, count = gravity[env] / (f.sound * f.sound), f.count[env, i]
-    half, smooth, nearest = 0.5 / f.length, 2.0 * f.smooth, float(BEYOND)
-    for k in range(f.walls[env, i]):
-        # Only free bodies: particles at walls that stand jitter by as much, and levelling them stirs the liquid.
-        if shapes.still[kind, f.shape[env, i, k]] > STILL:
-            nearest = wp.min(nearest, f.plane[env, i, k][3] / f.spacing)
-    if nearest < BEYOND:
-        # A body that comes near presses through the void before it, and the density would keep that pressure.
-        void = wp.clamp((1.0 - f.packed[env, i]) * 10.0, 0.0, 1.0) * wp.clamp(4.0 * (nearest - APART), 0.0, 1.0)
-        smooth *= 1.0 + LEVELLING * void
+    half, smooth = 0.5 / f.length, 2.0 * f.smooth
     rate = diverged_from(rows, f.place, f.pushed, f.neighbours, env, i, count, half, smooth, lean)
     rate *= f.slope
     for k in range(f.walls[env, i]):
         wall = f.shape[env, i, k]
-        plane = f.plane[env, i, k]
-        weight = f.weight[env, i, k]
-        n = wp.vec3(plane[0], plane[1], plane[2])
-        toward = wp.dot(carried(links, env, wall, x) / h - v, n)
         # Behind the wall the flow is mirrored, as pressure is, so that what one takes from the motion the other
         # gives back.
-        rate += 2.0 * s * toward * weight[0]
-    # Errors of the divergence add up; where particles are gives the density, but for those at the surface.
-    # Where a gap has opened nothing presses, though the divergence may say so.
-    bare = wp.clamp((0.9 - f.packed[env, i]) * 10.0, 0.0, 1.0)
-    f.rate[env, i] = rate + (wp.max(f.packed[env, i] - f.mess - s, 0.0) + bare * (1.0 - s)) * f.renewal
+        rate += 2.0 * s * wp.dot(carried(links, env, wall, x) / h - v, f.given[env, i, k])
+    # Errors of the divergence add up; where particles are gives the density. At a surface, and where a gap has opened,
+    # it is that at rest: nothing presses there, though the divergence may say so.
+    f.rate[env, i] = rate + (wp.max(f.packed[env, i], 1.0) - s) * f.renewal
 
 
 @wp.kernel(enable_backward=False)

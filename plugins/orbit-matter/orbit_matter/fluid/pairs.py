@@ -102,7 +102,8 @@ _PRESSED = """
         rubbing_x += u * part;
         rubbing_y += v * part;
         rubbing_z += w * part;
-        packed += cube * t * (5.0f - 4.0f * t);
+        const Lanes rest = positive(1.0f - square * (half * half));
+        packed += (rest * rest) * (rest * rest);
     }
     wp::vec_t<7, wp::float32> found;
     found[0] = sum(pressing_x);

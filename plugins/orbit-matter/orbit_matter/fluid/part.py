@@ -48,7 +48,8 @@ class FluidPart:
         made.rest_density, made.viscosity = wp.array(model.densities), wp.array(model.viscosities)
         made.owner = wp.array(model.owners, dtype=int)
         walls = (*shape, fluids.WALLS)
-        made.plane, made.weight = wp.zeros(walls, dtype=wp.vec4), wp.zeros(walls, dtype=wp.vec2)
+        made.plane, made.filled = wp.zeros(walls, dtype=wp.vec4), wp.zeros(shape, dtype=float)
+        made.given, made.pull = wp.zeros(walls, dtype=wp.vec3), wp.zeros(walls, dtype=wp.vec3)
         made.shape, made.walls = wp.zeros(walls, dtype=int), wp.zeros(shape, dtype=int)
         made.searched = wp.from_torch(memory["fluid_searched"], wp.vec3)
         made.shielded = wp.from_torch(memory["fluid_shielded"], wp.vec4)
@@ -59,8 +60,7 @@ class FluidPart:
         made.spacing, made.length, made.sound = model.spacing, model.length, model.sound
         made.volume = model.spacing**3
         made.slope = 105.0 / (16.0 * math.pi * model.length**5)
-        made.peak = 21.0 / (16.0 * math.pi * model.length**3) * made.volume
-        made.mess = fluids.MESS
+        made.peak = 3465.0 / (512.0 * math.pi * (2.0 * model.length) ** 3) * made.volume * fluids.COUNTED
         made.renewal = 1.0 / fluids.RENEWED
         made.rough = fluids.ROUGHNESS * model.length * model.sound
         made.smooth = fluids.SMOOTHNESS * model.length * model.sound
@@ -99,18 +99,23 @@ class FluidPart:
         inputs = [self._particles, links, shapes, self._felt, physics_dt]
         wp.launch(contact.find_near, (self._n, self._p), inputs=inputs)
 
-    def launch_substep(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
-        """Advance by one substep, a ``share`` of a physics step, against links at its end."""
+    def launch_push(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
+        """Begin a substep, a ``share`` of a physics step, against links at its end: find what presses, and on what."""
         f, shape = self._fluid, (self._n, self._p)
         f.stale.zero_()
         # Two that come from half of the skin each are just within the kernel's reach.
         most = 0.5 * fluids.SKIN * self._model.spacing
-        wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, most])
+        wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, gravity, h, most])
         self._launch_search(renewed=1)
         # A block of threads takes an environment; a CPU's blocks have one thread.
         blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
         inputs = [f, links, shapes, self._felt, gravity, h, share]
         wp.launch(kernels.push, blocks, inputs=inputs, block_dim=BLOCK)
+
+    def launch_flow(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
+        """End the substep: let particles flow, against links that have answered the push."""
+        f, shape = self._fluid, (self._n, self._p)
+        blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
         wp.launch(kernels.flow, blocks, inputs=[f, links, shapes, gravity, h], block_dim=BLOCK)
         wp.launch(kernels.move, shape, inputs=[f, links, shapes, self._felt, h, share])
 
