@@ -96,7 +96,7 @@ EXAMPLE_TESTS := -k torch tests/conformance/orbit_conformance/contract/test_conf
 EXAMPLE_RUN := conformance --quick --backend torch --matter native --output out/conformance-torch --scenario
 
 out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.py')
-	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
+	$(INSTALL) --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
 	@touch $@
 
 example: out/orbit-torch
@@ -129,32 +129,32 @@ docs-view: $(VENV)/.ready-dev
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-# Python compiles what it loads and no more, and packages of the system come while pip works. What builds packages is
-# installed once, rather than anew for each of them.
-PIP := $(CACHED) $(BIN)/pip install --quiet --no-compile --no-build-isolation --constraint constraints.txt
+# Python compiles what it loads and no more. What builds packages is installed once, rather than anew for each of them.
+INSTALL := $(CACHED) $(BIN)/python tools/install.py --no-build-isolation --constraint constraints.txt
 
 $(VENV)/.builders: $(VENV)/bin/python
-	$(PIP) hatchling editables setuptools wheel
+	$(INSTALL) hatchling editables setuptools wheel
 	touch $@
 
 # What the demonstrations need and no more: OpenUSD and the suite's packages would take a third of the time.
 DEMO := assets data learn motion policies viewer
 
 $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
-	sh tools/system_packages.sh graphics & $(PIP) --editable . $(DEMO:%=--editable packages/orbit-%) --editable ./orbit_tasks \
-		--editable plugins/orbit-mjmodel --editable plugins/orbit-mujoco --editable ".[robots,viewer,video]" && wait $$!
+	sh tools/system_packages.sh graphics & $(INSTALL) --editable . $(DEMO:%=--editable packages/orbit-%) \
+		--editable ./orbit_tasks --editable plugins/orbit-mjmodel --editable plugins/orbit-mujoco \
+		--editable ".[robots,viewer,video]" && wait $$!
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
-	sh tools/system_packages.sh graphics vulkan browser & $(PIP) -r checkout.txt \
+	sh tools/system_packages.sh graphics vulkan browser & $(INSTALL) -r checkout.txt \
 		$(PLUGINS:%=--editable plugins/orbit-%) \
 		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,deploy,ros,scenes,scan,sound,editor,$(LEARNING),docs,dev]" \
 		&& wait $$!
-	$(PIP) --no-deps crocoddyl libcrocoddyl
+	$(INSTALL) --no-deps crocoddyl libcrocoddyl
 	touch $(VENV)/.ready $@
 
 $(VENV)/.ready-release: $(VENV)/.builders
-	$(PIP) twine
+	$(INSTALL) twine
 	touch $@
 
 # Wheels and source archives of every distribution, and a check that they install and run without this checkout.
