@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import defaultdict
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from tests.tiers.revision import current_revision
 from tests.tiers.selection import Selection, select
 from tests.tiers.slow_list import SLOW_SECONDS, read_slow_list
+from tests.tiers.spread import Spread
 from tests.tiers.touched import touched_tests
 
 _GROWN = 3.0
@@ -40,6 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: measured to be slow (tests/tiers/slow.txt); one commit in sixty runs it")
     config.addinivalue_line("markers", "rotates: one of many alike; one commit in sixty runs each, slow or not")
     config.pluginmanager.register(Tiers(config), "orbit-tiers")
+    config.pluginmanager.register(Spread(os.environ.get("PYTEST_XDIST_WORKER", "")), "orbit-spread")
 
 
 def waited_seconds() -> float:

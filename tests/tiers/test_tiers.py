@@ -18,6 +18,7 @@ from tests.tiers.revision import Revision, current_revision
 from tests.tiers.selection import CHANGE_SECONDS, select
 from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed, turns, write_slow_list
 from tests.tiers.touched import touched_backends, touched_tests
+from tests.tiers.types import TYPE_TURNS, checked_files, concerned, share
 
 ROOT = Path(__file__).parents[2]
 LISTED = {f"tests/x/test_{i}.py::test_{i}": 2.0 + i for i in range(2 * TURNS)}
@@ -158,6 +159,30 @@ def test_a_changed_plugin_runs_slow_scenarios_on_its_backend_for_as_long_as_a_ch
     turn = sum(known.values()) / len(backend_names()) / TURNS
     assert CHANGE_SECONDS - 30.0 < seconds < CHANGE_SECONDS + 2.0 * turn
     assert "scenarios-touched" not in runs(["scenario/free_fall"], known, Revision(0))
+
+
+def test_consecutive_commits_check_the_types_of_every_file() -> None:
+    files = checked_files()
+    assert "orbit_core/envs/task.py" in files
+    assert not [file for file in files if "/tests/" in file and file.startswith("plugins/")]
+    shares = [share(files, Revision(turn), set()) for turn in range(TYPE_TURNS)]
+    assert sorted(file for chosen, left in shares for file in chosen if not left) == files
+
+
+def test_types_of_changed_files_and_importers_are_checked_whatever_the_turn() -> None:
+    files = [
+        file for file in checked_files() if file.startswith(("orbit_core/envs", "orbit_core/i", "plugins/orbit-b"))
+    ]
+    changed = frozenset({"orbit_core/interfaces/errors.py"})
+    touched = concerned(files, changed)
+    assert "orbit_core/envs/actors.py" in touched
+    for turn in range(TYPE_TURNS):
+        chosen, left = share(files, Revision(turn, changed), touched)
+        assert {*chosen} >= changed
+        assert left == len(touched) - len(touched & {*chosen}) > 0
+        assert len(chosen) < 0.5 * len(files)
+    plugin = "plugins/orbit-bullet/orbit_bullet/engine.py"
+    assert concerned(files, {plugin}) == {file for file in files if file.startswith("plugins/orbit-bullet/")}
 
 
 def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
