@@ -16,7 +16,7 @@ from tests.tiers.slow_list import SLOW_SECONDS, read_slow_list
 from tests.tiers.spread import Spread
 from tests.tiers.touched import touched_tests
 
-_GROWN = 3.0
+_GROWN = 7.5
 """A test is called grown from this many times the threshold on, so that a busy machine names none."""
 _OF_MANY = 0.5
 """Seconds that a test of many alike counts in its turn, where it is not slow."""

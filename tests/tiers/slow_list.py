@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 SLOW_LIST = Path(__file__).with_name("slow.txt")
-SLOW_SECONDS = 0.25
+SLOW_SECONDS = 0.1
 """A test of the suite is slow from here on, and so is a job of the conformance suite, over all its backends."""
 TURNS = 60
 """Consecutive commits that together run every slow test once."""

@@ -59,7 +59,7 @@ def test_a_list_comes_back_from_its_file(tmp_path: Path) -> None:
 
 def test_a_refresh_adds_what_grew_drops_what_shrank_or_is_gone_and_keeps_what_did_not_run() -> None:
     listed = {"shrank": 9.0, "gone": 9.0, "not run": 9.0, "wavers": SLOW_SECONDS}
-    measured = {"grew": 5.0, "shrank": 0.1, "fast": 0.9 * SLOW_SECONDS, "wavers": 0.9 * SLOW_SECONDS}
+    measured = {"grew": 5.0, "shrank": 0.5 * SLOW_SECONDS, "fast": 0.9 * SLOW_SECONDS, "wavers": 0.9 * SLOW_SECONDS}
     after = refreshed(listed, measured, ["gone"])
     assert after == {"grew": 5.0, "not run": 9.0, "wavers": 0.9 * SLOW_SECONDS}
 
