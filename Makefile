@@ -1,6 +1,6 @@
 # make demo    a Franka lifts cubes on MuJoCo; the video lands in out/lift.mp4
 # make view    the same, live in the browser
-# make test    style, types, all fast tests, a sixtieth of the slow ones, and the like of the conformance suite
+# make test    style, types of a sixth of the files, all fast tests, a sixtieth of the slow ones and of the conformance suite
 # make test-all  everything
 # make docs    the documentation site, strictly, into out/site; make docs-view serves it
 # Each sets up the environment in .venv first, as far as it needs it.

@@ -52,7 +52,7 @@ def concerned(files: Iterable[str], changed: Iterable[str], root: Path = ROOT) -
     return {
         file
         for file in files
-        if file in changed or file.startswith(tuple(plugins)) or modules & imported_modules(root / file)
+        if file in changed or file.startswith(tuple(plugins)) or (modules and modules & imported_modules(root / file))
     }
 
 
