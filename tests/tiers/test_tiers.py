@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from tests.tiers.plugin import Tiers
 from tests.tiers.revision import Revision, current_revision
 from tests.tiers.selection import CHANGE_SECONDS, select
 from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed, turns, write_slow_list
+from tests.tiers.spread import KERNELS, group_of
 from tests.tiers.touched import touched_backends, touched_tests
 from tests.tiers.types import TYPE_TURNS, checked_files, concerned, share
 
@@ -159,6 +161,35 @@ def test_a_changed_plugin_runs_slow_scenarios_on_its_backend_for_as_long_as_a_ch
     turn = sum(known.values()) / len(backend_names()) / TURNS
     assert CHANGE_SECONDS - 30.0 < seconds < CHANGE_SECONDS + 2.0 * turn
     assert "scenarios-touched" not in runs(["scenario/free_fall"], known, Revision(0))
+
+
+def test_tests_that_compile_kernels_are_one_group_and_others_go_by_file() -> None:
+    contract = "tests/conformance/orbit_conformance/contract/test_conformance_rays.py"
+    for name in (
+        f"{contract}::test_d[warp-1]",
+        f"{contract}::test_d[1-newton]",
+        "plugins/orbit-matter/tests/test_a.py::test_b",
+    ):
+        assert group_of(name) == KERNELS, name
+    assert group_of(f"{contract}::test_d[sapien-unwarped]") == contract
+
+
+def test_every_other_worker_reads_files_backwards_and_all_agree_on_the_order(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"test_{name}.py").write_text(f"print('read {name}')\ndef test_2(): pass\ndef test_1(): pass\n")
+    options = ["-p", "tests.tiers.plugin", "-p", "no:cacheprovider", "-s", "-v", "--rootdir", str(tmp_path)]
+    own = {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    for worker, order in (("gw0", ["a", "b"]), ("gw1", ["b", "a"])):
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", *options, str(tmp_path)],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            env=os.environ | own | {"PYTEST_XDIST_WORKER": worker},
+        )
+        assert re.findall(r"read (\w)", done.stdout) == order, done.stdout + done.stderr
+        ran = ["a.py::test_2", "a.py::test_1", "b.py::test_2", "b.py::test_1"]
+        assert re.findall(r"test_(\w\.py::test_\d) PASSED", done.stdout) == ran, done.stdout
 
 
 def test_consecutive_commits_check_the_types_of_every_file() -> None:
