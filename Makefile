@@ -104,10 +104,12 @@ out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.p
 	$(INSTALL) --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
 	@touch $@
 
+# There are fewer scenarios than turns: a share may be none, and no name would run the whole suite.
 example: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
+	share=$$($(BIN)/python -m tests.tiers share $(EXAMPLE_SCENARIOS)) && \
 	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --tier quick --durations-to out/durations/example.json && \
-	$(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $$($(BIN)/python -m tests.tiers share $(EXAMPLE_SCENARIOS)) && wait $$!
+	{ test -z "$$share" || $(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $$share; } && wait $$!
 
 example-all: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
