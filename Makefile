@@ -108,7 +108,7 @@ out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.p
 example: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
 	share=$$($(BIN)/python -m tests.tiers share $(EXAMPLE_SCENARIOS)) && \
-	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --tier quick --durations-to out/durations/example.json && \
+	$(EXAMPLE) $(BIN)/pytest $(EXAMPLE_TESTS) --tier quick --durations-to out/durations/example.json && \
 	{ test -z "$$share" || $(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $$share; } && wait $$!
 
 example-all: out/orbit-torch
