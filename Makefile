@@ -98,7 +98,7 @@ conformance-all: $(VENV)/.ready-dev
 # sixtieth of its scenarios and mutants.
 EXAMPLE := PYTHONPATH=out/orbit-torch:. $(CACHED)
 EXAMPLE_TESTS := -k torch tests/conformance/orbit_conformance/contract/test_conformance_*.py
-EXAMPLE_RUN := conformance --quick --backend torch --matter native --output out/conformance-torch --scenario
+EXAMPLE_RUN := conformance --quick --fresh --backend torch --matter native --output out/conformance-torch --scenario
 
 out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.py')
 	$(INSTALL) --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
