@@ -19,7 +19,9 @@ from tests.tiers.touched import touched_tests
 _GROWN = 7.5
 """A test is called grown from this many times the threshold on, so that a busy machine names none."""
 _OF_MANY = 0.5
-"""Seconds that a test of many alike counts in its turn, where it is not slow."""
+"""Seconds that a test of many alike, or of a run that is made once, counts in its turn, where it is not slow."""
+_MADE_ONCE = ("finished_run", "broken_run", "report_page")
+"""Runs of the conformance suite that a session makes once, for whichever test asks first: tests of any share a turn."""
 _REAL_TIME = (
     "tests/deploy/",
     "tests/ros/",
@@ -80,18 +82,19 @@ class Tiers:
         # `make example` alone has the example backend, so that its tests seem gone elsewhere.
         self._gone = {name for name in named - collected if "[torch" not in name} if whole else set()
         listed = {name: self._listed[name] for name in named & collected}
+        together = {item.nodeid: "made once" for item in items if {*_MADE_ONCE} & {*getattr(item, "fixturenames", ())}}
         for item in items:
             if item.nodeid.startswith(_REAL_TIME):
                 item.add_marker(pytest.mark.flaky(reruns=2))
             if item.nodeid in listed:
                 item.add_marker("slow")
-            elif item.get_closest_marker("rotates"):
+            elif item.get_closest_marker("rotates") or item.nodeid in together:
                 listed[item.nodeid] = _OF_MANY
         if config.getoption("tier") == "all":
             self._lines = [f"{len(listed)} of {len(listed)} slow ones: the whole list"]
             return
         revision = current_revision()
-        selection = select(listed, revision, touched_tests(listed, revision.changed))
+        selection = select(listed, revision, touched_tests(listed, revision.changed), together)
         self._lines = [selection.describe(revision.turn), *filter(None, [revision.note])]
         self._keep(config, items, selection)
 

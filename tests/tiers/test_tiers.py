@@ -163,6 +163,16 @@ def test_a_changed_plugin_runs_slow_scenarios_on_its_backend_for_as_long_as_a_ch
     assert "scenarios-touched" not in runs(["scenario/free_fall"], known, Revision(0))
 
 
+def test_tests_of_what_is_made_once_share_a_turn_that_others_leave_to_them() -> None:
+    seconds = {f"test_{i}": 1.0 for i in range(2 * TURNS)}
+    together = {f"test_{i}": "made once" for i in range(5)}
+    turn_of = turns(seconds, together)
+    (turn,) = {turn_of[name] for name in together}
+    assert [name for name in seconds if turn_of[name] == turn] == [*together]
+    (chosen,) = {len(select(seconds, Revision(turn), (), together).chosen)}
+    assert chosen == len(together)
+
+
 def test_tests_that_compile_kernels_are_one_group_and_others_go_by_file() -> None:
     contract = "tests/conformance/orbit_conformance/contract/test_conformance_rays.py"
     for name in (
