@@ -28,6 +28,7 @@ _PASSED_ON = {
     "cert": "SSL_CERT_FILE",
     "default-timeout": "UV_HTTP_TIMEOUT",
     "timeout": "UV_HTTP_TIMEOUT",
+    "proxy": "ALL_PROXY",
 }
 """uv's variables by pip's options."""
 _MANY_BY_COMMA = {"UV_FIND_LINKS"}
