@@ -47,8 +47,7 @@ view: $(VENV)/.ready
 
 # All fast tests, a sixtieth of the slow ones that changes with each commit, and the slow ones that a change concerns.
 # Style, and types of a sixth of the files, are checked beside them, by one thread: two would take 1.6 times as much of the
-# cores in all. Warp's kernels compile in half the time where they are not optimised.
-test: export ORBIT_WARP_OPTIMIZATION = 0
+# cores in all.
 test: $(VENV)/.ready-dev
 	@mkdir -p out
 	nice $(MAKE) lint types-turn >out/style.txt 2>&1 & $(MAKE) unit conformance example; failed=$$?; \

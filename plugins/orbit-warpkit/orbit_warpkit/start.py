@@ -11,11 +11,6 @@ from collections.abc import Iterator
 
 import warp as wp
 
-from orbit_core.interfaces.errors import ConfigurationError
-
-OPTIMIZATION = "ORBIT_WARP_OPTIMIZATION"
-"""Environment variable of the level to which kernels are optimised, 0 to 3. At 0 they compile in half the time, which
-suits tests, whose kernels run for seconds."""
 _NO_DRIVER = "Could not find or load the NVIDIA CUDA driver"
 
 
@@ -23,10 +18,6 @@ _NO_DRIVER = "Could not find or load the NVIDIA CUDA driver"
 def start() -> None:
     """Initialise Warp so that it logs warnings, but not each module that it loads. A second call does nothing."""
     wp.config.log_level = wp.LOG_WARNING
-    if level := os.environ.get(OPTIMIZATION):
-        if level not in ("0", "1", "2", "3"):
-            raise ConfigurationError(f"{OPTIMIZATION} is {level!r}: set it to a level from 0 to 3, or unset it")
-        wp.config.optimization_level = int(level)
     with _without_lines(_NO_DRIVER):
         wp.init()
 
