@@ -8,9 +8,10 @@ from collections.abc import Generator
 import pytest
 
 _KERNEL_BACKENDS = frozenset({"warp", "newton"})
-_KERNEL_FOLDERS = ("plugins/orbit-warp", "plugins/orbit-newton", "plugins/orbit-matter")
-KERNELS = "kernels"
-"""Group of the tests that compile kernels."""
+_KERNEL_FOLDERS = ("plugins/orbit-warp", "plugins/orbit-newton")
+_MATTER = "plugins/orbit-matter"
+KERNELS, MATTER_KERNELS = "kernels of engines", "kernels of matter"
+"""Groups of the tests that compile kernels."""
 
 
 def group_of(name: str) -> str:
@@ -19,6 +20,8 @@ def group_of(name: str) -> str:
     Kernels take minutes of a core to compile, and two workers that begin with them at once compile the same.
     """
     file, _, test = name.partition("::")
+    if file.startswith(_MATTER):
+        return MATTER_KERNELS
     if file.startswith(_KERNEL_FOLDERS) or _KERNEL_BACKENDS & {*re.split(r"[\[\]-]", test)}:
         return KERNELS
     return file

@@ -18,7 +18,7 @@ from tests.tiers.plugin import Tiers
 from tests.tiers.revision import Revision, current_revision
 from tests.tiers.selection import CHANGE_SECONDS, select
 from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed, turns, write_slow_list
-from tests.tiers.spread import KERNELS, group_of
+from tests.tiers.spread import KERNELS, MATTER_KERNELS, group_of
 from tests.tiers.touched import touched_backends, touched_tests
 from tests.tiers.types import TYPE_TURNS, checked_files, concerned, share
 
@@ -173,7 +173,7 @@ def test_tests_of_what_is_made_once_share_a_turn_that_others_leave_to_them() -> 
     assert chosen == len(together)
 
 
-def test_tests_that_compile_kernels_are_one_group_and_others_go_by_file() -> None:
+def test_tests_that_compile_kernels_are_of_few_groups_and_others_go_by_file() -> None:
     contract = "tests/conformance/orbit_conformance/contract/test_conformance_rays.py"
     for name in (
         f"{contract}::test_d[warp-1]",
