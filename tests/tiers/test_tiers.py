@@ -175,12 +175,10 @@ def test_tests_of_what_is_made_once_share_a_turn_that_others_leave_to_them() -> 
 
 def test_tests_that_compile_kernels_are_of_few_groups_and_others_go_by_file() -> None:
     contract = "tests/conformance/orbit_conformance/contract/test_conformance_rays.py"
-    for name in (
-        f"{contract}::test_d[warp-1]",
-        f"{contract}::test_d[1-newton]",
-        "plugins/orbit-matter/tests/test_a.py::test_b",
-    ):
+    plugin = "plugins/orbit-warp/tests/test_a.py"
+    for name in (f"{contract}::test_d[warp-1]", f"{contract}::test_d[1-newton]", f"{plugin}::test_b"):
         assert group_of(name) == KERNELS, name
+    assert group_of("plugins/orbit-matter/tests/test_a.py::test_b[warp]") == MATTER_KERNELS
     assert group_of(f"{contract}::test_d[sapien-unwarped]") == contract
 
 
