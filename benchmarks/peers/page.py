@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 from peers import PEERS, Case, Peer
 from results import Measurement, Side, Spread
@@ -30,16 +31,65 @@ python benchmarks/peers/run.py robosuite --environments out/peers
 """
 
 
-def page(measurements: Sequence[Measurement]) -> str:
-    """Return the page, the same for the same figures."""
+_LEARNING = """## Learning on a GPU
+
+Collecting and learning in the steady state, environment steps/s with quartiles: the peer's own trainer by
+`benchmarks/peers/learn.py`, ORBIT by `benchmarks/learning/speed.py`, one after the other on one {device}.
+Other processes of the machine slow what waits for Python: the peer, RSL-RL and its update. Versions are those of
+`peers.py`.
+
+"""
+
+
+def page(measurements: Sequence[Measurement], learned: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Return the page, the same for the same figures.
+
+    Args:
+        measurements: of steps.
+        learned: lines of ``learn.py`` and ``speed.py``.
+    """
     order = list(PEERS)
     ordered = sorted(measurements, key=lambda each: (order.index(each.peer), _position(each), each.num_envs))
     present = [each for each in ordered if each.sides]
     parts = [_INTRODUCTION]
     if present:
         parts += [_rates(present), _starts(present), _models(present), _versions(present)]
+    if learned:
+        parts.append(_learning(learned))
     parts.append(_absent(measurements))
     return "\n".join(part for part in parts if part)
+
+
+def _learning(learned: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rates of each peer's environment beside those of ORBIT's task."""
+    ours: dict[tuple[str, int], dict[str, list[Mapping[str, Any]]]] = {}
+    theirs: dict[tuple[str, str, int], list[Mapping[str, Any]]] = {}
+    for line in learned:
+        if "peer" in line:
+            theirs.setdefault((line["peer"], line["environment"], line["num_envs"]), []).append(line)
+        else:
+            ours.setdefault((line["task"], line["num_envs"]), {}).setdefault(line["variant"], []).append(line)
+
+    def rates(lines: Sequence[Mapping[str, Any]]) -> str:
+        told = (f"{each['env_steps_per_s']:,} [{', '.join(f'{q:,}' for q in each['quartiles'])}]" for each in lines)
+        return "; ".join(told) or "not run"
+
+    def best(lines: Sequence[Mapping[str, Any]]) -> float:
+        return max((each["env_steps_per_s"] for each in lines), default=0.0)
+
+    rows: list[list[str]] = []
+    for (peer, environment, num_envs), lines in theirs.items():
+        case = next(case for case in PEERS[peer].cases if case.environment == environment)
+        robot = case.orbit.fields.get("robot")
+        task = f"{case.orbit.task}:{robot}" if robot else case.orbit.task
+        found = ours.get((task, num_envs), {})
+        own, with_rsl = found.get("orbit", []), found.get("rsl-rl", [])
+        ratio = f"{best(own) / best(lines):.2f}" if own else "-"
+        rows.append([f"{PEERS[peer].title}, {environment}", f"{num_envs:,}", rates(lines), task, rates(with_rsl),
+                     rates(own), ratio])  # fmt: skip
+    headings = ("peer", "environments", "peer", "ORBIT's task", "by RSL-RL", "by ORBIT's PPO", "ORBIT's PPO / peer")
+    device = " and ".join(sorted({line["device"] for line in learned if "task" in line}))
+    return _LEARNING.format(device=device) + _table(headings, rows)
 
 
 def case_of(measurement: Measurement) -> tuple[Peer, Case]:

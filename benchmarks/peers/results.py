@@ -7,6 +7,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from session import Facts
@@ -101,6 +102,11 @@ class Spread:
 def read(path: Path) -> list[Measurement]:
     """Read measurements; none where there is no file yet."""
     return msgspec.json.decode(read_bytes(path), type=list[Measurement]) if path.exists() else []
+
+
+def read_learned(path: Path) -> list[dict[str, Any]]:
+    """Return the lines of ``learn.py`` and ``speed.py`` in a file; none if there is no such file."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def write(path: Path, measurements: list[Measurement]) -> None:

@@ -25,7 +25,7 @@ import tyro
 from environments import python_of
 from page import page
 from peers import PEERS, Case, Peer
-from results import Measurement, Side, Spread, merged, read, write
+from results import Measurement, Side, Spread, merged, read, read_learned, write
 from session import Request
 from turns import Place, Plan, Worker, measure, start_together
 
@@ -67,6 +67,8 @@ class Settings:
     """Delete the peers' virtual environments at the end."""
     json: Path = ROOT / "docs" / "figures" / "peers.json"
     """Figures, which the new ones are added to."""
+    learning: Path = ROOT / "docs" / "figures" / "peers_learning.jsonl"
+    """Lines of ``learn.py`` and of ``benchmarks/learning/speed.py``, for the page; none if there is no such file."""
     page: Path = ROOT / "docs" / "measured" / "peers.md"
     """Page that is made of the figures."""
 
@@ -91,7 +93,7 @@ def main(settings: Settings) -> None:
     if settings.remove:
         for name in settings.peers:
             shutil.rmtree(settings.environments / name, ignore_errors=True)
-    text = page(read(settings.json))
+    text = page(read(settings.json), read_learned(settings.learning))
     with written_whole(settings.page) as written:
         written.write_text(text, encoding="utf-8")
 

@@ -51,7 +51,7 @@ def test_raw_stepping_is_measured_and_written_to_the_page(scripts: None, tmp_pat
 
     figures, written = tmp_path / "peers.json", tmp_path / "peers.md"
     amount = {"num_envs": (1,), "rounds": 1, "seconds": 0.2, "starts": 1, "ways": ("plain",)}
-    main(Settings(peers=("raw",), json=figures, page=written, **amount))
+    main(Settings(peers=("raw",), json=figures, learning=tmp_path / "none.jsonl", page=written, **amount))
     (kept,) = read(figures)
     (side,) = kept.sides
     assert side.rates[0] > 0.0
@@ -125,7 +125,9 @@ def test_a_side_that_cannot_start_says_why(scripts: None) -> None:
 def test_the_committed_page_is_made_of_the_committed_figures(scripts: None) -> None:
     """Else: python benchmarks/peers/run.py."""
     from page import page  # pyright: ignore[reportMissingImports]
-    from results import read  # pyright: ignore[reportMissingImports]
+    from results import read, read_learned  # pyright: ignore[reportMissingImports]
 
-    text = page(read(ROOT / "docs" / "figures" / "peers.json"))
+    figures = ROOT / "docs" / "figures"
+    text = page(read(figures / "peers.json"), read_learned(figures / "peers_learning.jsonl"))
+    assert "| mjlab, Mjlab-Velocity-Flat-Unitree-Go1 | 4,096 | 96,132" in text
     assert (ROOT / "docs" / "measured" / "peers.md").read_text(encoding="utf-8") == text

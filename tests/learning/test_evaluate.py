@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -16,7 +17,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.backends import default_backend
+from orbit_core.backends import backend_names, default_backend
 from orbit_core.cli import main
 from orbit_core.cli.making import configured_task
 from orbit_core.cli.settings import EnvironmentSettings
@@ -27,6 +28,7 @@ from orbit_learn.evaluation.page import page
 from orbit_learn.evaluation.results import BASE, Block, BlockKey, Plan, ResultFile, read_results
 from orbit_learn.evaluation.running import fingerprint_of, run_blocks
 from orbit_learn.evaluation.statistics import failure_kinds, paired_difference, success_of, variance_shares
+from orbit_learn.pretrained import policy_path
 from orbit_learn.remote.client import ServerAddress
 
 PLAN = Plan("Lift", ("one", "two"), ("mujoco",), {BASE: ()}, (0,), 4)
@@ -191,12 +193,26 @@ def test_the_command_evaluates_once_and_then_reads(tmp_path: Path, capsys: pytes
     capsys.readouterr()
 
 
+@pytest.mark.skipif(len(backend_names()) < 2, reason="learned on another backend than it is evaluated on")
+def test_settings_of_the_engine_that_a_policy_was_learned_on_stay_with_it(tmp_path: Path) -> None:
+    kept = policy_path("reach")
+    learned = tmp_path / "learned"
+    shutil.copytree(kept if kept.is_dir() else kept.parent, learned)
+    record = json.loads((learned / "training.json").read_text())
+    other = next(name for name in backend_names() if name != default_backend())
+    record["settings"] |= {"backend": other, "setting": ["of_that_engine=1"]}
+    (learned / "training.json").write_text(json.dumps(record))
+    words = f"evaluate {learned} --backend {default_backend()} --episodes 1 --jobs 1 --set episode_length=0.1"
+    assert main([*words.split(), "--output", str(tmp_path / "found")]) == 0
+
+
 def test_processes_report_each_block_as_it_ends() -> None:
     plan = Plan("Reach", ("zero", "nowhere.safetensors"), (default_backend(),), {BASE: ()}, (0,), 1)
-    own = EnvironmentSettings(task="Reach", set=("episode_length=0.1",))
+    own = EnvironmentSettings(task="Reach", backend=default_backend(), set=("episode_length=0.1",))
+    settings = {(policy, default_backend()): own for policy in plan.policies}
     found: list[Block] = []
     with pytest.raises(OrbitError, match="nowhere"):
-        run_blocks(plan, list(plan.blocks()), dict.fromkeys(plan.policies, own), 2, found.append)
+        run_blocks(plan, list(plan.blocks()), settings, 2, found.append)
     assert [each.key.policy for each in found] == ["zero"], "the second of the process's two blocks fails"
 
 

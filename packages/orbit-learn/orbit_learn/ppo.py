@@ -210,6 +210,9 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
             moments.load(state["moments"][name])
         self._update = RecordedFunction(self._learn, self.environment.device)  # the optimiser's state has moved
 
+    def close(self) -> None:
+        self._update.forget()
+
     def actor(self) -> ActorNetwork:
         return copied_actor(self._network, self._actor)
 

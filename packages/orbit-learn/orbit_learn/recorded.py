@@ -47,3 +47,7 @@ class RecordedFunction:
                 self._operations()
             self._graph = graph
         self._graph.replay()
+
+    def forget(self) -> None:
+        """Drop the recording, whose communicators of several GPUs cannot be closed as long as it is there."""
+        self._graph = None

@@ -139,6 +139,9 @@ class Trainer(ABC, Generic[Settings]):
         self.folder = as_path(folder)
         self.seed = seed
 
+    def close(self) -> None:
+        """Release what would keep the processes of a training from parting; the trainer is not used afterwards."""
+
     @abstractmethod
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
         """Collect and learn.

@@ -90,7 +90,10 @@ def evaluate(settings: EvaluateSettings) -> None:
         raise ConfigurationError("a policy is named twice: name each once")
     for policy in settings.policies:
         check_actor(policy)
-    own = {policy: _settings_of(policy, settings) for policy in settings.policies}
+    settings = replace(settings, backend=tuple(settings.backend or (default_backend(),)))
+    for name in settings.backend:
+        backend(name)
+    own = {(policy, name): _settings_of(policy, name, settings) for policy in policies for name in settings.backend}
     plan = _plan(settings, own, recipes)
     make_folder(settings.output / _RESULTS)
     results = ResultFile(settings.output / _RESULTS, plan)
@@ -124,7 +127,7 @@ def _recipes(words: Sequence[str]) -> tuple[dict[str, str], tuple[str, ...]]:
 
 
 def _filmed(
-    plan: Plan, blocks: Sequence[Block], own: Mapping[str, EnvironmentSettings], settings: EvaluateSettings
+    plan: Plan, blocks: Sequence[Block], own: Mapping[tuple[str, str], EnvironmentSettings], settings: EvaluateSettings
 ) -> dict[str, Film]:
     """Film failures of each kind, with a progress bar."""
     from orbit_learn.evaluation.films import film_failures
@@ -137,11 +140,11 @@ def _filmed(
         )
 
 
-def _settings_of(policy: str, settings: EvaluateSettings) -> EnvironmentSettings:
-    """Return the settings of a policy's environment: those that it was learned with, under what the user sets."""
+def _settings_of(policy: str, engine: str, settings: EvaluateSettings) -> EnvironmentSettings:
+    """Return the settings of a policy's environment on an engine: those that it was learned with, under what the user
+    sets."""  # fmt: skip
     common = {field.name: getattr(settings, field.name) for field in fields(EnvironmentSettings)}
-    # The plan names the engines; a policy's own engine must not replace them.
-    common["backend"] = None
+    common["backend"] = engine
     # Built-in actors and servers have no file that says how they were learned.
     if policy in ACTORS or policy.startswith(SCHEMES):
         return EnvironmentSettings(**common)
@@ -151,7 +154,7 @@ def _settings_of(policy: str, settings: EvaluateSettings) -> EnvironmentSettings
     return EnvironmentSettings(**{field.name: getattr(played, field.name) for field in fields(EnvironmentSettings)})
 
 
-def _plan(settings: EvaluateSettings, own: dict[str, EnvironmentSettings], recipes: dict[str, str]) -> Plan:
+def _plan(settings: EvaluateSettings, own: dict[tuple[str, str], EnvironmentSettings], recipes: dict[str, str]) -> Plan:
     from orbit_core.envs.configuration import configure
     from orbit_learn.evaluation.results import BASE, Plan
 
@@ -160,11 +163,8 @@ def _plan(settings: EvaluateSettings, own: dict[str, EnvironmentSettings], recip
         told = ", ".join(sorted(str(task) for task in tasks))
         raise ConfigurationError(f"policies are of the tasks {told}: give --task" if tasks else "give --task")
     (task,) = tasks
-    for policy, each in own.items():
-        own[policy] = replace(each, task=task)
-    backends = settings.backend or (default_backend(),)
-    for name in backends:
-        backend(name)
+    for key, each in own.items():
+        own[key] = replace(each, task=task)
     variants: dict[str, tuple[str, ...]] = {BASE: ()}
     for told in settings.variant:
         name, colon, changes = told.partition(":")
@@ -182,7 +182,7 @@ def _plan(settings: EvaluateSettings, own: dict[str, EnvironmentSettings], recip
         if field.name not in ("task", "backend", "seed", "config")
     }
     seeds = tuple(range(settings.seed, settings.seed + settings.seeds))
-    return Plan(str(task), settings.policies, tuple(backends), variants, seeds, settings.episodes, told,
+    return Plan(str(task), settings.policies, tuple(settings.backend), variants, seeds, settings.episodes, told,
                 disturbances, _digests(settings.policies), recipes)  # fmt: skip
 
 
@@ -204,7 +204,9 @@ def _digests(policies: Sequence[str]) -> dict[str, str]:
 
 
 def _disturbances(
-    settings: EvaluateSettings, own: Mapping[str, EnvironmentSettings], variants: dict[str, tuple[str, ...]]
+    settings: EvaluateSettings,
+    own: Mapping[tuple[str, str], EnvironmentSettings],
+    variants: dict[str, tuple[str, ...]],
 ) -> dict[str, tuple[str, int]]:
     """Return axis and level of each disturbance by its name, and add each to the variants.
 
@@ -218,14 +220,14 @@ def _disturbances(
         if str(each) in variants:
             raise ConfigurationError(f"'{each}' is named twice among --axis and --variant: name each once")
         found[str(each)], variants[str(each)] = (each.axis, each.level), ()
-        for policy in own:
+        for (policy, _), made in own.items():
             if each.axis == LANGUAGE and not policy.startswith(SCHEMES):
                 raise ConfigurationError(
                     f"axis '{LANGUAGE}' rewords the prompt of policy servers (ws://), and '{policy}' reads none: leave "
                     "it out"
                 )
             # Before anything runs: what does not apply to the last policy must not show after hours.
-            each.prepare(configured_task(own[policy]))
+            each.prepare(configured_task(made))
     return found
 
 

@@ -113,6 +113,7 @@ def train(settings: TrainSettings) -> Path:
         trainer = make_trainer(environment, chosen, folder, settings.seed)
         training = Training(trainer, settings.task or "", record, leader)
         with contextlib.ExitStack() as opened:
+            opened.callback(trainer.close)
             watchers: list[Callable[[Progress], None]] = []
             if settings.wandb is not None and leader:
                 from orbit_learn.wandb_log import WandbLog

@@ -29,7 +29,7 @@ class Film:
 def film_failures(
     plan: Plan,
     blocks: Sequence[Block],
-    settings: Mapping[str, EnvironmentSettings],
+    settings: Mapping[tuple[str, str], EnvironmentSettings],
     count: int,
     folder: Path,
     done: Callable[[str], None],
@@ -39,7 +39,7 @@ def film_failures(
     Args:
         plan: that the blocks are of.
         blocks: all results.
-        settings: of each policy's environment, but for the engine and the variant.
+        settings: of the environment of each policy on each engine, but for the variant.
         count: episodes of each kind, at most.
         folder: of the page.
         done: is given each kind as its film is there.
@@ -58,7 +58,7 @@ def film_failures(
         path = Path(FOLDER) / f"{number}.mp4"
         make_folder(folder / path)
         with (
-            block_environment(plan, key, settings[key.policy]) as (environment, disturbance),
+            block_environment(plan, key, settings[key.policy, key.backend]) as (environment, disturbance),
             video_recorder(environment, folder / path, indices, *_SIZE) as recorder,
         ):
             again = run_block(environment, key, disturbance, recorder.before_step)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def run_blocks(
     plan: Plan,
     keys: Sequence[BlockKey],
-    settings: Mapping[str, EnvironmentSettings],
+    settings: Mapping[tuple[str, str], EnvironmentSettings],
     jobs: int,
     done: Callable[[Block], None],
 ) -> None:
@@ -41,23 +41,26 @@ def run_blocks(
     Args:
         plan: that they are of.
         keys: to run, those of one environment one after another.
-        settings: of each policy's environment, but for the engine and the variant.
+        settings: of the environment of each policy on each engine, but for the variant.
         jobs: processes side by side; 1 for none but this.
         done: is given each block as it ends.
     """
     groups: dict[tuple[str, str, str], list[BlockKey]] = {}
     for key in keys:
-        groups.setdefault((key.backend, key.variant, repr(settings[key.policy])), []).append(key)
+        groups.setdefault((key.backend, key.variant, repr(settings[key.policy, key.backend])), []).append(key)
     if jobs == 1:
         for group in groups.values():
-            for block in run_group(plan, group, settings[group[0].policy]):
+            for block in run_group(plan, group, settings[group[0].policy, group[0].backend]):
                 done(block)
         return
     # Engines and torch keep threads, which a fork would leave locked.
     context = get_context("spawn")
     ended: SimpleQueue[Block | None] = context.SimpleQueue()
     with ProcessPoolExecutor(jobs, mp_context=context, initializer=_report_to, initargs=(ended,)) as pool:
-        running = [pool.submit(_report_group, plan, each, settings[each[0].policy]) for each in groups.values()]
+        running = [
+            pool.submit(_report_group, plan, each, settings[each[0].policy, each[0].backend])
+            for each in groups.values()
+        ]
         for future in running:
             future.add_done_callback(lambda _: ended.put(None))
         try:
@@ -110,7 +113,7 @@ def block_environment(
     plan: Plan, key: BlockKey, settings: EnvironmentSettings
 ) -> Iterator[tuple[Environment, Disturbance | None]]:
     """Yield the environment of a block, and the disturbance that its variant is; it is closed after that."""
-    own = replace(settings, backend=key.backend, set=(*settings.set, *plan.variants[key.variant]))
+    own = replace(settings, set=(*settings.set, *plan.variants[key.variant]))
     found = plan.disturbances.get(key.variant)
     disturbance = None if found is None else Disturbance(*found)
     change = None if disturbance is None else disturbance.prepare
