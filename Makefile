@@ -1,6 +1,6 @@
 # make demo    a Franka lifts cubes on MuJoCo; the video lands in out/lift.mp4
 # make view    the same, live in the browser
-# make test    style, types, all fast tests, a sixtieth of the slow ones, and the like of the conformance suite
+# make test    style, types of a sixth of the files, all fast tests, a sixtieth of the slow ones and of the conformance suite
 # make test-all  everything
 # make docs    the documentation site, strictly, into out/site; make docs-view serves it
 # Each sets up the environment in .venv first, as far as it needs it.
@@ -35,7 +35,7 @@ UNITS := --ignore tests/conformance/test_scenarios.py
 # Robots in real time have no other tests beside them; they come first, so that two processes find bytecode that one wrote.
 REAL_TIME := tests/deploy tests/ros
 
-.PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
+.PHONY: demo view test test-all lint types types-turn unit unit-all coverage conformance conformance-all example example-all mutants \
 	slow-list docs docs-view wheels check-wheels report-archive release clean
 
 demo: $(VENV)/.ready
@@ -46,11 +46,12 @@ view: $(VENV)/.ready
 	$(BIN)/orbit view Lift --backend mujoco
 
 # All fast tests, a sixtieth of the slow ones that changes with each commit, and the slow ones that a change concerns.
-# Types are checked beside them, by one thread: two would take 1.6 times as much of the cores in all.
-test: $(VENV)/.ready-dev lint
+# Style, and types of a sixth of the files, are checked beside them, by one thread: two would take 1.6 times as much of the
+# cores in all.
+test: $(VENV)/.ready-dev
 	@mkdir -p out
-	nice $(MAKE) types >out/types.txt 2>&1 & $(MAKE) unit conformance example; failed=$$?; \
-		wait $$! || failed=1; cat out/types.txt; exit $$failed
+	nice $(MAKE) lint types-turn >out/style.txt 2>&1 & $(MAKE) unit conformance example; failed=$$?; \
+		wait $$! || failed=1; cat out/style.txt; exit $$failed
 
 # Everything, once.
 test-all: $(VENV)/.ready-dev lint types unit-all conformance-all example-all
@@ -62,6 +63,9 @@ lint: $(VENV)/.ready-dev
 
 types: $(VENV)/.ready-dev
 	$(BIN)/basedpyright
+
+types-turn: $(VENV)/.ready-dev
+	$(BIN)/python -m tests.tiers types
 
 # Test processes share the cores, and torch's threads would only wait for each other.
 unit unit-all coverage example example-all mutants: export OMP_NUM_THREADS = 1
@@ -93,16 +97,18 @@ conformance-all: $(VENV)/.ready-dev
 # sixtieth of its scenarios and mutants.
 EXAMPLE := PYTHONPATH=out/orbit-torch:. $(CACHED)
 EXAMPLE_TESTS := -k torch tests/conformance/orbit_conformance/contract/test_conformance_*.py
-EXAMPLE_RUN := conformance --quick --backend torch --matter native --output out/conformance-torch --scenario
+EXAMPLE_RUN := conformance --quick --fresh --backend torch --matter native --output out/conformance-torch --scenario
 
 out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.py')
-	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
+	$(INSTALL) --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
 	@touch $@
 
+# There are fewer scenarios than turns: a share may be none, and no name would run the whole suite.
 example: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
-	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --tier quick --durations-to out/durations/example.json && \
-	$(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $$($(BIN)/python -m tests.tiers share $(EXAMPLE_SCENARIOS)) && wait $$!
+	share=$$($(BIN)/python -m tests.tiers share $(EXAMPLE_SCENARIOS)) && \
+	$(EXAMPLE) $(BIN)/pytest $(EXAMPLE_TESTS) --tier quick --durations-to out/durations/example.json && \
+	{ test -z "$$share" || $(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $$share; } && wait $$!
 
 example-all: out/orbit-torch
 	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
@@ -129,32 +135,32 @@ docs-view: $(VENV)/.ready-dev
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-# Python compiles what it loads and no more, and packages of the system come while pip works. What builds packages is
-# installed once, rather than anew for each of them.
-PIP := $(CACHED) $(BIN)/pip install --quiet --no-compile --no-build-isolation --constraint constraints.txt
+# Python compiles what it loads and no more. What builds packages is installed once, rather than anew for each of them.
+INSTALL := $(CACHED) $(BIN)/python tools/install.py --no-build-isolation --constraint constraints.txt
 
 $(VENV)/.builders: $(VENV)/bin/python
-	$(PIP) hatchling editables setuptools wheel
+	$(INSTALL) hatchling editables setuptools wheel
 	touch $@
 
 # What the demonstrations need and no more: OpenUSD and the suite's packages would take a third of the time.
 DEMO := assets data learn motion policies viewer
 
 $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
-	sh tools/system_packages.sh graphics & $(PIP) --editable . $(DEMO:%=--editable packages/orbit-%) --editable ./orbit_tasks \
-		--editable plugins/orbit-mjmodel --editable plugins/orbit-mujoco --editable ".[robots,viewer,video]" && wait $$!
+	sh tools/system_packages.sh graphics & $(INSTALL) --editable . $(DEMO:%=--editable packages/orbit-%) \
+		--editable ./orbit_tasks --editable plugins/orbit-mjmodel --editable plugins/orbit-mujoco \
+		--editable ".[robots,viewer,video]" && wait $$!
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
-	sh tools/system_packages.sh graphics vulkan browser & $(PIP) -r checkout.txt \
+	sh tools/system_packages.sh graphics vulkan browser & $(INSTALL) -r checkout.txt \
 		$(PLUGINS:%=--editable plugins/orbit-%) \
 		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,deploy,ros,scenes,scan,sound,editor,$(LEARNING),docs,dev]" \
 		&& wait $$!
-	$(PIP) --no-deps crocoddyl libcrocoddyl
+	$(INSTALL) --no-deps crocoddyl libcrocoddyl
 	touch $(VENV)/.ready $@
 
 $(VENV)/.ready-release: $(VENV)/.builders
-	$(PIP) twine
+	$(INSTALL) twine
 	touch $@
 
 # Wheels and source archives of every distribution, and a check that they install and run without this checkout.

@@ -356,3 +356,11 @@ def test_make_demo_installs_every_distribution_that_its_own_need() -> None:
     needed = {packaging.requirements.Requirement(text).name for each in projects for text in each["dependencies"]}
     missing = {name for name in needed if name.startswith("orbit-")} - {each["name"] for each in projects}
     assert not missing
+
+
+def test_uv_takes_every_distribution_from_the_checkout() -> None:
+    uv = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["uv"]
+    folders = [ROOT, *(folder for member in uv["workspace"]["members"] for folder in ROOT.glob(member))]
+    projects = [folder / "pyproject.toml" for folder in folders if (folder / "pyproject.toml").is_file()]
+    names = {tomllib.loads(project.read_text(encoding="utf-8"))["project"]["name"] for project in projects}
+    assert {*uv["sources"]} == names

@@ -1,6 +1,6 @@
 """Breaks the example backend in every named way and holds each mutant to the tests that must catch it.
 
-The example, ``examples/orbit-torch``, must be installed. ``--turn N`` takes every thirtieth mutant from the N-th on,
+The example, ``examples/orbit-torch``, must be installed. ``--turn N`` takes every sixtieth mutant from the N-th on,
 ``--only`` those named.
 The exit code is 1 if a test does not fail for a mutant, or, unless ``--turn`` is given, fails for the unbroken example.
 """
@@ -18,7 +18,7 @@ from .mutant import Mutant
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
-    parser.add_argument("--turn", type=int, metavar="N", help="every thirtieth mutant from the N-th on, 0 to 29")
+    parser.add_argument("--turn", type=int, metavar="N", help="every sixtieth mutant from the N-th on, 0 to 59")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="mutants of these names")
     options = parser.parse_args(arguments)
     chosen = catalogue.chosen(options.only, options.turn)

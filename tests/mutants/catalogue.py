@@ -12,7 +12,7 @@ from .mutant import MUTANTS, Mutant
 
 
 def chosen(names: Sequence[str] | None = None, turn: int | None = None) -> list[Mutant]:
-    """Return the mutants of these names, every thirtieth from the ``turn``-th on, or all.
+    """Return the mutants of these names, every sixtieth from the ``turn``-th on, or all.
 
     Raises:
         UnknownNameError: no mutant has one of the names.

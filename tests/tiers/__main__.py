@@ -1,7 +1,8 @@
 """``python -m tests.tiers conformance``: run this commit's share of the conformance suite.
 
-``refresh`` brings the slow list up to the last measurement, ``turn`` prints this commit's turn, and ``share WORD ...``
-prints every sixtieth word from the turn-th on, or all where the change touches the example backend.
+``types`` checks the types of this commit's share of the files, ``refresh`` brings the slow list up to the last
+measurement, ``turn`` prints this commit's turn, and ``share WORD ...`` prints every sixtieth word from the turn-th on,
+or all where the change touches the example backend.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def refresh(durations: Path = DURATIONS, path: Path = SLOW_LIST) -> int:
 def main() -> int:
     """Run one of the commands and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.tiers", description=__doc__)
-    parser.add_argument("command", choices=("conformance", "refresh", "turn", "share"))
+    parser.add_argument("command", choices=("conformance", "types", "refresh", "turn", "share"))
     parser.add_argument("words", nargs="*", help="of share")
     options = parser.parse_args()
     match options.command:
@@ -49,6 +50,10 @@ def main() -> int:
             from tests.tiers.conformance import run_quick
 
             return run_quick()
+        case "types":
+            from tests.tiers.types import check_types
+
+            return check_types()
         case "refresh":
             return refresh()
         case "turn":

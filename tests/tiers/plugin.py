@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import defaultdict
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -12,12 +13,15 @@ import pytest
 from tests.tiers.revision import current_revision
 from tests.tiers.selection import Selection, select
 from tests.tiers.slow_list import SLOW_SECONDS, read_slow_list
+from tests.tiers.spread import Spread
 from tests.tiers.touched import touched_tests
 
-_GROWN = 3.0
+_GROWN = 7.5
 """A test is called grown from this many times the threshold on, so that a busy machine names none."""
 _OF_MANY = 0.5
-"""Seconds that a test of many alike counts in its turn, where it is not slow."""
+"""Seconds that a test of many alike, or of a run that is made once, counts in its turn, where it is not slow."""
+_MADE_ONCE = ("finished_run", "broken_run", "report_page")
+"""Runs of the conformance suite that a session makes once, for whichever test asks first: tests of any share a turn."""
 _REAL_TIME = (
     "tests/deploy/",
     "tests/ros/",
@@ -40,6 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: measured to be slow (tests/tiers/slow.txt); one commit in sixty runs it")
     config.addinivalue_line("markers", "rotates: one of many alike; one commit in sixty runs each, slow or not")
     config.pluginmanager.register(Tiers(config), "orbit-tiers")
+    config.pluginmanager.register(Spread(os.environ.get("PYTEST_XDIST_WORKER", "")), "orbit-spread")
 
 
 def waited_seconds() -> float:
@@ -77,18 +82,19 @@ class Tiers:
         # `make example` alone has the example backend, so that its tests seem gone elsewhere.
         self._gone = {name for name in named - collected if "[torch" not in name} if whole else set()
         listed = {name: self._listed[name] for name in named & collected}
+        together = {item.nodeid: "made once" for item in items if {*_MADE_ONCE} & {*getattr(item, "fixturenames", ())}}
         for item in items:
             if item.nodeid.startswith(_REAL_TIME):
                 item.add_marker(pytest.mark.flaky(reruns=2))
             if item.nodeid in listed:
                 item.add_marker("slow")
-            elif item.get_closest_marker("rotates"):
+            elif item.get_closest_marker("rotates") or item.nodeid in together:
                 listed[item.nodeid] = _OF_MANY
         if config.getoption("tier") == "all":
             self._lines = [f"{len(listed)} of {len(listed)} slow ones: the whole list"]
             return
         revision = current_revision()
-        selection = select(listed, revision, touched_tests(listed, revision.changed))
+        selection = select(listed, revision, touched_tests(listed, revision.changed), together)
         self._lines = [selection.describe(revision.turn), *filter(None, [revision.note])]
         self._keep(config, items, selection)
 

@@ -19,7 +19,7 @@ class Revision:
     """A commit with what is not committed yet."""
 
     turn: int
-    """Turn of the slow tests that run, 0 to 9."""
+    """Turn of the slow tests that run, 0 to 59."""
     changed: frozenset[str] = field(default_factory=frozenset)
     """Paths that differ from the base, from the root of the tree."""
     note: str = ""

@@ -38,13 +38,19 @@ class Selection:
         )
 
 
-def select(listed: Mapping[str, float], revision: Revision, touched: Collection[str]) -> Selection:
+def select(
+    listed: Mapping[str, float],
+    revision: Revision,
+    touched: Collection[str],
+    together: Mapping[str, str] | None = None,
+) -> Selection:
     """Return the tests of this revision's turn and those that its change concerns.
 
     Where the latter take more than ``CHANGE_SECONDS``, those of the coming turns run first: a wide change is covered
-    by the commits after it as by itself, and no change makes the run longer than that.
+    by the commits after it as by itself, and no change makes the run longer than that. Tests of one group of
+    ``together`` share a turn.
     """
-    turn_of = turns(listed)
+    turn_of = turns(listed, together)
     by_turn = frozenset(name for name, turn in turn_of.items() if turn == revision.turn)
     concerned = [name for name in touched if name in listed and name not in by_turn]
     concerned.sort(key=lambda name: ((turn_of[name] - revision.turn) % TURNS, name))

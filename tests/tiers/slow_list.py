@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import heapq
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 SLOW_LIST = Path(__file__).with_name("slow.txt")
-SLOW_SECONDS = 0.25
+SLOW_SECONDS = 0.1
 """A test of the suite is slow from here on, and so is a job of the conformance suite, over all its backends."""
 TURNS = 60
 """Consecutive commits that together run every slow test once."""
@@ -51,16 +52,24 @@ def refreshed(listed: Mapping[str, float], measured: Mapping[str, float], gone: 
     return {name: seconds for name, seconds in kept.items() if name not in {*gone}}
 
 
-def turns(seconds: Mapping[str, float]) -> dict[str, int]:
+def turns(seconds: Mapping[str, float], together: Mapping[str, str] | None = None) -> dict[str, int]:
     """Return the turn of each test, 0 to ``TURNS`` - 1, such that every turn takes about the same time.
 
     The longest first, each to the turn that has the least so far (Graham's rule); ties go by name, so that the result
     depends on the list alone.
+
+    Args:
+        seconds: by test.
+        together: name of the group of each test that shares its turn with others.
     """
+    groups: dict[str, list[str]] = defaultdict(list)
+    for name in seconds:
+        groups[(together or {}).get(name, name)].append(name)
+    sums = {group: sum(seconds[name] for name in names) for group, names in groups.items()}
     loads = [(0.0, turn) for turn in range(TURNS)]
     turn_of: dict[str, int] = {}
-    for name in sorted(seconds, key=lambda name: (-seconds[name], name)):
+    for group in sorted(groups, key=lambda group: (-sums[group], group)):
         load, turn = heapq.heappop(loads)
-        turn_of[name] = turn
-        heapq.heappush(loads, (load + seconds[name], turn))
+        turn_of |= dict.fromkeys(groups[group], turn)
+        heapq.heappush(loads, (load + sums[group], turn))
     return turn_of

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +18,9 @@ from tests.tiers.plugin import Tiers
 from tests.tiers.revision import Revision, current_revision
 from tests.tiers.selection import CHANGE_SECONDS, select
 from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed, turns, write_slow_list
+from tests.tiers.spread import KERNELS, MATTER_KERNELS, group_of
 from tests.tiers.touched import touched_backends, touched_tests
+from tests.tiers.types import TYPE_TURNS, checked_files, concerned, share
 
 ROOT = Path(__file__).parents[2]
 LISTED = {f"tests/x/test_{i}.py::test_{i}": 2.0 + i for i in range(2 * TURNS)}
@@ -58,7 +61,7 @@ def test_a_list_comes_back_from_its_file(tmp_path: Path) -> None:
 
 def test_a_refresh_adds_what_grew_drops_what_shrank_or_is_gone_and_keeps_what_did_not_run() -> None:
     listed = {"shrank": 9.0, "gone": 9.0, "not run": 9.0, "wavers": SLOW_SECONDS}
-    measured = {"grew": 5.0, "shrank": 0.1, "fast": 0.9 * SLOW_SECONDS, "wavers": 0.9 * SLOW_SECONDS}
+    measured = {"grew": 5.0, "shrank": 0.5 * SLOW_SECONDS, "fast": 0.9 * SLOW_SECONDS, "wavers": 0.9 * SLOW_SECONDS}
     after = refreshed(listed, measured, ["gone"])
     assert after == {"grew": 5.0, "not run": 9.0, "wavers": 0.9 * SLOW_SECONDS}
 
@@ -158,6 +161,67 @@ def test_a_changed_plugin_runs_slow_scenarios_on_its_backend_for_as_long_as_a_ch
     turn = sum(known.values()) / len(backend_names()) / TURNS
     assert CHANGE_SECONDS - 30.0 < seconds < CHANGE_SECONDS + 2.0 * turn
     assert "scenarios-touched" not in runs(["scenario/free_fall"], known, Revision(0))
+
+
+def test_tests_of_what_is_made_once_share_a_turn_that_others_leave_to_them() -> None:
+    seconds = {f"test_{i}": 1.0 for i in range(2 * TURNS)}
+    together = {f"test_{i}": "made once" for i in range(5)}
+    turn_of = turns(seconds, together)
+    (turn,) = {turn_of[name] for name in together}
+    assert [name for name in seconds if turn_of[name] == turn] == [*together]
+    (chosen,) = {len(select(seconds, Revision(turn), (), together).chosen)}
+    assert chosen == len(together)
+
+
+def test_tests_that_compile_kernels_are_of_few_groups_and_others_go_by_file() -> None:
+    contract = "tests/conformance/orbit_conformance/contract/test_conformance_rays.py"
+    plugin = "plugins/orbit-warp/tests/test_a.py"
+    for name in (f"{contract}::test_d[warp-1]", f"{contract}::test_d[1-newton]", f"{plugin}::test_b"):
+        assert group_of(name) == KERNELS, name
+    assert group_of("plugins/orbit-matter/tests/test_a.py::test_b[warp]") == MATTER_KERNELS
+    assert group_of(f"{contract}::test_d[sapien-unwarped]") == contract
+
+
+def test_every_other_worker_reads_files_backwards_and_all_agree_on_the_order(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"test_{name}.py").write_text(f"print('read {name}')\ndef test_2(): pass\ndef test_1(): pass\n")
+    options = ["-p", "tests.tiers.plugin", "-p", "no:cacheprovider", "-s", "-v", "--rootdir", str(tmp_path)]
+    own = {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    for worker, order in (("gw0", ["a", "b"]), ("gw1", ["b", "a"])):
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", *options, str(tmp_path)],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            env=os.environ | own | {"PYTEST_XDIST_WORKER": worker},
+        )
+        assert re.findall(r"read (\w)", done.stdout) == order, done.stdout + done.stderr
+        ran = ["a.py::test_2", "a.py::test_1", "b.py::test_2", "b.py::test_1"]
+        assert re.findall(r"test_(\w\.py::test_\d) PASSED", done.stdout) == ran, done.stdout
+
+
+def test_consecutive_commits_check_the_types_of_every_file() -> None:
+    files = checked_files()
+    assert "orbit_core/envs/task.py" in files
+    assert not [file for file in files if "/tests/" in file and file.startswith("plugins/")]
+    shares = [share(files, Revision(turn), set()) for turn in range(TYPE_TURNS)]
+    assert sorted(file for chosen, left in shares for file in chosen if not left) == files
+
+
+def test_types_of_changed_files_and_importers_are_checked_whatever_the_turn() -> None:
+    files = [
+        file for file in checked_files() if file.startswith(("orbit_core/envs", "orbit_core/i", "plugins/orbit-b"))
+    ]
+    changed = frozenset({"orbit_core/interfaces/errors.py"})
+    touched = concerned(files, changed)
+    assert "orbit_core/envs/actors.py" in touched
+    for turn in range(TYPE_TURNS):
+        chosen, left = share(files, Revision(turn, changed), touched)
+        assert {*chosen} >= changed
+        assert left == len(touched) - len(touched & {*chosen}) > 0
+        assert len(chosen) < 0.5 * len(files)
+    plugin = "plugins/orbit-bullet/orbit_bullet/engine.py"
+    assert concerned(files, {plugin}) == {file for file in files if file.startswith("plugins/orbit-bullet/")}
 
 
 def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def touched_tests(names: Iterable[str], changed: Iterable[str], root: Path = ROO
         file, _, test = name.partition("::")
         near = file in files or any(file.startswith(f"{folder}/") for folder in folders)
         contract = file.startswith("tests/conformance/") and backends & {*re.split(r"[\[\]-]", test)}
-        if near or contract or modules & _imports(root / file):
+        if near or contract or modules & imported_modules(root / file):
             found.add(name)
     return found
 
@@ -68,7 +68,7 @@ def _tests_of(path: PurePosixPath) -> str:
 
 
 @functools.cache
-def _imports(path: Path) -> frozenset[str]:
+def imported_modules(path: Path) -> frozenset[str]:
     """Return the modules that a file imports by name, and for ``from a import b`` both ``a`` and ``a.b``."""
     if not path.is_file():
         return frozenset()
