@@ -33,10 +33,13 @@ class Line:
     """Result of a search along a line."""
 
     alpha: float
+    """Step along the line."""
     improvement: float
+    """What the cost falls by, in J."""
     noise: float
     """Least step that is more than rounding."""
     converged: bool
+    """Whether no step lowers the cost any more."""
 
 
 @wp.struct
@@ -44,11 +47,15 @@ class ConeLine:
     """An elliptic contact along a line."""
 
     friction: vec5
+    """Coefficients of sliding, turning and rolling."""
     row: int
     """Its first row."""
     quad: wp.vec3
+    """Coefficients of the normal's cost as a polynomial of the step."""
     quad1: wp.vec3
+    """Normal residual and slope times the cone's friction, and the squared tangential residual."""
     quad2: wp.vec3
+    """Product of tangential residual and slope, squared slope, and the cone's stiffness."""
 
 
 @wp.func

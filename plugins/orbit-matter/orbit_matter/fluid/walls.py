@@ -164,9 +164,13 @@ class Lattice:
     """Cells of a wall as :func:`filled_by` takes them."""
 
     at: wp.vec3
+    """Middle of the first cell from the particle, in metres along the wall's axes."""
     cell: wp.vec3
+    """Edges of a cell along the axes in metres, negative where cells are counted the other way."""
     inside: wp.vec3i
+    """Cells of the shape itself along each axis."""
     last: wp.vec3i
+    """Cells along each axis with those beyond the shape's other side."""
     volume: float
     """m^3 of a cell."""
 
