@@ -246,9 +246,9 @@ def test_a_process_that_is_ended_from_outside_is_told() -> None:
         for child in multiprocessing.active_children():
             child.kill()
 
-    own = EnvironmentSettings(task="Reach", set=("episode_length=4",))
+    own = EnvironmentSettings(task="Reach", backend=default_backend(), set=("episode_length=4",))
     with pytest.raises(OrbitError, match=r"ended from outside.*smaller --jobs"):
-        run_blocks(plan, list(plan.blocks()), {"zero": own}, 2, end_all)
+        run_blocks(plan, list(plan.blocks()), {("zero", default_backend()): own}, 2, end_all)
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are found in /proc")
