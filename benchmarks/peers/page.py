@@ -75,7 +75,7 @@ def _learning(learned: Sequence[Mapping[str, Any]]) -> str:
         return "; ".join(told) or "not run"
 
     def best(lines: Sequence[Mapping[str, Any]]) -> float:
-        return max((each["env_steps_per_s"] for each in lines), default=0.0)
+        return max(each["env_steps_per_s"] for each in lines)
 
     rows: list[list[str]] = []
     for (peer, environment, num_envs), lines in theirs.items():

@@ -315,7 +315,7 @@ class Part:
             self._solids.launch_lay(self._particles, stiffness, h, steps / self._stepping.substeps)
 
     def _launch_fluid(self, fluid: FluidPart, reached: float) -> None:
-        """A substep of liquids, which ends when a share of the step is ``reached``."""
+        """Launch a substep of liquids, which ends when a share of the step is ``reached``."""
         shapes, h, share = self._colliders.shapes, self._stepping.h, 1.0 / self._stepping.substeps
         fluid.launch_push(self._links, shapes, self._gravity, h, share)
         if self._free:

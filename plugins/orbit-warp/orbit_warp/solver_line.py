@@ -35,11 +35,11 @@ class Line:
     alpha: float
     """Step along the line."""
     improvement: float
-    """What the cost falls by, in J."""
+    """Decrease of the cost, in J."""
     noise: float
     """Least step that is more than rounding."""
     converged: bool
-    """Whether no step lowers the cost any more."""
+    """True if no step lowers the cost any more."""
 
 
 @wp.struct

@@ -1,4 +1,4 @@
-"""What a wall is to a particle: a lattice of particles at rest that fills it, summed where it is within the kernel.
+"""Lattices of particles at rest that fill walls, summed where they are within the kernel of a particle.
 
 A wall presses on a liquid, and takes of its flow, as liquid that stands in its place would. A box has the lattice that
 divides it into whole cells, so that its edges and corners count as what they are. Behind a face that the particle is
