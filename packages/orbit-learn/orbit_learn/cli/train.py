@@ -120,7 +120,10 @@ def train(settings: TrainSettings) -> Path:
     try:
         chosen = _algorithm(settings, make_trainer, environment.task.metadata)
         folder = settings.resume or settings.output or _new_folder(settings)
-        record = {"settings": asdict(settings), "versions": versions_of(*(part.world.backend for part in parts_of(environment)))}
+        record = {
+            "settings": asdict(settings),
+            "versions": versions_of(*(part.world.backend for part in parts_of(environment))),
+        }
         trainer = make_trainer(environment, chosen, folder, settings.seed)
         training = Training(trainer, settings.task or "", record, leader)
         with contextlib.ExitStack() as opened:
