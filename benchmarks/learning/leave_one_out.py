@@ -5,11 +5,11 @@ r"""Leave one engine out: policies taught on some engines, and evaluated on one 
     python benchmarks/learning/leave_one_out.py --jobs 2 --tasks Stack --engines mujoco sapien --envs 4 --iterations 2 \
         --length 1 --episodes 2 --output out/leave-one-out-small
 
-Each task is taught by its expert (``orbit train --library distill --teacher expert``) in as many environment steps each
-time: on all engines but one together, on each engine, and on each engine with ``domain_randomization=true``, which draws
-friction, gains and noise. Every policy then has episodes from the same starts on every engine (``orbit evaluate``),
-nothing drawn. Jobs are processes of one thread, but for engines that step in several. The same command goes on where the
-budget ended; its settings and results are in ``results.json`` of the output folder.
+Each task is taught by its expert (``orbit train --library distill --teacher expert``) in as many environment steps
+each time: on all engines but one together, on each engine, and on each engine with ``domain_randomization=true``, which
+draws friction, gains and noise. Every policy then has episodes from the same starts on every engine
+(``orbit evaluate``), nothing drawn. Jobs are processes of one thread, but for engines that step in several. The same
+command goes on where the budget ended; its settings and results are in ``results.json`` of the output folder.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "imitation"))  # of whose scripts the runner of jobs is
 
-from table2 import continued, outcomes
-from work import Job, Ledger, run_jobs
+from table2 import continued, outcomes  # pyright: ignore[reportMissingImports]
+from work import Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
 
 from orbit_core.files import written_whole
 from orbit_core.rollout.estimates import proportion

@@ -113,8 +113,8 @@ def train(settings: TrainSettings) -> Path:
     engines = several_engines(settings)
     if engines and not make_trainer.several_engines:
         raise ConfigurationError(
-            f"library '{settings.library}' learns on one engine: for {', '.join(engines)} together, use --library distill, "
-            "or --library orbit --algorithm ppo"
+            f"library '{settings.library}' learns on one engine: for {', '.join(engines)} together, use --library "
+            "distill, or --library orbit --algorithm ppo"
         )
     environment = make_training_environment(settings)
     try:

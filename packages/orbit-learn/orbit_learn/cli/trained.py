@@ -15,9 +15,9 @@ from orbit_core.configuration import Text, assignments
 from orbit_core.envs.registry import task_entry
 from orbit_core.files import read_bytes
 from orbit_core.interfaces.errors import ConfigurationError
-from orbit_learn.cli.engines import of_engine
 from orbit_data.reading.budget import MAX_DOCUMENT
 from orbit_data.tensor_file import parse_json
+from orbit_learn.cli.engines import of_engine
 
 OF_TRAINING_ALONE = ("curriculum_enabled", "expert_starts")
 """Fields of a task that are only for learning: a curriculum would begin with the easiest episodes again, and a policy
