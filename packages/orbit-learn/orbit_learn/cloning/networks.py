@@ -446,8 +446,8 @@ class TransformerPlanner(Planner):
     def _token(self, features: Tensor) -> Tensor:
         """Return the token (N, W) of an observation's features (N, F)."""
         if self._network.encoding.pictures:
-            vectors, pictures = features.tensor_split((self._network.encoding.feature_size,), dim=1)
-            features = torch.cat((vectors, self.pictured(pictures)), 1)
+            begin = self._network.encoding.feature_size
+            features = torch.cat((features[:, :begin], self.pictured(features[:, begin:])), 1)
         return self.observed(features)
 
     def _decoded(self, features: Tensor, latent: Tensor) -> Tensor:
