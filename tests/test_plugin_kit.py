@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_assets.deformables import cuboid, ring
+from orbit_assets.deformables import ball, cuboid, ring
 from orbit_assets.joint_models import BALL, compound
 from orbit_conformance.bodies import pendulum, scene, slider
 from orbit_core import backends
@@ -39,6 +39,7 @@ from orbit_core.scene import (
     Mimic,
     RobotSpec,
     Rope,
+    SoftBody,
 )
 
 
@@ -224,6 +225,20 @@ def test_a_fluid_is_its_particles_which_a_painter_draws_a_surface_around() -> No
     particles = torch.as_tensor(fluid.rest_positions, dtype=torch.float32)[None]
     assert torch.equal(surface.vertices(particles), particles)
     assert surface.faces.shape == (0, 3)
+
+
+def test_a_soft_body_has_its_edges_sharp_and_its_curves_smooth() -> None:
+    block = SoftBody("block", cuboid((0.1, 0.1, 0.1), (2, 2, 2)), 500.0)
+    surface = DeformableSurface(block)
+    points = torch.from_numpy(np.asarray(block.rest_positions)).float()[None]
+    corners = surface.vertices(points)[0][torch.from_numpy(surface.faces)]
+    assert torch.allclose(corners, points[0][torch.from_numpy(np.asarray(block.mesh.faces))])
+    # Each of six sides has 3 x 3 vertices of its own.
+    assert len(surface.vertices(points)[0]) == 54
+    round_one = SoftBody("ball", ball(0.05, 2), 500.0)
+    assert len(DeformableSurface(round_one).vertices(torch.zeros(1, len(round_one.rest_positions), 3))[0]) == len(
+        round_one.rest_positions
+    )
 
 
 def test_a_surface_that_bulges_everywhere_touches_itself_nowhere() -> None:

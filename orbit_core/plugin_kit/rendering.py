@@ -18,27 +18,41 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Image, Renderer
-from orbit_core.scene import CameraSpec, Channel, DeformableSpec, Fluid, Rope, Scene
+from orbit_core.scene import CameraSpec, Channel, DeformableSpec, Fluid, Mesh, Rope, Scene, SoftBody
 
 # Sides of the prism that shows a piece of rope
 _SIDES = 8
+# Cosine of the angle between two triangles of a solid at rest from which on their edge is sharp: 40 degrees
+_SHARP = math.cos(math.radians(40.0))
 
 
 class DeformableSurface:
     """Vertices and triangles of a deformable: of cloth and soft bodies their meshes, of a rope a prism for each piece.
 
-    A fluid has its particles for vertices and no triangles: its surface is around the particles, and new in each step.
+    Vertices of a soft body are repeated along its sharp edges, so that shading by the mean of the triangles at a vertex
+    does not round them. A fluid has its particles for vertices and no triangles: its surface is around the particles,
+    and new in each step.
     """
 
     def __init__(self, spec: DeformableSpec) -> None:
         self._spec = spec
-        self.faces = _faces(spec)
+        self._repeated: Tensor | None = None
+        faces = _faces(spec)
+        if isinstance(spec, SoftBody):
+            faces, origins = _split_at_edges(spec.mesh)
+            if len(origins) > len(spec.rest_positions):
+                self._repeated = torch.from_numpy(origins)
+        self.faces = faces
         """(F, 3) of indices into the vertices; seen from both sides."""
 
     def vertices(self, positions: Tensor) -> Tensor:
         """Return (n, V, 3) of particles (n, P, 3)."""
         if isinstance(self._spec, Rope):
             return _prisms(positions, self._spec.radius)
+        if self._repeated is not None:
+            if self._repeated.device != positions.device:
+                self._repeated = self._repeated.to(positions.device)
+            return positions.index_select(1, self._repeated)
         return positions
 
 
@@ -53,6 +67,36 @@ def _faces(spec: DeformableSpec) -> npt.NDArray[np.int64]:
     if isinstance(spec, Fluid):
         return np.zeros((0, 3), dtype=np.int64)
     return np.ascontiguousarray(spec.mesh.faces, dtype=np.int64)
+
+
+def _split_at_edges(mesh: Mesh) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Repeat vertices of a closed surface so that triangles across a sharp edge share none.
+
+    Returns:
+        (F, 3) triangles of the new vertices, and (V,) int64 vertex of the mesh that each of them is.
+    """
+    faces = np.asarray(mesh.faces, dtype=np.int64)
+    a, b, c = np.asarray(mesh.vertices, dtype=np.float64)[faces].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-30)
+    # Half-edges: of triangle f from its corner k to the next; the same edge of two triangles comes twice in a row.
+    count = len(faces)
+    first, second = np.arange(3 * count), (np.arange(count)[:, None] * 3 + np.array([1, 2, 0])).ravel()
+    ends = np.sort(np.stack((faces.ravel()[first], faces.ravel()[second]), 1), axis=1)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    one, two = order[:-1], order[1:]
+    smooth = (ends[one] == ends[two]).all(1) & ((normals[one // 3] * normals[two // 3]).sum(1) > _SHARP)
+    one, two = one[smooth], two[smooth]
+    # Corners of both triangles at both ends of a smooth edge: half-edges of a closed surface run against each other.
+    pairs = np.concatenate((np.stack((first[one], second[two]), 1), np.stack((second[one], first[two]), 1)))
+    labels, before = np.arange(3 * count), np.empty(0)
+    while not np.array_equal(labels, before):
+        before = labels.copy()
+        least = labels[pairs].min(1)
+        np.minimum.at(labels, pairs[:, 0], least)
+        np.minimum.at(labels, pairs[:, 1], least)
+    corners, new = np.unique(labels, return_inverse=True)
+    return np.ascontiguousarray(new.reshape(-1, 3), dtype=np.int64), faces.ravel()[corners]
 
 
 def _prisms(points: Tensor, radius: float) -> Tensor:

@@ -72,6 +72,7 @@ class ParticleMatter(Matter):
         )
         limits.check_stiffness(layout, solid)
         limits.check_apart(layout)
+        limits.check_dry(layout)
         self._solids = Solids(layout, num_envs, device, layout.scene.physics_dt / solid)
         self._graphs = Graphs(device, config.capture)
         self._begun = False

@@ -61,16 +61,18 @@ def smooth(before: wp.array3d[float], lens: Lens, spacing: float, reach: float, 
     if here == wp.inf:
         return
     wide = wp.clamp(int(reach * lens.focal / here), 1, MOST)
-    total, weights = float(0.0), float(0.0)
-    for k in range(-wide, wide + 1):
-        r, c = row + k * down, column + k * (1 - down)
-        if r >= 0 and c >= 0 and r < lens.height and c < lens.width:
-            depth = before[env, r, c]
-            if wp.abs(depth - here) < NARROW * spacing:
+    total, weights = float(here), float(1.0)
+    for k in range(1, wide + 1):
+        up, left = row - k * down, column - k * (1 - down)
+        low, right = row + k * down, column + k * (1 - down)
+        if up >= 0 and left >= 0 and low < lens.height and right < lens.width:
+            one, two = before[env, up, left], before[env, low, right]
+            # In pairs: at the edge of a slanted surface one side alone would draw it out through the wall before it.
+            if wp.abs(one - here) < NARROW * spacing and wp.abs(two - here) < NARROW * spacing:
                 share = float(k) / float(wide)
                 weight = wp.exp(-2.0 * share * share)
-                total += weight * depth
-                weights += weight
+                total += weight * (one + two)
+                weights += 2.0 * weight
     after[env, row, column] = total / weights
 
 

@@ -12,7 +12,7 @@ import torch
 from orbit_assets.deformables import ball, cuboid, ring, sheet
 from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, ConfigurationError, SimulationError, World
-from orbit_core.scene import Attachment, CameraSpec, Channel, Cloth, Mesh, Pose, Scene, SoftBody, look_at
+from orbit_core.scene import Attachment, CameraSpec, Channel, Cloth, Fluid, Mesh, Pose, Scene, SoftBody, look_at
 from orbit_core.scene.pose import Vector3
 from orbit_core.world import simulate
 from orbit_matter.solids import element, grid, skin
@@ -360,6 +360,7 @@ def test_a_solid_that_cannot_be_is_refused(thing: SoftBody, what: str) -> None:
     [
         (replace(BLOCK, youngs_modulus=1e12), "'block' is too stiff .* a physics_dt of 0.0005 s would do"),
         (replace(BLOCK, resolution=0.004), "a resolution of 0.01 m would do"),
+        (replace(BLOCK, mesh=Mesh(MESH.vertices * [1, 1, 1e-4], MESH.faces)), "'block' is 5e-06 m thick .* or a Cloth"),
     ],
 )
 def test_a_solid_that_cannot_be_computed_is_refused_with_what_would_do(thing: SoftBody, what: str) -> None:
@@ -412,6 +413,12 @@ def test_solids_that_begin_in_each_other_are_refused(way: float) -> None:
     other = replace(BLOCK, name="other", pose=Pose((x + way, y, z)))
     with pytest.raises(ConfigurationError, match=r"'block' begins .* inside 'other'"):
         simulate(Scene(deformables=(BLOCK, other)), 1, "mujoco", matter="orbit-matter")
+
+
+def test_a_liquid_that_begins_in_a_solid_is_refused() -> None:
+    water = Fluid("water", (0.02, 0.02, 0.02), pose=Pose((0.028, 0.0, 0.026)), spacing=0.01)
+    with pytest.raises(ConfigurationError, match="32 of the 64 particles of 'water' are inside soft body 'block'"):
+        simulate(Scene(deformables=(water, BLOCK)), 1, "mujoco", matter="orbit-matter")
 
 
 WALL = box("wall", (0.05, 0.05, 0.05), fixed_base=True, pose=Pose((0.029, 0.0, 0.026)))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
-from orbit_core.scene import SoftBody
+from orbit_core.scene import Fluid, SoftBody
 from orbit_matter.solids.distance import distances
 from orbit_matter.solids.element import FloatArray
 from orbit_matter.solids.grid import IntArray, cell_counts
@@ -19,6 +19,8 @@ _STIFFEST = 5e5
 to 1.2e6, and diverged at 1.2e7, where single precision no longer resolves its strains."""
 _OVERLAP = 0.1
 """Part of a solid's shortest side by which it may begin inside another."""
+_FLATTEST = 200.0
+"""Longest side over shortest from which on a solid that is too stiff for its step is too flat rather than too stiff."""
 _LIGHTEST = 0.3
 """Part of a solid's mass that a free body should have: one of half of it and more came to rest on a block within
 1 cm/s, one of a tenth hopped at up to 2 cm/s."""
@@ -41,6 +43,12 @@ def check_stiffness(layout: SceneLayout, steps: int) -> None:
         edge = float((extent / cell_counts(extent, spec.resolution)).min())
         most = math.sqrt(_STIFFEST * spec.density / spec.youngs_modulus) * edge
         if h > most:
+            longest = float(extent.max())
+            if _FLATTEST * float(extent.min()) < longest:
+                raise ConfigurationError(
+                    f"soft body '{spec.name}' is {float(extent.min()):.2g} m thick and {longest:.2g} m long, too flat "
+                    f"for elements in steps of {h:.2g} s: make it thicker, or a Cloth"
+                )
             raise ConfigurationError(
                 f"soft body '{spec.name}' is too stiff for steps of {h:.2g} s at {spec.youngs_modulus:.3g} Pa and "
                 f"elements of {edge:.2g} m: a physics_dt of {most:.2g} s would do, larger elements (resolution), or a "
@@ -63,6 +71,25 @@ def check_apart(layout: SceneLayout) -> None:
                 f"soft body '{one.name}' begins {depth:.2g} m inside '{other.name}', which would throw it out: move "
                 "one of them, or hold both by one mesh"
             )
+
+
+def check_dry(layout: SceneLayout) -> None:
+    """Refuse liquids that fill the same place as a solid.
+
+    Raises:
+        ConfigurationError: names both, and how many particles are inside.
+    """
+    for liquid in layout.scene.deformables:
+        if not isinstance(liquid, Fluid):
+            continue
+        particles = liquid.pose.transform(liquid.rest_positions)
+        for solid in _solids(layout):
+            count = int((distances(solid, solid.pose.inverse().transform(particles)) < 0.0).sum())
+            if count:
+                raise ConfigurationError(
+                    f"{count} of the {len(particles)} particles of '{liquid.name}' are inside soft body "
+                    f"'{solid.name}' at the start: move one of them, or make the liquid smaller"
+                )
 
 
 def farthest(layout: SceneLayout) -> float:
