@@ -85,7 +85,7 @@ def test_each_part_has_its_own_expert() -> None:
 
 def test_parts_must_be_alike() -> None:
     one, other = reach(1), reach(1, length=0.2)
-    with pytest.raises(ConfigurationError, match="the same max_episode_steps on each: it is 5 on .*, and 10"):
+    with pytest.raises(ConfigurationError, match=r"the same max_episode_steps on each: it is 5 on .*, and 10"):
         AcrossEngines((one, other))
     one.close()
     other.close()
