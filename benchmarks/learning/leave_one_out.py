@@ -47,7 +47,7 @@ class Taught:
     """Of 16 steps of every environment."""
 
 
-TASKS = (Taught("Peg-In-Hole", 10.0, 160), Taught("Stack", 8.0, 150), Taught("Reach", 4.0, 60))
+TASKS = (Taught("Peg-In-Hole", 10.0, 160), Taught("Stack", 8.0, 150), Taught("Reach", 4.0, 30))
 # Setting of an engine's processes or threads, and how many a training takes where it is the only one; as many as make
 # trainings on all engines about as long. An engine that is not named steps in the process itself.
 _PROCESSES = {"mujoco": ("threads", 1), "sapien": ("workers", 2), "bullet": ("workers", 3)}
