@@ -22,9 +22,11 @@ from orbit_core.scene import Gripper, Joint, JointType, RobotSpec
 
 
 def with_grip_force(robot: RobotSpec, force: float) -> RobotSpec:
-    """The robot with a first gripper that closes with ``force`` newtons, on thin things too.
+    """Return the robot with a first gripper that closes with ``force`` newtons, on thin things too.
 
-    Its drives reach that force half a millimetre from where they want to be, and give no more.
+    Its drives reach that force half a millimetre from where they want to be, and give no more. The joints that they
+    drive are damped so that all of that force moves them at their velocity limit, which few engines enforce: without it
+    fingers of 50 N closed within 40 ms on three engines and in 200 ms on the fourth.
     """
     gripper = robot.end_effector.gripper
     if gripper is None:
@@ -45,7 +47,14 @@ def with_grip_force(robot: RobotSpec, force: float) -> RobotSpec:
         else group
         for group in robot.actuators
     )
-    return replace(robot, actuators=tuple(groups))
+    chosen = {names[number] for number in joints}
+    damped = tuple(
+        replace(joint, damping=max(joint.damping, force * travel / joint.velocity_limit))
+        if joint.name in chosen
+        else joint
+        for joint in robot.articulation.joints
+    )
+    return replace(robot, articulation=replace(robot.articulation, joints=damped), actuators=tuple(groups))
 
 
 def _jaw_travel(robot: RobotSpec, gripper: Gripper, joints: list[Joint]) -> float:

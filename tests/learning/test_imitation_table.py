@@ -118,6 +118,10 @@ def test_every_cell_is_recorded_trained_and_evaluated(tmp_path: Path) -> None:
     assert "--cameras" in jobs["record.both.pictures.0"].words()
     assert sum(name.startswith("evaluate.both.pictures.bc.bullet") for name in jobs) == 25
     assert "evaluate.both.joint_position.bc.bullet.0" in jobs
+    # One job compiles what evaluations on an engine need.
+    assert "first.all.joint_position.bullet" in jobs["evaluate.both.joint_position.bc.bullet.0"].needs
+    assert not any(need.startswith("first") for need in jobs["evaluate.both.joint_position.bc.mujoco.0"].needs)
+    assert "--cameras" in jobs["first.all.pictures.bullet"].words()
     # All seeds of an algorithm, and their evaluations, come before the next algorithm, and a cell before the next.
     places = {name: place for place, name in enumerate(jobs)}
     order = [
@@ -154,6 +158,20 @@ def test_results_of_several_machines_become_one_table() -> None:
     assert [job["result"] for job in both["jobs"].values()] == [[2], [1]]
     with pytest.raises(SystemExit, match="other demos"):
         merged([first, {"settings": {"demos": 3, "engine": "mujoco"}, "jobs": {}}])
+
+
+def test_results_of_an_algorithm_that_has_changed_are_left_out() -> None:
+    from table2_page import without  # pyright: ignore[reportMissingImports]
+
+    names = [
+        "record.both.joint_position.0",
+        "train.both.joint_position.bc.0",
+        "evaluate.both.joint_position.act.warp.0",
+    ]
+    ledger = {"settings": {"demos": 2}, "jobs": dict.fromkeys((*names, "train.both.ik.bc-rnn.0"))}
+    assert list(without(ledger, ["bc-rnn"])["jobs"]) == names
+    assert list(without(ledger, ["bc-rnn", "act"])["jobs"]) == names[:2]
+    assert without(ledger, [])["settings"] == {"demos": 2}
 
 
 def test_results_of_fewer_trainings_are_shown_until_all_are_done() -> None:

@@ -26,6 +26,24 @@ def test_a_gripper_that_turns_closes_with_the_force_that_is_asked(name: str, tra
     assert groups[0].effort_limit == pytest.approx(15.0 * travel, rel=0.1)
 
 
+@pytest.mark.parametrize("backend", ["mujoco", "sapien", "bullet"])
+def test_fingers_close_at_their_velocity_limit_on_every_engine(backend: str) -> None:
+    """A Panda's go 20 mm in 0.1 s: without their damping 50 N closed them within 40 ms where no limit is enforced."""
+    pytest.importorskip(f"orbit_{backend}")
+    environment = make("Rope-Reshaping", 1, backend, seed=0, grip_force=50.0)
+    opening = common.GripperOpening(environment.world)
+    environment.reset(seed=0)
+    robot = environment.world.robots["robot"]
+    before, targets = float(opening()), robot.joint_positions.clone()
+    targets[:, -2:] = 0.0
+    for _ in range(round(0.1 / environment.world.physics_dt)):
+        robot.set_position_targets(targets)
+        environment.world.step()
+    way = 0.04 * (before - float(opening()))
+    environment.close()
+    assert way == pytest.approx(0.02, rel=0.15), "metres in 0.1 s at 0.2 m/s"
+
+
 def test_an_arm_whose_fingers_close_on_arcs_lifts_cloth() -> None:
     environment = make("Cloth-Lifting", 1, "mujoco", seed=0, robot="ur10_robotiq_2f85")
     expert = environment.task.expert(environment)

@@ -67,6 +67,8 @@ class TrainSettings(EnvironmentSettings):
     """A setting of sac and td3, such as updates_per_step=4."""
     wandb: Annotated[str | None, arg(metavar="PROJECT")] = None
     """Project of Weights & Biases that takes the curve too; WANDB_MODE=offline keeps it on this machine."""
+    trackio: Annotated[str | None, arg(metavar="PROJECT")] = None
+    """Project of Trackio, on this machine, that takes the curve too ('trackio show' shows it)."""
     diverged: Literal["reset", "stop"] = "reset"
     """Reaction to environments whose simulation diverges: they begin new episodes and are counted, unless one in a
     hundred does in an iteration; or the training ends."""
@@ -127,9 +129,14 @@ def train(settings: TrainSettings) -> Path:
             opened.callback(trainer.close)
             watchers: list[Callable[[Progress], None]] = []
             if settings.wandb is not None and leader:
-                from orbit_learn.wandb_log import WandbLog
+                from orbit_learn.trackers import WandbLog
 
                 log = opened.enter_context(contextlib.closing(WandbLog(settings.wandb, folder, record)))
+                watchers.append(log.add)
+            if settings.trackio is not None and leader:
+                from orbit_learn.trackers import TrackioLog
+
+                log = opened.enter_context(contextlib.closing(TrackioLog(settings.trackio, folder, record)))
                 watchers.append(log.add)
             if settings.videos and leader:
                 from orbit_learn.training_films import TrainingFilms
