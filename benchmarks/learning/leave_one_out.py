@@ -1,6 +1,6 @@
 r"""Leave one engine out: policies taught on some engines, and evaluated on one that they have not seen.
 
-    python benchmarks/learning/leave_one_out.py --jobs 64 --seeds 2 --budget 880 --output out/leave-one-out
+    python benchmarks/learning/leave_one_out.py --jobs 80 --seeds 2 --budget 880 --output out/leave-one-out
     python benchmarks/learning/leave_one_out.py --output out/leave-one-out --page out/leave-one-out/table.md
     python benchmarks/learning/leave_one_out.py --jobs 2 --tasks Stack --engines mujoco sapien --envs 4 --iterations 2 \
         --length 1 --episodes 2 --output out/leave-one-out-small
@@ -47,7 +47,7 @@ class Taught:
     """Of 16 steps of every environment."""
 
 
-TASKS = (Taught("Peg-In-Hole", 10.0, 160), Taught("Stack", 8.0, 150), Taught("Lift", 6.0, 120))
+TASKS = (Taught("Peg-In-Hole", 10.0, 160), Taught("Stack", 8.0, 150), Taught("Reach", 4.0, 30))
 # Setting of an engine's processes or threads, and how many a training takes where it is the only one; as many as make
 # trainings on all engines about as long. An engine that is not named steps in the process itself.
 _PROCESSES = {"mujoco": ("threads", 1), "sapien": ("workers", 2), "bullet": ("workers", 3)}

@@ -85,7 +85,7 @@ def test_each_part_has_its_own_expert() -> None:
 
 def test_parts_must_be_alike() -> None:
     one, other = reach(1), reach(1, length=0.2)
-    with pytest.raises(ConfigurationError, match="the same max_episode_steps on each: it is 5 on .*, and 10"):
+    with pytest.raises(ConfigurationError, match=r"the same max_episode_steps on each: it is 5 on .*, and 10"):
         AcrossEngines((one, other))
     one.close()
     other.close()
@@ -141,6 +141,11 @@ def test_the_command_line_takes_several_engines(tmp_path: Path, capsys: pytest.C
         played = restored_settings(PlaySettings(policy=folder, backend=engine)).settings
         assert played.backend == engine
         assert "simplify_meshes" in played.settings or engine != "bullet"
+    config = tmp_path / "one.toml"
+    config.write_text(f'task = "Reach"\nbackend = ["{BACKEND}"]\nnum_envs = 2\n[fields]\nepisode_length = 0.06\n')
+    one = ["train", "--config", str(config), "--iterations", "1", "--output", str(tmp_path / "one")]
+    assert main([*one, *taught, *small]) == 0
+    assert json.loads((tmp_path / "one" / "training.json").read_text())["settings"]["backend"] == BACKEND
     assert main([*words[:-1], str(tmp_path / "other"), "--library", "rsl-rl"]) == 2
     assert "learns on one engine" in capsys.readouterr().err
     assert main([*words[:-1], str(tmp_path / "other"), *taught, "--setting", "gap=1"]) == 2

@@ -60,6 +60,23 @@ def test_jobs_begin_in_their_order(tmp_path: Path) -> None:
     assert begun == names
 
 
+def test_a_job_of_two_cores_waits_for_both(tmp_path: Path) -> None:
+    from work import Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
+
+    seen: list[str] = []
+
+    def words(name: str) -> list[str]:
+        seen.append(f"{name} begins")
+        return ["list", "libraries"]
+
+    jobs = [
+        Job(name, lambda name=name: words(name), read=lambda name=name: seen.append(f"{name} ends"), cores=cores)
+        for name, cores in (("one", 1), ("two", 2))
+    ]
+    assert run_jobs(jobs, Ledger(tmp_path / "results.json", {}), 2, 600.0, tmp_path / "logs", 0)
+    assert seen == ["one begins", "one ends", "two begins", "two ends"]
+
+
 def test_a_training_that_was_killed_goes_on_unless_it_had_its_last_iteration(tmp_path: Path) -> None:
     from table2 import continued  # pyright: ignore[reportMissingImports]
 

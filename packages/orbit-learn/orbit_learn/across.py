@@ -38,14 +38,23 @@ class AcrossEngines:
         first = self.parts[0]
         for part in self.parts[1:]:
             _check_alike(first, part)
-        self.task, self.device, self.step_dt = first.task, first.device, first.step_dt
-        self.max_episode_steps, self.action_size = first.max_episode_steps, first.action_size
+        self.task = first.task
+        """Task of the first engine, configured as that of all."""
+        self.device = first.device
+        """Device of all tensors."""
+        self.step_dt = first.step_dt
+        """Seconds of a step."""
+        self.max_episode_steps = first.max_episode_steps
+        """Steps until the time limit."""
+        self.action_size = first.action_size
+        """Components A of an action."""
         self.observation = first.observation
         """What each group of the observation is like, by name; the same on all engines."""
         self.actions = first.actions
         """Action manager of the first engine, which describes the action of all."""
         ends = tuple(accumulate(part.num_envs for part in self.parts))
         self.num_envs = ends[-1]
+        """Number N of environments on all engines."""
         self.rows = tuple(slice(end - part.num_envs, end) for end, part in zip(ends, self.parts, strict=True))
         """Rows of each engine's environments."""
 

@@ -22,7 +22,7 @@ from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues, check_
 from orbit_core.configuration import assignments, configured
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces.errors import ConfigurationError
-from orbit_learn.cli.engines import make_training_environment, several_engines, with_one_engine
+from orbit_learn.cli.engines import engines_of, environment_on, of_engine
 
 if TYPE_CHECKING:
     from orbit_core.envs.task import TaskMetadata
@@ -112,13 +112,10 @@ def train(settings: TrainSettings) -> Path:
             f"library '{settings.library}' trains in one process: for several, use --library rsl-rl, or "
             "--library orbit --algorithm ppo"
         )
-    engines = several_engines(settings)
-    if engines and not make_trainer.several_engines:
-        raise ConfigurationError(
-            f"library '{settings.library}' learns on one engine: for {', '.join(engines)} together, use --library "
-            "distill, or --library orbit --algorithm ppo"
-        )
-    environment = make_training_environment(settings)
+    each = _on_each_engine(settings)
+    if len(each) == 1:
+        settings = each[0]  # of which a record of training reads as it always has
+    environment = environment_on(each, settings.num_envs, settings.diverged == "reset")
     try:
         chosen = _algorithm(settings, make_trainer, environment.task.metadata)
         folder = settings.resume or settings.output or _new_folder(settings)
@@ -144,7 +141,7 @@ def train(settings: TrainSettings) -> Path:
             if settings.videos and leader:
                 from orbit_learn.training_films import TrainingFilms
 
-                films = opened.enter_context(contextlib.closing(TrainingFilms(with_one_engine(settings), Path(folder))))
+                films = opened.enter_context(contextlib.closing(TrainingFilms(each[0], Path(folder))))
                 watchers.append(_film_saved(films, training))
             last = _run(training, chosen.iterations, settings, watchers)
     finally:
@@ -153,6 +150,18 @@ def train(settings: TrainSettings) -> Path:
     if last is not None:
         console().print(_table(settings, last, folder))
     return folder
+
+
+def _on_each_engine(settings: TrainSettings) -> list[TrainSettings]:
+    """Return the settings on each of the engines, with its own."""
+    names = engines_of(settings.backend)
+    if len(names) < 2:
+        return [dataclasses.replace(settings, backend=next(iter(names), None))]
+    found: list[TrainSettings] = []
+    for name in names:
+        words, table = of_engine(settings.setting, settings.settings, name, names)
+        found.append(dataclasses.replace(settings, backend=name, setting=words, settings=table))
+    return found
 
 
 def check_training(settings: TrainSettings) -> None:
@@ -173,6 +182,12 @@ def _library(settings: TrainSettings) -> tuple[TrainSettings, type[Trainer[Any]]
 
     library = settings.library or library_for(settings.algorithm)
     make_trainer = trainer_type(library, settings.algorithm)
+    engines = engines_of(settings.backend)
+    if len(engines) > 1 and not make_trainer.several_engines:
+        raise ConfigurationError(
+            f"library '{library}' learns on one engine: for {', '.join(engines)} together, use --library distill, or "
+            "--library orbit --algorithm ppo"
+        )
     algorithm = settings.algorithm
     if algorithm == "ppo" and "algorithm" not in make_trainer.options:
         algorithm = None  # these libraries have no other
