@@ -265,8 +265,9 @@ _LAYERS = """
         const Lanes along_a = a.odd_1 * r1 + a.odd_2 * r2;
         const Lanes along_b = a.whole_0 * o0 + a.whole_1 * o1 + a.whole_2 * o2;
         const Lanes across = a.odd_1 * o1 + a.odd_2 * o2;
-        // Five cells sum the squares of places to 2 % too little where layers are 0.5 to 1 spacings away.
-        const float one_square = 1.02f, two_squares = 4.08f;
+        // Squares of places are summed to 2 % too little by cells right behind the particle; with 4 % more, sides of a
+        // tank bear 0.8 % of the liquid's weight, and 1.04 % with 2 %.
+        const float one_square = 1.04f, two_squares = 4.16f;
         const Lanes square_a = one_square * a.whole_1 * r1 + two_squares * a.whole_2 * r2;
         const float b1 = one_square * b.whole_1, b2 = two_squares * b.whole_2;
         const Lanes square_b = a.whole_0 * (b1 * part[1] + b2 * part[3]) +
