@@ -18,7 +18,7 @@ import warp as wp
 
 from orbit_matter.block import BLOCK, BOUNDS, any_in_warp
 from orbit_matter.contact import NEAREST, Felt, carried, feel, feel_together, surface
-from orbit_matter.fluid.pairs import LANES, diverged_from, keep, pressed_by
+from orbit_matter.fluid.pairs import LANES, diverged_from, keep, list_nearby, pressed_by
 from orbit_matter.fluid.walls import (
     Filled,
     Layers,
@@ -62,7 +62,7 @@ SHALLOW = wp.constant(0.25)
 GENTLE = wp.constant(0.01)
 """m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
 COMPARED = 4096
-"""Particles up to which a GPU compares each with all others rather than with those in the cells around it."""
+"""Particles up to which each is compared with all others rather than with those in the cells around it."""
 SEARCHERS = wp.constant(4 * BLOCK)
 """Threads that compare the particles of an environment: few environments search at a time, and one block each would
 leave most of a GPU empty."""
@@ -129,6 +129,8 @@ class Fluid:
     """(N,) 1 where a search is due."""
     guarded: wp.array2d[int]
     """(N, P) how many walls particles had at the last search."""
+    columns: wp.array3d[float]
+    """(N, 3, P or a few more) positions at the last search by axis, far away beyond the last particle."""
     head: wp.array2d[int]
     """(N, B) first particle of each bucket of cells; -1 for none."""
     following: wp.array2d[int]
@@ -182,8 +184,8 @@ def clear(f: Fluid):
 
 
 @wp.kernel(enable_backward=False)
-def insert(f: Fluid, renewed: int):
-    """Put each particle into its cell, and note its walls where they are ``renewed``."""
+def note(f: Fluid, renewed: int):
+    """Note where particles are that are searched, and their walls where they are ``renewed``."""
     env, i = wp.tid()
     if f.stale[env] == 0:
         return
@@ -199,6 +201,16 @@ def insert(f: Fluid, renewed: int):
         if f.shielded[env, i, k][3] < 1.0e6:
             count += 1
     f.guarded[env, i] = count
+    for axis in range(3):
+        f.columns[env, axis, i] = f.searched[env, i][axis]
+
+
+@wp.kernel(enable_backward=False)
+def insert(f: Fluid):
+    """Put each particle into its cell."""
+    env, i = wp.tid()
+    if f.stale[env] == 0:
+        return
     c = cell_of(f.searched[env, i], f.cell)
     b = bucket_of(c[0], c[1], c[2], f.head.shape[1])
     f.following[env, i] = wp.atomic_exch(f.head, env, b, i)
@@ -265,27 +277,27 @@ def find(f: Fluid):
 def compare(f: Fluid):
     """Find neighbours as :func:`find` does, but among all particles, SEARCHERS threads for an environment.
 
-    A GPU waits for each step along the particles of a cell; all threads of a block read the same particle at a time.
+    A GPU waits for each step along the particles of a cell; all threads of a block read the same particle at a time. A
+    CPU compares eight at a time, a thousand in a third of the time that the cells around a particle take.
     """
     env, lane = wp.tid()
     if f.stale[env] == 0:
         return
-    most = f.neighbours.shape[2]
     for i in range(lane, f.x.shape[1], SEARCHERS):
-        x, near = f.searched[env, i], int(0)
-        for j in range(f.x.shape[1]):
-            way = f.searched[env, j] - x
-            if wp.length_sq(way) < f.cell * f.cell and j != i and near < most:
-                f.neighbours[env, i, near] = j
-                near += 1
+        walls = f.guarded[env, i]
+        listed = list_nearby(f.searched, f.columns, f.neighbours, f.shielded, walls, env, i, f.cell * f.cell)
+        count = int(listed[0])
         # Walls in a pass of their own: in the one above most threads would wait for the few that have come near.
-        count = int(0)
-        for k in range(near):
-            j = f.neighbours[env, i, k]
-            way = f.searched[env, j] - x
-            if not is_parted(f, env, i, j, way):
-                f.neighbours[env, i, count] = j
-                count += 1
+        if listed[1] == 1:
+            count = int(0)
+            for k in range(listed[0]):
+                j = f.neighbours[env, i, k]
+                parted = bool(False)
+                if f.guarded[env, j] > 0:
+                    parted = is_parted(f, env, i, j, f.searched[env, j] - f.searched[env, i])
+                if not parted:
+                    f.neighbours[env, i, count] = j
+                    count += 1
         end_list(f, env, i, count)
 
 
