@@ -9,7 +9,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 BACKENDS := mujoco bullet sapien warp
-LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,pettingzoo,onnx,sweep,wandb
+LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,pettingzoo,onnx,sweep,wandb,trackio
 # Newton's solvers register as backends only where Newton is installed, which `pip install "orbit-core[newton]"` does.
 PLUGINS := mjmodel warpkit $(BACKENDS) newton matter
 # What the example backend is asked of the suite: one scenario or two of each capability, without those that take minutes

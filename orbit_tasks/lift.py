@@ -228,8 +228,8 @@ class LiftRewards:
     lift: RewardTerm | None = RewardTerm(lifted, 15.0)
     track: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.3), 16.0)
     """Nearness of the lifted cube to the goal, within some 0.3 m."""
-    track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.05), 5.0)
-    """The same within 0.05 m, which decides the last centimetres."""
+    track_finely: RewardTerm | None = RewardTerm(lambda env: tracking(env, 0.03), 15.0)
+    """The same within 0.03 m, which decides the last centimetres."""
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -278,7 +278,7 @@ class Lift(Task):
     metadata: TaskMetadata = TaskMetadata(
         instruction="lift the cube to the goal",
         subtasks=(Subtask(at_cube, off_table), Subtask(goal_frame, lifted)),
-        ppo=PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005),
+        ppo=PpoSettings(iterations=1000, initial_std=0.7, entropy_weight=0.002, target_kl=0.03),
         off_policy=OffPolicySettings(updates_per_step=4),
     )
     cube: ObjectConfig = BoxConfig(size=(0.05, 0.05, 0.05), mass=0.1, color=(0.8, 0.2, 0.15, 1.0))

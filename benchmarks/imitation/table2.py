@@ -2,6 +2,7 @@ r"""Table II of the Orbit paper, repeated: cloning Lift from fixed and random st
 
     python benchmarks/imitation/table2.py --jobs 64 --demos 2000 --seeds 3 --episodes 100 --budget 460
     python benchmarks/imitation/table2.py --merge docs/figures/table2.json --page docs/measured/imitation.md
+    python benchmarks/imitation/table2.py --jobs 64 --merge docs/figures/table2.json --forget diffusion
     python benchmarks/imitation/table2.py --jobs 64 --demos 400 --seeds 2 --cells both --actions pictures --transfer \
         --algorithms bc act diffusion --device cuda --gpus 4 --renderer-setting shadow_size=0 --budget 560 \
         --output out/table2-pictures
@@ -10,7 +11,9 @@ Demonstrations are recorded on one engine, policies are trained from them, and e
 that are installed: ``orbit record``, ``orbit train`` and ``orbit evaluate``, each in a process of one thread. The same
 command goes on where the budget ended; its settings and results are in ``results.json`` of the output folder. On
 another machine ``--merge`` takes the results of earlier calls, and what they left behind is made again where it is
-needed.
+needed; ``--forget`` leaves out algorithms that have changed since. One short job on each other engine comes before all
+that need it, so that an engine that compiles kernels does so once; the environment variable WARP_CACHE_PATH says where
+Warp keeps them.
 
 Why: Mittal et al., Orbit: A Unified Simulation Framework for Interactive Robot Learning Environments (2023), table II.
 """
@@ -22,11 +25,11 @@ import json
 import shutil
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from table2_page import merged, page
+from table2_page import merged, page, without
 from work import Job, Ledger, run_jobs
 
 from orbit_core.backends import backend_names
@@ -108,14 +111,16 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=1e9, help="seconds of wall time")
     parser.add_argument("--output", type=Path, default=Path("out/table2"))
     parser.add_argument("--merge", type=Path, nargs="+", default=[], help="results.json of other runs, to go on from")
+    parser.add_argument(
+        "--forget", nargs="+", default=[], choices=list(ITERATIONS), help="algorithms whose results are not merged"
+    )
     parser.add_argument("--page", type=Path, help="write the page from the results instead of running")
     arguments = parser.parse_args()
     results = arguments.output / "results.json"
     if arguments.merge:
         arguments.output.mkdir(parents=True, exist_ok=True)
-        found = [
-            json.loads(path.read_text()) for path in (results, *arguments.merge) if path != results or path.exists()
-        ]
+        found = [json.loads(results.read_text())] if results.exists() else []
+        found += [without(json.loads(path.read_text()), arguments.forget) for path in arguments.merge]
         with written_whole(results) as written:
             written.write_text(json.dumps(merged(found), indent=1))
     if arguments.page is not None:
@@ -138,24 +143,60 @@ def main() -> None:
 
 def table_jobs(arguments: argparse.Namespace) -> list[Job]:
     """Return all jobs of the table, named ``kind.cell.action...``."""
-    jobs: list[Job] = []
     others = arguments.transfer
     if others is None:
         others = [name for name in backend_names() if name != arguments.engine]
+    actions = [action for action in ACTIONS if action.name in arguments.actions]
+    # Kernels depend on what is drawn, neither on the action nor on the number of environments.
+    first: dict[tuple[str, tuple[str, ...]], Job] = {}
+    for action in actions:
+        for engine in others:
+            first.setdefault((engine, action.cameras), _first_job(engine, action, arguments))
+    jobs = list(first.values())
     for cell in CELLS:
-        for action in ACTIONS:
-            if cell.name in arguments.cells and action.name in arguments.actions:
-                jobs += _cell_jobs(cell, action, (arguments.engine, *others), arguments)
+        for action in actions:
+            if cell.name in arguments.cells:
+                needs = {engine: first[engine, action.cameras].name for engine in others}
+                jobs += _cell_jobs(cell, action, (arguments.engine, *others), needs, arguments)
     return jobs
 
 
-def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: argparse.Namespace) -> list[Job]:
+def _first_job(engine: str, action: Action, arguments: argparse.Namespace) -> Job:
+    """Return a job of a few steps on an engine, which compiles what many would compile side by side."""
+    file = arguments.output / "first" / f"{action.name}-{engine}.hdf5"
+    words = (
+        "record", "Lift", "--action", action.space, *_seen(action, arguments), "--set", "episode_length=0.1",
+        "--backend", engine, "--num-envs", "1", "--episodes", "1", "--output", str(file), "--overwrite",
+    )  # fmt: skip
+    return Job(f"first.all.{action.name}.{engine}", lambda: words, leaves=file)
+
+
+def _looks(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """Return the words that say who draws pictures, and how."""
+    renderer = ("--renderer", arguments.renderer) if arguments.renderer else ()
+    return (*renderer, *(word for each in arguments.renderer_setting for word in ("--renderer-setting", each)))
+
+
+def _seen(action: Action, arguments: argparse.Namespace) -> tuple[str, ...]:
+    """Return the words that show the policy pictures; none for an action whose policy sees none."""
+    return ("--cameras", *action.cameras, *_looks(arguments)) if action.cameras else ()
+
+
+def _cell_jobs(
+    cell: Cell, action: Action, engines: Sequence[str], first: Mapping[str, str], arguments: argparse.Namespace
+) -> list[Job]:
+    """Return the jobs of a cell and an action.
+
+    Args:
+        cell: what differs from episode to episode.
+        action: how the arm is commanded.
+        engines: that policies are evaluated on.
+        first: job that an engine's evaluations wait for.
+        arguments: of the command line.
+    """
     label, output = f"{cell.name}.{action.name}", arguments.output
-    looks = [*(("--renderer", arguments.renderer) if arguments.renderer else ())]
-    looks += [word for setting in arguments.renderer_setting for word in ("--renderer-setting", setting)]
-    seen = ("--cameras", *action.cameras, *looks) if action.cameras else ()
     task = (
-        "Lift", "--action", action.space, *seen, "--set", f"episode_length={action.length}",
+        "Lift", "--action", action.space, *_seen(action, arguments), "--set", f"episode_length={action.length}",
         "--set", f"start_spread={cell.start}", "--set", f"commands.goal.spread={cell.goal}",
     )  # fmt: skip
     jobs: list[Job] = []
@@ -193,7 +234,7 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
             for part, begin in enumerate(range(0, arguments.episodes, action.trials)):
                 into = output / label / f"evaluation-{algorithm}-{engine}-{part}"
                 words = (
-                    "evaluate", *map(str, folders), "--backend", engine, *(looks if action.cameras else ()),
+                    "evaluate", *map(str, folders), "--backend", engine, *(_looks(arguments) if action.cameras else ()),
                     "--episodes", str(min(action.trials, arguments.episodes - begin)),
                     "--seed", str(_FIRST_START + part), "--jobs", "1", "--output", str(into),
                 )  # fmt: skip
@@ -202,7 +243,8 @@ def _cell_jobs(cell: Cell, action: Action, engines: Sequence[str], arguments: ar
                     return outcomes(into / "results.jsonl")
 
                 name = f"evaluate.{label}.{algorithm}.{engine}.{part}"
-                jobs.append(Job(name, lambda words=words: words, tuple(trained), read))
+                needs = (*trained, *((first[engine],) if engine in first else ()))
+                jobs.append(Job(name, lambda words=words: words, needs, read))
     return jobs
 
 

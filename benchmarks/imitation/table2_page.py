@@ -38,6 +38,12 @@ class _Outcome:
         return f"{rate.value:.2f} [{rate.low:.2f}, {rate.high:.2f}], {length:.0f}{fewer}"
 
 
+def without(ledger: Mapping[str, Any], algorithms: Sequence[str]) -> dict[str, Any]:
+    """Return a ledger without the trainings and evaluations of algorithms."""
+    jobs = {name: done for name, done in ledger["jobs"].items() if not set(name.split(".")[3:4]) & set(algorithms)}
+    return {**ledger, "jobs": jobs}
+
+
 def merged(ledgers: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return one ledger with the jobs of several; of a job that several have, the one that is done or has more results.
 

@@ -30,6 +30,8 @@ class Job:
     """Names of the jobs whose results it reads."""
     read: Callable[[], object] = lambda: None
     """Gives what is kept of its results, as JSON."""
+    cores: int = 1
+    """Cores that its processes and threads take."""
     leaves: Path | None = None
     """File or folder that other jobs read; where it is gone, as on another machine, the job is done again for them."""
 
@@ -91,7 +93,7 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
         jobs: in the order in which they begin, as far as their needs are done. A budget that ends thus leaves the first
             ones whole, and not all of them half done.
         ledger: of what is done.
-        side_by_side: processes at a time, each of one thread.
+        side_by_side: cores that jobs take at a time.
         budget: seconds of wall time, after which commands are interrupted.
         logs: folder of what each command prints.
         gpus: that processes are dealt to in turn; 0 for none.
@@ -105,7 +107,10 @@ def run_jobs(jobs: Sequence[Job], ledger: Ledger, side_by_side: int, budget: flo
     try:
         while (left or running) and time.monotonic() - begin < budget - _GRACE:
             ready = [job for job in left.values() if all(ledger.ended(need) for need in job.needs)]
-            for job in ready[: side_by_side - len(running)]:
+            for job in ready:
+                # One that takes more than there are begins where nothing else runs.
+                if running and sum(each.job.cores for each in running) + job.cores > side_by_side:
+                    break
                 del left[job.name]
                 last_gpu += 1
                 running.append(_started(job, logs, last_gpu % gpus if gpus else None))

@@ -240,6 +240,10 @@ class Environment(Generic[TaskT, StateT]):
                 return self._observe(), {}
             return self._observe_new(torch.zeros_like(self.done).index_fill_(0, env_ids, True)), {}
 
+    def spread_episodes(self) -> None:
+        """Give every environment's episode a random age, by torch's own generator, so that they do not end together."""
+        self.state.episode_step.random_(self.max_episode_steps)
+
     @property
     def observation_size(self) -> int:
         """Components of the group ``"policy"``.

@@ -203,6 +203,25 @@ def test_another_environment_does_not_go_on_with_it(dataset: Hdf5Dataset) -> Non
     other.close()
 
 
+def test_a_recording_does_not_go_on_with_another_noise(environment: Environment, tmp_path: Path) -> None:
+    path = tmp_path / "lift.hdf5"
+
+    def disturbed(noise: float, stray: float) -> int:
+        actor = scripted_actor("zero", environment, SEED)
+        record(environment, lambda: actor, RecordingFile(path), "Lift", 4, SEED, noise=noise, stray=stray)
+        with opened(path) as dataset:
+            return len(dataset.episodes)
+
+    assert disturbed(0.01, 0.0) == 4
+    for noise, stray, told in ((0.0, 0.0, r"noise was 0\.01 and is 0"), (0.01, 0.02, r"stray was 0 and is 0\.02")):
+        with pytest.raises(ConfigurationError, match=f"{told}; give the same, or another --output"):
+            disturbed(noise, stray)
+    assert disturbed(0.01, 0.0) == 4
+    # Files that are older than these facts go on as before.
+    manifest = Manifest.of(environment, "Lift", SEED)
+    RecordingFile(path).take_up(manifest)
+
+
 def test_a_missing_h5py_is_told_before_anything_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(ConfigurationError, match=r"pip install .*\[data\]"):

@@ -36,7 +36,7 @@ from orbit_learn.cloning.encoding import (
     quarter_features,
     rotation_features,
 )
-from orbit_learn.cloning.networks import ClonedRecurrent, ClonedTransformer, Planner
+from orbit_learn.cloning.networks import ClonedDiffusion, ClonedRecurrent, ClonedTransformer, Planner
 from orbit_learn.cloning.steps import shifted
 from orbit_learn.cloning.trainer import ALGORITHMS, ImitationSettings, ImitationTrainer
 from orbit_learn.description import Part, group_parts
@@ -152,13 +152,38 @@ def test_ensembled_plans_are_averaged_by_age() -> None:
     with torch.no_grad():
         for _ in range(4):
             seen = torch.randn(1, 2)
-            plans.append(module.labels.actions(module.outputs(module.encoder(seen)), seen)[0])
+            plans.append(module.labels.actions(module.outputs(module.encoder(seen), memory), seen)[0])
             action, memory = module.act(seen, memory)
             actions.append(action)
     # Step 3 is planned by steps 1 (its third action), 2 and 3.
     weights = torch.tensor([1.0, np.exp(-rate), np.exp(-2 * rate)])
     expected = (weights[0] * plans[1][2] + weights[1] * plans[2][1] + weights[2] * plans[3][0]) / weights.sum()
     torch.testing.assert_close(actions[3][0], expected.float())
+
+
+def test_plans_of_a_diffusion_policy_land_on_all_that_demonstrators_do() -> None:
+    torch.manual_seed(0)
+    # Half of the demonstrators pass on the left, half on the right; their mean runs into the obstacle.
+    side = torch.where(torch.rand(256, 1, 1) < 0.5, -0.5, 0.5)
+    actions, seen = side + 0.02 * torch.randn(256, 4, 1), torch.zeros(256, 1)
+    module = ClonedDiffusion(encoding=Encoding((Part("seen", 1),)), chunk=4, executed=1, width=64, layers=2).build(1, 1)
+    assert isinstance(module, Planner)
+    module.labels.fit(actions, seen)
+    optimizer = torch.optim.Adam(module.parameters(), 3e-3)
+    for _ in range(300):
+        optimizer.zero_grad()
+        module.loss(seen, actions, torch.ones(256, 4, dtype=torch.bool)).backward()
+        optimizer.step()
+    memory, plans = module.initial_memory(1, "cpu"), []
+    with torch.no_grad():
+        for _ in range(64):
+            _, memory = module.act(seen[:1], memory)
+            plans.append(memory["plan"][0])
+    first = torch.stack(plans)
+    assert (first.abs() - 0.5).abs().max() < 0.2, "no plan lies between the modes"
+    assert 16 <= int((first[:, 0, 0] > 0.0).sum()) <= 48, "both are planned in one state"
+    _, memory = module.act(seen[:1], module.initial_memory(1, "cpu"))
+    torch.testing.assert_close(memory["plan"][0], plans[0], msg="an episode repeats")
 
 
 def test_labels_are_relative_to_the_present_joint_positions() -> None:
@@ -305,7 +330,7 @@ def test_noise_disturbs_the_executed_actions_and_leaves_the_labels(demos: Path) 
 
 @pytest.mark.parametrize(
     ("algorithm", "own"),
-    [("bc-rnn", ["hidden", "cell", "seen"]), ("bc-gmm", []), ("act", []), ("diffusion", [])],
+    [("bc-rnn", ["hidden", "cell", "seen"]), ("bc-gmm", []), ("act", []), ("diffusion", ["drawn"])],
 )
 def test_a_graph_with_memory_acts_as_its_module(
     demos: Path, environment: Environment, tmp_path: Path, algorithm: str, own: list[str]

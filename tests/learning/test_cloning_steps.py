@@ -49,6 +49,7 @@ NETWORKS: tuple[ClonedNetwork, ...] = (
     ClonedDiffusion(**SHARED, width=16),
     ClonedPerceptron(**{**SHARED, "encoding": SEEING}, hidden_sizes=(16,)),
     ClonedRecurrent(**{**SHARED, "encoding": SEEING}, hidden_size=8, horizon=4),
+    ClonedTransformer(**{**SHARED, "encoding": SEEING}, width=16, heads=2),
 )
 BATCH, STEPS, TOTAL, RATE = 8, 3, 12, 1e-2
 META = torch.device("meta")
@@ -167,6 +168,20 @@ def test_a_transformer_skips_what_is_not_read_and_gives_the_same() -> None:
     read = planner.reader(torch.stack((planner.observed(features), planner.latent(latent)), 1) + planner.places)
     whole = planner.head(planner.writer(planner.queries.expand(5, -1, -1), read))
     torch.testing.assert_close(planner._decoded(features, latent), whole)
+
+
+def test_a_transformer_sees_pictures_whatever_the_size_of_their_features() -> None:
+    planner = planner_of(ClonedTransformer(**{**SHARED, "encoding": SEEING}, width=16, heads=2)).eval()
+    torch.manual_seed(3)
+    vectors = torch.randn(5, SEEING.feature_size)
+    pictures = torch.randn(5, planner.encoder.size - SEEING.feature_size)
+
+    def plans(scale: float, offset: float) -> Tensor:
+        features = torch.cat((vectors, scale * pictures + offset), 1)
+        return planner.outputs(features, planner.initial_memory(5, "cpu"))
+
+    # Grown by a thousand they would leave nothing of the joints, or, with an offset, of what differs between them.
+    torch.testing.assert_close(plans(1000.0, 5000.0), plans(1.0, 0.0), rtol=1e-3, atol=1e-3)
 
 
 class Operations(TorchDispatchMode):

@@ -377,7 +377,7 @@ def test_failures_are_filmed_and_shown_by_their_kind(tmp_path: Path, capsys: pyt
     words += f" --set episode_length=0.2 --axis start:2 --output {tmp_path}"
     assert main(words.split()) == 0
     text = (tmp_path / "index.html").read_text()
-    films = re.findall(r'src="(failures/\d.mp4)"', text)
+    films = re.findall(r'src="(failures/\w+.mp4)"', text)
     assert films
     assert all((tmp_path / film).stat().st_size > 1000 for film in films)
     assert "2 of 2 failed again" in text
@@ -385,4 +385,14 @@ def test_failures_are_filmed_and_shown_by_their_kind(tmp_path: Path, capsys: pyt
     assert plan.recipe("zero") == "still"
     assert [block.key.variant for block in blocks] == [BASE, "start 2"]
     assert "begins differently" not in text
+    # Films of the same results are kept, and others deleted.
+    times = {film: (tmp_path / film).stat().st_mtime_ns for film in films}
+    (tmp_path / films[0]).unlink()
+    assert main(words.split()) == 0
+    assert (tmp_path / "index.html").read_text() == text
+    assert [(tmp_path / film).stat().st_mtime_ns == time for film, time in times.items()] == [
+        film != films[0] for film in films
+    ]
+    assert main(words.replace("--videos 2", "--videos 1").split()) == 0
+    assert not any((tmp_path / film).exists() for film in films)
     capsys.readouterr()

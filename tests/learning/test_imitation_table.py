@@ -60,6 +60,23 @@ def test_jobs_begin_in_their_order(tmp_path: Path) -> None:
     assert begun == names
 
 
+def test_a_job_of_two_cores_waits_for_both(tmp_path: Path) -> None:
+    from work import Job, Ledger, run_jobs  # pyright: ignore[reportMissingImports]
+
+    seen: list[str] = []
+
+    def words(name: str) -> list[str]:
+        seen.append(f"{name} begins")
+        return ["list", "libraries"]
+
+    jobs = [
+        Job(name, lambda name=name: words(name), read=lambda name=name: seen.append(f"{name} ends"), cores=cores)
+        for name, cores in (("one", 1), ("two", 2))
+    ]
+    assert run_jobs(jobs, Ledger(tmp_path / "results.json", {}), 2, 600.0, tmp_path / "logs", 0)
+    assert seen == ["one begins", "one ends", "two begins", "two ends"]
+
+
 def test_a_training_that_was_killed_goes_on_unless_it_had_its_last_iteration(tmp_path: Path) -> None:
     from table2 import continued  # pyright: ignore[reportMissingImports]
 
@@ -101,6 +118,10 @@ def test_every_cell_is_recorded_trained_and_evaluated(tmp_path: Path) -> None:
     assert "--cameras" in jobs["record.both.pictures.0"].words()
     assert sum(name.startswith("evaluate.both.pictures.bc.bullet") for name in jobs) == 25
     assert "evaluate.both.joint_position.bc.bullet.0" in jobs
+    # One job compiles what evaluations on an engine need.
+    assert "first.all.joint_position.bullet" in jobs["evaluate.both.joint_position.bc.bullet.0"].needs
+    assert not any(need.startswith("first") for need in jobs["evaluate.both.joint_position.bc.mujoco.0"].needs)
+    assert "--cameras" in jobs["first.all.pictures.bullet"].words()
     # All seeds of an algorithm, and their evaluations, come before the next algorithm, and a cell before the next.
     places = {name: place for place, name in enumerate(jobs)}
     order = [
@@ -137,6 +158,20 @@ def test_results_of_several_machines_become_one_table() -> None:
     assert [job["result"] for job in both["jobs"].values()] == [[2], [1]]
     with pytest.raises(SystemExit, match="other demos"):
         merged([first, {"settings": {"demos": 3, "engine": "mujoco"}, "jobs": {}}])
+
+
+def test_results_of_an_algorithm_that_has_changed_are_left_out() -> None:
+    from table2_page import without  # pyright: ignore[reportMissingImports]
+
+    names = [
+        "record.both.joint_position.0",
+        "train.both.joint_position.bc.0",
+        "evaluate.both.joint_position.act.warp.0",
+    ]
+    ledger = {"settings": {"demos": 2}, "jobs": dict.fromkeys((*names, "train.both.ik.bc-rnn.0"))}
+    assert list(without(ledger, ["bc-rnn"])["jobs"]) == names
+    assert list(without(ledger, ["bc-rnn", "act"])["jobs"]) == names[:2]
+    assert without(ledger, [])["settings"] == {"demos": 2}
 
 
 def test_results_of_fewer_trainings_are_shown_until_all_are_done() -> None:

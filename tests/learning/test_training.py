@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -362,6 +364,21 @@ def test_weights_and_biases_take_the_curve_offline_or_say_what_is_missing(
     assert refused.returncode == 2
     assert "Weights & Biases takes no run (No API key configured" in refused.stderr
     assert not (tmp_path / "sent" / "curve.jsonl").exists()
+
+
+def test_trackio_takes_the_curve_on_this_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("trackio", reason="capability 'trackio' is not installed: pip install 'orbit-learn[trackio]'")
+    words = ["train", "Reach", "--backend", BACKEND, "--num-envs", "2", "--library", "sb3", "--iterations", "2"]
+    words += ["--set", "episode_length=0.1", "--ppo", "steps_per_iteration=8", "--trackio", "orbit"]
+    words += ["--output", str(tmp_path / "run")]
+    # A process of its own, because the package keeps its first folder.
+    command = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())", *words]
+    environment = {**os.environ, "TRACKIO_DIR": str(tmp_path / "kept")}
+    subprocess.run(command, env=environment, check=True, timeout=600)
+    with contextlib.closing(sqlite3.connect(tmp_path / "kept" / "orbit.db")) as kept:
+        rows = kept.execute("SELECT run_name, step, metrics FROM metrics ORDER BY step").fetchall()
+    assert [row[:2] for row in rows] == [("run", 0), ("run", 1)]
+    assert b"episode/return" in rows[-1][2]
 
 
 def test_several_processes_need_a_library_for_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -203,7 +203,13 @@ def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
         if graver:
             listed = "; ".join(str(difference) for difference in graver)
             raise ConfigurationError(f"{first.path} and {other.path} are not of one kind: {listed}")
-    return first.manifest
+    return None if first.manifest is None else _of_all(first.manifest, [each.known() for each in others])
+
+
+def _of_all(first: Manifest, others: Sequence[Manifest]) -> Manifest:
+    """Return a manifest without facts of its recording that others do not share."""
+    differing = [name for name in ("noise", "stray") if any(getattr(first, name) != getattr(o, name) for o in others)]
+    return replace(first, **dict.fromkeys(differing))
 
 
 def shared_manifest(datasets: Sequence[Dataset]) -> Manifest:
@@ -228,7 +234,7 @@ def shared_manifest(datasets: Sequence[Dataset]) -> Manifest:
         told = "; ".join(", ".join(each) or "none" for each in seen)
         raise ConfigurationError(f"no term that the policy sees is the same in all datasets ({told})")
     return replace(
-        _acting(first),
+        _of_all(_acting(first), others),
         task=", ".join(dict.fromkeys(manifest.task for manifest in manifests)),
         configuration={},
         observations={POLICY: replace(first.observations[POLICY], terms=terms)},

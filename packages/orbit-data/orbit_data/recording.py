@@ -14,6 +14,7 @@ import itertools
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,7 +54,7 @@ from orbit_data.formats import (
     is_dataset,
     opened,
 )
-from orbit_data.manifest.manifest import Kind, Manifest, differences
+from orbit_data.manifest.manifest import Difference, Kind, Manifest, differences
 from orbit_data.noise import CLEAN, NoisyActor
 from orbit_data.reading.budget import MAX_DOCUMENT, TRUSTED
 from orbit_data.states import TaskMemory, WorldStates
@@ -513,14 +514,13 @@ class RecordingFile:
             with opened(self.path, TRUSTED) as dataset:
                 recorded = dataset.known()
         found = [] if recorded is None else differences(recorded, manifest)
-        found = [
-            each
-            for each in found
-            if each.kind is not Kind.NOTE or not each.path.startswith(("versions", "input_device"))
-        ]
+        found = [each for each in found if not _harmless(each)]
         if found:
             listed = "; ".join(str(difference) for difference in found)
-            raise ConfigurationError(f"{self.path} was recorded with other settings and cannot be continued: {listed}")
+            raise ConfigurationError(
+                f"{self.path} was recorded with other settings and cannot be continued: {listed}; give the same, or "
+                "another --output"
+            )
         self.parts.begin(manifest)
 
     def gather(self) -> int:
@@ -572,6 +572,13 @@ class RecordingFile:
             return []
         with opened(self.path, TRUSTED) as dataset:
             return [*dataset.episodes]
+
+
+def _harmless(difference: Difference) -> bool:
+    """Return True if a recording goes on in spite of a difference."""
+    # Unknown in files that are older than the field, and where a person acts.
+    unknown = difference.path in ("noise", "stray") and None in (difference.recorded, difference.present)
+    return difference.kind is Kind.NOTE and (unknown or difference.path.startswith(("versions", "input_device")))
 
 
 class Shares:
@@ -635,7 +642,7 @@ def record(
         stray: the same as ``noise``, at the start of an episode only.
 
     Raises:
-        ConfigurationError: the file was recorded with another environment, or the noise is negative.
+        ConfigurationError: the file was recorded with another environment or noise, or the noise is negative.
         StorageError: the disk is full; finished episodes are kept.
     """
     try:
@@ -657,7 +664,7 @@ def _record(
     instruction: str,
     stray: float,
 ) -> Pace:
-    file.take_up(Manifest.of(environment, task, seed))
+    file.take_up(replace(Manifest.of(environment, task, seed), noise=noise, stray=stray))
     shares, infos = Shares(episodes, environment), file.infos()
     begun = shares.left(infos)
     environment.reset(seed)

@@ -206,6 +206,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
     """
 
     name: ClassVar[str] = "distill"
+    several_engines: ClassVar[bool] = True
     settings_type: ClassVar[type[Any]] = DistillSettings
     options: ClassVar[tuple[str, ...]] = ("distillation", "teacher")
 
@@ -225,7 +226,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._optimizer = torch.optim.Adam(self._student.parameters(), lr=settings.learning_rate)
         self._seen, _ = environment.reset(seed)
         # If all episodes began together, the buffer would contain one time of the episode after the other.
-        environment.state.episode_step.random_(environment.max_episode_steps)
+        environment.spread_episodes()
         self._buffer = ReplayBuffer(settings.buffer_size, self._seen["policy"], environment.action_size)
         # Whether (N,) the student leads each environment's episode.
         self._student_leads = torch.zeros(environment.num_envs, dtype=torch.bool, device=device)

@@ -51,9 +51,18 @@ class EpisodeTally:
     """Mean return and success of the episodes that ended since the last reading.
 
     Episodes that began on the expert's way do not count.
+
+    Args:
+        device: device of the environments.
+        parts: rows of the environments whose success is also counted apart, by name.
     """
 
-    def __init__(self, device: torch.device) -> None:
+    def __init__(self, device: torch.device, parts: Mapping[str, slice] | None = None) -> None:
+        self._parts = dict(parts or {})
+        # (parts, 2) numbers and successes of each part's episodes.
+        self._of_parts = torch.zeros(len(self._parts), 2, device=device)
+        self.parts: dict[str, float] = {}
+        """Success rate of each part's episodes of the last reading in which any ended, by name."""
         # Number, return, success, then the metrics; made with the first episodes, which say how many metrics there are.
         # Always written in place, because a recorded step repeats its writes to this memory.
         self._sums = torch.zeros(3, device=device)
@@ -86,13 +95,20 @@ class EpisodeTally:
         values = [torch.ones_like(returns), returns, end.success, *end.metrics.values()]
         # Not multiplied by the mask: a metric of an environment whose episode goes on may be NaN.
         rows = torch.stack([value.to(returns.dtype) for value in values])
-        self._sums += rows.masked_fill(~ended, 0.0).sum(1)
+        rows = rows.masked_fill(~ended, 0.0)
+        self._sums += rows.sum(1)
+        for sums, part in zip(self._of_parts, self._parts.values(), strict=True):
+            sums += torch.stack((rows[0, part], rows[2, part])).sum(1)
 
     def read(self) -> tuple[float, float, int]:
         """Return mean return, success rate and number of episodes, and reset.
 
         If no episode has ended, the result is that of the last reading.
         """
+        for name, (count, reached) in zip(self._parts, self._of_parts.tolist(), strict=True):
+            if count:
+                self.parts[name] = reached / count
+        self._of_parts.zero_()
         # One transfer for all sums, because each waits for the device.
         episodes, returns, successes, *metrics = self._sums.tolist()
         if episodes:

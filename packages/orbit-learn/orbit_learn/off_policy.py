@@ -211,7 +211,7 @@ class OffPolicyTrainer(LoopTrainer[OffPolicySettings]):
         self._noise, self._next_noise = torch.empty((2, count, 1), device=device).uniform_(*settings.noise)
         environment.reset(seed)
         # If all episodes began together, a batch would hold one time of the episode at first.
-        environment.state.episode_step.random_(environment.max_episode_steps)
+        environment.spread_episodes()
         self._loop = PolicyLoop(environment, self._act, self._keep)
         self._collected, self._updates = 0, 0
         self._loss = torch.zeros((), device=device)

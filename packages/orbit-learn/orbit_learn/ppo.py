@@ -130,6 +130,7 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
 
     name: ClassVar[str] = "orbit"
     several_gpus: ClassVar[bool] = True
+    several_engines: ClassVar[bool] = True
     chooses_arithmetic: ClassVar[bool] = True
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
@@ -168,7 +169,7 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
         self._update = RecordedFunction(self._learn, device)
         environment.reset(seed)
         # If all episodes began together, an iteration would hold one time of the episode.
-        environment.state.episode_step.random_(environment.max_episode_steps)
+        environment.spread_episodes()
         self._loop = PolicyLoop(environment, self._act, self._keep)
 
     def iterate(self, iteration: int) -> None:

@@ -17,6 +17,7 @@ from orbit_core.envs.environment import Environment
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError
+from orbit_learn.across import rows_of_engines
 from orbit_learn.ends import EpisodeTally
 from orbit_learn.networks import ActorNetwork
 from orbit_learn.processes import meet, met, rank
@@ -42,6 +43,8 @@ class Progress:
     """Episodes so far in which the simulation diverged; a training resets them."""
     loss: float = math.nan
     """Mean loss of the iteration, if the algorithm has a single one; else NaN."""
+    engines: Mapping[str, float] = field(default_factory=dict)
+    """Success rate of the last episodes on each engine, by name; empty if there is only one."""
     metrics: Mapping[str, float] = field(default_factory=dict)
     """Means of the task's metrics over the last episodes, by name; empty if the library does not report them."""
 
@@ -102,6 +105,8 @@ class Trainer(ABC, Generic[Settings]):
     """Name of the library as the user types it."""
     several_gpus: ClassVar[bool] = False
     """True if processes of torchrun, one for each GPU or part of the CPU, learn one policy together."""
+    several_engines: ClassVar[bool] = False
+    """True if the trainer also takes :class:`~orbit_learn.across.AcrossEngines` as its environment."""
     imitates: ClassVar[bool] = False
     """Whether the trainer can first imitate the task's expert, :attr:`PpoSettings.imitation_steps`."""
     begins_with_policies: ClassVar[bool] = False
@@ -174,7 +179,7 @@ class LoopTrainer(Trainer[Settings]):
             meet(environment.device)
         # Before the networks are made: their first weights come from torch's own generator.
         torch.manual_seed(seed)
-        self.tally = EpisodeTally(environment.device)
+        self.tally = EpisodeTally(environment.device, rows_of_engines(environment))
         """Tally of episodes; :meth:`iterate` must add every step."""
         self.batch = environment.num_envs * settings.steps_per_iteration * met()
         """Steps of all environments, of all processes, in an iteration."""
@@ -212,11 +217,13 @@ class LoopTrainer(Trainer[Settings]):
                 done = (iteration - first + 1) * self.batch + self.steps_ahead
                 returns, success_rate, episodes = self.tally.read()
                 seconds = time.perf_counter() - begin
-                measured = {"loss": self.loss(), "metrics": self.tally.metrics}
+                measured = {"loss": self.loss(), "metrics": self.tally.metrics, "engines": dict(self.tally.parts)}
                 progress = Progress(iteration, done, seconds, returns, success_rate, episodes, **measured)
                 if board is not None:
                     board.add_scalar("episode/return", progress.episode_return, iteration)
                     board.add_scalar("episode/success_rate", progress.success_rate, iteration)
+                    for name, value in progress.engines.items():
+                        board.add_scalar(f"episode/success_rate_{name}", value, iteration)
                     for name, value in self.numbers().items():
                         board.add_scalar(f"learning/{name}", value, iteration)
                     # An algorithm without a single loss has no curve to draw.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_core.envs.environment import Environment
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import append_line, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, SimulationError
 from orbit_data.manifest.manifest import Manifest
 from orbit_data.tensor_file import parse_json, read_tensors, write_tensors
+from orbit_learn.across import parts_of
 from orbit_learn.memory import memory_parts
 from orbit_learn.policy import Policy, PolicyDescription
 from orbit_learn.policy_file import SUFFIX, newest_file, read_policy
@@ -135,8 +137,9 @@ class Training:
         self._diverged_last = 0
         # Last completed iteration.
         self._done = -1
-        self.manifest = Manifest.of(self.trainer.environment, self.task, self.trainer.seed)
-        """Manifest of the environment."""
+        self._parts = parts_of(self.trainer.environment)
+        self.manifest = _manifest(self._parts, self.task, self.trainer.seed)
+        """Manifest of the environment; across engines that of the first, with the names and settings of all."""
         self.saved: Path | None = None
         """Newest checkpoint that was written."""
 
@@ -216,7 +219,7 @@ class Training:
         # Weights may fit another robot or action of as many numbers, which would go on in silence.
         if (policy := self.policy_file(iteration)).exists():
             try:
-                read_policy(policy)[0].find_group(self.trainer.environment)
+                read_policy(policy)[0].find_group(self._parts[0])
             except ConfigurationError as error:
                 raise ConfigurationError(
                     f"{folder} is resumed with the task and settings that it began with: {error}"
@@ -286,8 +289,8 @@ class Training:
     def _policy(self, iteration: int) -> Policy:
         trainer, actor = self.trainer, self.trainer.actor()
         versions = self.record.get("versions")
-        description = PolicyDescription.of(trainer.environment, self.task, trainer.name, iteration, versions)
-        description = replace(description, memory=memory_parts(actor.module))
+        description = PolicyDescription.of(self._parts[0], self.task, trainer.name, iteration, versions)
+        description = replace(description, memory=memory_parts(actor.module), backend=self.manifest.backend)
         return Policy(actor.module, actor.network, description, self.manifest)
 
     def _diverged(self) -> int:
@@ -296,20 +299,18 @@ class Training:
         Raises:
             SimulationError: too many diverged in the last iteration.
         """
-        environment = self.trainer.environment
-        if environment.lost is None:
-            return 0
-        count, before = environment.lost.count, self._diverged_last
+        num_envs = self.trainer.environment.num_envs
+        count, before = sum(part.lost.count for part in self._parts if part.lost is not None), self._diverged_last
         self._diverged_last = count
-        most = max(_FEW_DIVERGED, environment.num_envs // 100)
+        most = max(_FEW_DIVERGED, num_envs // 100)
         if count - before > most:
             raise SimulationError(
-                f"{count - before} of {environment.num_envs} environments diverged in one iteration, where {most} may: "
+                f"{count - before} of {num_envs} environments diverged in one iteration, where {most} may: "
                 "use a smaller physics_dt, softer drives or softer contacts"
             )
         if count and not before:
             warnings.warn(
-                f"{count} of {environment.num_envs} environments diverged and began new episodes; they get no "
+                f"{count} of {num_envs} environments diverged and began new episodes; they get no "
                 "reward and are counted as 'diverged' (--diverged stop ends the training instead)",
                 RuntimeWarning,
                 stacklevel=2,
@@ -326,10 +327,24 @@ class Training:
         )
         # Before any episode has ended there is no number, and JSON has no NaN.
         values = asdict(total)
-        for numbers in (values, values["metrics"]):
+        for numbers in (values, values["metrics"], values["engines"]):
             numbers.update({name: None for name, value in numbers.items() if value != value})
         append_line(self.trainer.folder / CURVE, json.dumps(values))
         return total
+
+
+def _manifest(parts: Sequence[Environment], task: str, seed: int) -> Manifest:
+    """Return the manifest of the environments of one engine or several."""
+    made = [Manifest.of(part, task, seed) for part in parts]
+    if len(made) == 1:
+        return made[0]
+    return replace(
+        made[0],
+        backend=", ".join(each.backend for each in made),
+        settings={each.backend: each.settings for each in made},
+        versions={name: version for each in made for name, version in each.versions.items()},
+        num_envs=sum(each.num_envs for each in made),
+    )
 
 
 def check_new(folder: Path) -> None:

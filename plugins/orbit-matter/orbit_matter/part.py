@@ -301,7 +301,7 @@ class Part:
             if self._free:
                 self._solids.launch_push(self._links, lasting=True)
         if self._fluid is not None:
-            self._launch_fluid(self._fluid, number / self._stepping.substeps)
+            self._launch_fluid(self._fluid, number)
         if not self._p:
             return
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
@@ -314,13 +314,13 @@ class Part:
             stiffness, h = self._stepping.contact_stiffness, self._stepping.h
             self._solids.launch_lay(self._particles, stiffness, h, steps / self._stepping.substeps)
 
-    def _launch_fluid(self, fluid: FluidPart, reached: float) -> None:
-        """Launch a substep of liquids, which ends when a share of the step is ``reached``."""
+    def _launch_fluid(self, fluid: FluidPart, number: int) -> None:
+        """Launch a substep of liquids, the first of which has the number 1."""
         shapes, h, share = self._colliders.shapes, self._stepping.h, 1.0 / self._stepping.substeps
-        fluid.launch_push(self._links, shapes, self._gravity, h, share)
+        fluid.launch_push(self._links, shapes, self._gravity, h, share, first=number == 1)
         if self._free:
             dt = self._stepping.physics_dt
-            inputs = [self._bodies, self._attached.count, self._links, self._felt, dt, reached, h, 2]
+            inputs = [self._bodies, self._attached.count, self._links, self._felt, dt, number * share, h, 2]
             wp.launch(bodies.respond, (self._n, self._free), inputs=inputs)
             wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=[self._links, shapes, 2])
         fluid.launch_flow(self._links, shapes, self._gravity, h, share)

@@ -15,7 +15,6 @@ from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout, SimulationError, World
 from orbit_core.scene import Attachment, Cloth, Fluid, Plane, Pose, Scene, Shape
 from orbit_core.world import simulate
-from orbit_matter.block import BLOCK
 from orbit_matter.bodies import free_links
 from orbit_matter.fluid import kernels
 from orbit_matter.fluid.fluids import build
@@ -67,11 +66,13 @@ def test_neighbours_among_all_particles_are_those_in_the_cells_around(settled: W
 
     with wp.ScopedDevice("cpu"):
         part.search_again()
-        expected = found()
-        fluid.neighbours.zero_(), fluid.count.zero_()
-        wp.launch(kernels.compare, (fluid.x.shape[0], int(kernels.SEARCHERS)), inputs=[fluid], block_dim=BLOCK)
         compared = found()
-        part.search_again()  # the order of lists, which bits depend on, is the cells' again
+        fluid.neighbours.zero_(), fluid.count.zero_()
+        wp.launch(kernels.clear, (fluid.x.shape[0], int(kernels.CLEARERS)), inputs=[fluid])
+        for kernel in (kernels.insert, kernels.find):
+            wp.launch(kernel, fluid.x.shape, inputs=[fluid])
+        expected = found()
+        part.search_again()  # the order of lists, which bits depend on, is again that of the numbers of particles
     assert max(len(row) for row in expected) > 30
     for row, wanted in zip(compared, expected, strict=True):
         np.testing.assert_array_equal(row, wanted)

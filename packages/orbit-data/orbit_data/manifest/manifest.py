@@ -188,6 +188,10 @@ class Manifest:
     """Device that a person used; empty if no person acted."""
     made_later: str = ""
     """Date and source of a manifest that was made later, for data that is older than manifests."""
+    noise: float | None = None
+    """Standard deviation of the noise on executed actions, in their units; None if unknown, or not one for all."""
+    stray: float | None = None
+    """The same, of noise at the start of episodes only."""
     format: int = field(default=FORMAT)
     """Version of the manifest's own layout; other versions are not read."""
 

@@ -16,12 +16,13 @@ from rich.table import Table
 from tyro.conf import UseAppendAction, arg
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.making import configured_task, make_environment
+from orbit_core.cli.making import configured_task
 from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues, check_positive, parse_settings
 from orbit_core.configuration import assignments, configured
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_learn.cli.engines import engines_of, environment_on, of_engine
 
 if TYPE_CHECKING:
     from orbit_core.envs.task import TaskMetadata
@@ -38,6 +39,9 @@ _ONLY_OF = {"noise": "td3", "temperature": "sac", "target_entropy": "sac"}
 class TrainSettings(EnvironmentSettings):
     """Learn a task."""
 
+    backend: Annotated[str | tuple[str, ...] | None, arg(metavar="NAME")] = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Physics backend ('orbit list backends'), or several, which divide the environments; may be left out if only one
+    is installed. A --setting is then ENGINE.KEY=VALUE."""
     num_envs: int = 64
     """Environments stepped together, in each process if torchrun starts several."""
     library: Annotated[str | None, arg(metavar="NAME")] = None
@@ -63,6 +67,8 @@ class TrainSettings(EnvironmentSettings):
     """A setting of sac and td3, such as updates_per_step=4."""
     wandb: Annotated[str | None, arg(metavar="PROJECT")] = None
     """Project of Weights & Biases that takes the curve too; WANDB_MODE=offline keeps it on this machine."""
+    trackio: Annotated[str | None, arg(metavar="PROJECT")] = None
+    """Project of Trackio, on this machine, that takes the curve too ('trackio show' shows it)."""
     diverged: Literal["reset", "stop"] = "reset"
     """Reaction to environments whose simulation diverges: they begin new episodes and are counted, unless one in a
     hundred does in an iteration; or the training ends."""
@@ -88,6 +94,7 @@ def train(settings: TrainSettings) -> Path:
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
+    from orbit_learn.across import parts_of
     from orbit_learn.processes import part, started
     from orbit_learn.training import Training, check_new
 
@@ -105,25 +112,36 @@ def train(settings: TrainSettings) -> Path:
             f"library '{settings.library}' trains in one process: for several, use --library rsl-rl, or "
             "--library orbit --algorithm ppo"
         )
-    environment = make_environment(settings, settings.num_envs, reset_diverged=settings.diverged == "reset")
+    each = _on_each_engine(settings)
+    if len(each) == 1:
+        settings = each[0]  # of which a record of training reads as it always has
+    environment = environment_on(each, settings.num_envs, settings.diverged == "reset")
     try:
         chosen = _algorithm(settings, make_trainer, environment.task.metadata)
         folder = settings.resume or settings.output or _new_folder(settings)
-        record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
+        record = {
+            "settings": asdict(settings),
+            "versions": versions_of(*(part.world.backend for part in parts_of(environment))),
+        }
         trainer = make_trainer(environment, chosen, folder, settings.seed)
         training = Training(trainer, settings.task or "", record, leader)
         with contextlib.ExitStack() as opened:
             opened.callback(trainer.close)
             watchers: list[Callable[[Progress], None]] = []
             if settings.wandb is not None and leader:
-                from orbit_learn.wandb_log import WandbLog
+                from orbit_learn.trackers import WandbLog
 
                 log = opened.enter_context(contextlib.closing(WandbLog(settings.wandb, folder, record)))
+                watchers.append(log.add)
+            if settings.trackio is not None and leader:
+                from orbit_learn.trackers import TrackioLog
+
+                log = opened.enter_context(contextlib.closing(TrackioLog(settings.trackio, folder, record)))
                 watchers.append(log.add)
             if settings.videos and leader:
                 from orbit_learn.training_films import TrainingFilms
 
-                films = opened.enter_context(contextlib.closing(TrainingFilms(settings, Path(folder))))
+                films = opened.enter_context(contextlib.closing(TrainingFilms(each[0], Path(folder))))
                 watchers.append(_film_saved(films, training))
             last = _run(training, chosen.iterations, settings, watchers)
     finally:
@@ -132,6 +150,18 @@ def train(settings: TrainSettings) -> Path:
     if last is not None:
         console().print(_table(settings, last, folder))
     return folder
+
+
+def _on_each_engine(settings: TrainSettings) -> list[TrainSettings]:
+    """Return the settings on each of the engines, with its own."""
+    names = engines_of(settings.backend)
+    if len(names) < 2:
+        return [dataclasses.replace(settings, backend=next(iter(names), None))]
+    found: list[TrainSettings] = []
+    for name in names:
+        words, table = of_engine(settings.setting, settings.settings, name, names)
+        found.append(dataclasses.replace(settings, backend=name, setting=words, settings=table))
+    return found
 
 
 def check_training(settings: TrainSettings) -> None:
@@ -152,6 +182,12 @@ def _library(settings: TrainSettings) -> tuple[TrainSettings, type[Trainer[Any]]
 
     library = settings.library or library_for(settings.algorithm)
     make_trainer = trainer_type(library, settings.algorithm)
+    engines = engines_of(settings.backend)
+    if len(engines) > 1 and not make_trainer.several_engines:
+        raise ConfigurationError(
+            f"library '{library}' learns on one engine: for {', '.join(engines)} together, use --library distill, or "
+            "--library orbit --algorithm ppo"
+        )
     algorithm = settings.algorithm
     if algorithm == "ppo" and "algorithm" not in make_trainer.options:
         algorithm = None  # these libraries have no other
@@ -285,6 +321,8 @@ def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
     table.add_row("return of the last episodes", f"{last.episode_return:.3f}" if ended else "none has ended")
     if not math.isnan(last.success_rate):
         table.add_row("success of the last episodes, exploring", f"{_success(last)} of {last.episodes}")
+    for name, rate in last.engines.items():
+        table.add_row(f"of them on {name}", f"{rate:.2f}")
     if last.diverged:
         table.add_row("episodes that diverged, and were replaced", f"{last.diverged:,}")
     if not math.isnan(last.loss):

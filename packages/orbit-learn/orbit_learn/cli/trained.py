@@ -17,6 +17,7 @@ from orbit_core.files import read_bytes
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_data.reading.budget import MAX_DOCUMENT
 from orbit_data.tensor_file import parse_json
+from orbit_learn.cli.engines import of_engine
 
 OF_TRAINING_ALONE = ("curriculum_enabled", "expert_starts")
 """Fields of a task that are only for learning: a curriculum would begin with the easiest episodes again, and a policy
@@ -92,6 +93,7 @@ def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Res
     if cameras != tuple(record.get("cameras", ())):
         differences.append(f"cameras {_told(cameras)} in place of {_told(record.get('cameras') or _TASKS)}")
     played = replace(settings, fields={**fields, **settings.fields}, cameras=cameras)
+    record = _of_one_engine(record, settings.backend)
     for name, installed in (("backend", backend_names()), ("renderer", renderer_names()), ("matter", None)):
         learned, own = record.get(name), getattr(settings, name)
         # A backend that is not installed here is left open, so that the policy can still be played on another.
@@ -107,6 +109,22 @@ def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Res
             lost = f", without its settings ({', '.join(given)})" if given else ""
             differences.append(f"{name} {own or 'left open'} in place of {learned or 'the backend itself'}{lost}")
     return Restored(played, tuple(differences))
+
+
+def _of_one_engine(record: Mapping[str, Any], engine: str | None) -> Mapping[str, Any]:
+    """Return the record of a training across engines as that of a training on one.
+
+    Args:
+        record: settings of the training.
+        engine: on which it is played; the first that is installed if None, or if it did not learn there.
+    """
+    engines = record.get("backend")
+    if not isinstance(engines, list):
+        return record
+    known = [name for name in engines if name in backend_names()]
+    chosen = engine if engine in engines else next(iter(known), engines[0])
+    words, table = of_engine(record.get("setting", ()), record.get("settings", {}), str(chosen), engines)
+    return {**record, "backend": chosen, "setting": words, "settings": table}
 
 
 def _fields(record: Mapping[str, Any], task: str) -> tuple[dict[str, Any], list[str]]:

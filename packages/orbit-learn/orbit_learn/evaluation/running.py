@@ -50,22 +50,20 @@ def run_blocks(
     Raises:
         OrbitError: of many kinds, or a process was ended from outside.
     """
-    groups: dict[tuple[str, str, str], list[BlockKey]] = {}
+    groups: dict[tuple[str, str, str], tuple[list[BlockKey], EnvironmentSettings]] = {}
     for key in keys:
-        groups.setdefault((key.backend, key.variant, repr(settings[key.policy, key.backend])), []).append(key)
+        own = settings[key.policy, key.backend]
+        groups.setdefault((key.backend, key.variant, repr(own)), ([], own))[0].append(key)
     if jobs == 1:
-        for group in groups.values():
-            for block in run_group(plan, group, settings[group[0].policy, group[0].backend]):
+        for group, own in groups.values():
+            for block in run_group(plan, group, own):
                 done(block)
         return
     # Engines and torch keep threads, which a fork would leave locked.
     context = get_context("spawn")
     ended: SimpleQueue[Block | None] = context.SimpleQueue()
     with ProcessPoolExecutor(jobs, mp_context=context, initializer=_report_to, initargs=(ended,)) as pool:
-        running = [
-            pool.submit(_report_group, plan, each, settings[each[0].policy, each[0].backend])
-            for each in groups.values()
-        ]
+        running = [pool.submit(_report_group, plan, group, own) for group, own in groups.values()]
         for future in running:
             future.add_done_callback(lambda _: ended.put(None))
         try:

@@ -17,8 +17,10 @@ from orbit_core.scene import Fluid, Scene
 
 SMOOTHING = 1.3
 """Spacings of the smoothing length: 74 particles are within the kernel."""
-SKIN = 0.4
+SKIN = 0.2
 """Spacings by which neighbours are searched further than the kernel reaches."""
+SKIN_OF_GPU = 0.4
+"""The same on a GPU, where a search costs as much as a pass over neighbours."""
 NEIGHBOURS = 160
 """Most that one particle has."""
 ROUGHNESS = 0.004

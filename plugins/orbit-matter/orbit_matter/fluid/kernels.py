@@ -17,12 +17,21 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.block import BLOCK, BOUNDS, any_in_warp
-from orbit_matter.contact import NEAREST, Felt, Normals, carried, feel, feel_together, normal_of, surface
-from orbit_matter.fluid.pairs import LANES, diverged_from, keep, pressed_by
-from orbit_matter.fluid.walls import axes_of, filled_by, lattice_behind, lattice_of_box
+from orbit_matter.contact import NEAREST, Felt, carried, feel, feel_together, surface
+from orbit_matter.fluid.pairs import LANES, diverged_from, keep, list_nearby, pressed_by
+from orbit_matter.fluid.walls import (
+    Filled,
+    Layers,
+    filled_by,
+    lattice_behind,
+    lattice_of_box,
+    layered_by,
+    layers_behind,
+    layers_of_box,
+)
 from orbit_matter.kernels import Links
 from orbit_matter.self_contact import bucket_of, cell_of
-from orbit_matter.surfaces import BOX, Shapes
+from orbit_matter.surfaces import BOX, PLANE, Shapes
 
 PROBE = wp.constant(0.1)
 """Spacings below a surface where its depth tells edges from faces, and where walls are looked for that hide others or
@@ -44,19 +53,22 @@ energy, which drops would bounce by else, and what flows smoothly feels next to 
 BLOW = wp.constant(3.0)
 """Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
 broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
+SOFT = wp.constant(0.01)
+"""Squares of the smoothing length that keep the shock of a particle, or of a cell, at the same place finite."""
+STAYED = wp.constant(0.01)
+"""Spacings that a particle may move along the shapes near it within a physics step and keep its walls."""
 SHALLOW = wp.constant(0.25)
 """Spacings of depth whose pressure a particle has at least that rests on others: half of one at a surface."""
 GENTLE = wp.constant(0.01)
 """m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
 COMPARED = 4096
-"""Particles up to which a GPU compares each with all others rather than with those in the cells around it."""
+"""Particles up to which each is compared with all others rather than with those in the cells around it."""
 SEARCHERS = wp.constant(4 * BLOCK)
 """Threads that compare the particles of an environment: few environments search at a time, and one block each would
 leave most of a GPU empty."""
 CLEARERS = wp.constant(64)
 """Threads that empty the cells of an environment."""
 
-Distances = wp.types.vector(length=6, dtype=float)
 Others = wp.types.vector(length=2, dtype=int)
 Planes = wp.types.matrix(shape=(2, 4), dtype=float)
 
@@ -93,6 +105,8 @@ class Fluid:
     """(N, P, W) normal and distance of each wall."""
     shape: wp.array3d[int]
     """(N, P, W) that each wall is of."""
+    facing: wp.array3d[int]
+    """(N, P, W) 1 where a particle is in front of a face of a wall, and not of an edge of a box."""
     walls: wp.array2d[int]
     """(N, P) how many of them there are."""
     shielded: wp.array3d[wp.vec4]
@@ -101,6 +115,8 @@ class Fluid:
     """(N, P, W) sums of the kernel's gradient over the cells of a wall, in 1/m."""
     pull: wp.array3d[wp.vec3]
     """(N, P, W) m/s^2 from a wall whose cells are deeper or higher, or that comes near fast."""
+    drift: wp.array2d[float]
+    """(N, P) m that particles have moved at most against the shapes near them since their walls were found."""
     filled: wp.array2d[float]
     """(N, P) what walls add to ``packed``."""
     neighbours: wp.array3d[int]
@@ -113,6 +129,8 @@ class Fluid:
     """(N,) 1 where a search is due."""
     guarded: wp.array2d[int]
     """(N, P) how many walls particles had at the last search."""
+    columns: wp.array3d[float]
+    """(N, 3, P or a few more) positions at the last search by axis, far away beyond the last particle."""
     head: wp.array2d[int]
     """(N, B) first particle of each bucket of cells; -1 for none."""
     following: wp.array2d[int]
@@ -123,6 +141,8 @@ class Fluid:
     """m^3 of a particle at rest."""
     length: float
     """Smoothing length in metres; the kernel ends at twice of it."""
+    ratio: float
+    """Smoothing length in spacings."""
     slope: float
     """Slope of the kernel: its gradient is ``-slope t^3 x`` with ``t = 1 - r / (2 length)`` (Wendland's C2)."""
     sound: float
@@ -164,8 +184,8 @@ def clear(f: Fluid):
 
 
 @wp.kernel(enable_backward=False)
-def insert(f: Fluid, renewed: int):
-    """Put each particle into its cell, and note its walls where they are ``renewed``."""
+def note(f: Fluid, renewed: int):
+    """Note where particles are that are searched, and their walls where they are ``renewed``."""
     env, i = wp.tid()
     if f.stale[env] == 0:
         return
@@ -181,6 +201,16 @@ def insert(f: Fluid, renewed: int):
         if f.shielded[env, i, k][3] < 1.0e6:
             count += 1
     f.guarded[env, i] = count
+    for axis in range(3):
+        f.columns[env, axis, i] = f.searched[env, i][axis]
+
+
+@wp.kernel(enable_backward=False)
+def insert(f: Fluid):
+    """Put each particle into its cell."""
+    env, i = wp.tid()
+    if f.stale[env] == 0:
+        return
     c = cell_of(f.searched[env, i], f.cell)
     b = bucket_of(c[0], c[1], c[2], f.head.shape[1])
     f.following[env, i] = wp.atomic_exch(f.head, env, b, i)
@@ -247,35 +277,38 @@ def find(f: Fluid):
 def compare(f: Fluid):
     """Find neighbours as :func:`find` does, but among all particles, SEARCHERS threads for an environment.
 
-    A GPU waits for each step along the particles of a cell; all threads of a block read the same particle at a time.
+    A GPU waits for each step along the particles of a cell; all threads of a block read the same particle at a time. A
+    CPU compares eight at a time, a thousand in a third of the time that the cells around a particle take.
     """
     env, lane = wp.tid()
     if f.stale[env] == 0:
         return
-    most = f.neighbours.shape[2]
     for i in range(lane, f.x.shape[1], SEARCHERS):
-        x, near = f.searched[env, i], int(0)
-        for j in range(f.x.shape[1]):
-            way = f.searched[env, j] - x
-            if wp.length_sq(way) < f.cell * f.cell and j != i and near < most:
-                f.neighbours[env, i, near] = j
-                near += 1
+        walls = f.guarded[env, i]
+        listed = list_nearby(f.searched, f.columns, f.neighbours, f.shielded, walls, env, i, f.cell * f.cell)
+        count = int(listed[0])
         # Walls in a pass of their own: in the one above most threads would wait for the few that have come near.
-        count = int(0)
-        for k in range(near):
-            j = f.neighbours[env, i, k]
-            way = f.searched[env, j] - x
-            if not is_parted(f, env, i, j, way):
-                f.neighbours[env, i, count] = j
-                count += 1
+        if listed[1] == 1:
+            count = int(0)
+            for k in range(listed[0]):
+                j = f.neighbours[env, i, k]
+                parted = bool(False)
+                if f.guarded[env, j] > 0:
+                    parted = is_parted(f, env, i, j, f.searched[env, j] - f.searched[env, i])
+                if not parted:
+                    f.neighbours[env, i, count] = j
+                    count += 1
         end_list(f, env, i, count)
 
 
 @wp.kernel(enable_backward=False)
 def meet(
-    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float
+    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float, first: int
 ):  # fmt: skip
-    """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search."""
+    """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search.
+
+    But for the ``first`` substep of a physics step, particles that stay where they were keep their walls.
+    """
     env, i = wp.tid()
     kind, x, s = env % shapes.kind.shape[0], f.x[env, i], f.s[env, i]
     # Not a number is never less, so that what has diverged is searched for as well.
@@ -289,33 +322,13 @@ def meet(
     v = f.v[env, i]
     f.place[env, i] = wp.vec4(x[0], x[1], x[2], f.volume / s)
     f.motion[env, i] = wp.vec4(v[0], v[1], v[2], pressed)
-    reach = 2.0 * f.length
-    normals, distances, looked = Normals(), Distances(), int(0)
-    while looked < NEAREST and felt.near[env, i, wp.min(looked, NEAREST - 1)] >= 0:
-        found = surface(links, shapes, env, kind, felt.near[env, i, looked], x, 0.0)
-        distances[looked] = -found[3]
-        for axis in range(3):
-            normals[looked, axis] = found[axis]
-        looked += 1
-    count = int(0)
-    for k in range(looked):
-        near, n = distances[k] < reach, normal_of(normals, k)
-        for other in range(looked):
-            first = distances[other] < distances[k] or (distances[other] == distances[k] and other < k)
-            if first and near:
-                # What is behind the face of a nearer wall is hidden by it, and by what goes on behind it.
-                away, facing = -n * (distances[k] + PROBE * f.spacing), normal_of(normals, other)
-                height = distances[other] + wp.dot(facing, away)
-                if height < 0.0:
-                    below = x + away - facing * (height + PROBE * f.spacing)
-                    if surface(links, shapes, env, kind, felt.near[env, i, other], below, 0.0)[3] > 0.0:
-                        near = False
-        if near and count < f.shape.shape[2]:
-            f.plane[env, i, count] = wp.vec4(n[0], n[1], n[2], distances[k])
-            f.shape[env, i, count] = felt.near[env, i, k]
-            f.given[env, i, count] = wp.vec3()
-            f.pull[env, i, count] = wp.vec3()
-            count += 1
+    if first == 0:
+        drift = f.drift[env, i] + drift_of(f, links, felt, env, i, x, v * h)
+        f.drift[env, i] = drift
+        if drift < STAYED * f.spacing:
+            return
+    f.drift[env, i] = 0.0
+    count = find_walls(f, links, shapes, felt, env, i, kind, x)
     # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
     weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
     held = wp.clamp(pressed / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
@@ -327,19 +340,81 @@ def meet(
 
 
 @wp.func
+def drift_of(f: Fluid, links: Links, felt: Felt, env: int, i: int, x: wp.vec3, way: wp.vec3) -> float:
+    """Return how far a particle that moved a way has gone in a substep along a shape that is near, at most."""
+    farthest, m = float(0.0), int(0)
+    while m < NEAREST:
+        shape = felt.near[env, i, m]
+        m += 1
+        if shape < 0:
+            m = NEAREST
+        else:
+            farthest = wp.max(farthest, wp.length_sq(way - carried(links, env, shape, x)))
+    return wp.sqrt(farthest)
+
+
+@wp.func
+def find_walls(f: Fluid, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, kind: int, x: wp.vec3) -> int:
+    """Write the walls of a particle that no nearer one hides, and return how many there are."""
+    looked, m = int(0), int(0)
+    while m < NEAREST:
+        shape = felt.near[env, i, m]
+        m += 1
+        if shape < 0:
+            m = NEAREST
+        else:
+            found = surface(links, shapes, env, kind, shape, x, 0.0)
+            if -found[3] < 2.0 * f.length:
+                f.plane[env, i, looked] = wp.vec4(found[0], found[1], found[2], -found[3])
+                f.shape[env, i, looked] = shape
+                looked += 1
+    hidden = int(0)
+    if looked > 1:
+        for k in range(looked):
+            for other in range(looked):
+                if other != k and is_hidden(f, links, shapes, env, i, kind, x, k, other):
+                    hidden = hidden | (1 << k)
+    count = int(0)
+    for k in range(looked):
+        if (hidden >> k) & 1 == 0:
+            wall = int(f.shape[env, i, k])
+            plane = wp.vec4(f.plane[env, i, k])
+            facing = int(1)
+            if shapes.kind[kind, wall] == BOX:
+                local = wp.vec3(plane[0], plane[1], plane[2]) @ links.axes[env, wall]
+                if wp.max(wp.abs(local[0]), wp.max(wp.abs(local[1]), wp.abs(local[2]))) < FACING:
+                    facing = 0
+            f.plane[env, i, count] = plane
+            f.shape[env, i, count] = wall
+            f.facing[env, i, count] = facing
+            f.given[env, i, count] = wp.vec3()
+            f.pull[env, i, count] = wp.vec3()
+            count += 1
+    return count
+
+
+@wp.func
+def is_hidden(
+    f: Fluid, links: Links, shapes: Shapes, env: int, i: int, kind: int, x: wp.vec3, k: int, other: int
+) -> bool:
+    """Return True if a particle's k-th wall is behind the face of a nearer one, and of what goes on behind that."""
+    mine, nearer = f.plane[env, i, k], f.plane[env, i, other]
+    hidden = bool(False)
+    if nearer[3] < mine[3] or (nearer[3] == mine[3] and other < k):
+        facing = wp.vec3(nearer[0], nearer[1], nearer[2])
+        away = wp.vec3(mine[0], mine[1], mine[2]) * -(mine[3] + PROBE * f.spacing)
+        height = nearer[3] + wp.dot(facing, away)
+        if height < 0.0:
+            below = x + away - facing * (height + PROBE * f.spacing)
+            hidden = surface(links, shapes, env, kind, f.shape[env, i, other], below, 0.0)[3] > 0.0
+    return hidden
+
+
+@wp.func
 def wall_of(f: Fluid, env: int, i: int, k: int) -> wp.vec3:
     """Return the normal of a particle's k-th wall."""
     plane = f.plane[env, i, k]
     return wp.vec3(plane[0], plane[1], plane[2])
-
-
-@wp.func
-def is_facing(f: Fluid, links: Links, shapes: Shapes, env: int, i: int, k: int) -> bool:
-    """Return True if a particle is in front of a face of its k-th wall, and not of an edge of a box."""
-    shape = f.shape[env, i, k]
-    local = wall_of(f, env, i, k) @ links.axes[env, shape]
-    along = wp.max(wp.abs(local[0]), wp.max(wp.abs(local[1]), wp.abs(local[2])))
-    return shapes.kind[env % shapes.kind.shape[0], shape] != BOX or along > FACING
 
 
 @wp.func
@@ -350,30 +425,43 @@ def fill(
     """Write what the k-th of a particle's ``count`` walls gives, and return what it adds to where particles are."""
     kind, shape, n, d = env % shapes.kind.shape[0], f.shape[env, i, k], wall_of(f, env, i, k), f.plane[env, i, k][3]
     axes, weight, reach = wp.mat33(links.axes[env, shape]), float(1.0), 2.0 * f.length
+    form = shapes.kind[kind, shape]
     local = (x - wp.transform_get_translation(links.shape[env, shape])) @ axes
-    cells = lattice_of_box(local, shapes.size[kind, shape], f.spacing)
-    if shapes.kind[kind, shape] != BOX:
-        axes = axes_of(n)
-        cells = lattice_behind(d, f.spacing)
-        # Just below the nearest point of an edge the surface is nearer than below that of a face.
-        depth = surface(links, shapes, env, kind, shape, x - n * (d + PROBE * f.spacing), 0.0)[3]
-        weight = wp.clamp(1.0 - SHARP * (1.0 - depth / (PROBE * f.spacing)), 0.1, 1.0)
+    layers = Layers()
+    if form == BOX:
+        layers = layers_of_box(local, shapes.size[kind, shape], f.spacing)
+    else:
+        axes = wp.identity(n=3, dtype=float)
+        layers = layers_behind(d, n, f.spacing)
+        if form != PLANE:
+            # Just below the nearest point of an edge the surface is nearer than below that of a face.
+            depth = surface(links, shapes, env, kind, shape, x - n * (d + PROBE * f.spacing), 0.0)[3]
+            weight = wp.clamp(1.0 - SHARP * (1.0 - depth / (PROBE * f.spacing)), 0.1, 1.0)
+    if layers.depth >= 2.0 * f.ratio:
+        return 0.0
+    turned = axes @ layers.axes
+    # Only what comes nearer is a blow: cells that a particle slides past would hold it and lift it.
+    toward = wp.max(-wp.dot(n, v - carried(links, env, shape, x) / h), 0.0)
+    if toward < GENTLE:
+        toward = 0.0
+    # Layers are behind a face; other walls that make a corner with this one must be square to it.
+    layered = f.facing[env, i, k] == 1
     # Two other walls that make a corner with this one.
     others, skips, found = Others(-1, -1), wp.vec2(0.0, 0.0), int(0)
     planes = Planes()
-    planes[0, 3] = 1.0e6
-    planes[1, 3] = 1.0e6
     for other in range(count):
         away = f.plane[env, i, other][3]
         if other != k and found < 2 and d * d + away * away < reach * reach:
             facing = wall_of(f, env, i, other)
-            if wp.abs(wp.dot(n, facing)) < ACROSS and is_facing(f, links, shapes, env, i, other):
+            if wp.abs(wp.dot(n, facing)) < ACROSS and f.facing[env, i, other] == 1:
                 plane = f.plane[env, i, other]
-                turned = facing @ axes
+                seen = facing @ turned
                 for axis in range(3):
-                    planes[found, axis] = turned[axis]
+                    planes[found, axis] = seen[axis]
                 planes[found, 3] = plane[3]
                 others[found] = other
+                if wp.max(wp.abs(seen[0]), wp.abs(seen[1])) < FACING:
+                    layered = False
                 if other < k:
                     # Where shapes overlap behind both, cells are of one of them.
                     probe = PROBE * f.spacing
@@ -382,20 +470,34 @@ def fill(
                     if inside and surface(links, shapes, env, kind, f.shape[env, i, other], corner, 0.0)[3] > 0.0:
                         skips[found] = 1.0
                 found += 1
-    # Only what comes nearer is a blow: cells that a particle slides past would hold it and lift it.
-    toward = wp.max(-wp.dot(n, v - carried(links, env, shape, x) / h), 0.0)
-    if toward < GENTLE:
-        toward = 0.0
-    got = filled_by(
-        cells.at, cells.cell, cells.inside, cells.last, 0.5 / f.length, f.length, 0.01 * f.length * f.length,
-        gravity @ axes, n @ axes * (BLOW * toward),
-        wp.vec4(planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3]),
-        wp.vec4(planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3]), skips[0], skips[1],
-    )  # fmt: skip
-    slope = f.slope * cells.volume * weight
-    given = axes @ wp.vec3(got[0], got[1], got[2]) * slope
-    pull = axes @ wp.vec3(got[3], got[4], got[5]) * -slope
-    shock = axes @ wp.vec3(got[11], got[12], got[13]) * (slope * SHOCK)
+    got, volume = Filled(), f.spacing * f.spacing * f.spacing * layers.thick
+    if layered:
+        # Normals of planes are rounded to axes.
+        got = layered_by(
+            layers.depth, layers.thick, layers.low, layers.high, f.spacing, 0.5 / f.ratio, f.ratio,
+            SOFT * f.ratio * f.ratio, gravity @ turned, BLOW * toward,
+            wp.vec3(wp.round(planes[0, 0]), wp.round(planes[0, 1]), planes[0, 3] / f.spacing),
+            wp.vec3(wp.round(planes[1, 0]), wp.round(planes[1, 1]), planes[1, 3] / f.spacing), skips[0], skips[1],
+        )  # fmt: skip
+    else:
+        cells, back = lattice_behind(d, f.spacing), wp.identity(n=3, dtype=float)
+        if form == BOX:
+            # Axes of a box in its own order.
+            cells = lattice_of_box(local, shapes.size[kind, shape], f.spacing)
+            back = layers.axes
+            turned = axes
+        one = back @ wp.vec3(planes[0, 0], planes[0, 1], planes[0, 2])
+        two = back @ wp.vec3(planes[1, 0], planes[1, 1], planes[1, 2])
+        got = filled_by(
+            cells.at, cells.cell, cells.inside, cells.last, 0.5 / f.length, f.length, SOFT * f.length * f.length,
+            gravity @ turned, n @ turned * (BLOW * toward), wp.vec4(one[0], one[1], one[2], planes[0, 3]),
+            wp.vec4(two[0], two[1], two[2], planes[1, 3]), skips[0], skips[1],
+        )  # fmt: skip
+        volume = cells.volume
+    slope = f.slope * volume * weight
+    given = turned @ wp.vec3(got[0], got[1], got[2]) * slope
+    pull = turned @ wp.vec3(got[3], got[4], got[5]) * -slope
+    shock = turned @ wp.vec3(got[11], got[12], got[13]) * (slope * SHOCK)
     # No more than what stops it within the substep.
     strength = wp.length(shock) * h
     if strength > toward:
@@ -412,7 +514,7 @@ def fill(
         f.pull[env, i, other] = f.pull[env, i, other] + second
     f.given[env, i, k] = f.given[env, i, k] + given
     f.pull[env, i, k] = f.pull[env, i, k] + pull + shock
-    return got[6] * f.peak * cells.volume / f.volume * weight
+    return got[6] * f.peak * volume / f.volume * weight
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
@@ -441,7 +543,7 @@ def push_one(
     own, half = f.motion[env, i][3], 0.5 / f.length
     scale = f.parameters[env, owner, 0]
     density, viscosity = f.rest_density[i] * scale * f.s[env, i], f.viscosity[i]
-    soft, shock = 0.01 * f.length * f.length, density * SHOCK
+    soft, shock = SOFT * f.length * f.length, density * SHOCK
     found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock)
     pressing, rubbing = wp.vec3(found[0], found[1], found[2]), wp.vec3(found[3], found[4], found[5])
     # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)

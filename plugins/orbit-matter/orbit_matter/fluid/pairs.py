@@ -143,6 +143,79 @@ _KEEP = """
 """
 
 
+_NEARBY = """
+    int* const list = wp::address(neighbours, env, i, 0);
+    const int most = neighbours.shape[2];
+    int found = 0, doubtful = 0;
+#ifdef __CUDA_ARCH__
+    const int stride = neighbours.strides[2] / 4;
+    doubtful = walls > 0;
+    const wp::vec_t<3, wp::float32> own = wp::load(wp::address(searched, env, i));
+    for (int j = 0; j < searched.shape[1]; ++j) {
+        const wp::vec_t<3, wp::float32> way = wp::load(wp::address(searched, env, j)) - own;
+        if (wp::dot(way, way) < square && j != i && found < most) {
+            list[found * stride] = j;
+            ++found;
+        }
+    }
+#else
+    typedef float Lanes __attribute__((ext_vector_type(8)));
+    typedef int Marks __attribute__((ext_vector_type(8)));
+    typedef float Loaded __attribute__((ext_vector_type(8), aligned(4)));
+    const float* x = wp::address(columns, env, 0, 0);
+    const float* y = wp::address(columns, env, 1, 0);
+    const float* z = wp::address(columns, env, 2, 0);
+    for (int first = 0; first < columns.shape[2]; first += 8) {
+        const Lanes a = *reinterpret_cast<const Loaded*>(x + first) - x[i];
+        const Lanes b = *reinterpret_cast<const Loaded*>(y + first) - y[i];
+        const Lanes c = *reinterpret_cast<const Loaded*>(z + first) - z[i];
+        const Marks near = a * a + b * b + c * c < square;
+        int bits = __builtin_reduce_or(near & Marks{1, 2, 4, 8, 16, 32, 64, 128});
+        if (bits == 0) continue;
+        for (int k = 0; k < walls; ++k) {
+            const wp::vec_t<4, wp::float32>& plane = *wp::address(planes, env, i, k);
+            const Lanes height = plane[0] * a + plane[1] * b + plane[2] * c + plane[3];
+            doubtful |= __builtin_reduce_or(near & (height < 0.0f));
+        }
+        for (; bits != 0 && found < most; bits &= bits - 1) {
+            const int j = first + __builtin_ctz(bits);
+            list[found] = j;
+            found += j != i;
+        }
+    }
+#endif
+    return wp::vec_t<2, wp::int32>(found, doubtful != 0);
+"""
+
+
+@wp.func_native(_NEARBY)
+def list_nearby(
+    searched: wp.array2d[wp.vec3],
+    columns: wp.array3d[float],
+    neighbours: wp.array3d[int],
+    planes: wp.array3d[wp.vec4],
+    walls: int,
+    env: int,
+    i: int,
+    square: float,
+) -> wp.vec2i:
+    """List all particles within a distance of one in ascending order.
+
+    Args:
+        searched: (N, P) positions; a GPU reads them.
+        columns: (N, 3, P or a few more) the same by axis, far away beyond the last one; a CPU reads eight at a time.
+        neighbours: (N, P, K) rows that are written.
+        planes: (N, P, W) walls of each particle.
+        walls: of this particle, how many it has.
+        env: of the particle.
+        i: of the particle, its row.
+        square: of the distance in m^2.
+
+    Returns:
+        How many there are, and 0 if none of them is behind a wall of this one.
+    """
+
+
 @wp.func_native(_KEEP.replace("1500", str(SHARED)))
 def keep(place: wp.array2d[wp.vec4], motion: wp.array2d[wp.vec4], env: int, count: int) -> wp.uint64:
     """Copy the rows of an environment to the memory that the threads of a block share; all of them must call this.

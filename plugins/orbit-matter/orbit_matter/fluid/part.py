@@ -36,6 +36,11 @@ class FluidPart:
         self._particles = self._make_particles()
         self._felt = self._make_felt(felt)
 
+    @property
+    def _skin(self) -> float:
+        """Metres by which neighbours are searched further than the kernel reaches."""
+        return (fluids.SKIN if wp.get_device().is_cpu else fluids.SKIN_OF_GPU) * self._model.spacing
+
     def _make_fluid(self, memory: Mapping[str, Tensor]) -> Any:
         made, model, shape = kernels.Fluid(), self._model, (self._n, self._p)
         made.x, made.v = wp.from_torch(memory["fluid_x"], wp.vec3), wp.from_torch(memory["fluid_v"], wp.vec3)
@@ -49,22 +54,27 @@ class FluidPart:
         made.owner = wp.array(model.owners, dtype=int)
         walls = (*shape, fluids.WALLS)
         made.plane, made.filled = wp.zeros(walls, dtype=wp.vec4), wp.zeros(shape, dtype=float)
+        made.drift = wp.zeros(shape, dtype=float)
         made.given, made.pull = wp.zeros(walls, dtype=wp.vec3), wp.zeros(walls, dtype=wp.vec3)
-        made.shape, made.walls = wp.zeros(walls, dtype=int), wp.zeros(shape, dtype=int)
+        made.shape, made.facing = wp.zeros(walls, dtype=int), wp.zeros(walls, dtype=int)
+        made.walls = wp.zeros(shape, dtype=int)
         made.searched = wp.from_torch(memory["fluid_searched"], wp.vec3)
         made.shielded = wp.from_torch(memory["fluid_shielded"], wp.vec4)
         made.stale, made.guarded = wp.zeros(self._n, dtype=int), wp.zeros(shape, dtype=int)
         made.neighbours = self._make_lists()
+        lanes = int(pairs.LANES)
+        made.columns = wp.full((self._n, 3, math.ceil(self._p / lanes) * lanes), pairs.FAR, dtype=float)
         made.count, made.following = wp.zeros(shape, dtype=int), wp.zeros(shape, dtype=int)
         made.head = wp.zeros((self._n, 1 << (2 * self._p - 1).bit_length()), dtype=int)
         made.spacing, made.length, made.sound = model.spacing, model.length, model.sound
+        made.ratio = fluids.SMOOTHING
         made.volume = model.spacing**3
         made.slope = 105.0 / (16.0 * math.pi * model.length**5)
         made.peak = 3465.0 / (512.0 * math.pi * (2.0 * model.length) ** 3) * made.volume * fluids.COUNTED
         made.renewal = 1.0 / fluids.RENEWED
         made.rough = fluids.ROUGHNESS * model.length * model.sound
         made.smooth = fluids.SMOOTHNESS * model.length * model.sound
-        made.cell = 2.0 * model.length + fluids.SKIN * model.spacing
+        made.cell = 2.0 * model.length + self._skin
         return made
 
     def _make_lists(self) -> Any:
@@ -99,13 +109,16 @@ class FluidPart:
         inputs = [self._particles, links, shapes, self._felt, physics_dt]
         wp.launch(contact.find_near, (self._n, self._p), inputs=inputs)
 
-    def launch_push(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
-        """Begin a substep, a ``share`` of a physics step, against links at its end: find what presses, and on what."""
+    def launch_push(self, links: Any, shapes: Any, gravity: Any, h: float, share: float, first: bool) -> None:
+        """Begin a substep, a ``share`` of a physics step, against links at its end: find what presses, and on what.
+
+        Walls are found again for all particles in the ``first`` substep of a physics step.
+        """
         f, shape = self._fluid, (self._n, self._p)
         f.stale.zero_()
         # Two that come from half of the skin each are just within the kernel's reach.
-        most = 0.5 * fluids.SKIN * self._model.spacing
-        wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, gravity, h, most])
+        most = 0.5 * self._skin
+        wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, gravity, h, most, int(first)])
         self._launch_search(renewed=1)
         # A block of threads takes an environment; a CPU's blocks have one thread.
         blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
@@ -126,9 +139,10 @@ class FluidPart:
 
     def _launch_search(self, renewed: int) -> None:
         f, shape = self._fluid, (self._n, self._p)
-        wp.launch(kernels.clear, (self._n, int(kernels.CLEARERS)), inputs=[f])
-        wp.launch(kernels.insert, shape, inputs=[f, renewed])
-        if f.x.device.is_cpu or self._p > kernels.COMPARED:
-            wp.launch(kernels.find, shape, inputs=[f])
-        else:
+        wp.launch(kernels.note, shape, inputs=[f, renewed])
+        if self._p <= kernels.COMPARED:
             wp.launch(kernels.compare, (self._n, int(kernels.SEARCHERS)), inputs=[f], block_dim=BLOCK)
+        else:
+            wp.launch(kernels.clear, (self._n, int(kernels.CLEARERS)), inputs=[f])
+            wp.launch(kernels.insert, shape, inputs=[f])
+            wp.launch(kernels.find, shape, inputs=[f])

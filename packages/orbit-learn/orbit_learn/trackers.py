@@ -1,0 +1,104 @@
+"""Curves in trackers of experiments: Weights & Biases, and Trackio on this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from orbit_core.installing import install_extra
+from orbit_core.interfaces import ConfigurationError
+from orbit_learn.trainer import Progress
+
+# Seconds in which the service must answer; its own patience is a minute and a half.
+_PATIENCE = 20.0
+
+
+class WandbLog:
+    """Run of Weights & Biases that takes a training's curve. With WANDB_MODE=offline nothing leaves the machine.
+
+    Args:
+        project: name of the project.
+        folder: folder of the training, into which the run's files go; its name is the run's.
+        config: settings that the run shows.
+
+    Raises:
+        ConfigurationError: the package is not installed, nobody is logged in, or the service does not answer.
+    """
+
+    def __init__(self, project: str, folder: Path, config: Mapping[str, Any]) -> None:
+        try:
+            import wandb  # pyright: ignore[reportMissingImports]
+            from wandb.errors import Error  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise ConfigurationError(f"--wandb needs Weights & Biases: {install_extra('wandb')}") from error
+        folder.mkdir(parents=True, exist_ok=True)
+        settings = wandb.Settings(init_timeout=_PATIENCE, silent=True)
+        try:
+            self._run: Any = wandb.init(
+                project=project, name=folder.name, dir=str(folder), config=dict(config), settings=settings
+            )
+        except Error as error:
+            words = " ".join(str(error).split())
+            raise ConfigurationError(
+                f"Weights & Biases takes no run ({words}): log in with 'wandb login', or set WANDB_MODE=offline, which "
+                f"keeps the run in {folder / 'wandb'} for 'wandb sync'"
+            ) from error
+
+    def add(self, progress: Progress) -> None:
+        """Add an iteration; numbers that do not exist yet are left out."""
+        self._run.log(_numbers(progress), step=progress.iteration)
+
+    def close(self) -> None:
+        """End the run; what is left is sent first."""
+        self._run.finish()
+
+
+class TrackioLog:
+    """Run of Trackio that takes a training's curve, in a database on this machine: TRACKIO_DIR, or the package's own.
+
+    Args:
+        project: name of the project.
+        folder: folder of the training, whose name is the run's.
+        config: settings that the run shows.
+
+    Raises:
+        ConfigurationError: the package is not installed.
+    """
+
+    def __init__(self, project: str, folder: Path, config: Mapping[str, Any]) -> None:
+        try:
+            import trackio  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise ConfigurationError(f"--trackio needs Trackio: {install_extra('trackio')}") from error
+        # It prints how to look at the run, which would break the bar; the docs say it.
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._run: Any = trackio.init(
+                project=project, name=folder.name, config=dict(config), auto_log_gpu=False, auto_log_cpu=False
+            )
+
+    def add(self, progress: Progress) -> None:
+        """Add an iteration; numbers that do not exist yet are left out."""
+        self._run.log(_numbers(progress), step=progress.iteration)
+
+    def close(self) -> None:
+        """End the run; what is left is written first."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._run.finish()
+
+
+def _numbers(progress: Progress) -> dict[str, float]:
+    """Return the numbers of an iteration that exist."""
+    numbers = {
+        "episode/return": progress.episode_return,
+        "episode/success_rate": progress.success_rate,
+        "loss": progress.loss,
+        "env_steps": progress.env_steps,
+        "env_steps_per_second": progress.env_steps / progress.seconds,
+        "diverged": progress.diverged,
+        **{f"metrics/{name}": value for name, value in progress.metrics.items()},
+    }
+    return {name: value for name, value in numbers.items() if not math.isnan(value)}
