@@ -16,7 +16,7 @@ from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout
 from orbit_core.scene import Attachment, Cloth, Fluid, Plane, Pose, Scene, Shape
 from orbit_core.world import simulate
 from orbit_matter.bodies import free_links
-from orbit_matter.fluid import kernels
+from orbit_matter.fluid import search
 from orbit_matter.fluid.fluids import build
 from orbit_matter.stability import passing, rounded, tossed
 
@@ -68,8 +68,8 @@ def test_neighbours_among_all_particles_are_those_in_the_cells_around(settled: W
         part.search_again()
         compared = found()
         fluid.neighbours.zero_(), fluid.count.zero_()
-        wp.launch(kernels.clear, (fluid.x.shape[0], int(kernels.CLEARERS)), inputs=[fluid])
-        for kernel in (kernels.insert, kernels.find):
+        wp.launch(search.clear, (fluid.x.shape[0], int(search.CLEARERS)), inputs=[fluid])
+        for kernel in (search.insert, search.find):
             wp.launch(kernel, fluid.x.shape, inputs=[fluid])
         expected = found()
         part.search_again()  # the order of lists, which bits depend on, is again that of the numbers of particles

@@ -16,7 +16,7 @@ from torch import Tensor
 from orbit_matter import contact
 from orbit_matter import kernels as particles
 from orbit_matter.block import BLOCK
-from orbit_matter.fluid import fluids, kernels, pairs
+from orbit_matter.fluid import fluids, kernels, pairs, search
 from orbit_matter.fluid.fluids import FluidModel
 
 
@@ -139,10 +139,10 @@ class FluidPart:
 
     def _launch_search(self, renewed: int) -> None:
         f, shape = self._fluid, (self._n, self._p)
-        wp.launch(kernels.note, shape, inputs=[f, renewed])
-        if self._p <= kernels.COMPARED:
-            wp.launch(kernels.compare, (self._n, int(kernels.SEARCHERS)), inputs=[f], block_dim=BLOCK)
+        wp.launch(search.note, shape, inputs=[f, renewed])
+        if self._p <= search.COMPARED:
+            wp.launch(search.compare, (self._n, int(search.SEARCHERS)), inputs=[f], block_dim=BLOCK)
         else:
-            wp.launch(kernels.clear, (self._n, int(kernels.CLEARERS)), inputs=[f])
-            wp.launch(kernels.insert, shape, inputs=[f])
-            wp.launch(kernels.find, shape, inputs=[f])
+            wp.launch(search.clear, (self._n, int(search.CLEARERS)), inputs=[f])
+            wp.launch(search.insert, shape, inputs=[f])
+            wp.launch(search.find, shape, inputs=[f])
