@@ -25,6 +25,7 @@ from orbit_core.interfaces import ConfigurationError, StorageError, UnknownNameE
 from orbit_core.mdp import common
 from orbit_learn.learners import library_names, trainer_type
 from orbit_learn.policy import PolicyActor, load_policy
+from orbit_learn.trackers import TrackioLog
 from orbit_learn.trainer import Progress, Trainer
 from orbit_learn.training import Training, check_new, read_checkpoint
 from orbit_tasks.reach import Reach
@@ -379,6 +380,23 @@ def test_trackio_takes_the_curve_on_this_machine(tmp_path: Path, monkeypatch: py
         rows = kept.execute("SELECT run_name, step, metrics FROM metrics ORDER BY step").fetchall()
     assert [row[:2] for row in rows] == [("run", 0), ("run", 1)]
     assert b"episode/return" in rows[-1][2]
+
+
+@pytest.mark.parametrize(("project", "reason"), [("a/b", "letters, digits"), ("registry-x", "are reserved")])
+def test_trackio_takes_no_run_under_another_projects_name(tmp_path: Path, project: str, reason: str) -> None:
+    pytest.importorskip("trackio", reason="capability 'trackio' is not installed: pip install 'orbit-learn[trackio]'")
+    with pytest.raises(ConfigurationError, match=rf"--trackio .*{reason}"):
+        TrackioLog(project, tmp_path / "run", {})
+
+
+def test_a_training_needs_no_tensorboard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)  # as if it were not installed
+    words = ["train", "Reach", "--backend", BACKEND, "--num-envs", "2", "--library", "orbit", "--algorithm", "ppo"]
+    words += ["--iterations", "1", "--set", "episode_length=0.1", "--ppo", "steps_per_iteration=8"]
+    assert main([*words, "--output", str(tmp_path / "run")]) == 0
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {
+        "training.json", "curve.jsonl", "policy_0.safetensors", "checkpoint_0.safetensors"
+    }  # fmt: skip
 
 
 def test_several_processes_need_a_library_for_them(monkeypatch: pytest.MonkeyPatch) -> None:

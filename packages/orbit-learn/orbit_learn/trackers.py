@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,7 @@ class TrackioLog:
         config: settings that the run shows.
 
     Raises:
-        ConfigurationError: the package is not installed.
+        ConfigurationError: the package is not installed, or keeps no project of that name.
     """
 
     def __init__(self, project: str, folder: Path, config: Mapping[str, Any]) -> None:
@@ -74,11 +75,17 @@ class TrackioLog:
             import trackio  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise ConfigurationError(f"--trackio needs Trackio: {install_extra('trackio')}") from error
+        # It leaves other characters out, and so would add the run to a project of another name.
+        if not re.fullmatch(r"[\w-]+", project):
+            raise ConfigurationError(f"--trackio is a project's name of letters, digits, - and _, not '{project}'")
         # It prints how to look at the run, which would break the bar; the docs say it.
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._run: Any = trackio.init(
-                project=project, name=folder.name, config=dict(config), auto_log_gpu=False, auto_log_cpu=False
-            )
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):
+                self._run: Any = trackio.init(
+                    project=project, name=folder.name, config=dict(config), auto_log_gpu=False, auto_log_cpu=False
+                )
+        except ValueError as error:  # of names that Trackio reserves
+            raise ConfigurationError(f"--trackio '{project}': {error}") from error
 
     def add(self, progress: Progress) -> None:
         """Add an iteration; numbers that do not exist yet are left out."""

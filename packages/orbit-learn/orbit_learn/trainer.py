@@ -204,12 +204,9 @@ class LoopTrainer(Trainer[Settings]):
         """Restore the result of :meth:`state`."""
 
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
-        from torch.utils.tensorboard import SummaryWriter  # late: only trainers without a loop of their own need it
-
         begin, first, last = time.perf_counter(), self._iteration, self._iteration + iterations - 1
         # One of several processes writes.
-        folder = self.folder / "tensorboard"
-        with SummaryWriter(str(folder)) if rank() == 0 else contextlib.nullcontext() as board:
+        with _board(self.folder / "tensorboard") if rank() == 0 else contextlib.nullcontext() as board:
             for iteration in range(first, last + 1):
                 self.iterate(iteration)
                 self._iteration = iteration + 1
@@ -234,3 +231,12 @@ class LoopTrainer(Trainer[Settings]):
     def restore(self, state: Any, iteration: int) -> None:
         self.load(state)
         self._iteration = iteration + 1
+
+
+def _board(folder: Path) -> contextlib.AbstractContextManager[Any]:
+    """Return a writer for TensorBoard; None in its place where it is not installed: ``curve.jsonl`` has the curve."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return contextlib.nullcontext()
+    return SummaryWriter(str(folder))
