@@ -44,7 +44,7 @@ class Taught:
     length: float
     """Seconds of an episode."""
     iterations: int
-    """Of 16 steps of every environment."""
+    """Number of iterations, each of 16 steps of every environment."""
 
 
 TASKS = (Taught("Peg-In-Hole", 10.0, 160), Taught("Stack", 8.0, 150), Taught("Reach", 4.0, 30))

@@ -39,7 +39,7 @@ class CapturableEnvironment(Protocol):
     observer: ObservationManager
     """Manager of the observation groups."""
     observation: dict[str, GroupLayout]
-    """What each group of the observation is like, by name."""
+    """Layout of each group of the observation, by name."""
     reward_terms: dict[str, RewardTerm]
     """The rewards, by name."""
     reward_sums: Tensor

@@ -185,7 +185,7 @@ class Environment(Generic[TaskT, StateT]):
         self.observer = ObservationManager(self)
         """Manager of the observation groups."""
         self.observation = self.observer.layouts
-        """What each group of the observation is like, by name."""
+        """Layout of each group of the observation, by name."""
         self._checks = check_finite or self.device.type == "cpu"
         # Observation of the present state; None until it is computed, which draws its noise.
         self._seen: Observation | None = None

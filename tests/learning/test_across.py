@@ -27,7 +27,7 @@ BACKEND = default_backend()
 _OTHERS = [name for name in backend_names() if name != BACKEND]
 # Starts faster than one that compiles.
 OTHER = "bullet" if "bullet" in _OTHERS else next(iter(_OTHERS), "")
-several = pytest.mark.skipif(not OTHER, reason="one engine is installed")
+several = pytest.mark.skipif(not OTHER, reason="capability: a second engine is not installed")
 
 
 @pytest.fixture(autouse=True)

@@ -49,7 +49,7 @@ class AcrossEngines:
         self.action_size = first.action_size
         """Components A of an action."""
         self.observation = first.observation
-        """What each group of the observation is like, by name; the same on all engines."""
+        """Layout of each group of the observation, by name; the same on all engines."""
         self.actions = first.actions
         """Action manager of the first engine, which describes the action of all."""
         ends = tuple(accumulate(part.num_envs for part in self.parts))

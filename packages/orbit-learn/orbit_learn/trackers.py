@@ -18,7 +18,32 @@ from orbit_learn.trainer import Progress
 _PATIENCE = 20.0
 
 
-class WandbLog:
+class TrackerLog:
+    """Run of a tracker that takes a training's curve."""
+
+    _run: Any
+    """Run of the tracker's package."""
+
+    def add(self, progress: Progress) -> None:
+        """Add an iteration; numbers that do not exist yet are left out."""
+        numbers = {
+            "episode/return": progress.episode_return,
+            "episode/success_rate": progress.success_rate,
+            "loss": progress.loss,
+            "env_steps": progress.env_steps,
+            "env_steps_per_second": progress.env_steps / progress.seconds,
+            "diverged": progress.diverged,
+            **{f"metrics/{name}": value for name, value in progress.metrics.items()},
+        }
+        known = {name: value for name, value in numbers.items() if not math.isnan(value)}
+        self._run.log(known, step=progress.iteration)
+
+    def close(self) -> None:
+        """End the run; what is left is sent or written first."""
+        self._run.finish()
+
+
+class WandbLog(TrackerLog):
     """Run of Weights & Biases that takes a training's curve. With WANDB_MODE=offline nothing leaves the machine.
 
     Args:
@@ -39,7 +64,7 @@ class WandbLog:
         folder.mkdir(parents=True, exist_ok=True)
         settings = wandb.Settings(init_timeout=_PATIENCE, silent=True)
         try:
-            self._run: Any = wandb.init(
+            self._run = wandb.init(
                 project=project, name=folder.name, dir=str(folder), config=dict(config), settings=settings
             )
         except Error as error:
@@ -49,16 +74,8 @@ class WandbLog:
                 f"keeps the run in {folder / 'wandb'} for 'wandb sync'"
             ) from error
 
-    def add(self, progress: Progress) -> None:
-        """Add an iteration; numbers that do not exist yet are left out."""
-        self._run.log(_numbers(progress), step=progress.iteration)
 
-    def close(self) -> None:
-        """End the run; what is left is sent first."""
-        self._run.finish()
-
-
-class TrackioLog:
+class TrackioLog(TrackerLog):
     """Run of Trackio that takes a training's curve, in a database on this machine: TRACKIO_DIR, or the package's own.
 
     Args:
@@ -81,31 +98,12 @@ class TrackioLog:
         # It prints how to look at the run, which would break the bar; the docs say it.
         try:
             with contextlib.redirect_stdout(io.StringIO()):
-                self._run: Any = trackio.init(
+                self._run = trackio.init(
                     project=project, name=folder.name, config=dict(config), auto_log_gpu=False, auto_log_cpu=False
                 )
         except ValueError as error:  # of names that Trackio reserves
             raise ConfigurationError(f"--trackio '{project}': {error}") from error
 
-    def add(self, progress: Progress) -> None:
-        """Add an iteration; numbers that do not exist yet are left out."""
-        self._run.log(_numbers(progress), step=progress.iteration)
-
     def close(self) -> None:
-        """End the run; what is left is written first."""
         with contextlib.redirect_stdout(io.StringIO()):
-            self._run.finish()
-
-
-def _numbers(progress: Progress) -> dict[str, float]:
-    """Return the numbers of an iteration that exist."""
-    numbers = {
-        "episode/return": progress.episode_return,
-        "episode/success_rate": progress.success_rate,
-        "loss": progress.loss,
-        "env_steps": progress.env_steps,
-        "env_steps_per_second": progress.env_steps / progress.seconds,
-        "diverged": progress.diverged,
-        **{f"metrics/{name}": value for name, value in progress.metrics.items()},
-    }
-    return {name: value for name, value in numbers.items() if not math.isnan(value)}
+            super().close()

@@ -29,7 +29,7 @@ def test_a_gripper_that_turns_closes_with_the_force_that_is_asked(name: str, tra
 @pytest.mark.parametrize("backend", ["mujoco", "sapien", "bullet"])
 def test_fingers_close_at_their_velocity_limit_on_every_engine(backend: str) -> None:
     """A Panda's go 20 mm in 0.1 s: without their damping 50 N closed them within 40 ms where no limit is enforced."""
-    pytest.importorskip(f"orbit_{backend}")
+    pytest.importorskip(f"orbit_{backend}", reason=f"capability: the backend '{backend}' is not installed")
     environment = make("Rope-Reshaping", 1, backend, seed=0, grip_force=50.0)
     opening = common.GripperOpening(environment.world)
     environment.reset(seed=0)

@@ -96,6 +96,7 @@ def train(settings: TrainSettings) -> Path:
     """
     from orbit_learn.across import parts_of
     from orbit_learn.processes import part, started
+    from orbit_learn.trackers import TrackioLog, WandbLog
     from orbit_learn.training import Training, check_new
 
     check_positive("num_envs", settings.num_envs)
@@ -128,16 +129,10 @@ def train(settings: TrainSettings) -> Path:
         with contextlib.ExitStack() as opened:
             opened.callback(trainer.close)
             watchers: list[Callable[[Progress], None]] = []
-            if settings.wandb is not None and leader:
-                from orbit_learn.trackers import WandbLog
-
-                log = opened.enter_context(contextlib.closing(WandbLog(settings.wandb, folder, record)))
-                watchers.append(log.add)
-            if settings.trackio is not None and leader:
-                from orbit_learn.trackers import TrackioLog
-
-                log = opened.enter_context(contextlib.closing(TrackioLog(settings.trackio, folder, record)))
-                watchers.append(log.add)
+            for tracker, project in ((WandbLog, settings.wandb), (TrackioLog, settings.trackio)):
+                if project is not None and leader:
+                    log = opened.enter_context(contextlib.closing(tracker(project, folder, record)))
+                    watchers.append(log.add)
             if settings.videos and leader:
                 from orbit_learn.training_films import TrainingFilms
 

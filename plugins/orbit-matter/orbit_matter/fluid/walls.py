@@ -384,9 +384,9 @@ class Layers:
     axes: wp.mat33
     """Axes in the shape's frame, one a column, the third of which is the face's normal."""
     depth: float
-    """Of the middle of the first layer below the particle."""
+    """Distance of the middle of the first layer below the particle."""
     thick: float
-    """Of a layer."""
+    """Thickness of a layer."""
     low: wp.vec2
     """Lower ends of the shape along the face from the particle."""
     high: wp.vec2
