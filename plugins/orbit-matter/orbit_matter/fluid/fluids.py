@@ -39,7 +39,7 @@ MACH = 6.0
 """Speed of sound over the speed of free fall through the liquid's height: densities differ by 0.8 % at rest."""
 LEAST_HEIGHT = 0.1
 """Metres of fall that the speed of sound is made for at least: what is poured falls further than what stands."""
-COURANT = 1.0
+COURANT = 1.2
 """Spacings that sound goes in a substep."""
 DIFFUSIVE = 0.12
 """``nu h / length^2`` at most, above which viscosity overshoots."""

@@ -58,6 +58,9 @@ STAYED = wp.constant(0.01)
 """Spacings that a particle may move along the shapes near it within a physics step and keep its walls."""
 SHALLOW = wp.constant(0.25)
 """Spacings of depth whose pressure a particle has at least that rests on others: half of one at a surface."""
+STRUCK = wp.constant(0.4)
+STEADY = wp.constant(0.5)
+INNER = wp.constant(0.17)
 GENTLE = wp.constant(0.01)
 """m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
 
@@ -409,7 +412,8 @@ def push_one(
     scale = f.parameters[env, owner, 0]
     density, viscosity = f.rest_density[i] * scale * f.s[env, i], f.viscosity[i]
     soft, shock = SOFT * f.length * f.length, density * SHOCK
-    found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock)
+    fastest = STRUCK * f.spacing / h
+    found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock, fastest)
     pressing, rubbing = wp.vec3(found[0], found[1], found[2]), wp.vec3(found[3], found[4], found[5])
     # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)
     a = pressing * (f.slope / density) + rubbing * (2.0 * f.slope * (f.rough + viscosity / density))
@@ -464,13 +468,16 @@ def flow_one(
     x, v, s = f.x[env, i], velocity_of(f.pushed[env, i]), f.s[env, i]
     lean, count = gravity[env] / (f.sound * f.sound), f.count[env, i]
     half, smooth = 0.5 / f.length, 2.0 * f.smooth
-    rate = diverged_from(rows, f.place, f.pushed, f.neighbours, env, i, count, half, smooth, lean)
-    rate *= f.slope
+    found = diverged_from(rows, f.place, f.pushed, f.neighbours, env, i, count, half, smooth, lean)
+    rate, side = found[3] * f.slope, wp.vec3(found[0], found[1], found[2]) * f.slope
     for k in range(f.walls[env, i]):
         wall = f.shape[env, i, k]
         # Behind the wall the flow is mirrored, as pressure is, so that what one takes from the motion the other
         # gives back.
         rate += 2.0 * s * wp.dot(carried(links, env, wall, x) / h - v, f.given[env, i, k])
+        side += 2.0 * f.given[env, i, k]
+    stride = f.sound * h
+    rate *= wp.min(STEADY / (stride * stride * (wp.length_sq(side) + INNER / (f.spacing * f.spacing))), 1.0)
     # Errors of the divergence add up; where particles are gives the density. At a surface, and where a gap has opened,
     # it is that at rest: nothing presses there, though the divergence may say so.
     f.rate[env, i] = rate + (wp.max(f.packed[env, i], 1.0) - s) * f.renewal

@@ -39,6 +39,7 @@ _VECTORS = """
     const auto root = [](Lanes a) { asm("sqrt.approx.f32 %0, %0;" : "+f"(a)); return a; };
     const auto ratio = [](Lanes a, Lanes b) { return __fdividef(a, b); };
     const auto positive = [](Lanes a) { return fmaxf(a, 0.0f); };
+    const auto smaller = [](Lanes a, float b) { return fminf(a, b); };
     const auto sum = [](Lanes a) { return a; };
     // Lists are side by side, so that threads read neighbouring numbers.
     const int stride = neighbours.strides[2] / 4;
@@ -69,6 +70,7 @@ _VECTORS = """
     const auto root = [](Lanes a) { return __builtin_elementwise_sqrt(a); };
     const auto ratio = [](Lanes a, Lanes b) { return a / b; };
     const auto positive = [](Lanes a) { return __builtin_elementwise_max(a, Lanes(0.0f)); };
+    const auto smaller = [](Lanes a, float b) { return __builtin_elementwise_min(a, Lanes(b)); };
     const auto sum = [](Lanes a) { return ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7])); };
     const int stride = 1;
     const Row* places = reinterpret_cast<const Row*>(wp::address(place, env, 0));
@@ -94,7 +96,7 @@ _PRESSED = """
     Lanes pressing_x = 0.0f, pressing_y = 0.0f, pressing_z = 0.0f;
     Lanes rubbing_x = 0.0f, rubbing_y = 0.0f, rubbing_z = 0.0f, packed = 0.0f;
     // @loop
-        const Lanes closing = ratio(positive(along) * length, square + soft);
+        const Lanes closing = smaller(ratio(positive(along) * length, square + soft), fastest);
         const Lanes pressure = part * (self.w + b.w + shock * closing * closing);
         pressing_x += x * pressure;
         pressing_y += y * pressure;
@@ -116,12 +118,15 @@ _PRESSED = """
     return found;
 """
 _DIVERGED = """
-    Lanes rate = 0.0f;
+    Lanes rate = 0.0f, open_x = 0.0f, open_y = 0.0f, open_z = 0.0f;
     const float lean_x = lean[0], lean_y = lean[1], lean_z = lean[2];
     // @loop
         rate += part * (along * self.w + smooth * (b.w - self.w + lean_x * x + lean_y * y + lean_z * z));
+        open_x += x * part;
+        open_y += y * part;
+        open_z += z * part;
     }
-    return sum(rate);
+    return wp::vec_t<4, wp::float32>(sum(open_x), sum(open_y), sum(open_z), sum(rate));
 """
 _KEEP = """
 #ifdef __CUDA_ARCH__
@@ -244,6 +249,7 @@ def pressed_by(
     length: float,
     soft: float,
     shock: float,
+    fastest: float,
 ) -> Pressing:
     """Sum the pressure on a particle, the differences of velocities to it, and the kernel over its neighbours.
 
@@ -259,6 +265,7 @@ def pressed_by(
         length: of smoothing in metres.
         soft: m^2 that keep the viscosity of two particles at one place finite.
         shock: quadratic artificial viscosity times the density.
+        fastest: m/s of two particles towards each other that count at most for it.
     """
 
 
@@ -274,8 +281,8 @@ def diverged_from(
     half: float,
     smooth: float,
     lean: wp.vec3,
-) -> float:
-    """Sum the divergence of the flow at a particle and the diffusion of densities over its neighbours.
+) -> wp.vec4:
+    """Sum the kernel's gradient, and the divergence of the flow with the diffusion of densities, over neighbours.
 
     Args:
         rows: those of the environment, as :func:`keep` returns them.
