@@ -116,7 +116,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._state.invalidate()
         if self.layout.scene.deformables:
             self._matter.measure(self._matter_forces)
-        if np.logical_or.reduce(self._batch.warning, axis=None):
+        if np.count_nonzero(self._batch.warning):
             self._raise_warnings()
         if not self._state.bounded and (self.raises_divergence or self._matter.diverged()[1]):
             environments, names = self._matter.diverged()
@@ -133,15 +133,19 @@ class MujocoEngine(PartedEngine[State, Parameters]):
                 steps = 1
             self._batch.step(nstep=steps, stage=DERIVED_STAGE)
             return
-        self._contacts.clear()
+        damped, queries = self._matter.damped, self._contacts.queries
         for number in range(steps):
             if self._wrenches.needs_rates and number == steps - 1:
                 self._wrenches.begin()
-            self._matter.damp()
+            if damped:
+                self._matter.damp()
             self._batch.step(nstep=1, stage=DERIVED_STAGE)
-            self._state.invalidate()
-            self._contacts.add()
-        self._contacts.average(steps)
+            if damped:
+                self._state.invalidate()  # the next drag is that of the new state
+            if queries:
+                self._contacts.take(first=number == 0)
+        if queries:
+            self._contacts.average(steps)
 
     @property
     def _commands(self) -> tuple[Tensor, ...]:
