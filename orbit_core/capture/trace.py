@@ -59,6 +59,11 @@ class NotedCall:
         """Tensors among its arguments."""
         return tensors_of(dict(self.call.arguments))
 
+    @property
+    def is_plain(self) -> bool:
+        """True if repeating it is calling its function again: it gives nothing, and no mask is turned into indices."""
+        return not self.results and not by_index(self.call)
+
     def repeat(self, arguments: Mapping[str, Any]) -> None:
         """Call again, with these arguments."""
         given = dict(arguments)
@@ -343,7 +348,11 @@ class _BuiltStage:
         self._passed = [(position, slots[tensor]) for position, tensor in graph.passed]
         some = stage.operations or wanted
         self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
-        self._call = stage.call
+        self._call: Callable[..., Any] | None = None
+        # A call that gives nothing is made without looking at its arguments.
+        self._plain = stage.call is not None and stage.call.is_plain
+        if stage.call is not None:
+            self._call = stage.call.call.function if self._plain else stage.call.repeat
         # Arguments of the call, with slots in the place of tensors that this stage or an earlier one makes
         self._arguments: dict[str, Any] = {}
         if stage.call is not None:
@@ -367,10 +376,15 @@ class _BuiltStage:
         for slot, value in zip(self._results, self._function(*inputs), strict=True):
             values[slot] = value
         if self._call is not None:
-            given = self._arguments.copy()
-            for name in self._filled:
-                given[name] = _filled(given[name], values)
-            self._call.repeat(given)
+            given = self._arguments
+            if self._filled:
+                given = given.copy()
+                for name in self._filled:
+                    given[name] = _filled(given[name], values)
+            if self._plain:
+                self._call(**given)
+            else:
+                self._call(given)
 
 
 def _has_slots(argument: Any) -> bool:
