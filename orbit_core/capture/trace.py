@@ -90,6 +90,8 @@ class Stage:
     """What was read, and the tensor that the operations took."""
     expressed: dict[str, Tensor] = field(default_factory=dict)
     """What was read by way of operations."""
+    prepare: Callable[[], None] | None = None
+    """What its operations on the engine's own memory need before they run; None where they need nothing."""
     operations: list[Operation] = field(default_factory=list)
     """Operations in the order in which they ran."""
     call: NotedCall | None = None
@@ -158,6 +160,8 @@ class Tracer(TorchDispatchMode):
         """Make a call, and end the stage with it."""
         if self.paused:
             return call.function(**call.arguments)
+        if call.owner is self._engine:
+            call = self._led(call)
         with self._silence():
             on_host = by_index(call)
             if on_host and self._engine.device.type != "cpu":
@@ -174,6 +178,17 @@ class Tracer(TorchDispatchMode):
         self.stages[-1].call = noted
         self.stages.append(Stage())
         return result
+
+    def _led(self, call: EngineCall) -> EngineCall:
+        """Note the operations that a call of the engine's begins with; returns what is left of it."""
+        with self._silence():
+            lead = self._engine.capture.lead(call.name)
+            if lead is None:
+                return call
+            lead.prepare()
+        self.stages[-1].prepare = lead.prepare
+        lead.operations()
+        return dataclasses.replace(call, function=lead.rest)
 
     @contextmanager
     def _silence(self) -> Iterator[None]:
@@ -342,6 +357,7 @@ class _BuiltStage:
     ) -> None:
         self._reads = tuple(stage.reads.items())
         self._settles = bool(stage.expressed)
+        self._prepare = stage.prepare
         self._results = [slots[tensor] for tensor in wanted]
         graph = _StageGraph(stage, memory, wanted)
         self._inputs = graph.inputs
@@ -367,6 +383,8 @@ class _BuiltStage:
         # Expressions read the engine's memory directly, so it must be current before the operations run.
         if self._settles:
             engine.capture.settle()
+        if self._prepare is not None:
+            self._prepare()
         for name, taken in self._reads:
             if (value := getattr(engine, name)) is not taken:
                 taken.copy_(value)  # the engine hands out another tensor each time

@@ -460,8 +460,7 @@ class Environment(Generic[TaskT, StateT]):
             flat = given.reshape(-1)
             # Finite if every number is; a square that overflows is looked at again below.
             if given.shape == self._clipped.shape and math.isfinite(flat.dot(flat)):
-                np.maximum(given, _LOWEST, out=self._clipped)
-                np.minimum(self._clipped, _HIGHEST, out=self._clipped)
+                given.clip(_LOWEST, _HIGHEST, out=self._clipped)
                 return
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
 

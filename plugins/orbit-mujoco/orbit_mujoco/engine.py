@@ -79,8 +79,10 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
         self._batch = mujoco.batch.Batch(built.model, num_envs, config.threads, persistent=True)
         self._state = State(self._batch, built.addresses)
-        self.capture = MujocoCapture(self._batch, built.addresses, self._state)
         self._parameters = Parameters(self._batch, built.addresses, [kind.model for kind in kinds], built.matter)
+        self.capture = MujocoCapture(
+            self._batch, built.addresses, self._state, self._parameters, self._commands, self._run
+        )
         self._matter = NativeMatter(self._batch, built.addresses, built.matter, self._parameters, self._state)
         self._sensordata = self._batch.bind("sensordata")
         self._contacts = ContactMeter(layout, self._sensordata)
@@ -105,6 +107,10 @@ class MujocoEngine(PartedEngine[State, Parameters]):
     def step(self, steps: int) -> None:
         self._parameters.settle()
         self._write_commands()
+        self._run(steps)
+
+    def _run(self, steps: int) -> None:
+        """Advance by physics steps, with the controls that are set."""
         try:
             self._advance(steps)
         except mujoco.batch.SimulationError as error:
