@@ -47,9 +47,9 @@ class CaptureFacet:
         return None
 
     def lead(self, name: str) -> Lead | None:
-        """Return what a call of the engine's method ``name`` begins with, for a trace to take in; None to call it whole.
+        """Return what a call of the engine's method ``name`` begins with, for a trace to take in; None if nothing.
 
-        A trace runs the lead's operations with its own, which a compiled step makes one kernel of, and then the rest.
+        A trace runs the lead's operations with its own, which compiled become one kernel, and then the rest.
         """
         return None
 
@@ -62,7 +62,7 @@ class Lead:
     """Beginning of an engine's call as operations of torch."""
 
     prepare: Callable[[], None]
-    """Brings what the operations read up to date; runs before them, and before those of the trace since its last call."""
+    """Brings what the operations read up to date; runs before all operations since the engine's last call."""
     operations: Callable[[], None]
     """Works on the engine's memory that never moves."""
     rest: Callable[..., Any]
