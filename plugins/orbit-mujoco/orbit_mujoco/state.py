@@ -60,7 +60,8 @@ class State:
     def invalidate(self) -> None:
         """After a step: every tensor is out of date, and MuJoCo's derived fields are current."""
         self._current.clear()
-        self._all_derived()
+        if self._any_written:
+            self._all_derived()
 
     def mark_written(self, rows: HostRows) -> None:
         """After a write: derived fields of ``rows`` are out of date too."""
@@ -137,9 +138,8 @@ class State:
             self._all_derived()
 
     def _all_derived(self) -> None:
-        if self._any_written:
-            self._written.fill(False)
-            self._any_written = False
+        self._written.fill(False)
+        self._any_written = False
 
     # Writing ---------------------------------------------------------------------------------------------------------
 
