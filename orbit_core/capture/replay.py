@@ -298,10 +298,10 @@ class ScheduledFunction:
         return self._key() in self._known
 
     def __call__(self) -> tuple[Tensor, ...]:
-        key = self._key()
         # Keyed by all that Python decides, so that a replay never runs a branch that Python would not take.
-        if key in self._known:
-            return self.repeat(CapturedFunction.__call__)
+        key = self._key()
+        if (known := self._known.get(key)) is not None:
+            return self._run(known, CapturedFunction.__call__)
         before = [schedule.count for schedule in self._schedules]
         function = self._capture()
         outputs = function()
@@ -313,7 +313,12 @@ class ScheduledFunction:
 
     def repeat(self, run: Callable[[CapturedFunction], _Result]) -> _Result:
         """Return what ``run`` makes of the function of the present key, which was captured, and count its steps."""
-        function, following, steps = self._known[self._key()]
+        return self._run(self._known[self._key()], run)
+
+    def _run(
+        self, known: tuple[CapturedFunction, _Keys, tuple[int, ...]], run: Callable[[CapturedFunction], _Result]
+    ) -> _Result:
+        function, following, steps = known
         outputs = run(function)
         for schedule, own, count in zip(self._schedules, following, steps, strict=True):
             schedule.move(own, count)

@@ -59,6 +59,11 @@ class NotedCall:
         """Tensors among its arguments."""
         return tensors_of(dict(self.call.arguments))
 
+    @property
+    def is_plain(self) -> bool:
+        """True if repeating it is calling its function again: it gives nothing, and no mask is turned into indices."""
+        return not self.results and not by_index(self.call)
+
     def repeat(self, arguments: Mapping[str, Any]) -> None:
         """Call again, with these arguments."""
         given = dict(arguments)
@@ -85,6 +90,8 @@ class Stage:
     """What was read, and the tensor that the operations took."""
     expressed: dict[str, Tensor] = field(default_factory=dict)
     """What was read by way of operations."""
+    prepare: Callable[[], None] | None = None
+    """What its operations on the engine's own memory need before they run; None where they need nothing."""
     operations: list[Operation] = field(default_factory=list)
     """Operations in the order in which they ran."""
     call: NotedCall | None = None
@@ -153,6 +160,8 @@ class Tracer(TorchDispatchMode):
         """Make a call, and end the stage with it."""
         if self.paused:
             return call.function(**call.arguments)
+        if call.owner is self._engine:
+            call = self._led(call)
         with self._silence():
             on_host = by_index(call)
             if on_host and self._engine.device.type != "cpu":
@@ -169,6 +178,17 @@ class Tracer(TorchDispatchMode):
         self.stages[-1].call = noted
         self.stages.append(Stage())
         return result
+
+    def _led(self, call: EngineCall) -> EngineCall:
+        """Note the operations that a call of the engine's begins with; returns what is left of it."""
+        with self._silence():
+            lead = self._engine.capture.lead(call.name)
+            if lead is None:
+                return call
+            lead.prepare()
+        self.stages[-1].prepare = lead.prepare
+        lead.operations()
+        return dataclasses.replace(call, function=lead.rest)
 
     @contextmanager
     def _silence(self) -> Iterator[None]:
@@ -337,13 +357,18 @@ class _BuiltStage:
     ) -> None:
         self._reads = tuple(stage.reads.items())
         self._settles = bool(stage.expressed)
+        self._prepare = stage.prepare
         self._results = [slots[tensor] for tensor in wanted]
         graph = _StageGraph(stage, memory, wanted)
         self._inputs = graph.inputs
         self._passed = [(position, slots[tensor]) for position, tensor in graph.passed]
         some = stage.operations or wanted
         self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
-        self._call = stage.call
+        self._call: Callable[..., Any] | None = None
+        # A call that gives nothing is made without looking at its arguments.
+        self._plain = stage.call is not None and stage.call.is_plain
+        if stage.call is not None:
+            self._call = stage.call.call.function if self._plain else stage.call.repeat
         # Arguments of the call, with slots in the place of tensors that this stage or an earlier one makes
         self._arguments: dict[str, Any] = {}
         if stage.call is not None:
@@ -358,6 +383,8 @@ class _BuiltStage:
         # Expressions read the engine's memory directly, so it must be current before the operations run.
         if self._settles:
             engine.capture.settle()
+        if self._prepare is not None:
+            self._prepare()
         for name, taken in self._reads:
             if (value := getattr(engine, name)) is not taken:
                 taken.copy_(value)  # the engine hands out another tensor each time
@@ -367,10 +394,15 @@ class _BuiltStage:
         for slot, value in zip(self._results, self._function(*inputs), strict=True):
             values[slot] = value
         if self._call is not None:
-            given = self._arguments.copy()
-            for name in self._filled:
-                given[name] = _filled(given[name], values)
-            self._call.repeat(given)
+            given = self._arguments
+            if self._filled:
+                given = given.copy()
+                for name in self._filled:
+                    given[name] = _filled(given[name], values)
+            if self._plain:
+                self._call(**given)
+            else:
+                self._call(given)
 
 
 def _has_slots(argument: Any) -> bool:

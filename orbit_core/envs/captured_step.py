@@ -124,7 +124,13 @@ class CapturedStep:
         # Steps at which such values had changed.
         self._captures: deque[int] = deque(maxlen=_OFTEN)
         self._steps = 0
-        self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
+        # Whether an episode ended, and whether a number is not finite, found by the step itself: two bytes of memory
+        # cost less to read than arrays. On a GPU they would cost kernels, and waiting.
+        on_host = environment.device.type == "cpu"
+        self._flags = torch.zeros(2, dtype=torch.bool, device=environment.device) if on_host else None
+        self._noted = None if self._flags is None else self._flags.numpy()
+        self.doubtful = True
+        """Whether what the last step gave may not be finite; always True where a look would wait for the device."""
         alone = settles or not renews
         parts = (self._play,) if alone else (self._play_and_renew,) if whole else (self._play, self._renew)
         self.parts = [self._scheduled(part, compile) for part in parts]
@@ -145,11 +151,13 @@ class CapturedStep:
         if self._python is None:
             self._python = self._look()
         ready = self._settles or not self._renews or (len(self.parts) > 1 and self.parts[1].ready)
-        running = ready and not self._ended.any()
+        ended, self.doubtful = (None, True) if self._noted is None else self._noted.tolist()
+        running = ready and not (self._environment.done.any() if ended is None else ended)
         copies = [output.clone() for output in (outputs[: self._leaves + 3] if running else outputs)]
         seen, (reward, terminated, truncated, *end) = copies[: self._leaves], copies[self._leaves :]
         if running:
             return self._tree(seen), reward, terminated, truncated, {}
+        self.doubtful = True  # observations of new episodes are not looked at here
         if not self._renews:
             end += seen
             self._environment.progress()
@@ -217,7 +225,10 @@ class CapturedStep:
     @property
     def refusal(self) -> str:
         """Reason for which the step cannot be repeated without Python; empty if it can, as far as is known."""
-        return next((part.refusal for part in self.parts if part.refusal), "")
+        for part in self.parts:
+            if part.refusal:
+                return part.refusal
+        return ""
 
     def _tree(self, leaves: Sequence[Tensor]) -> Observation:
         return observation_of(self._environment.observation, leaves)
@@ -242,6 +253,8 @@ class CapturedStep:
         seen = leaves_of(environment.observer())
         for observed, leaf in zip(self._observed, seen, strict=True):
             observed.copy_(leaf)
+        if self._flags is not None:
+            self._flags.copy_(torch.stack((environment.done.any(), _any_not_finite((*seen, outcome[0])))))
         metrics = environment.metrics()
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
@@ -276,6 +289,12 @@ class CapturedStep:
         """Return the outputs of :meth:`_play` with the new observation in the place of the last, which is appended."""
         played = self._play()
         return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
+
+
+def _any_not_finite(tensors: Sequence[Tensor]) -> Tensor:
+    """Return () bool: whether any number of any tensor is NaN or infinite."""
+    finite = [tensor.isfinite().all() for tensor in tensors if tensor.is_floating_point()]
+    return ~torch.stack(finite).all()
 
 
 def _is_live(holder: Holder, key: object) -> bool:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import math
 import warnings
 from collections.abc import Hashable, Mapping
 from typing import Any, Generic, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 from typing_extensions import TypeVar
@@ -63,6 +65,9 @@ from orbit_core.world.lifetime import mark_closed
 
 TaskT = TypeVar("TaskT", bound=Task, covariant=True, default=Any)
 StateT = TypeVar("StateT", bound=TaskState, covariant=True, default=Any)
+
+# Bounds of an action's components, as arrays, which NumPy does not convert in each step.
+_LOWEST, _HIGHEST = np.array(-1.0, np.float32), np.array(1.0, np.float32)
 
 
 class Environment(Generic[TaskT, StateT]):
@@ -171,6 +176,7 @@ class Environment(Generic[TaskT, StateT]):
         self.action_size = self.actions.size
         """Components A of an action."""
         self._action = self.actions.action
+        self._clipped = self._action.numpy() if self.device.type == "cpu" else None
         self.state: StateT = cast(StateT, task.state_type(self))
         """Memory of the run, of the class that :attr:`Task.state_type` names."""
         # A step's time is that of its Python calls: what a task does not override is not called.
@@ -274,7 +280,7 @@ class Environment(Generic[TaskT, StateT]):
     def _step(self, action: Tensor) -> StepResult:
         if self._over:
             raise ConfigurationError("the episode is over: reset the environment, then step")
-        torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
+        self._take(action)
         closed = self._next_step()
         if closed is not None:
             return self._step_closed(closed)
@@ -395,8 +401,9 @@ class Environment(Generic[TaskT, StateT]):
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
-        self._seen = self._checked_observation(result[0])
-        if self._checks:
+        self._seen = result[0]
+        if self._checks and closed.doubtful:
+            check_observation(result[0], self.observation)
             self._rewards.check_finite(result[1])
         if isinstance(info := result[4], StepInfo):
             self._checked_observation(info.everyone.observation)
@@ -437,6 +444,25 @@ class Environment(Generic[TaskT, StateT]):
         """(N,) bool: whether episodes that end now reach the goal."""
         reached = self.task.success(self)
         return reached if self.lost is None else reached & ~self.lost.now
+
+    def _take(self, action: Tensor) -> None:
+        """Write the action, clipped, to where the agent reads it."""
+        # The usual case, in the memory of both tensors: on few numbers NumPy's operations cost a third of torch's.
+        if (
+            self._clipped is not None
+            and type(action) is Tensor
+            and action.is_cpu
+            and action.dtype is torch.float32
+            and action.layout is torch.strided
+            and not action.requires_grad
+        ):
+            given = action.numpy()
+            flat = given.reshape(-1)
+            # Finite if every number is; a square that overflows is looked at again below.
+            if given.shape == self._clipped.shape and math.isfinite(flat.dot(flat)):
+                given.clip(_LOWEST, _HIGHEST, out=self._clipped)
+                return
+        torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
 
     def _checked(self, action: Tensor) -> Tensor:
         action = as_floats(action, self.device, "action")

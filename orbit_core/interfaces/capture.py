@@ -46,8 +46,27 @@ class CaptureFacet:
         """
         return None
 
+    def lead(self, name: str) -> Lead | None:
+        """Return what a call of the engine's method ``name`` begins with, for a trace to take in; None if nothing.
+
+        A trace runs the lead's operations with its own, which compiled become one kernel, and then the rest.
+        """
+        return None
+
     def settle(self) -> None:
         """Bring what :meth:`expression` reads up to date, after a step or a write."""
+
+
+@dataclass(frozen=True)
+class Lead:
+    """Beginning of an engine's call as operations of torch."""
+
+    prepare: Callable[[], None]
+    """Brings what the operations read up to date; runs before all operations since the engine's last call."""
+    operations: Callable[[], None]
+    """Works on the engine's memory that never moves."""
+    rest: Callable[..., Any]
+    """Does what is left of the call, with its arguments."""
 
 
 @dataclass(frozen=True)

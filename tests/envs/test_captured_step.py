@@ -16,12 +16,14 @@ from orbit_core.envs import (
     EventTime,
     ObservationGroup,
     ObservationTerm,
+    RewardTerm,
     TerminationTerm,
     make,
 )
 from orbit_core.envs.captured_step import CapturedStep, needs_python
 from orbit_core.envs.environment import Environment
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.envs.observation_layout import leaves_of
+from orbit_core.interfaces import ConfigurationError, NonFiniteError
 from orbit_core.mdp import randomize
 from orbit_core.scene import (
     ActuatorConfig,
@@ -145,6 +147,43 @@ def restless() -> VelocityFlat:
 def test_what_is_random_within_a_step_is_the_same(whole: bool) -> None:
     plain, other = Environment(restless(), 5, BACKEND), Environment(restless(), 5, BACKEND)
     assert_same_life(plain, closed(other, whole), exact=True)
+
+
+def test_gains_and_masses_set_between_steps_hold_in_a_captured_step() -> None:
+    plain, other = Environment(lift(), 2, BACKEND), closed(Environment(lift(), 2, BACKEND), whole=False)
+    action, seen = 0.4 * torch.ones(2, plain.action_size), []
+    for environment in (plain, other):
+        environment.reset(seed=5)
+        robot, cube = environment.world.robots["robot"], environment.world.objects["cube"]
+        observations = [leaves_of(environment.step(action)[0])[0] for _ in range(4)]
+        soft = torch.tensor([[20.0], [40.0]])
+        robot.set_gains(soft, 0.1 * soft, [1])
+        observations += leaves_of(environment.step(action)[0])
+        cube.set_masses(torch.full((2, 1), 0.5))
+        robot.set_gains(2.0 * soft, 0.2 * soft, [3], torch.tensor([0, 1]))
+        observations += [leaves_of(environment.step(action)[0])[0] for _ in range(2)]
+        seen.append(torch.stack(observations))
+        assert environment is plain or other._closed is not None
+        environment.close()
+    assert torch.equal(seen[0], seen[1])
+
+
+@pytest.mark.parametrize("wrong", [torch.nan, torch.inf])
+@pytest.mark.parametrize("what", ["observation term 'goal'", "reward term 'reach'"])
+def test_what_is_not_finite_is_named_by_a_captured_step(what: str, wrong: float) -> None:
+    task, poison = lift(), torch.zeros(2)
+    if what.startswith("observation"):
+        task.observations.policy.goal = ObservationTerm(lambda env: env.commands["goal"] + poison[:, None])
+    else:
+        task.rewards.reach = RewardTerm(lambda env: poison * 1.0, 1.0)
+    environment = closed(Environment(task, 2, BACKEND), whole=False)
+    action = torch.zeros(2, environment.action_size)
+    for _ in range(3):
+        environment.step(action)
+    poison[1] = wrong
+    with pytest.raises(NonFiniteError, match=f"{what}.* not finite in environment 1"):
+        environment.step(action)
+    environment.close()
 
 
 def test_a_compiled_step_is_the_same_step() -> None:

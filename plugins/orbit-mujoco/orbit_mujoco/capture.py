@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -13,17 +14,39 @@ from mujoco.batch import Batch
 from torch import Tensor
 
 from orbit_core.interfaces import CaptureFacet
+from orbit_core.interfaces.capture import Lead
 from orbit_mjmodel.addresses import Addresses, Indices, columns
-from orbit_mujoco.state import State
+from orbit_mujoco.parameters import Parameters
+from orbit_mujoco.state import FloatArray, State
 
 
 class MujocoCapture(CaptureFacet):
-    """Offers the state that MuJoCo derives as expressions."""
+    """Offers the state that MuJoCo derives as expressions, and a step's controls as operations.
 
-    def __init__(self, batch: Batch, addresses: Addresses, state: State) -> None:
+    Args:
+        batch: environments of the engine.
+        addresses: of the scene's things in the model.
+        state: of the environments.
+        parameters: of the environments.
+        commands: position targets, velocity targets and efforts (N, J) of the engine.
+        run: advances by physics steps, with the controls that are set.
+    """
+
+    def __init__(
+        self,
+        batch: Batch,
+        addresses: Addresses,
+        state: State,
+        parameters: Parameters,
+        commands: tuple[Tensor, ...],
+        run: Callable[[int], None],
+    ) -> None:
         self._parts = batch, addresses
         self._state = state
         self._expressions: _Expressions | None = None
+        self._controls = parameters, commands
+        self._run = run
+        self._lead: _Controls | None = None
 
     def expression(self, name: str) -> Tensor | None:
         # Made when a step is first traced: who does not trace pays nothing for the views.
@@ -31,8 +54,38 @@ class MujocoCapture(CaptureFacet):
         method = getattr(self._expressions, name, None)
         return None if method is None else method()
 
+    def lead(self, name: str) -> Lead | None:
+        if name != "step":
+            return None
+        self._lead = self._lead or _Controls(self._parts[0], *self._controls)
+        return Lead(self._lead.prepare, self._lead.write, self._run)
+
     def settle(self) -> None:
         self._state.derive()
+
+
+class _Controls:
+    """Controls of drives from targets and gains, as :class:`orbit_mujoco.engine.MujocoEngine` writes them."""
+
+    def __init__(self, batch: Batch, parameters: Parameters, commands: tuple[Tensor, ...]) -> None:
+        self._parameters, self._commands = parameters, commands
+        self._control = torch.from_numpy(batch.bind("ctrl"))
+        # The parameters make new arrays of the gains whenever these change, and a trace reads the same memory always.
+        self._known: tuple[FloatArray, FloatArray] | None = None
+        self._stiffness, self._damping = torch.zeros(2, *self._control.shape, dtype=torch.float64).unbind()
+
+    def prepare(self) -> None:
+        """Bring the gains up to date."""
+        parameters = self._parameters
+        parameters.settle()
+        if self._known is None or self._known[0] is not parameters.stiffness:
+            self._known = parameters.stiffness, parameters.damping
+            self._stiffness.numpy()[...], self._damping.numpy()[...] = self._known
+
+    def write(self) -> None:
+        """Set the controls."""
+        positions, velocities, efforts = self._commands
+        self._control.copy_(positions * self._stiffness + velocities * self._damping + efforts)
 
 
 class _Expressions:

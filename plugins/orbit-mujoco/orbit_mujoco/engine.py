@@ -79,8 +79,10 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
         self._batch = mujoco.batch.Batch(built.model, num_envs, config.threads, persistent=True)
         self._state = State(self._batch, built.addresses)
-        self.capture = MujocoCapture(self._batch, built.addresses, self._state)
         self._parameters = Parameters(self._batch, built.addresses, [kind.model for kind in kinds], built.matter)
+        self.capture = MujocoCapture(
+            self._batch, built.addresses, self._state, self._parameters, self._commands, self._run
+        )
         self._matter = NativeMatter(self._batch, built.addresses, built.matter, self._parameters, self._state)
         self._sensordata = self._batch.bind("sensordata")
         self._contacts = ContactMeter(layout, self._sensordata)
@@ -105,6 +107,10 @@ class MujocoEngine(PartedEngine[State, Parameters]):
     def step(self, steps: int) -> None:
         self._parameters.settle()
         self._write_commands()
+        self._run(steps)
+
+    def _run(self, steps: int) -> None:
+        """Advance by physics steps, with the controls that are set."""
         try:
             self._advance(steps)
         except mujoco.batch.SimulationError as error:
@@ -116,7 +122,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._state.invalidate()
         if self.layout.scene.deformables:
             self._matter.measure(self._matter_forces)
-        if np.logical_or.reduce(self._batch.warning, axis=None):
+        if np.count_nonzero(self._batch.warning):
             self._raise_warnings()
         if not self._state.bounded and (self.raises_divergence or self._matter.diverged()[1]):
             environments, names = self._matter.diverged()
@@ -133,15 +139,19 @@ class MujocoEngine(PartedEngine[State, Parameters]):
                 steps = 1
             self._batch.step(nstep=steps, stage=DERIVED_STAGE)
             return
-        self._contacts.clear()
+        damped, queries = self._matter.damped, self._contacts.queries
         for number in range(steps):
             if self._wrenches.needs_rates and number == steps - 1:
                 self._wrenches.begin()
-            self._matter.damp()
+            if damped:
+                self._matter.damp()
             self._batch.step(nstep=1, stage=DERIVED_STAGE)
-            self._state.invalidate()
-            self._contacts.add()
-        self._contacts.average(steps)
+            if damped:
+                self._state.invalidate()  # the next drag is that of the new state
+            if queries:
+                self._contacts.take(first=number == 0)
+        if queries:
+            self._contacts.average(steps)
 
     @property
     def _commands(self) -> tuple[Tensor, ...]:

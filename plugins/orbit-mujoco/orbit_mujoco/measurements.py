@@ -108,13 +108,12 @@ class ContactMeter:
         """(N, K, 3) newtons on each query's link."""
         self._forces = self.forces.numpy()
 
-    def clear(self) -> None:
-        """Begin a control step."""
-        self._flat_sum.fill(0.0)
-
-    def add(self) -> None:
-        """Take one physics step's forces in."""
-        self._flat_sum += self._sensordata
+    def take(self, first: bool) -> None:
+        """Take one physics step's forces in; the first of a control step begins the sum."""
+        if first:
+            np.copyto(self._flat_sum, self._sensordata)
+        else:
+            np.add(self._flat_sum, self._sensordata, out=self._flat_sum)
 
     def average(self, steps: int) -> None:
         """End a control step; the sensors give what the link exerts, and the opposite is asked."""

@@ -42,6 +42,8 @@ class Parameters:
         self._fields: dict[str, npt.NDArray] = {}
         self._nominal: dict[str, npt.NDArray] = {}
         self._constants_due = np.zeros(batch.nsim, dtype=bool)
+        # Whether any environment's are, known without a look at the array.
+        self._any_due = False
         for name in MODEL_FIELDS if len(kinds) > 1 else ():
             self._vary(name, kinds)
         self.stiffness: FloatArray
@@ -52,11 +54,12 @@ class Parameters:
 
     def settle(self) -> None:
         """Compute what follows from the masses that were set."""
-        if np.logical_or.reduce(self._constants_due):
+        if self._any_due:
             self._batch.set_const(self._constants_due)
             if self._matter:
                 self._firm_contacts()
             self._constants_due.fill(False)
+            self._any_due = False
             if self._model.nu:
                 self._hold_drives()
 
@@ -75,11 +78,11 @@ class Parameters:
         scale = masses / self._nominal["body_mass"][index]
         mass[index] = masses
         inertia[index] = self._nominal["body_inertia"][index] * scale[..., None]
-        self._constants_due[rows] = True
+        self._constants_due[rows] = self._any_due = True
 
     def set_centers_of_mass(self, links: Indices, centers: FloatArray, rows: HostRows) -> None:
         self.field("body_ipos")[block(rows, self._addresses.bodies[links])] = centers
-        self._constants_due[rows] = True
+        self._constants_due[rows] = self._any_due = True
 
     def set_friction(self, links: Indices, coefficients: FloatArray, rows: HostRows) -> None:
         friction = self.field("geom_friction")
@@ -123,7 +126,7 @@ class Parameters:
             if values is not None:
                 self.field(name)[index] = values
         if armature is not None:
-            self._constants_due[rows] = True
+            self._constants_due[rows] = self._any_due = True
 
     def set_joint_limits(self, joints: Indices, limits: FloatArray, rows: HostRows) -> None:
         """(n, k, 2) lower and upper."""
@@ -148,7 +151,7 @@ class Parameters:
         """Give bodies the scene's masses and inertias times (n,)."""
         for name in ("body_mass", "body_inertia"):
             self.scale(name, np.arange(bodies.start, bodies.stop), scales, rows)
-        self._constants_due[rows] = True
+        self._constants_due[rows] = self._any_due = True
 
     def scale(self, name: str, columns: Indices, scales: FloatArray, rows: HostRows) -> None:
         """Give columns of a field the scene's values times (n,)."""
@@ -167,6 +170,7 @@ class Parameters:
             self.field(name)[...] = saved.get(name, self._nominal.get(name))
         if {"body_mass", "body_ipos", "dof_armature"} & self._fields.keys():
             self._constants_due.fill(True)
+            self._any_due = True
         self._read_gains()
 
     def field(self, name: str) -> npt.NDArray:

@@ -54,16 +54,19 @@ class State:
         self._cross = tuple(torch.from_numpy(array) for array in (self._spins, self._offsets, self._swept))
         self._current: set[str] = set()
         self._written = np.zeros(num_envs, dtype=bool)
+        # Whether any environment was, known without a look at the array: most steps begin with nothing written.
+        self._any_written = False
 
     def invalidate(self) -> None:
         """After a step: every tensor is out of date, and MuJoCo's derived fields are current."""
         self._current.clear()
-        self._written.fill(False)
+        if self._any_written:
+            self._all_derived()
 
     def mark_written(self, rows: HostRows) -> None:
         """After a write: derived fields of ``rows`` are out of date too."""
         self._current.clear()
-        self._written[rows] = True
+        self._written[rows] = self._any_written = True
 
     @property
     def bounded(self) -> bool:
@@ -130,9 +133,13 @@ class State:
 
     def derive(self) -> None:
         """Bring MuJoCo's derived fields up to date."""
-        if np.logical_or.reduce(self._written):
+        if self._any_written:
             self._batch.forward(self._written, stage=DERIVED_STAGE)
-            self._written.fill(False)
+            self._all_derived()
+
+    def _all_derived(self) -> None:
+        self._written.fill(False)
+        self._any_written = False
 
     # Writing ---------------------------------------------------------------------------------------------------------
 
