@@ -11,7 +11,7 @@ import warp as wp
 from orbit_matter.block import BLOCK
 from orbit_matter.fluid.pairs import FAR, LANES, Pressing, diverged_from, keep, pressed_by
 
-HALF, LENGTH, SOFT, SHOCK, SMOOTH = 60.0, 0.0083, 7e-7, 2000.0, 0.004
+HALF, LENGTH, SOFT, SHOCK, SMOOTH, FASTEST = 60.0, 0.0083, 7e-7, 2000.0, 0.004, 1.5
 LEAN = (0.02, -0.01, 0.14)
 
 
@@ -24,29 +24,31 @@ def sums(
     count: int,
     lean: wp.vec3,
     pressed: wp.array[Pressing],
-    diverged: wp.array[float],
+    diverged: wp.array[wp.vec4],
 ):
     """Write both sums of each particle of the second environment, of which a block keeps so many rows."""
     lane = wp.tid()
     rows = keep(place, motion, 1, kept)
     for i in range(lane, pressed.shape[0], wp.block_dim()):
-        pressed[i] = pressed_by(rows, place, motion, neighbours, 1, i, count, HALF, LENGTH, SOFT, SHOCK)
+        pressed[i] = pressed_by(rows, place, motion, neighbours, 1, i, count, HALF, LENGTH, SOFT, SHOCK, FASTEST)
         diverged[i] = diverged_from(rows, place, motion, neighbours, 1, i, count, HALF, SMOOTH, lean)
 
 
-def _plain(place: npt.NDArray, motion: npt.NDArray, i: int, listed: list[int]) -> tuple[npt.NDArray, float]:
-    pressing, diverging = np.zeros(7), 0.0
+def _plain(place: npt.NDArray, motion: npt.NDArray, i: int, listed: list[int]) -> tuple[npt.NDArray, npt.NDArray]:
+    pressing, diverging = np.zeros(7), np.zeros(4)
     for j in listed:
         way, flow = place[i, :3] - place[j, :3], motion[j, :3] - motion[i, :3]
         away = float(np.linalg.norm(way))
         t = max(0.0, 1.0 - away * HALF)
         part = t**3 * place[j, 3]
         closing = max(0.0, float(flow @ way)) * LENGTH / (away**2 + SOFT)
+        closing = min(closing, FASTEST)
         pressing[:3] += way * part * (motion[i, 3] + motion[j, 3] + SHOCK * closing**2)
         pressing[3:6] += flow * part
         pressing[6] += max(0.0, 1.0 - (away * HALF) ** 2) ** 4
         lean = float(np.asarray(LEAN) @ way)
-        diverging += part * (float(flow @ way) * motion[i, 3] + SMOOTH * (motion[j, 3] - motion[i, 3] + lean))
+        diverging[:3] += way * part
+        diverging[3] += part * (float(flow @ way) * motion[i, 3] + SMOOTH * (motion[j, 3] - motion[i, 3] + lean))
     return pressing, diverging
 
 
@@ -71,7 +73,7 @@ def test_sums_over_neighbours_are_those_of_one_after_another(device: str, kept: 
     neighbours = np.full((2, particles, 64), particles, np.int32)
     neighbours[1, :, :count] = listed
     with wp.ScopedDevice(device):
-        pressed, diverged = wp.zeros(particles, dtype=Pressing), wp.zeros(particles, dtype=float)
+        pressed, diverged = wp.zeros(particles, dtype=Pressing), wp.zeros(particles, dtype=wp.vec4)
         rows = [wp.array(each.astype(np.float32), dtype=wp.vec4) for each in (place, motion)]
         # Lists one after another, and side by side.
         listing = wp.array(neighbours)

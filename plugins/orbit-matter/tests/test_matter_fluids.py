@@ -256,3 +256,16 @@ def test_nothing_holds_a_liquid(settled: World) -> None:
         build(Scene(deformables=(replace(WATER, attachments=(Attachment((0,)),)),)))
     with pytest.raises(ConfigurationError, match="'water' is a liquid, which nothing holds"):
         settled.deformables["water"].anchor([0])
+
+
+def test_walls_of_listed_particles_are_those_of_all() -> None:
+    """On a GPU particles whose walls are due are listed first, and their walls found in a launch of its own."""
+    found: list[torch.Tensor] = []
+    for lists in (False, True):
+        world = _world()
+        world.engine._matter._parts[0]._fluid._lists_due = lists
+        for _ in range(60):
+            world.step()
+        found.append(world.deformables["water"].positions.clone())
+    assert (found[0] - _world().deformables["water"].positions).abs().max() > 1e-4
+    torch.testing.assert_close(found[0], found[1], rtol=0.0, atol=0.0)

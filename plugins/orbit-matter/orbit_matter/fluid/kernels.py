@@ -59,8 +59,15 @@ STAYED = wp.constant(0.01)
 SHALLOW = wp.constant(0.25)
 """Spacings of depth whose pressure a particle has at least that rests on others: half of one at a surface."""
 STRUCK = wp.constant(0.4)
+"""Spacings by which two particles come nearer in a substep at most that count for the shock: it would throw them back
+by more than they came with."""
 STEADY = wp.constant(0.5)
+"""Most of the square of a phase by which a particle's density follows its own motion in a substep. Particles of jets
+and sheets, which have neighbours on one side only, have up to ``1.0 (sound h / spacing)^2``, and swung up by half in
+each substep where that was above 1.3; at a level surface it is 0.33 of it, and within a liquid INNER."""
 INNER = wp.constant(0.17)
+"""Sum of the squares of the kernel's gradients over whole surroundings, times the squares of a particle's volume and of
+the spacing."""
 GENTLE = wp.constant(0.01)
 """m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
 
@@ -112,6 +119,10 @@ class Fluid:
     """(N, P, W) m/s^2 from a wall whose cells are deeper or higher, or that comes near fast."""
     drift: wp.array2d[float]
     """(N, P) m that particles have moved at most against the shapes near them since their walls were found."""
+    due: wp.array2d[int]
+    """(N, P) particles whose walls are to be found again, in any order."""
+    dues: wp.array[int]
+    """(N,) how many of them there are."""
     filled: wp.array2d[float]
     """(N, P) what walls add to ``packed``."""
     neighbours: wp.array3d[int]
@@ -155,6 +166,12 @@ class Fluid:
     """Metres within which neighbours are searched."""
 
 
+@wp.func
+def velocity_of(row: wp.vec4) -> wp.vec3:
+    """Return the first three numbers of a row."""
+    return wp.vec3(row[0], row[1], row[2])
+
+
 @wp.kernel(enable_backward=False)
 def find_inside(f: Fluid, links: Links, shapes: Shapes, found: wp.array2d[int]):
     """Write the shape that each particle is inside of; -1 for none."""
@@ -178,31 +195,67 @@ def meet(
     But for the ``first`` substep of a physics step, particles that stay where they were keep their walls.
     """
     env, i = wp.tid()
-    kind, x, s = env % shapes.kind.shape[0], f.x[env, i], f.s[env, i]
+    if is_due(f, links, felt, env, i, h, most, first):
+        renew_walls(f, links, shapes, felt, gravity, h, env, i)
+
+
+@wp.kernel(enable_backward=False)
+def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float):
+    """Do what :func:`meet` does but for walls, and list the particles whose walls are due.
+
+    On a GPU a warp waits for the slowest of its threads, and walls cost most: few particles are due at a time, and
+    :func:`renew` finds the walls of them side by side.
+    """
+    env, i = wp.tid()
+    if is_due(f, links, felt, env, i, h, most, 0):
+        f.due[env, wp.atomic_add(f.dues, env, 1)] = i
+
+
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
+def renew(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float):
+    """Find the walls of the particles that are due."""
+    env, lane = wp.tid()
+    for k in range(lane, f.dues[env], wp.block_dim()):
+        renew_walls(f, links, shapes, felt, gravity, h, env, f.due[env, k])
+
+
+@wp.func
+def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most: float, first: int) -> bool:
+    """Write the rows of a particle that its neighbours read, and return True if its walls are to be found again."""
+    x, s = f.x[env, i], f.s[env, i]
     # Not a number is never less, so that what has diverged is searched for as well.
     if not wp.length_sq(x - f.searched[env, i]) < most * most:
         f.stale[env] = 1
-    stiff = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
-    pressed = (s - 1.0) * stiff
+    pressed = (s - 1.0) * f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
     if pressed < 0.0:
         # A liquid pulls where it is whole, and not at its surface, where it would curl up.
         pressed *= wp.clamp((f.packed[env, i] - 0.8) * 10.0, 0.0, 1.0)
     v = f.v[env, i]
     f.place[env, i] = wp.vec4(x[0], x[1], x[2], f.volume / s)
     f.motion[env, i] = wp.vec4(v[0], v[1], v[2], pressed)
+    drift = float(0.0)
     if first == 0:
         drift = f.drift[env, i] + drift_of(f, links, felt, env, i, x, v * h)
-        f.drift[env, i] = drift
-        if drift < STAYED * f.spacing:
-            return
-    f.drift[env, i] = 0.0
+    due = first == 1 or not drift < STAYED * f.spacing
+    if due:
+        drift = 0.0
+    f.drift[env, i] = drift
+    return due
+
+
+@wp.func
+def renew_walls(
+    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, env: int, i: int
+):
+    """Find the walls of a particle, and what they give."""
+    kind, x, row = env % shapes.kind.shape[0], f.x[env, i], f.motion[env, i]
     count = find_walls(f, links, shapes, felt, env, i, kind, x)
     # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
     weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
-    held = wp.clamp(pressed / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
+    held = wp.clamp(row[3] / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
     filled = float(0.0)
     for k in range(count):
-        filled += fill(f, links, shapes, env, i, k, count, x, v, gravity[env] * held, h)
+        filled += fill(f, links, shapes, env, i, k, count, x, velocity_of(row), gravity[env] * held, h)
     f.filled[env, i] = filled
     f.walls[env, i] = count
 
@@ -446,12 +499,6 @@ def push_one(
         f.pushed[env, i] = wp.vec4(ahead[0], ahead[1], ahead[2], f.s[env, i])
 
 
-@wp.func
-def velocity_of(row: wp.vec4) -> wp.vec3:
-    """Return the first three numbers of a row."""
-    return wp.vec3(row[0], row[1], row[2])
-
-
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def flow(f: Fluid, links: Links, shapes: Shapes, gravity: wp.array[wp.vec3], h: float):
     """Compute the rates of densities."""
@@ -476,8 +523,8 @@ def flow_one(
         # gives back.
         rate += 2.0 * s * wp.dot(carried(links, env, wall, x) / h - v, f.given[env, i, k])
         side += 2.0 * f.given[env, i, k]
-    stride = f.sound * h
-    rate *= wp.min(STEADY / (stride * stride * (wp.length_sq(side) + INNER / (f.spacing * f.spacing))), 1.0)
+    phase = f.sound * h
+    rate *= wp.min(STEADY / (phase * phase * (wp.length_sq(side) + INNER / (f.spacing * f.spacing))), 1.0)
     # Errors of the divergence add up; where particles are gives the density. At a surface, and where a gap has opened,
     # it is that at rest: nothing presses there, though the divergence may say so.
     f.rate[env, i] = rate + (wp.max(f.packed[env, i], 1.0) - s) * f.renewal

@@ -33,6 +33,8 @@ class FluidPart:
         self._model = model
         self._n, self._p = memory["fluid_s"].shape
         self._fluid = self._make_fluid(memory)
+        self._lists_due = not self._fluid.x.device.is_cpu
+        """Whether particles whose walls are due are listed, and their walls found in a launch of its own."""
         self._particles = self._make_particles()
         self._felt = self._make_felt(felt)
 
@@ -55,6 +57,7 @@ class FluidPart:
         walls = (*shape, fluids.WALLS)
         made.plane, made.filled = wp.zeros(walls, dtype=wp.vec4), wp.zeros(shape, dtype=float)
         made.drift = wp.zeros(shape, dtype=float)
+        made.due, made.dues = wp.zeros(shape, dtype=int), wp.zeros(self._n, dtype=int)
         made.given, made.pull = wp.zeros(walls, dtype=wp.vec3), wp.zeros(walls, dtype=wp.vec3)
         made.shape, made.facing = wp.zeros(walls, dtype=int), wp.zeros(walls, dtype=int)
         made.walls = wp.zeros(shape, dtype=int)
@@ -118,10 +121,15 @@ class FluidPart:
         f.stale.zero_()
         # Two that come from half of the skin each are just within the kernel's reach.
         most = 0.5 * self._skin
-        wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, gravity, h, most, int(first)])
-        self._launch_search(renewed=1)
         # A block of threads takes an environment; a CPU's blocks have one thread.
         blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
+        if first or not self._lists_due:
+            wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, gravity, h, most, int(first)])
+        else:
+            f.dues.zero_()
+            wp.launch(kernels.approach, shape, inputs=[f, links, self._felt, h, most])
+            wp.launch(kernels.renew, blocks, inputs=[f, links, shapes, self._felt, gravity, h], block_dim=BLOCK)
+        self._launch_search(renewed=1)
         inputs = [f, links, shapes, self._felt, gravity, h, share]
         wp.launch(kernels.push, blocks, inputs=inputs, block_dim=BLOCK)
 
