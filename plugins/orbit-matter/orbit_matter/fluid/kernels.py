@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_matter.block import BOUNDS, any_in_warp
+from orbit_matter.block import BOUNDS, any_in_warp, sum_of_block
 from orbit_matter.contact import NEAREST, Felt, carried, feel, feel_together, surface
 from orbit_matter.fluid.pairs import diverged_from, keep, pressed_by
 from orbit_matter.fluid.walls import (
@@ -133,6 +133,8 @@ class Fluid:
     """(N, P) where particles were at the last search."""
     stale: wp.array[int]
     """(N,) 1 where a search is due."""
+    carried: wp.array[wp.vec3]
+    """(N,) m that all particles have moved in the mean since the last search, where that is known, and else zero."""
     guarded: wp.array2d[int]
     """(N, P) how many walls particles had at the last search."""
     columns: wp.array3d[float]
@@ -199,6 +201,18 @@ def meet(
         renew_walls(f, links, shapes, felt, gravity, h, env, i)
 
 
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
+def carry(f: Fluid):
+    """Find how far all particles have moved in the mean since the last search."""
+    env, lane = wp.tid()
+    whole = wp.vec3()
+    for i in range(lane, f.x.shape[1], wp.block_dim()):
+        whole += f.x[env, i] - f.searched[env, i]
+    x, y, z = sum_of_block(whole[0]), sum_of_block(whole[1]), sum_of_block(whole[2])
+    if lane == 0:
+        f.carried[env] = wp.vec3(x, y, z) / float(f.x.shape[1])
+
+
 @wp.kernel(enable_backward=False)
 def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float):
     """Do what :func:`meet` does but for walls, and list the particles whose walls are due.
@@ -223,8 +237,13 @@ def renew(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[
 def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most: float, first: int) -> bool:
     """Write the rows of a particle that its neighbours read, and return True if its walls are to be found again."""
     x, s = f.x[env, i], f.s[env, i]
-    # Not a number is never less, so that what has diverged is searched for as well.
-    if not wp.length_sq(x - f.searched[env, i]) < most * most:
+    way = x - f.searched[env, i]
+    # Not a number is never less, so that what has diverged is searched for as well. What moves together keeps its
+    # neighbours, but a wall may come between them: after a spacing it is looked for again.
+    if (
+        not wp.max(wp.length_sq(way - f.carried[env]) / (most * most), wp.length_sq(way) / (f.spacing * f.spacing))
+        < 1.0
+    ):
         f.stale[env] = 1
     pressed = (s - 1.0) * f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
     if pressed < 0.0:

@@ -33,8 +33,8 @@ class FluidPart:
         self._model = model
         self._n, self._p = memory["fluid_s"].shape
         self._fluid = self._make_fluid(memory)
-        self._lists_due = not self._fluid.x.device.is_cpu
-        """Whether particles whose walls are due are listed, and their walls found in a launch of its own."""
+        self._is_wide = not self._fluid.x.device.is_cpu
+        """Whether a search takes no notice of what moves together, and walls that are due are found side by side."""
         self._particles = self._make_particles()
         self._felt = self._make_felt(felt)
 
@@ -63,6 +63,7 @@ class FluidPart:
         made.walls = wp.zeros(shape, dtype=int)
         made.searched = wp.from_torch(memory["fluid_searched"], wp.vec3)
         made.shielded = wp.from_torch(memory["fluid_shielded"], wp.vec4)
+        made.carried = wp.zeros(self._n, dtype=wp.vec3)
         made.stale, made.guarded = wp.zeros(self._n, dtype=int), wp.zeros(shape, dtype=int)
         made.neighbours = self._make_lists()
         lanes = int(pairs.LANES)
@@ -123,7 +124,9 @@ class FluidPart:
         most = 0.5 * self._skin
         # A block of threads takes an environment; a CPU's blocks have one thread.
         blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
-        if first or not self._lists_due:
+        if self._is_wide:
+            wp.launch(kernels.carry, blocks, inputs=[f], block_dim=BLOCK)
+        if first or not self._is_wide:
             wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, gravity, h, most, int(first)])
         else:
             f.dues.zero_()
