@@ -15,6 +15,7 @@ import json
 import os
 import statistics
 import time
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -88,10 +89,13 @@ def by_brax(arguments: argparse.Namespace) -> dict[str, Any]:
     """Learn by MuJoCo Playground's own configuration of Brax's PPO, whose iterations report no parts."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_gpu_triton_gemm_any=True"  # as its own script
+    import jax
     from brax.training.agents.ppo import networks, train
     from mujoco_playground import registry, wrapper
     from mujoco_playground.config import dm_control_suite_params, locomotion_params
 
+    if not hasattr(jax, "device_put_replicated"):  # JAX 0.11 has none, and Brax 0.14.2 calls it
+        jax.device_put_replicated = replicated
     locomotion = arguments.environment in registry.locomotion.ALL_ENVS
     of = locomotion_params if locomotion else dm_control_suite_params
     chosen = dict(of.brax_ppo_config(arguments.environment))
@@ -119,6 +123,21 @@ def by_brax(arguments: argparse.Namespace) -> dict[str, Any]:
         "reports": [round(rate) for rate in rates],
         "steps_per_iteration": batch // arguments.num_envs,
     }
+
+
+def replicated(value: Any, devices: Sequence[Any]) -> Any:
+    """Return a tree of arrays with a copy of each on each device, along a new first axis.
+
+    Args:
+        value: tree of arrays, each of any shape.
+        devices: of JAX; the new axis is as long.
+    """
+    import jax
+    import numpy as np
+
+    mesh = jax.sharding.Mesh(np.array(devices), ("copies",))
+    spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("copies"))
+    return jax.tree.map(lambda leaf: jax.device_put(jax.numpy.stack([leaf] * len(devices)), spread), value)
 
 
 if __name__ == "__main__":

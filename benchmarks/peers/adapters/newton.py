@@ -6,9 +6,9 @@ Options are ``physics_dt`` and ``decimation``. Joints get random efforts; nothin
 from __future__ import annotations
 
 from itertools import cycle
+from pathlib import Path
 
 import newton
-import newton.examples
 import torch
 import warp as wp
 from session import ACTIONS, Facts, Request, Session
@@ -22,7 +22,9 @@ class NewtonSession(Session):
         wp.set_device(request.device)
         one = newton.ModelBuilder()
         newton.solvers.SolverMuJoCo.register_custom_attributes(one)
-        one.add_mjcf(newton.examples.get_asset(request.environment), up_axis="Z", enable_self_collisions=False)
+        # Newton's examples import its tests, which an installation may lack: their models are read without them.
+        file = Path(newton.__file__).parent / "examples" / "assets" / request.environment
+        one.add_mjcf(str(file), up_axis="Z", enable_self_collisions=False)
         builder = newton.ModelBuilder()
         builder.replicate(one, self.num_envs)
         builder.add_ground_plane()
