@@ -135,8 +135,9 @@ def replicated(value: Any, devices: Sequence[Any]) -> Any:
     import jax
     import numpy as np
 
-    mesh = jax.sharding.Mesh(np.array(devices), ("copies",))
-    spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("copies"))
+    # Brax's own name of the axis: under another, its second epoch is compiled anew within the timed part.
+    mesh = jax.sharding.Mesh(np.array(devices), ("i",))
+    spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("i"))
     return jax.tree.map(lambda leaf: jax.device_put(jax.numpy.stack([leaf] * len(devices)), spread), value)
 
 
