@@ -40,7 +40,7 @@ class Goal(NamedTuple):
 
 GOALS = {
     "Reach": Goal("success_rate", 0.95, 400),
-    "Lift": Goal("success_rate", 0.9, 450),
+    "Lift": Goal("success_rate", 0.9, 700),
     "Velocity-Flat": Goal("linear_error_m_s", -0.07, 350),
     "Humanoid": Goal("success_rate", 0.9, 500),
 }
