@@ -33,6 +33,8 @@ class FluidPart:
         self._model = model
         self._n, self._p = memory["fluid_s"].shape
         self._fluid = self._make_fluid(memory)
+        self._lanes = 1 if self._fluid.x.device.is_cpu else self._p
+        """Launch threads for each environment of what a thread does for each particle on a GPU."""
         self._is_wide = not self._fluid.x.device.is_cpu
         """Whether a search takes no notice of what moves together, and walls that are due are found side by side."""
         self._particles = self._make_particles()
@@ -118,7 +120,7 @@ class FluidPart:
 
         Walls are found again for all particles in the ``first`` substep of a physics step.
         """
-        f, shape = self._fluid, (self._n, self._p)
+        f, shape = self._fluid, (self._n, self._lanes)
         f.stale.zero_()
         # Two that come from half of the skin each are just within the kernel's reach.
         most = 0.5 * self._skin
@@ -127,10 +129,11 @@ class FluidPart:
         if self._is_wide:
             wp.launch(kernels.carry, blocks, inputs=[f], block_dim=BLOCK)
         if first or not self._is_wide:
-            wp.launch(kernels.meet, shape, inputs=[f, links, shapes, self._felt, gravity, h, most, int(first)])
+            inputs = [f, links, shapes, self._felt, gravity, h, most, int(first), self._lanes]
+            wp.launch(kernels.meet, shape, inputs=inputs)
         else:
             f.dues.zero_()
-            wp.launch(kernels.approach, shape, inputs=[f, links, self._felt, h, most])
+            wp.launch(kernels.approach, (self._n, self._p), inputs=[f, links, self._felt, h, most])
             wp.launch(kernels.renew, blocks, inputs=[f, links, shapes, self._felt, gravity, h], block_dim=BLOCK)
         self._launch_search(renewed=1)
         inputs = [f, links, shapes, self._felt, gravity, h, share]
@@ -138,10 +141,11 @@ class FluidPart:
 
     def launch_flow(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
         """End the substep: let particles flow, against links that have answered the push."""
-        f, shape = self._fluid, (self._n, self._p)
+        f = self._fluid
         blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
         wp.launch(kernels.flow, blocks, inputs=[f, links, shapes, gravity, h], block_dim=BLOCK)
-        wp.launch(kernels.move, shape, inputs=[f, links, shapes, self._felt, h, share])
+        inputs = [f, links, shapes, self._felt, h, share, self._lanes]
+        wp.launch(kernels.move, (self._n, self._lanes), inputs=inputs)
 
     def search_again(self) -> None:
         """Find the neighbours that the last search found, from where particles then were."""
@@ -150,7 +154,7 @@ class FluidPart:
 
     def _launch_search(self, renewed: int) -> None:
         f, shape = self._fluid, (self._n, self._p)
-        wp.launch(search.note, shape, inputs=[f, renewed])
+        wp.launch(search.note, (self._n, self._lanes), inputs=[f, renewed, self._lanes])
         if self._p <= search.COMPARED:
             wp.launch(search.compare, (self._n, int(search.SEARCHERS)), inputs=[f], block_dim=BLOCK)
         else:

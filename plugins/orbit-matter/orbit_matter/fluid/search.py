@@ -37,11 +37,19 @@ def clear(f: Fluid):
 
 
 @wp.kernel(enable_backward=False)
-def note(f: Fluid, renewed: int):
-    """Note where particles are that are searched, and their walls where they are ``renewed``."""
-    env, i = wp.tid()
-    if f.stale[env] == 0:
-        return
+def note(f: Fluid, renewed: int, lanes: int):
+    """Note where particles are that are searched, and their walls where they are ``renewed``.
+
+    As many ``lanes`` take an environment.
+    """
+    env, lane = wp.tid()
+    if f.stale[env] == 1:
+        for i in range(lane, f.x.shape[1], lanes):
+            note_one(f, renewed, env, i)
+
+
+@wp.func
+def note_one(f: Fluid, renewed: int, env: int, i: int):
     if renewed == 1:
         f.searched[env, i] = f.x[env, i]
         for k in range(f.shape.shape[2]):
