@@ -222,6 +222,27 @@ def test_a_recording_does_not_go_on_with_another_noise(environment: Environment,
     RecordingFile(path).take_up(manifest)
 
 
+@pytest.mark.parametrize("name", ["lift.hdf5", "lift"])
+def test_a_recording_does_not_go_on_with_another_instruction(
+    name: str, environment: Environment, tmp_path: Path
+) -> None:
+    """Nor is an interrupted recording left behind, which would be in the way of the next command."""
+
+    def shown(instruction: str, episodes: int) -> int:
+        actor, file = scripted_actor("zero", environment, SEED), RecordingFile(tmp_path / name)
+        record(environment, lambda: actor, file, "Lift", episodes, SEED, instruction=instruction)
+        assert not file.parts.path.exists()
+        with opened(file.path) as dataset:
+            return len(dataset.episodes)
+
+    assert shown("lift the cube", 4) == 4
+    told = r"instruction was 'lift the cube' and is 'raise it'; give the same, or another --output"
+    with pytest.raises(ConfigurationError, match=told):
+        shown("raise it", 5)
+    RecordingFile(tmp_path / name).check_begun(resume=False, overwrite=False)
+    assert shown("lift the cube", 5) == 5
+
+
 def test_a_missing_h5py_is_told_before_anything_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(ConfigurationError, match=r"pip install .*\[data\]"):

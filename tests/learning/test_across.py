@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from orbit_learn.ends import EpisodeTally
 from orbit_learn.policy import load_policy
 from orbit_learn.ppo import PpoTrainer
 from orbit_learn.teacher import teacher_of
+from orbit_learn.trackers import TrackerLog
+from orbit_learn.trainer import Progress
 from orbit_learn.training import Training
 from orbit_tasks.reach import Reach
 
@@ -118,7 +121,33 @@ def test_ppo_learns_on_two_engines(tmp_path: Path) -> None:
     assert policy.description.backend == f"{BACKEND}, {OTHER}"
     assert policy.manifest is not None
     assert (policy.manifest.num_envs, set(policy.manifest.settings)) == (8, {BACKEND, OTHER})
+    alone = reach(8)
+    other = Training(PpoTrainer(alone, settings, tmp_path, 0), "Reach", {})
+    told = f"it began on {BACKEND}, {OTHER}, and is resumed on {BACKEND}; give --backend {BACKEND} {OTHER}, or begin"
+    with pytest.raises(ConfigurationError, match=told):
+        other.run(3, 100, lambda progress: None, resume=True)
+    curve: list[int] = []
+    turned = AcrossEngines(joined.parts[::-1])
+    again = PpoTrainer(turned, settings, tmp_path, 0)  # pyright: ignore[reportArgumentType]
+    Training(again, "Reach", {}).run(3, 100, lambda progress: curve.append(progress.iteration), resume=True)
+    assert curve == [2], "the order of the same engines is free"
     joined.close()
+    alone.close()
+
+
+def test_trackers_take_the_success_of_each_engine() -> None:
+    taken: dict[str, float] = {}
+
+    class Run:
+        def log(self, numbers: dict[str, float], step: int) -> None:
+            taken.update(numbers, step=step)
+
+    log = TrackerLog()
+    log._run = Run()
+    log.add(Progress(3, 10, 1.0, 0.5, 0.5, engines={"first": 0.25, "second": math.nan}))
+    assert taken["episode/success_rate_first"] == 0.25
+    assert "episode/success_rate_second" not in taken
+    assert taken["step"] == 3
 
 
 @several

@@ -523,6 +523,22 @@ class RecordingFile:
             )
         self.parts.begin(manifest)
 
+    def check_instruction(self, instruction: str) -> None:
+        """Refuse to continue a recording whose episodes show something else, in words.
+
+        Args:
+            instruction: of the episodes to come; recorded ones without any fit all.
+
+        Raises:
+            ConfigurationError: an episode has another instruction; the message names both.
+        """
+        others = {info.instruction for info in self.infos().values()} - {"", instruction}
+        if others:
+            raise ConfigurationError(
+                f"{self.path} was recorded with other settings and cannot be continued: instruction was "
+                f"'{min(others)}' and is '{instruction}'; give the same, or another --output"
+            )
+
     def gather(self) -> int:
         """Write all episodes into one file, in the order of recording, and return their number.
 
@@ -642,7 +658,8 @@ def record(
         stray: the same as ``noise``, at the start of an episode only.
 
     Raises:
-        ConfigurationError: the file was recorded with another environment or noise, or the noise is negative.
+        ConfigurationError: the file was recorded with another environment, instruction or noise, or the noise is
+            negative.
         StorageError: the disk is full; finished episodes are kept.
     """
     try:
@@ -664,6 +681,7 @@ def _record(
     instruction: str,
     stray: float,
 ) -> Pace:
+    file.check_instruction(instruction or task)
     file.take_up(replace(Manifest.of(environment, task, seed), noise=noise, stray=stray))
     shares, infos = Shares(episodes, environment), file.infos()
     begun = shares.left(infos)

@@ -33,6 +33,7 @@ class TrackerLog:
             "env_steps": progress.env_steps,
             "env_steps_per_second": progress.env_steps / progress.seconds,
             "diverged": progress.diverged,
+            **{f"episode/success_rate_{name}": value for name, value in progress.engines.items()},
             **{f"metrics/{name}": value for name, value in progress.metrics.items()},
         }
         known = {name: value for name, value in numbers.items() if not math.isnan(value)}

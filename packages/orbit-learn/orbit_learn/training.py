@@ -219,7 +219,9 @@ class Training:
         # Weights may fit another robot or action of as many numbers, which would go on in silence.
         if (policy := self.policy_file(iteration)).exists():
             try:
-                read_policy(policy)[0].find_group(self._parts[0])
+                description = read_policy(policy)[0]
+                self._check_engines(description.backend)
+                description.find_group(self._parts[0])
             except ConfigurationError as error:
                 raise ConfigurationError(
                     f"{folder} is resumed with the task and settings that it began with: {error}"
@@ -232,6 +234,15 @@ class Training:
                 "it was written with"
             ) from error
         return iteration + 1
+
+    def _check_engines(self, begun: str) -> None:
+        """Refuse other engines than those that the training began on, named as in a manifest; their order is free."""
+        now = self.manifest.backend
+        if sorted(begun.split(", ")) != sorted(now.split(", ")):
+            raise ConfigurationError(
+                f"it began on {begun}, and is resumed on {now}; give --backend {begun.replace(',', '')}, or begin "
+                "another training in a folder of its own"
+            )
 
     def _start(self, begin: int) -> None:
         folder = self.trainer.folder
