@@ -9,11 +9,25 @@ import numpy.typing as npt
 import pytest
 import torch
 import warp as wp
+from scipy.spatial import ConvexHull
 
 from orbit_assets.deformables import sheet
 from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout, SimulationError, World
-from orbit_core.scene import Attachment, Cloth, Fluid, Plane, Pose, Scene, Shape
+from orbit_core.scene import (
+    Attachment,
+    Cloth,
+    Cylinder,
+    Fluid,
+    HeightField,
+    Mesh,
+    MeshCollision,
+    Plane,
+    Pose,
+    Scene,
+    Shape,
+    Sphere,
+)
 from orbit_core.world import simulate
 from orbit_matter.bodies import free_links
 from orbit_matter.fluid import search
@@ -125,6 +139,38 @@ def test_sides_that_are_thinner_than_a_particle_hold_water_that_is_thrown_at_the
         world.step()
     x = water.positions[0]
     assert not ((x[:, 0] > 0.022) & (x[:, 2] < 0.08)).any()
+
+
+def _plate(collision: MeshCollision) -> Shape:
+    corners = np.array([[x, y, z] for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.02, 0.0)])
+    hull = ConvexHull(corners)
+    inward = (np.cross(*np.diff(corners[hull.simplices], axis=1).transpose(1, 0, 2)) * hull.equations[:, :3]).sum(
+        1
+    ) < 0.0
+    faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return Shape(Mesh(corners, faces, collision))
+
+
+@pytest.mark.parametrize(
+    "floor",
+    [
+        Shape(Plane()),
+        Shape(HeightField(np.zeros((9, 9)), (0.4, 0.4))),
+        Shape(Cylinder(0.2, 0.02), Pose((0.0, 0.0, -0.02))),
+        Shape(Sphere(20.0), Pose((0.0, 0.0, -20.0))),
+        _plate(MeshCollision.CONVEX_HULL),
+        _plate(MeshCollision.TRIANGLES),
+    ],
+    ids=["plane", "height field", "cylinder", "sphere", "hull", "triangles"],
+)
+def test_water_rests_on_a_floor_of_any_shape(floor: Shape) -> None:
+    world = _world(terrain=(floor,))
+    for _ in range(150):
+        world.step()
+    water = world.deformables["water"]
+    assert water.positions[..., 2].mean().item() == pytest.approx(0.02, rel=0.03)
+    assert water.positions[..., 2].min() > 0.0025
+    assert water.velocities.square().sum(-1).mean().sqrt() < 0.01
 
 
 def test_two_boxes_that_make_one_floor_press_as_one() -> None:

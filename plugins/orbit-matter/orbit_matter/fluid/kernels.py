@@ -297,6 +297,15 @@ def drift_of(f: Fluid, links: Links, felt: Felt, env: int, i: int, x: wp.vec3, w
 
 
 @wp.func
+def wall_at(f: Fluid, links: Links, shapes: Shapes, env: int, kind: int, shape: int, x: wp.vec3) -> wp.vec4:
+    """Return the normal of a shape near x, and how deep x is in it."""
+    # A ball, as meshes are searched within ten times its radius and a margin: the kernel reaches twice the length.
+    radius = 0.3 * f.length
+    found = surface(links, shapes, env, kind, shape, x, radius)
+    return wp.vec4(found[0], found[1], found[2], found[3] - radius)
+
+
+@wp.func
 def find_walls(f: Fluid, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, kind: int, x: wp.vec3) -> int:
     """Write the walls of a particle that no nearer one hides, and return how many there are."""
     looked, m = int(0), int(0)
@@ -306,7 +315,7 @@ def find_walls(f: Fluid, links: Links, shapes: Shapes, felt: Felt, env: int, i: 
         if shape < 0:
             m = NEAREST
         else:
-            found = surface(links, shapes, env, kind, shape, x, 0.0)
+            found = wall_at(f, links, shapes, env, kind, shape, x)
             if -found[3] < 2.0 * f.length:
                 f.plane[env, i, looked] = wp.vec4(found[0], found[1], found[2], -found[3])
                 f.shape[env, i, looked] = shape
@@ -349,7 +358,7 @@ def is_hidden(
         height = nearer[3] + wp.dot(facing, away)
         if height < 0.0:
             below = x + away - facing * (height + PROBE * f.spacing)
-            hidden = surface(links, shapes, env, kind, f.shape[env, i, other], below, 0.0)[3] > 0.0
+            hidden = wall_at(f, links, shapes, env, kind, f.shape[env, i, other], below)[3] > 0.0
     return hidden
 
 
@@ -378,7 +387,7 @@ def fill(
         layers = layers_behind(d, n, f.spacing)
         if form != PLANE:
             # Just below the nearest point of an edge the surface is nearer than below that of a face.
-            depth = surface(links, shapes, env, kind, shape, x - n * (d + PROBE * f.spacing), 0.0)[3]
+            depth = wall_at(f, links, shapes, env, kind, shape, x - n * (d + PROBE * f.spacing))[3]
             weight = wp.clamp(1.0 - SHARP * (1.0 - depth / (PROBE * f.spacing)), 0.1, 1.0)
     if layers.depth >= 2.0 * f.ratio:
         return 0.0
@@ -409,8 +418,8 @@ def fill(
                     # Where shapes overlap behind both, cells are of one of them.
                     probe = PROBE * f.spacing
                     corner = x - n * (d + probe) - facing * (plane[3] + probe)
-                    inside = surface(links, shapes, env, kind, shape, corner, 0.0)[3] > 0.0
-                    if inside and surface(links, shapes, env, kind, f.shape[env, i, other], corner, 0.0)[3] > 0.0:
+                    inside = wall_at(f, links, shapes, env, kind, shape, corner)[3] > 0.0
+                    if inside and wall_at(f, links, shapes, env, kind, f.shape[env, i, other], corner)[3] > 0.0:
                         skips[found] = 1.0
                 found += 1
     got, volume = Filled(), f.spacing * f.spacing * f.spacing * layers.thick
