@@ -359,7 +359,7 @@ class ParticleMatter(Matter):
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
         of_liquids = stability.tossed(self._layout) + stability.passing(self._layout)
-        of_liquids += stability.rounded(self._layout)
+        of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout)
         of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 

@@ -15,13 +15,16 @@ from orbit_assets.deformables import sheet
 from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout, SimulationError, World
 from orbit_core.scene import (
+    Articulation,
     Attachment,
     Cloth,
     Cylinder,
     Fluid,
     HeightField,
+    Link,
     Mesh,
     MeshCollision,
+    ObjectSpec,
     Plane,
     Pose,
     Scene,
@@ -32,7 +35,7 @@ from orbit_core.world import simulate
 from orbit_matter.bodies import free_links
 from orbit_matter.fluid import search
 from orbit_matter.fluid.fluids import build
-from orbit_matter.stability import passing, rounded, tossed
+from orbit_matter.stability import hollow, passing, rounded, tossed
 
 WATER = Fluid("water", (0.02, 0.02, 0.02), pose=Pose((0.0, 0.0, 0.02)), spacing=0.01)
 GROUND = (Shape(Plane()),)
@@ -213,6 +216,19 @@ def test_a_body_that_weighs_few_particles_is_reported_with_the_spacing_that_woul
     (found,) = tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(WATER,), terrain=GROUND)))
     assert "weighs 4 particles of 'water': a spacing of 0.0074 m would do" in found.why
     assert not tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(replace(WATER, spacing=0.007),))))
+
+
+def test_hollow_meshes_and_many_pieces_are_reported() -> None:
+    hull, surface = _plate(MeshCollision.CONVEX_HULL), _plate(MeshCollision.TRIANGLES)
+
+    def told(*shapes: Shape) -> tuple:
+        link = Link("plate", 1.0, inertia=np.eye(3), collisions=shapes)
+        plate = ObjectSpec(name="plate", articulation=Articulation("plate", (link,)), fixed_base=True)
+        return hollow(_world(objects=(plate,), terrain=()).layout)
+
+    assert told(hull) == ()
+    assert "nearest wall" in told(surface)[0].why
+    assert "6 of its 7" in told(*[hull] * 7)[0].why
 
 
 def test_cloth_in_a_scene_of_liquid_is_reported_as_passed_through() -> None:
