@@ -1,6 +1,8 @@
-"""Sums over neighbours against the same sums in double precision, one neighbour after another."""
+"""Sums over neighbours against the same sums in double precision, and lists of them that a CPU keeps up to date."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +10,12 @@ import pytest
 import torch
 import warp as wp
 
+from orbit_assets.objects import box
+from orbit_core.interfaces import World
+from orbit_core.scene import Fluid, Plane, Pose, Scene, Shape
+from orbit_core.world import simulate
 from orbit_matter.block import BLOCK
+from orbit_matter.fluid import fluids, search
 from orbit_matter.fluid.pairs import FAR, LANES, Pressing, diverged_from, keep, pressed_by
 
 HALF, LENGTH, SOFT, SHOCK, SMOOTH, FASTEST = 60.0, 0.0083, 7e-7, 2000.0, 0.004, 1.5
@@ -86,3 +93,88 @@ def test_sums_over_neighbours_are_those_of_one_after_another(device: str, kept: 
     for found, expected in ((pressed, [t[0] for t in truth]), (diverged, [t[1] for t in truth])):
         scale = np.abs(expected).max(0)
         np.testing.assert_allclose(found.numpy() / scale, np.asarray(expected) / scale, atol=2e-5)
+
+
+def _splash() -> World:
+    """Return two pools that a thin wall parts, and a drop that falls into one of them, in two environments."""
+    fixed = {"mass": 1.0, "fixed_base": True}
+    walls = [box("between", size=(0.004, 0.04, 0.06), pose=Pose((0.0, 0.0, 0.03)), **fixed)]
+    for side in (-1.0, 1.0):
+        walls += [
+            box(f"end_{side}", size=(0.02, 0.08, 0.12), pose=Pose((side * 0.052, 0.0, 0.06)), **fixed),
+            box(f"side_{side}", size=(0.084, 0.02, 0.12), pose=Pose((0.0, side * 0.03, 0.06)), **fixed),
+        ]
+    pools = tuple(
+        Fluid(name, (0.02, 0.02, 0.02), pose=Pose((x, 0.0, 0.02)), spacing=0.01)
+        for name, x in (("left", -0.022), ("right", 0.022))
+    )
+    drop = Fluid("drop", (0.01, 0.01, 0.01), pose=Pose((0.022, 0.0, 0.1)), spacing=0.01)
+    world = simulate(
+        Scene(objects=tuple(walls), deformables=(*pools, drop), terrain=(Shape(Plane()),)),
+        backend="mujoco",
+        num_envs=2,
+    )
+    falling = world.deformables["drop"]
+    velocities = torch.zeros_like(falling.positions)
+    velocities[1, :, 2] = -1.5
+    falling.set_state(falling.positions.clone(), velocities)
+    return world
+
+
+def _parts(world: World) -> list[Any]:
+    return [part._fluid for part in world.engine._matter._parts]
+
+
+def _lists(fluid: Any) -> list[list[list[int]]]:
+    rows = zip(fluid.neighbours.numpy(), fluid.count.numpy(), strict=True)
+    return [[row[:count].tolist() for row, count in zip(*each, strict=True)] for each in rows]
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_lists_that_follow_what_moved_are_those_of_a_search_for_all(
+    monkeypatch: pytest.MonkeyPatch, crowded: bool
+) -> None:
+    """Order included, with a wall between particles, and where lists are too short for some."""
+    if crowded:
+        monkeypatch.setattr(fluids, "NEIGHBOURS", 56)
+    world = _splash()
+    before: dict[int, npt.NDArray] = {}
+    few, full = 0, 0
+    for step in range(80):
+        world.step()
+        for number, part in enumerate(_parts(world)):
+            fluid = part._fluid
+            followed, searched = _lists(fluid), fluid.searched.numpy().copy()
+            with wp.ScopedDevice("cpu"):
+                if crowded:
+                    part.search_again()
+                else:
+                    fluid.stale.fill_(1)
+                    shape = (fluid.x.shape[0], int(search.SEARCHERS))
+                    wp.launch(search.compare, shape, inputs=[fluid], block_dim=BLOCK)
+            assert followed == _lists(fluid)
+            changed = (searched != before.get(number, searched)).any(-1).mean()
+            few, before[number] = few + int(0.0 < changed < 0.25), searched
+            full += sum(len(row) == 56 and row[-1] < len(rows) for rows in followed for row in rows)
+            if step < 10:
+                # Of 64 particles to the left of the wall none sees the 64 to its right, which are as near as others.
+                assert not any(64 <= j < 128 for rows in followed for row in rows[:64] for j in row)
+                near = np.linalg.norm(searched[:, :64, None] - searched[:, None, 64:128], axis=-1) < fluid.cell
+                assert near.any()
+    assert few > 20, few
+    assert full > 0 or not crowded
+
+
+def test_a_snapshot_of_a_splash_continues_as_the_run_did() -> None:
+    world = _splash()
+    for _ in range(20):
+        world.step()
+    state = world.save_state()
+    found: list[list[torch.Tensor]] = []
+    for _ in range(2):
+        for _ in range(30):
+            world.step()
+        found.append([liquid.positions.clone() for liquid in world.deformables.values()])
+        world.load_state(state)
+    for first, again in zip(*found, strict=True):
+        assert torch.equal(first, again)

@@ -130,7 +130,7 @@ class Fluid:
     count: wp.array2d[int]
     """(N, P) how many of them there are, a multiple of LANES."""
     searched: wp.array2d[wp.vec3]
-    """(N, P) where particles were at the last search."""
+    """(N, P) where particles were at the last search; on a CPU each at its own."""
     stale: wp.array[int]
     """(N,) 1 where a search is due."""
     carried: wp.array[wp.vec3]
@@ -139,6 +139,10 @@ class Fluid:
     """(N, P) how many walls particles had at the last search."""
     columns: wp.array3d[float]
     """(N, 3, P or a few more) positions at the last search by axis, far away beyond the last particle."""
+    moved: wp.array2d[int]
+    """(N, P) particles that a CPU searches anew, in ascending order."""
+    nearby: wp.array3d[int]
+    """(N, 1, P) list of one particle, before a CPU knows whose lists differ from it."""
     head: wp.array2d[int]
     """(N, B) first particle of each bucket of cells; -1 for none."""
     following: wp.array2d[int]

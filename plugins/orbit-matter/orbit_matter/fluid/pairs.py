@@ -149,7 +149,7 @@ _KEEP = """
 
 
 _NEARBY = """
-    int* const list = wp::address(neighbours, env, i, 0);
+    int* const list = wp::address(neighbours, env, row, 0);
     const int most = neighbours.shape[2];
     int found = 0, doubtful = 0;
 #ifdef __CUDA_ARCH__
@@ -180,7 +180,8 @@ _NEARBY = """
         for (int k = 0; k < walls; ++k) {
             const wp::vec_t<4, wp::float32>& plane = *wp::address(planes, env, i, k);
             const Lanes height = plane[0] * a + plane[1] * b + plane[2] * c + plane[3];
-            doubtful |= __builtin_reduce_or(near & (height < 0.0f));
+            // A micrometre for errors of rounding: the answer must be the same for both particles of a pair.
+            doubtful |= __builtin_reduce_or(near & (height < 1.0e-6f));
         }
         for (; bits != 0 && found < most; bits &= bits - 1) {
             const int j = first + __builtin_ctz(bits);
@@ -192,6 +193,50 @@ _NEARBY = """
     return wp::vec_t<2, wp::int32>(found, doubtful != 0);
 """
 
+_SET = """
+    int* const list = wp::address(neighbours, env, i, 0);
+    const int* const listed = wp::address(nearby, env, 0, 0);
+    int length = found < neighbours.shape[2] ? found : neighbours.shape[2];
+    for (int k = 0; k < length; ++k) list[k] = listed[k];
+    for (; length % 8 != 0; ++length) list[length] = neighbours.shape[1];
+    *wp::address(counts, env, i) = length;
+"""
+# What fills up lists is greater than all particles, so that filled lists are in ascending order as well.
+_SPREAD = """
+    const int most = neighbours.shape[2], filler = neighbours.shape[1];
+    const auto change = [&](int j, bool met) {
+        int* const list = wp::address(neighbours, env, j, 0);
+        int& count = *wp::address(counts, env, j);
+        if (count == most && list[most - 1] != filler) return false;
+        int at = 0;
+        while (at < count && list[at] < i) ++at;
+        const bool there = at < count && list[at] == i;
+        if (met && !there) {
+            if (count == 0 || list[count - 1] != filler)
+                for (int k = 0; k < 8; ++k, ++count) list[count] = filler;
+            for (int k = count - 1; k > at; --k) list[k] = list[k - 1];
+            list[at] = i;
+        }
+        if (!met && there) {
+            for (int k = at; k < count - 1; ++k) list[k] = list[k + 1];
+            list[count - 1] = filler;
+            if (list[count - 8] == filler) count -= 8;
+        }
+        return true;
+    };
+    const int* const before = wp::address(neighbours, env, i, 0);
+    const int* const after = wp::address(nearby, env, 0, 0);
+    const int length = *wp::address(counts, env, i);
+    if (found > most || (length == most && before[most - 1] != filler)) return false;
+    for (int k = 0, m = 0;;) {
+        const int left = k < length ? before[k] : filler, met = m < found ? after[m] : filler;
+        if (left == filler && met == filler) return true;
+        if (left != met && !change(left < met ? left : met, met < left)) return false;
+        k += left <= met;
+        m += met <= left;
+    }
+"""
+
 
 @wp.func_native(_NEARBY)
 def list_nearby(
@@ -201,6 +246,7 @@ def list_nearby(
     planes: wp.array3d[wp.vec4],
     walls: int,
     env: int,
+    row: int,
     i: int,
     square: float,
 ) -> wp.vec2i:
@@ -209,15 +255,53 @@ def list_nearby(
     Args:
         searched: (N, P) positions; a GPU reads them.
         columns: (N, 3, P or a few more) the same by axis, far away beyond the last one; a CPU reads eight at a time.
-        neighbours: (N, P, K) rows that are written.
+        neighbours: (N, P, K) rows of which one is written.
         planes: (N, P, W) walls of each particle.
         walls: of this particle, how many it has.
         env: of the particle.
+        row: of ``neighbours``.
         i: of the particle, its row.
         square: of the distance in m^2.
 
     Returns:
         How many there are, and 0 if none of them is behind a wall of this one.
+    """
+
+
+@wp.func_native(_SET)
+def set_list(
+    neighbours: wp.array3d[int], counts: wp.array2d[int], nearby: wp.array3d[int], found: int, env: int, i: int
+):
+    """Write the list of a particle, filled up to whole LANES, and its length; what does not fit in is left out.
+
+    Args:
+        neighbours: (N, P, K) lists.
+        counts: (N, P) their lengths.
+        nearby: (N, 1, P) the new list.
+        found: length of the new list.
+        env: of the particle.
+        i: of the particle, its row.
+    """
+
+
+@wp.func_native(_SPREAD)
+def spread_list(
+    neighbours: wp.array3d[int], counts: wp.array2d[int], nearby: wp.array3d[int], found: int, env: int, i: int
+) -> bool:
+    """Take a particle out of the lists of those that it has left, and put it into those of what it has met.
+
+    Lists are in ascending order, and stay so.
+
+    Args:
+        neighbours: (N, P, K) lists, of which that of the particle itself is the old one.
+        counts: (N, P) their lengths.
+        nearby: (N, 1, P) the particle's new list.
+        found: length of the new list.
+        env: of the particle.
+        i: of the particle, its row.
+
+    Returns:
+        False where a list that this would change is full, and may lack some: all are to be searched again.
     """
 
 

@@ -70,6 +70,8 @@ class FluidPart:
         made.neighbours = self._make_lists()
         lanes = int(pairs.LANES)
         made.columns = wp.full((self._n, 3, math.ceil(self._p / lanes) * lanes), pairs.FAR, dtype=float)
+        made.moved = wp.zeros(shape, dtype=int)
+        made.nearby = wp.zeros((self._n, 1, self._p), dtype=int)
         made.count, made.following = wp.zeros(shape, dtype=int), wp.zeros(shape, dtype=int)
         made.head = wp.zeros((self._n, 1 << (2 * self._p - 1).bit_length()), dtype=int)
         made.spacing, made.length, made.sound = model.spacing, model.length, model.sound
@@ -154,8 +156,12 @@ class FluidPart:
 
     def _launch_search(self, renewed: int) -> None:
         f, shape = self._fluid, (self._n, self._p)
+        is_compared = self._p <= search.COMPARED
+        if is_compared and not self._is_wide:
+            wp.launch(search.follow, self._n, inputs=[f, 0.5 * self._skin, renewed])
+            return
         wp.launch(search.note, (self._n, self._lanes), inputs=[f, renewed, self._lanes])
-        if self._p <= search.COMPARED:
+        if is_compared:
             wp.launch(search.compare, (self._n, int(search.SEARCHERS)), inputs=[f], block_dim=BLOCK)
         else:
             wp.launch(search.clear, (self._n, int(search.CLEARERS)), inputs=[f])

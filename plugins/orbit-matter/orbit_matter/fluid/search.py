@@ -1,6 +1,6 @@
 """Search for the neighbours of a liquid's particles, as launches over environments and particles.
 
-Lists hold for as long as no particle has moved by half of their margin.
+Lists hold for as long as no particle has moved by half of their margin; on a CPU, those of the others hold even then.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
@@ -14,8 +14,9 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.block import BLOCK, BOUNDS
+from orbit_matter.fluid.fluids import NOWHERE
 from orbit_matter.fluid.kernels import Fluid
-from orbit_matter.fluid.pairs import LANES, list_nearby
+from orbit_matter.fluid.pairs import LANES, list_nearby, set_list, spread_list
 from orbit_matter.self_contact import bucket_of, cell_of
 
 COMPARED = 4096
@@ -25,6 +26,10 @@ SEARCHERS = wp.constant(4 * BLOCK)
 leave most of a GPU empty."""
 CLEARERS = wp.constant(64)
 """Threads that empty the cells of an environment."""
+MANY = wp.constant(0.25)
+"""Part of the particles above which all are searched for; 0.1 to 0.75 cost the same while a cup pours."""
+UNSEARCHED = wp.constant(0.5 * NOWHERE)
+"""Metres beyond which a particle was not searched yet."""
 
 
 @wp.kernel(enable_backward=False)
@@ -134,29 +139,90 @@ def find(f: Fluid):
     end_list(f, env, i, count)
 
 
+@wp.func
+def leave_parted(f: Fluid, lists: wp.array3d[int], env: int, row: int, i: int, length: int) -> int:
+    """Take out of the list of a particle those that walls part from it, and return how many are left."""
+    count = int(0)
+    for k in range(length):
+        j = lists[env, row, k]
+        parted = bool(False)
+        if f.guarded[env, j] > 0:
+            parted = is_parted(f, env, i, j, f.searched[env, j] - f.searched[env, i])
+        if not parted:
+            lists[env, row, count] = j
+            count += 1
+    return count
+
+
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def compare(f: Fluid):
     """Find neighbours as :func:`find` does, but among all particles, SEARCHERS threads for an environment.
 
-    A GPU waits for each step along the particles of a cell; all threads of a block read the same particle at a time. A
-    CPU compares eight at a time, a thousand in a third of the time that the cells around a particle take.
+    A GPU waits for each step along the particles of a cell; all threads of a block read the same particle at a time.
     """
     env, lane = wp.tid()
     if f.stale[env] == 0:
         return
     for i in range(lane, f.x.shape[1], SEARCHERS):
         walls = f.guarded[env, i]
-        listed = list_nearby(f.searched, f.columns, f.neighbours, f.shielded, walls, env, i, f.cell * f.cell)
+        listed = list_nearby(f.searched, f.columns, f.neighbours, f.shielded, walls, env, i, i, f.cell * f.cell)
         count = int(listed[0])
         # Walls in a pass of their own: in the one above most threads would wait for the few that have come near.
         if listed[1] == 1:
-            count = int(0)
-            for k in range(listed[0]):
-                j = f.neighbours[env, i, k]
-                parted = bool(False)
-                if f.guarded[env, j] > 0:
-                    parted = is_parted(f, env, i, j, f.searched[env, j] - f.searched[env, i])
-                if not parted:
-                    f.neighbours[env, i, count] = j
-                    count += 1
+            count = leave_parted(f, f.neighbours, env, i, i, listed[0])
         end_list(f, env, i, count)
+
+
+@wp.kernel(enable_backward=False)
+def follow(f: Fluid, most: float, renewed: int):
+    """Search anew, among all particles, for those alone that moved by ``most`` since their own last search.
+
+    One thread of a CPU takes an environment: few drops that fall fast make it stale in each substep. Lists are those of
+    a search for all of them, from where each was at its last search: one that moved is put into the lists of its new
+    neighbours. Where many have moved, and where places are not ``renewed``, all are searched for.
+    """
+    env = wp.tid()
+    if f.stale[env] == 0:
+        return
+    moved = int(0)
+    if renewed == 1:
+        for i in range(f.x.shape[1]):
+            # As in `meet`, what is not a number has moved.
+            if not wp.length_sq(f.x[env, i] - f.searched[env, i]) < most * most:
+                f.moved[env, moved] = i
+                moved += 1
+    whole = renewed == 0 or float(moved) > MANY * float(f.x.shape[1]) or f.searched[env, 0][0] > UNSEARCHED
+    if not whole:
+        for k in range(moved):
+            note_one(f, 1, env, f.moved[env, k])
+        whole = not spread(f, env, moved)
+    if whole:
+        for i in range(f.x.shape[1]):
+            note_one(f, renewed, env, i)
+        for i in range(f.x.shape[1]):
+            found = look_around(f, env, i)
+            set_list(f.neighbours, f.count, f.nearby, found, env, i)
+
+
+@wp.func
+def look_around(f: Fluid, env: int, i: int) -> int:
+    """List the neighbours of a particle beside all lists, and return how many there are."""
+    walls = f.guarded[env, i]
+    listed = list_nearby(f.searched, f.columns, f.nearby, f.shielded, walls, env, 0, i, f.cell * f.cell)
+    count = int(listed[0])
+    if listed[1] == 1:
+        count = leave_parted(f, f.nearby, env, 0, i, listed[0])
+    return count
+
+
+@wp.func
+def spread(f: Fluid, env: int, moved: int) -> bool:
+    """Bring lists up to date with so many particles that moved; return False where a list is full."""
+    done, k = bool(True), int(0)
+    while done and k < moved:
+        i = f.moved[env, k]
+        found = look_around(f, env, i)
+        done = spread_list(f.neighbours, f.count, f.nearby, found, env, i)
+        set_list(f.neighbours, f.count, f.nearby, found, env, i)
+        k += 1
+    return done
