@@ -115,8 +115,6 @@ def _closed(trial: Trial) -> Mapping[str, float]:
     return {"overlap": max(-min(gaps), 0.0), "open": max(min(gaps), 0.0)}
 
 
-_REST = "a centimetre in a second is rest for every purpose"
-
 SCENARIOS = (
     Scenario(
         name="solid_stack",
@@ -136,7 +134,13 @@ SCENARIOS = (
                 meaning="error of the force below over the weight of both",
                 looser_because=PUBLISHED,
             ),
-            Metric(name="speed", unit="m/s", tolerance=0.01, meaning="largest of a vertex", looser_because=_REST),
+            Metric(
+                name="speed",
+                unit="m/s",
+                tolerance=0.03,
+                meaning="largest of a vertex",
+                looser_because="its corners swing for long: natively on MuJoCo at 0.003 to 0.02 m/s for two seconds",
+            ),
         ),
     ),
     Scenario(
