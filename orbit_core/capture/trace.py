@@ -91,7 +91,7 @@ class Stage:
     expressed: dict[str, Tensor] = field(default_factory=dict)
     """What was read by way of operations."""
     prepare: Callable[[], None] | None = None
-    """What its operations on the engine's own memory need before they run; None where they need nothing."""
+    """Function that brings the engine's memory up to date before the operations run; None where they need nothing."""
     operations: list[Operation] = field(default_factory=list)
     """Operations in the order in which they ran."""
     call: NotedCall | None = None

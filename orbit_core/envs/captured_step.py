@@ -130,7 +130,7 @@ class CapturedStep:
         self._flags = torch.zeros(2, dtype=torch.bool, device=environment.device) if on_host else None
         self._noted = None if self._flags is None else self._flags.numpy()
         self.doubtful = True
-        """Whether what the last step gave may not be finite; always True where a look would wait for the device."""
+        """True if a number of the last step may not be finite; always so where a look would wait for the device."""
         alone = settles or not renews
         parts = (self._play,) if alone else (self._play_and_renew,) if whole else (self._play, self._renew)
         self.parts = [self._scheduled(part, compile) for part in parts]

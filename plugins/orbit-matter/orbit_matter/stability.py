@@ -131,27 +131,24 @@ def passing(layout: SceneLayout) -> tuple[Approximation, ...]:
 
 
 def hollow(layout: SceneLayout) -> tuple[Approximation, ...]:
-    """Report shapes whose walls do not all act on a liquid's particle that is near several of them.
+    """Report meshes that may hold a liquid, and of whose walls some do not act on a particle.
 
-    Of a mesh the nearest wall acts: water in a cup of revolution bore its weight and stood 9 % too low at ten layers of
-    particles, and 28 % at five. Of many pieces those act that are met first: water ran out of a cup of thin ones.
+    The nearest wall of a mesh acts: water in a cup of revolution bore its weight and stood 9 % too low at ten layers of
+    particles, and 28 % at five. Of many pieces only the first that are met act: water ran out of a cup of thin ones.
     """
-    liquids = [spec for spec in layout.scene.deformables if isinstance(spec, Fluid)]
-    if not liquids:
+    if not any(isinstance(spec, Fluid) for spec in layout.scene.deformables):
         return ()
     found: list[Approximation] = []
-    surfaces = (MeshCollision.SIGNED_DISTANCE, MeshCollision.TRIANGLES)
-    for entity in layout.entities:
-        for articulation in entity.spec.alternatives:
-            for link in articulation.links:
-                meshes = [s.geometry.collision for s in link.collisions if isinstance(s.geometry, Mesh)]
-                where = f"link '{link.name}' of '{entity.spec.name}'"
-                if any(collision in surfaces for collision in meshes):
-                    why = "of a mesh only the nearest wall acts: make its walls of boxes, or the spacing finer"
-                    found.append(Approximation(where, "a liquid's volume in its hollows", "up to 28 % too small", why))
-                elif len(meshes) > int(NEAREST):
-                    why = f"{int(NEAREST)} of its {len(meshes)} convex pieces act at a time: make its walls of boxes"
-                    found.append(Approximation(where, "holding a liquid", "may leak", why))
+    entities = [(entity, each) for entity in layout.scene.entities for each in entity.alternatives]
+    for entity, link in ((entity, link) for entity, each in entities for link in each.links):
+        meshes = [shape.geometry.collision for shape in link.collisions if isinstance(shape.geometry, Mesh)]
+        where = f"link '{link.name}' of '{entity.name}'"
+        if {MeshCollision.SIGNED_DISTANCE, MeshCollision.TRIANGLES} & set(meshes):
+            why = "only the nearest wall of a mesh acts: make its walls of boxes, or the spacing finer"
+            found.append(Approximation(where, "a liquid's volume in its hollows", "up to 28 % too small", why))
+        elif len(meshes) > int(NEAREST):
+            why = f"{int(NEAREST)} of its {len(meshes)} convex pieces act at a time: make its walls of boxes"
+            found.append(Approximation(where, "holding a liquid", "may leak", why))
     return tuple(dict.fromkeys(found))
 
 

@@ -9,9 +9,8 @@ import numpy.typing as npt
 import pytest
 import torch
 import warp as wp
-from scipy.spatial import ConvexHull
 
-from orbit_assets.deformables import sheet
+from orbit_assets.deformables import cuboid, sheet
 from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout, SimulationError, World
 from orbit_core.scene import (
@@ -22,7 +21,6 @@ from orbit_core.scene import (
     Fluid,
     HeightField,
     Link,
-    Mesh,
     MeshCollision,
     ObjectSpec,
     Plane,
@@ -145,13 +143,7 @@ def test_sides_that_are_thinner_than_a_particle_hold_water_that_is_thrown_at_the
 
 
 def _plate(collision: MeshCollision) -> Shape:
-    corners = np.array([[x, y, z] for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.02, 0.0)])
-    hull = ConvexHull(corners)
-    inward = (np.cross(*np.diff(corners[hull.simplices], axis=1).transpose(1, 0, 2)) * hull.equations[:, :3]).sum(
-        1
-    ) < 0.0
-    faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
-    return Shape(Mesh(corners, faces, collision))
+    return Shape(replace(cuboid((0.4, 0.4, 0.02)), collision=collision), Pose((0.0, 0.0, -0.01)))
 
 
 @pytest.mark.parametrize(

@@ -199,8 +199,8 @@ def meet(
 ):  # fmt: skip
     """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search.
 
-    But for the ``first`` substep of a physics step, particles that stay where they were keep their walls. As many
-    ``lanes`` take an environment: on a CPU a launch thread costs some 35 ns.
+    But for the ``first`` substep of a physics step, particles that stay where they were keep their walls. Each
+    environment has ``lanes`` threads: on a CPU one, as a launch thread costs some 35 ns there.
     """
     env, lane = wp.tid()
     for i in range(lane, f.x.shape[1], lanes):
@@ -222,10 +222,10 @@ def carry(f: Fluid):
 
 @wp.kernel(enable_backward=False)
 def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float):
-    """Do what :func:`meet` does but for walls, and list the particles whose walls are due.
+    """Find the pressure of each particle as :func:`meet` does, and list the particles whose walls are due.
 
-    On a GPU a warp waits for the slowest of its threads, and walls cost most: few particles are due at a time, and
-    :func:`renew` finds the walls of them side by side.
+    A warp of a GPU waits for its slowest thread, and walls cost most. Few particles are due at a time; :func:`renew`
+    finds their walls side by side.
     """
     env, i = wp.tid()
     if is_due(f, links, felt, env, i, h, most, 0):
@@ -247,10 +247,9 @@ def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most:
     way = x - f.searched[env, i]
     # Not a number is never less, so that what has diverged is searched for as well. What moves together keeps its
     # neighbours, but a wall may come between them: after a spacing it is looked for again.
-    if (
-        not wp.max(wp.length_sq(way - f.carried[env]) / (most * most), wp.length_sq(way) / (f.spacing * f.spacing))
-        < 1.0
-    ):
+    parted = wp.length_sq(way - f.carried[env]) / (most * most)
+    gone = wp.length_sq(way) / (f.spacing * f.spacing)
+    if not wp.max(parted, gone) < 1.0:
         f.stale[env] = 1
     pressed = (s - 1.0) * f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
     if pressed < 0.0:
@@ -567,7 +566,7 @@ def flow_one(
 
 @wp.kernel(enable_backward=False)
 def move(f: Fluid, links: Links, shapes: Shapes, felt: Felt, h: float, share: float, lanes: int):
-    """Take particles to the end of the substep, past no wall, by ``lanes`` for each environment."""
+    """Take particles to the end of the substep, past no wall, by ``lanes`` threads for each environment."""
     env, lane = wp.tid()
     for i in range(lane, f.x.shape[1], lanes):
         move_one(f, links, shapes, felt, h, share, env, i)

@@ -33,10 +33,13 @@ class FluidPart:
         self._model = model
         self._n, self._p = memory["fluid_s"].shape
         self._fluid = self._make_fluid(memory)
-        self._lanes = 1 if self._fluid.x.device.is_cpu else self._p
-        """Launch threads for each environment of what a thread does for each particle on a GPU."""
-        self._is_wide = not self._fluid.x.device.is_cpu
-        """Whether a search takes no notice of what moves together, and walls that are due are found side by side."""
+        is_cpu = self._fluid.x.device.is_cpu
+        self._lanes = 1 if is_cpu else self._p
+        """Threads for each environment of kernels that a GPU launches for each particle."""
+        self._blocks = (self._n, 1 if is_cpu else BLOCK)
+        """Threads of kernels of which a block takes an environment; a CPU's blocks have one thread."""
+        self._is_wide = not is_cpu
+        """True to launch as for a GPU: search nothing again that moves as one, and find due walls side by side."""
         self._particles = self._make_particles()
         self._felt = self._make_felt(felt)
 
@@ -122,30 +125,28 @@ class FluidPart:
 
         Walls are found again for all particles in the ``first`` substep of a physics step.
         """
-        f, shape = self._fluid, (self._n, self._lanes)
+        f = self._fluid
         f.stale.zero_()
         # Two that come from half of the skin each are just within the kernel's reach.
         most = 0.5 * self._skin
-        # A block of threads takes an environment; a CPU's blocks have one thread.
-        blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
         if self._is_wide:
-            wp.launch(kernels.carry, blocks, inputs=[f], block_dim=BLOCK)
+            wp.launch(kernels.carry, self._blocks, inputs=[f], block_dim=BLOCK)
         if first or not self._is_wide:
             inputs = [f, links, shapes, self._felt, gravity, h, most, int(first), self._lanes]
-            wp.launch(kernels.meet, shape, inputs=inputs)
+            wp.launch(kernels.meet, (self._n, self._lanes), inputs=inputs)
         else:
             f.dues.zero_()
             wp.launch(kernels.approach, (self._n, self._p), inputs=[f, links, self._felt, h, most])
-            wp.launch(kernels.renew, blocks, inputs=[f, links, shapes, self._felt, gravity, h], block_dim=BLOCK)
+            inputs = [f, links, shapes, self._felt, gravity, h]
+            wp.launch(kernels.renew, self._blocks, inputs=inputs, block_dim=BLOCK)
         self._launch_search(renewed=1)
         inputs = [f, links, shapes, self._felt, gravity, h, share]
-        wp.launch(kernels.push, blocks, inputs=inputs, block_dim=BLOCK)
+        wp.launch(kernels.push, self._blocks, inputs=inputs, block_dim=BLOCK)
 
     def launch_flow(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
         """End the substep: let particles flow, against links that have answered the push."""
         f = self._fluid
-        blocks = (self._n, 1 if f.x.device.is_cpu else BLOCK)
-        wp.launch(kernels.flow, blocks, inputs=[f, links, shapes, gravity, h], block_dim=BLOCK)
+        wp.launch(kernels.flow, self._blocks, inputs=[f, links, shapes, gravity, h], block_dim=BLOCK)
         inputs = [f, links, shapes, self._felt, h, share, self._lanes]
         wp.launch(kernels.move, (self._n, self._lanes), inputs=inputs)
 

@@ -45,7 +45,7 @@ def clear(f: Fluid):
 def note(f: Fluid, renewed: int, lanes: int):
     """Note where particles are that are searched, and their walls where they are ``renewed``.
 
-    As many ``lanes`` take an environment.
+    Each environment has ``lanes`` threads.
     """
     env, lane = wp.tid()
     if f.stale[env] == 1:
