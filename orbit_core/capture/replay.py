@@ -82,17 +82,23 @@ def _on_gpu(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequen
 
 
 def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callable[..., Sequence[Tensor]]:
+    from torch._guards import TracingContext, tracing
     from torch._inductor import config
     from torch._inductor.compile_fx import compile_fx_inner
     from torch._inductor.decomposition import select_decomp_table
+    from torch._subclasses import FakeTensorMode
     from torch.fx.experimental.proxy_tensor import make_fx
+    from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
     functional = torch.func.functionalize(graph, remove="mutations")
-    pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*inputs)
+    # Inductor takes code from its cache on disk only within a context whose tensors have shapes alone.
+    shapes = FakeTensorMode(shape_env=ShapeEnv(), static_shapes=True, allow_non_fake_inputs=True)
+    fakes = [shapes.from_tensor(tensor) for tensor in inputs]
+    pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*fakes)
     # Threads cost more than they save on a step's small tensors, and the engine needs the cores. Sizes never change.
-    with config.patch({"cpp.threads": 1, "size_asserts": False}):
+    with tracing(TracingContext(shapes)), config.patch({"cpp.threads": 1, "size_asserts": False}):
         # The inner entry point: the outer one wraps the code in guards that cost more than the kernels.
-        code: Any = compile_fx_inner(pure, list(inputs))
+        code: Any = compile_fx_inner(pure, fakes)
     call = code.current_callable
     return (_launches(call, inputs) if fixed else None) or (lambda *tensors: call(list(tensors)))
 
