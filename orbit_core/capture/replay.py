@@ -7,7 +7,7 @@ import types
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 from torch import Tensor, fx
@@ -16,6 +16,9 @@ from orbit_core.capture.python_state import PythonState, frozen_by_trace
 from orbit_core.capture.trace import CapturedTrace, NotTraceable, Tracer
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.interfaces.capture import Schedule
+
+if TYPE_CHECKING:
+    from torch._subclasses import FakeTensorMode
 
 # Compiling a traced step with torch's inductor: many small operations become a few loops ------------------------------
 
@@ -78,25 +81,33 @@ def _on_gpu(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequen
         if "device" in node.kwargs:
             node.kwargs = {**node.kwargs, "device": device}
     graph.recompile()
-    return inductor.compile(graph, list(inputs))  # pyright: ignore[reportReturnType]
+    with _fixed_shapes():
+        return inductor.compile(graph, list(inputs))  # pyright: ignore[reportReturnType]
+
+
+@contextmanager
+def _fixed_shapes() -> Iterator[FakeTensorMode]:
+    """Tell inductor that shapes never change: otherwise it passes over its cache of code on disk."""
+    from torch._guards import TracingContext, tracing
+    from torch._subclasses import FakeTensorMode
+    from torch.fx.experimental.symbolic_shapes import ShapeEnv
+
+    shapes = FakeTensorMode(shape_env=ShapeEnv(), static_shapes=True, allow_non_fake_inputs=True)
+    with tracing(TracingContext(shapes)):
+        yield shapes
 
 
 def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callable[..., Sequence[Tensor]]:
-    from torch._guards import TracingContext, tracing
     from torch._inductor import config
     from torch._inductor.compile_fx import compile_fx_inner
     from torch._inductor.decomposition import select_decomp_table
-    from torch._subclasses import FakeTensorMode
     from torch.fx.experimental.proxy_tensor import make_fx
-    from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
     functional = torch.func.functionalize(graph, remove="mutations")
-    # Inductor takes code from its cache on disk only within a context whose tensors have shapes alone.
-    shapes = FakeTensorMode(shape_env=ShapeEnv(), static_shapes=True, allow_non_fake_inputs=True)
-    fakes = [shapes.from_tensor(tensor) for tensor in inputs]
-    pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*fakes)
     # Threads cost more than they save on a step's small tensors, and the engine needs the cores. Sizes never change.
-    with tracing(TracingContext(shapes)), config.patch({"cpp.threads": 1, "size_asserts": False}):
+    with _fixed_shapes() as shapes, config.patch({"cpp.threads": 1, "size_asserts": False}):
+        fakes = [shapes.from_tensor(tensor) for tensor in inputs]
+        pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*fakes)
         # The inner entry point: the outer one wraps the code in guards that cost more than the kernels.
         code: Any = compile_fx_inner(pure, fakes)
     call = code.current_callable
