@@ -7,7 +7,7 @@ import types
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, fx
@@ -16,9 +16,6 @@ from orbit_core.capture.python_state import PythonState, frozen_by_trace
 from orbit_core.capture.trace import CapturedTrace, NotTraceable, Tracer
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.interfaces.capture import Schedule
-
-if TYPE_CHECKING:
-    from torch._subclasses import FakeTensorMode
 
 # Compiling a traced step with torch's inductor: many small operations become a few loops ------------------------------
 
@@ -99,6 +96,7 @@ def _by_inductor(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., S
 
 
 def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callable[..., Sequence[Tensor]]:
+    from torch._guards import TracingContext, tracing
     from torch._inductor import config
     from torch._inductor.compile_fx import compile_fx_inner
     from torch._inductor.decomposition import select_decomp_table
