@@ -68,8 +68,8 @@ def compiled(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callab
         ) from error
 
 
-def _shapes_of(inputs: list[Tensor]) -> tuple[Any, list[Tensor]]:
-    """Return a mode and stand-ins of tensors in it, which have shapes alone: only of those inductor caches code on disk."""
+def _shapes_of(inputs: list[Tensor]) -> tuple[Any, list[Any]]:
+    """Return a mode, and stand-ins in it with shapes alone: only for those does inductor look code up on disk."""
     from torch._subclasses import FakeTensorMode
     from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
