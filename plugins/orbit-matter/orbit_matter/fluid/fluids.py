@@ -21,6 +21,11 @@ SKIN = 0.2
 """Spacings by which neighbours are searched further than the kernel reaches."""
 SKIN_OF_GPU = 0.3
 """The same on a GPU, where a search costs more than a pass over neighbours; 0.4 and 0.2 made 1 and 10 % fewer steps."""
+PASSED = 0.5
+"""Spacings that all particles may move together before all are searched for: by then a wall may be between two. Those
+that a CPU searched for on the way have gone twice of it at most since then."""
+PASSED_OF_GPU = 1.0
+"""The same on a GPU, which always searches for all."""
 NEIGHBOURS = 160
 """Most that one particle has."""
 ROUGHNESS = 0.004
@@ -169,6 +174,7 @@ class Fluids:
             "fluid_s": torch.ones(num_envs, count, **make),
             "fluid_packed": torch.zeros(num_envs, count, **make),
             "fluid_searched": torch.full((num_envs, count, 3), NOWHERE, **make),
+            "fluid_carried": torch.zeros(num_envs, 3, **make),
             "fluid_shielded": torch.zeros(num_envs, count, WALLS, 4, **make),
         }
 

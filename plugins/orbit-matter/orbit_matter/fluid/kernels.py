@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_matter.block import BOUNDS, any_in_warp, sum_of_block
+from orbit_matter.block import BLOCK, BOUNDS, any_in_warp, sum_of_block
 from orbit_matter.contact import NEAREST, Felt, carried, feel, feel_together, surface
 from orbit_matter.fluid.pairs import diverged_from, keep, pressed_by
 from orbit_matter.fluid.walls import (
@@ -53,7 +53,7 @@ BLOW = wp.constant(3.0)
 """Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
 broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
 SOFT = wp.constant(0.01)
-"""Squares of the smoothing length that keep the shock of a particle, or of a cell, at the same place finite."""
+"""Squares of the smoothing length that keep the shock of a cell at a particle's place finite."""
 STAYED = wp.constant(0.01)
 """Spacings that a particle may move along the shapes near it within a physics step and keep its walls."""
 SHALLOW = wp.constant(0.25)
@@ -70,6 +70,9 @@ INNER = wp.constant(0.17)
 the spacing."""
 GENTLE = wp.constant(0.01)
 """m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
+
+BOUNDS_OF_WALLS = (BLOCK, 4)
+"""Bounds of the kernel that finds walls side by side: with 4 blocks on a multiprocessor it spills registers."""
 
 Others = wp.types.vector(length=2, dtype=int)
 Planes = wp.types.matrix(shape=(2, 4), dtype=float)
@@ -130,11 +133,13 @@ class Fluid:
     count: wp.array2d[int]
     """(N, P) how many of them there are, a multiple of LANES."""
     searched: wp.array2d[wp.vec3]
-    """(N, P) where particles were at the last search; on a CPU each at its own."""
+    """(N, P) where particles were at the last search; on a CPU each at its own, less ``carried`` at that time."""
     stale: wp.array[int]
     """(N,) 1 where a search is due."""
     carried: wp.array[wp.vec3]
-    """(N,) m that all particles have moved in the mean since the last search, where that is known, and else zero."""
+    """(N,) m that all particles have moved in the mean since the last search for all of them."""
+    passed: float
+    """m that all particles may move together and keep their neighbours: a wall may come between them."""
     guarded: wp.array2d[int]
     """(N, P) how many walls particles had at the last search."""
     columns: wp.array3d[float]
@@ -195,17 +200,15 @@ def find_inside(f: Fluid, links: Links, shapes: Shapes, found: wp.array2d[int]):
 @wp.kernel(enable_backward=False)
 def meet(
     f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float, first: int,
-    lanes: int,
 ):  # fmt: skip
     """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search.
 
-    But for the ``first`` substep of a physics step, particles that stay where they were keep their walls. Each
-    environment has ``lanes`` threads: on a CPU one, as a launch thread costs some 35 ns there.
+    But for the ``first`` substep of a physics step, particles that stay where they were keep their walls.
     """
-    env, lane = wp.tid()
-    for i in range(lane, f.x.shape[1], lanes):
-        if is_due(f, links, felt, env, i, h, most, first):
-            renew_walls(f, links, shapes, felt, gravity, h, env, i)
+    env, i = wp.tid()
+    if is_due(f, links, felt, env, i, h, most, first):
+        f.due[env, i] = i
+        renew_walls(f, links, shapes, felt, gravity, h, env, i, i + 1, 1)
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
@@ -221,34 +224,47 @@ def carry(f: Fluid):
 
 
 @wp.kernel(enable_backward=False)
-def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float):
+def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float, first: int, lanes: int):
     """Find the pressure of each particle as :func:`meet` does, and list the particles whose walls are due.
 
     A warp of a GPU waits for its slowest thread, and walls cost most. Few particles are due at a time; :func:`renew`
-    finds their walls side by side.
+    finds their walls side by side. Each environment has ``lanes`` threads: on a CPU one, as a launch thread costs some
+    35 ns there.
     """
-    env, i = wp.tid()
-    if is_due(f, links, felt, env, i, h, most, 0):
-        f.due[env, wp.atomic_add(f.dues, env, 1)] = i
+    env, lane = wp.tid()
+    for i in range(lane, f.x.shape[1], lanes):
+        if is_due(f, links, felt, env, i, h, most, first):
+            f.due[env, wp.atomic_add(f.dues, env, 1)] = i
 
 
-@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
+@wp.kernel(enable_backward=False)
+def carry_on(f: Fluid, h: float):
+    """Add what all particles moved in the mean in the last substep to :func:`carry`'s, where each has its own search.
+
+    Any motion would do in its place that all particles of an environment are told to have in common.
+    """
+    env = wp.tid()
+    whole = wp.vec3()
+    for i in range(f.v.shape[1]):
+        whole += f.v[env, i]
+    f.carried[env] = f.carried[env] + whole * (h / float(f.v.shape[1]))
+
+
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS_OF_WALLS)
 def renew(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float):
     """Find the walls of the particles that are due."""
     env, lane = wp.tid()
-    for k in range(lane, f.dues[env], wp.block_dim()):
-        renew_walls(f, links, shapes, felt, gravity, h, env, f.due[env, k])
+    renew_walls(f, links, shapes, felt, gravity, h, env, lane, f.dues[env], wp.block_dim())
 
 
 @wp.func
 def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most: float, first: int) -> bool:
     """Write the rows of a particle that its neighbours read, and return True if its walls are to be found again."""
-    x, s = f.x[env, i], f.s[env, i]
-    way = x - f.searched[env, i]
+    x, s, together = f.x[env, i], f.s[env, i], f.carried[env]
     # Not a number is never less, so that what has diverged is searched for as well. What moves together keeps its
-    # neighbours, but a wall may come between them: after a spacing it is looked for again.
-    parted = wp.length_sq(way - f.carried[env]) / (most * most)
-    gone = wp.length_sq(way) / (f.spacing * f.spacing)
+    # neighbours, but a wall may come between them.
+    parted = wp.length_sq(x - f.searched[env, i] - together) / (most * most)
+    gone = wp.length_sq(together) / (f.passed * f.passed)
     if not wp.max(parted, gone) < 1.0:
         f.stale[env] = 1
     pressed = (s - 1.0) * f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
@@ -270,19 +286,26 @@ def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most:
 
 @wp.func
 def renew_walls(
-    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, env: int, i: int
-):
-    """Find the walls of a particle, and what they give."""
-    kind, x, row = env % shapes.kind.shape[0], f.x[env, i], f.motion[env, i]
-    count = find_walls(f, links, shapes, felt, env, i, kind, x)
-    # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
-    weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
-    held = wp.clamp(row[3] / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
-    filled = float(0.0)
-    for k in range(count):
-        filled += fill(f, links, shapes, env, i, k, count, x, velocity_of(row), gravity[env] * held, h)
-    f.filled[env, i] = filled
-    f.walls[env, i] = count
+    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, env: int, begin: int,
+    end: int, step: int,
+):  # fmt: skip
+    """Find the walls, and what they give, of every ``step``-th particle that is due from ``begin`` on.
+
+    The loop is in here, as a CPU copies 8 KiB of arguments for each call.
+    """
+    kind = env % shapes.kind.shape[0]
+    for n in range(begin, end, step):
+        i = f.due[env, n]
+        x, row = f.x[env, i], f.motion[env, i]
+        count = find_walls(f, links, shapes, felt, env, i, kind, x)
+        # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
+        weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
+        held = wp.clamp(row[3] / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
+        filled = float(0.0)
+        for k in range(count):
+            filled += fill(f, links, shapes, env, i, k, count, x, velocity_of(row), gravity[env] * held, h)
+        f.filled[env, i] = filled
+        f.walls[env, i] = count
 
 
 @wp.func
@@ -498,9 +521,8 @@ def push_one(
     own, half = f.motion[env, i][3], 0.5 / f.length
     scale = f.parameters[env, owner, 0]
     density, viscosity = f.rest_density[i] * scale * f.s[env, i], f.viscosity[i]
-    soft, shock = SOFT * f.length * f.length, density * SHOCK
-    fastest = STRUCK * f.spacing / h
-    found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock, fastest)
+    shock, fastest = density * SHOCK * f.length * f.length, STRUCK * f.spacing / (h * f.length)
+    found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, shock, fastest)
     pressing, rubbing = wp.vec3(found[0], found[1], found[2]), wp.vec3(found[3], found[4], found[5])
     # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)
     a = pressing * (f.slope / density) + rubbing * (2.0 * f.slope * (f.rough + viscosity / density))
