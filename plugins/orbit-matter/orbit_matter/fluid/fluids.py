@@ -38,6 +38,10 @@ COUNTED = 1.003
 """Times what packing is counted: a liquid of six layers is compressed by its weight, by 0.4 % in the mean."""
 NOWHERE = 1e9
 """Metres; where particles are taken to have been that were not searched yet."""
+STAYED = 0.01
+"""Spacings that a particle may move along the shapes near it and keep its walls."""
+KEPT = 24
+"""Substeps that a particle keeps its walls at most, for what else they depend on: its pressure, and gravity."""
 WALLS = 6
 """Most walls that act on a particle at a time: in a narrow vessel all of its sides do."""
 MACH = 6.0
@@ -153,13 +157,22 @@ def _check_apart(first: Fluid, second: Fluid) -> None:
 
 
 class Fluids:
-    """State of the liquids of N environments."""
+    """State of the liquids of N environments.
 
-    def __init__(self, scene: Scene, num_envs: int, device: torch.device) -> None:
+    Args:
+        scene: that they are in.
+        num_envs: N.
+        device: of their memory.
+        shapes: that an environment has.
+    """
+
+    def __init__(self, scene: Scene, num_envs: int, device: torch.device, shapes: int) -> None:
         self.model = build(scene)
         """Particles and materials, or None if the scene has no liquid."""
         self.tensors: dict[str, Tensor] = {}
         """State; snapshots hold it, and kernels its memory."""
+        self.walls: dict[str, Tensor] = {}
+        """What particles know of walls; a CPU keeps it from one physics step to the next, so that it is state there."""
         self._index: dict[int, slice] = {}
         if self.model is None:
             return
@@ -177,6 +190,19 @@ class Fluids:
             "fluid_carried": torch.zeros(num_envs, 3, **make),
             "fluid_shielded": torch.zeros(num_envs, count, WALLS, 4, **make),
         }
+        whole = {"dtype": torch.int32, "device": device}
+        self.walls = {
+            "fluid_drift": torch.full((num_envs, count), NOWHERE, **make),
+            "fluid_filled": torch.zeros(num_envs, count, **make),
+            "fluid_walls": torch.zeros(num_envs, count, **whole),
+            "fluid_shape": torch.zeros(num_envs, count, WALLS, **whole),
+            "fluid_plane": torch.zeros(num_envs, count, WALLS, 4, **make),
+            "fluid_given": torch.zeros(num_envs, count, WALLS, 3, **make),
+            "fluid_pull": torch.zeros(num_envs, count, WALLS, 3, **make),
+            "fluid_left": torch.zeros(num_envs, shapes, 7, **make),
+        }
+        if device.type == "cpu":
+            self.tensors |= self.walls
 
     def has(self, deformable: int) -> bool:
         """Return True if a deformable of the scene is a liquid."""
@@ -197,6 +223,7 @@ class Fluids:
         write_rows(self.tensors["fluid_v"][:, columns], velocities, env_ids)
         write_rows(self.tensors["fluid_s"][:, columns], 1.0, env_ids)
         write_rows(self.tensors["fluid_searched"], NOWHERE, env_ids)
+        write_rows(self.walls["fluid_drift"], NOWHERE, env_ids)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Put liquids where the scene has them, at rest."""
@@ -207,6 +234,7 @@ class Fluids:
         write_rows(self.tensors["fluid_v"], 0.0, env_ids)
         write_rows(self.tensors["fluid_s"], 1.0, env_ids)
         write_rows(self.tensors["fluid_searched"], NOWHERE, env_ids)
+        write_rows(self.walls["fluid_drift"], NOWHERE, env_ids)
 
     def diverged(self, deformable: int) -> Tensor:
         """Return (N,) bool: where a liquid is beyond the bounds of matter."""

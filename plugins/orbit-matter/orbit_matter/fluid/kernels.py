@@ -17,7 +17,8 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.block import BLOCK, BOUNDS, any_in_warp, sum_of_block
-from orbit_matter.contact import NEAREST, Felt, carried, feel, feel_together, surface
+from orbit_matter.contact import NEAREST, Felt, carried, carried_by, feel, feel_together, surface
+from orbit_matter.fluid import fluids
 from orbit_matter.fluid.pairs import diverged_from, keep, pressed_by
 from orbit_matter.fluid.walls import (
     Filled,
@@ -29,7 +30,7 @@ from orbit_matter.fluid.walls import (
     layers_behind,
     layers_of_box,
 )
-from orbit_matter.kernels import Links
+from orbit_matter.kernels import Links, turn_between
 from orbit_matter.surfaces import BOX, PLANE, Shapes
 
 PROBE = wp.constant(0.1)
@@ -54,8 +55,6 @@ BLOW = wp.constant(3.0)
 broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
 SOFT = wp.constant(0.01)
 """Squares of the smoothing length that keep the shock of a cell at a particle's place finite."""
-STAYED = wp.constant(0.01)
-"""Spacings that a particle may move along the shapes near it within a physics step and keep its walls."""
 SHALLOW = wp.constant(0.25)
 """Spacings of depth whose pressure a particle has at least that rests on others: half of one at a surface."""
 STRUCK = wp.constant(0.4)
@@ -71,6 +70,7 @@ the spacing."""
 GENTLE = wp.constant(0.01)
 """m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
 
+KEPT = wp.constant(fluids.KEPT)
 BOUNDS_OF_WALLS = (BLOCK, 4)
 """Bounds of the kernel that finds walls side by side: with 4 blocks on a multiprocessor it spills registers."""
 
@@ -122,6 +122,14 @@ class Fluid:
     """(N, P, W) m/s^2 from a wall whose cells are deeper or higher, or that comes near fast."""
     drift: wp.array2d[float]
     """(N, P) m that particles have moved at most against the shapes near them since their walls were found."""
+    stayed: float
+    """m of it up to which they keep their walls."""
+    left: wp.array2d[wp.transform]
+    """(N, S) where shapes were in the last substep, when drifts were found."""
+    way: wp.array2d[wp.vec3]
+    """(N, S) m that shapes' origins have gone since then."""
+    turn: wp.array2d[wp.quat]
+    """(N, S) by which they have turned since then."""
     due: wp.array2d[int]
     """(N, P) particles whose walls are to be found again, in any order."""
     dues: wp.array[int]
@@ -199,16 +207,14 @@ def find_inside(f: Fluid, links: Links, shapes: Shapes, found: wp.array2d[int]):
 
 @wp.kernel(enable_backward=False)
 def meet(
-    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float, first: int,
+    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float,
 ):  # fmt: skip
-    """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search.
-
-    But for the ``first`` substep of a physics step, particles that stay where they were keep their walls.
-    """
+    """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search."""
     env, i = wp.tid()
-    if is_due(f, links, felt, env, i, h, most, first):
-        f.due[env, i] = i
-        renew_walls(f, links, shapes, felt, gravity, h, env, i, i + 1, 1)
+    note_state(f, env, i, most)
+    f.drift[env, i] = 0.0
+    f.due[env, i] = i
+    renew_walls(f, links, shapes, felt, gravity, h, env, i, i + 1, 1)
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
@@ -224,17 +230,28 @@ def carry(f: Fluid):
 
 
 @wp.kernel(enable_backward=False)
-def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float, first: int, lanes: int):
+def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float, lanes: int):
     """Find the pressure of each particle as :func:`meet` does, and list the particles whose walls are due.
 
-    A warp of a GPU waits for its slowest thread, and walls cost most. Few particles are due at a time; :func:`renew`
+    Particles that stay where they were keep their walls. A warp of a GPU waits for its slowest thread, and walls cost most. Few particles are due at a time; :func:`renew`
     finds their walls side by side. Each environment has ``lanes`` threads: on a CPU one, as a launch thread costs some
     35 ns there.
     """
     env, lane = wp.tid()
     for i in range(lane, f.x.shape[1], lanes):
-        if is_due(f, links, felt, env, i, h, most, first):
+        note_state(f, env, i, most)
+        if is_due(f, links, felt, env, i, h):
             f.due[env, wp.atomic_add(f.dues, env, 1)] = i
+
+
+@wp.kernel(enable_backward=False)
+def leave(f: Fluid, links: Links):
+    """Find how shapes have moved since the last substep, between two physics steps as well."""
+    env, s = wp.tid()
+    before, now = f.left[env, s], links.shape[env, s]
+    f.way[env, s] = wp.transform_get_translation(now) - wp.transform_get_translation(before)
+    f.turn[env, s] = turn_between(wp.transform_get_rotation(before), wp.transform_get_rotation(now))
+    f.left[env, s] = now
 
 
 @wp.kernel(enable_backward=False)
@@ -258,8 +275,8 @@ def renew(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[
 
 
 @wp.func
-def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most: float, first: int) -> bool:
-    """Write the rows of a particle that its neighbours read, and return True if its walls are to be found again."""
+def note_state(f: Fluid, env: int, i: int, most: float):
+    """Write the rows of a particle that its neighbours read, and whether a search is due."""
     x, s, together = f.x[env, i], f.s[env, i], f.carried[env]
     # Not a number is never less, so that what has diverged is searched for as well. What moves together keeps its
     # neighbours, but a wall may come between them.
@@ -274,10 +291,22 @@ def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most:
     v = f.v[env, i]
     f.place[env, i] = wp.vec4(x[0], x[1], x[2], f.volume / s)
     f.motion[env, i] = wp.vec4(v[0], v[1], v[2], pressed)
-    drift = float(0.0)
-    if first == 0:
-        drift = f.drift[env, i] + drift_of(f, links, felt, env, i, x, v * h)
-    due = first == 1 or not drift < STAYED * f.spacing
+
+
+@wp.func
+def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float) -> bool:
+    """Return True if a particle's walls are to be found again."""
+    farthest, m, x, way = float(0.0), int(0), f.x[env, i], f.v[env, i] * h
+    while m < NEAREST:
+        shape = felt.near[env, i, m]
+        m += 1
+        if shape < 0:
+            m = NEAREST
+        else:
+            arm = x - wp.transform_get_translation(f.left[env, shape])
+            farthest = wp.max(farthest, wp.length_sq(way - carried_by(f.way[env, shape], f.turn[env, shape], arm)))
+    drift = f.drift[env, i] + wp.sqrt(farthest) + f.stayed / float(KEPT)
+    due = not drift < f.stayed
     if due:
         drift = 0.0
     f.drift[env, i] = drift
@@ -306,20 +335,6 @@ def renew_walls(
             filled += fill(f, links, shapes, env, i, k, count, x, velocity_of(row), gravity[env] * held, h)
         f.filled[env, i] = filled
         f.walls[env, i] = count
-
-
-@wp.func
-def drift_of(f: Fluid, links: Links, felt: Felt, env: int, i: int, x: wp.vec3, way: wp.vec3) -> float:
-    """Return how far a particle that moved a way has gone in a substep along a shape that is near, at most."""
-    farthest, m = float(0.0), int(0)
-    while m < NEAREST:
-        shape = felt.near[env, i, m]
-        m += 1
-        if shape < 0:
-            m = NEAREST
-        else:
-            farthest = wp.max(farthest, wp.length_sq(way - carried(links, env, shape, x)))
-    return wp.sqrt(farthest)
 
 
 @wp.func

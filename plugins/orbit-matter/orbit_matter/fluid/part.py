@@ -60,12 +60,14 @@ class FluidPart:
         made.rest_density, made.viscosity = wp.array(model.densities), wp.array(model.viscosities)
         made.owner = wp.array(model.owners, dtype=int)
         walls = (*shape, fluids.WALLS)
-        made.plane, made.filled = wp.zeros(walls, dtype=wp.vec4), wp.zeros(shape, dtype=float)
-        made.drift = wp.zeros(shape, dtype=float)
+        made.plane, made.filled = wp.from_torch(memory["fluid_plane"], wp.vec4), wp.from_torch(memory["fluid_filled"])
+        made.drift, made.stayed = wp.from_torch(memory["fluid_drift"]), fluids.STAYED * model.spacing
+        made.left = wp.from_torch(memory["fluid_left"], wp.transform)
+        made.way, made.turn = wp.zeros(made.left.shape, dtype=wp.vec3), wp.zeros(made.left.shape, dtype=wp.quat)
         made.due, made.dues = wp.zeros(shape, dtype=int), wp.zeros(self._n, dtype=int)
-        made.given, made.pull = wp.zeros(walls, dtype=wp.vec3), wp.zeros(walls, dtype=wp.vec3)
-        made.shape, made.facing = wp.zeros(walls, dtype=int), wp.zeros(walls, dtype=int)
-        made.walls = wp.zeros(shape, dtype=int)
+        made.given, made.pull = (wp.from_torch(memory[f"fluid_{name}"], wp.vec3) for name in ("given", "pull"))
+        made.shape, made.walls = wp.from_torch(memory["fluid_shape"]), wp.from_torch(memory["fluid_walls"])
+        made.facing = wp.zeros(walls, dtype=int)
         made.searched = wp.from_torch(memory["fluid_searched"], wp.vec3)
         made.shielded = wp.from_torch(memory["fluid_shielded"], wp.vec4)
         made.carried = wp.from_torch(memory["fluid_carried"], wp.vec3)
@@ -127,7 +129,7 @@ class FluidPart:
     def launch_push(self, links: Any, shapes: Any, gravity: Any, h: float, share: float, first: bool) -> None:
         """Begin a substep, a ``share`` of a physics step, against links at its end: find what presses, and on what.
 
-        Walls are found again for all particles in the ``first`` substep of a physics step.
+        On a GPU walls are found again for all particles in the ``first`` substep of a physics step.
         """
         f = self._fluid
         f.stale.zero_()
@@ -137,12 +139,13 @@ class FluidPart:
             wp.launch(kernels.carry, self._blocks, inputs=[f], block_dim=BLOCK)
         else:
             wp.launch(kernels.carry_on, self._n, inputs=[f, h])
+        wp.launch(kernels.leave, f.left.shape, inputs=[f, links])
         if first and self._is_wide:
-            inputs = [f, links, shapes, self._felt, gravity, h, most, int(first)]
+            inputs = [f, links, shapes, self._felt, gravity, h, most]
             wp.launch(kernels.meet, (self._n, self._p), inputs=inputs)
         else:
             f.dues.zero_()
-            inputs = [f, links, self._felt, h, most, int(first), self._lanes]
+            inputs = [f, links, self._felt, h, most, self._lanes]
             wp.launch(kernels.approach, (self._n, self._lanes), inputs=inputs)
             inputs = [f, links, shapes, self._felt, gravity, h]
             wp.launch(kernels.renew, self._blocks, inputs=inputs, block_dim=BLOCK)
