@@ -217,6 +217,15 @@ def meet(
     renew_walls(f, links, shapes, felt, gravity, h, env, i, i + 1, 1)
 
 
+@wp.func
+def end_carry(f: Fluid, env: int, carried: wp.vec3):
+    """Note how far all particles have moved, and search anew where a wall may have come between some."""
+    f.carried[env] = carried
+    # Not a number is never less, so that what has diverged is searched for as well.
+    if not wp.length_sq(carried) < f.passed * f.passed:
+        f.stale[env] = 1
+
+
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
 def carry(f: Fluid):
     """Find how far all particles have moved in the mean since the last search."""
@@ -226,7 +235,7 @@ def carry(f: Fluid):
         whole += f.x[env, i] - f.searched[env, i]
     x, y, z = sum_of_block(whole[0]), sum_of_block(whole[1]), sum_of_block(whole[2])
     if lane == 0:
-        f.carried[env] = wp.vec3(x, y, z) / float(f.x.shape[1])
+        end_carry(f, env, wp.vec3(x, y, z) / float(f.x.shape[1]))
 
 
 @wp.kernel(enable_backward=False)
@@ -264,7 +273,7 @@ def carry_on(f: Fluid, h: float):
     whole = wp.vec3()
     for i in range(f.v.shape[1]):
         whole += f.v[env, i]
-    f.carried[env] = f.carried[env] + whole * (h / float(f.v.shape[1]))
+    end_carry(f, env, f.carried[env] + whole * (h / float(f.v.shape[1])))
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS_OF_WALLS)
@@ -277,12 +286,8 @@ def renew(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[
 @wp.func
 def note_state(f: Fluid, env: int, i: int, most: float):
     """Write the rows of a particle that its neighbours read, and whether a search is due."""
-    x, s, together = f.x[env, i], f.s[env, i], f.carried[env]
-    # Not a number is never less, so that what has diverged is searched for as well. What moves together keeps its
-    # neighbours, but a wall may come between them.
-    parted = wp.length_sq(x - f.searched[env, i] - together) / (most * most)
-    gone = wp.length_sq(together) / (f.passed * f.passed)
-    if not wp.max(parted, gone) < 1.0:
+    x, s = f.x[env, i], f.s[env, i]
+    if not wp.length_sq(x - f.searched[env, i] - f.carried[env]) < most * most:
         f.stale[env] = 1
     pressed = (s - 1.0) * f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
     if pressed < 0.0:

@@ -179,8 +179,13 @@ _NEARBY = """
         const Lanes a = *reinterpret_cast<const Loaded*>(x + first) - x[i];
         const Lanes b = *reinterpret_cast<const Loaded*>(y + first) - y[i];
         const Lanes c = *reinterpret_cast<const Loaded*>(z + first) - z[i];
-        const Marks near = a * a + b * b + c * c < square;
+        const Lanes apart = __builtin_elementwise_fma(a, a, __builtin_elementwise_fma(b, b, c * c));
+        const Marks near = apart < square;
+#ifdef __AVX__
+        int bits = __builtin_ia32_movmskps256(reinterpret_cast<Lanes>(near));
+#else
         int bits = __builtin_reduce_or(near & Marks{1, 2, 4, 8, 16, 32, 64, 128});
+#endif
         if (bits == 0) continue;
         for (int k = 0; k < walls; ++k) {
             const wp::vec_t<4, wp::float32>& plane = *wp::address(planes, env, i, k);
