@@ -156,7 +156,13 @@ class ParticleMatter(Matter):
         rounds = math.ceil(self._num_envs / self._colliders.kinds)
         count = 1 if self._device.type != "cpu" else min(threads or len(os.sched_getaffinity(0)), rounds)
         bounds = [min(round(rounds * k / count) * self._colliders.kinds, self._num_envs) for k in range(count + 1)]
-        memory = {**self._tensors, **self._fluids.walls, "start": self._start, "end": self._end, "wrenches": self._wrenches}
+        memory = {
+            **self._tensors,
+            **self._fluids.walls,
+            "start": self._start,
+            "end": self._end,
+            "wrenches": self._wrenches,
+        }
         memory["asked"] = self._asked
         memory["free"] = self._free.to(torch.int32).expand(self._num_envs, -1).contiguous()
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}

@@ -411,9 +411,7 @@ class _Arm:
         """Return (N,) whether those phases (N,) of a hand are over after ``elapsed`` seconds (N,)."""
         return self._ends(phase, elapsed, self._errors(phase)[3])
 
-    def _errors(
-        self, phase: Tensor, present: Collection[int] | None = None
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _errors(self, phase: Tensor, present: Collection[int] | None = None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the hand's pose (N, 7), its target (N, 7) in those phases (N,), the way there (N, 6), and the
         distances (N, 2) in m and rad.
 

@@ -40,8 +40,10 @@ NOWHERE = 1e9
 """Metres; where particles are taken to have been that were not searched yet."""
 STAYED = 0.01
 """Spacings that a particle may move along the shapes near it and keep its walls."""
+EASED = 0.1
+"""Part of gravity by which walls may go on with another gradient of the pressure than a particle keeps them with."""
 KEPT = 24
-"""Substeps that a particle keeps its walls at most, for what else they depend on: its pressure, and gravity."""
+"""Substeps that a particle keeps its walls at most."""
 WALLS = 6
 """Most walls that act on a particle at a time: in a narrow vessel all of its sides do."""
 MACH = 6.0
@@ -193,6 +195,7 @@ class Fluids:
         whole = {"dtype": torch.int32, "device": device}
         self.walls = {
             "fluid_drift": torch.full((num_envs, count), NOWHERE, **make),
+            "fluid_held": torch.zeros(num_envs, count, **make),
             "fluid_filled": torch.zeros(num_envs, count, **make),
             "fluid_walls": torch.zeros(num_envs, count, **whole),
             "fluid_shape": torch.zeros(num_envs, count, WALLS, **whole),

@@ -124,6 +124,10 @@ class Fluid:
     """(N, P) m that particles have moved at most against the shapes near them since their walls were found."""
     stayed: float
     """m of it up to which they keep their walls."""
+    held: wp.array2d[float]
+    """(N, P) part of gravity that gave the gradient of the pressure behind walls when they were found."""
+    eased: float
+    """By how much it may differ from that now."""
     left: wp.array2d[wp.transform]
     """(N, S) where shapes were in the last substep, when drifts were found."""
     way: wp.array2d[wp.vec3]
@@ -239,7 +243,7 @@ def carry(f: Fluid):
 
 
 @wp.kernel(enable_backward=False)
-def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float, lanes: int):
+def approach(f: Fluid, links: Links, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float, lanes: int):
     """Find the pressure of each particle as :func:`meet` does, and list the particles whose walls are due.
 
     Particles that stay where they were keep their walls. A warp of a GPU waits for its slowest thread, and walls cost most. Few particles are due at a time; :func:`renew`
@@ -249,7 +253,7 @@ def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float, lanes: i
     env, lane = wp.tid()
     for i in range(lane, f.x.shape[1], lanes):
         note_state(f, env, i, most)
-        if is_due(f, links, felt, env, i, h):
+        if is_due(f, felt, gravity, env, i, h):
             f.due[env, wp.atomic_add(f.dues, env, 1)] = i
 
 
@@ -299,7 +303,15 @@ def note_state(f: Fluid, env: int, i: int, most: float):
 
 
 @wp.func
-def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float) -> bool:
+def held_by(f: Fluid, gravity: wp.array[wp.vec3], env: int, i: int) -> float:
+    """Return the part of gravity that gives the gradient of the pressure behind a particle's walls."""
+    # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
+    weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
+    return wp.clamp(f.motion[env, i][3] / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
+
+
+@wp.func
+def is_due(f: Fluid, felt: Felt, gravity: wp.array[wp.vec3], env: int, i: int, h: float) -> bool:
     """Return True if a particle's walls are to be found again."""
     farthest, m, x, way = float(0.0), int(0), f.x[env, i], f.v[env, i] * h
     while m < NEAREST:
@@ -312,6 +324,8 @@ def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float) -> bo
             farthest = wp.max(farthest, wp.length_sq(way - carried_by(f.way[env, shape], f.turn[env, shape], arm)))
     drift = f.drift[env, i] + wp.sqrt(farthest) + f.stayed / float(KEPT)
     due = not drift < f.stayed
+    if f.walls[env, i] > 0 and wp.abs(held_by(f, gravity, env, i) - f.held[env, i]) > f.eased:
+        due = True
     if due:
         drift = 0.0
     f.drift[env, i] = drift
@@ -332,12 +346,10 @@ def renew_walls(
         i = f.due[env, n]
         x, row = f.x[env, i], f.motion[env, i]
         count = find_walls(f, links, shapes, felt, env, i, kind, x)
-        # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
-        weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
-        held = wp.clamp(row[3] / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
-        filled = float(0.0)
+        held, filled = held_by(f, gravity, env, i), float(0.0)
         for k in range(count):
             filled += fill(f, links, shapes, env, i, k, count, x, velocity_of(row), gravity[env] * held, h)
+        f.held[env, i] = held
         f.filled[env, i] = filled
         f.walls[env, i] = count
 

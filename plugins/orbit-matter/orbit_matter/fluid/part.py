@@ -62,6 +62,7 @@ class FluidPart:
         walls = (*shape, fluids.WALLS)
         made.plane, made.filled = wp.from_torch(memory["fluid_plane"], wp.vec4), wp.from_torch(memory["fluid_filled"])
         made.drift, made.stayed = wp.from_torch(memory["fluid_drift"]), fluids.STAYED * model.spacing
+        made.held, made.eased = wp.from_torch(memory["fluid_held"]), fluids.EASED
         made.left = wp.from_torch(memory["fluid_left"], wp.transform)
         made.way, made.turn = wp.zeros(made.left.shape, dtype=wp.vec3), wp.zeros(made.left.shape, dtype=wp.quat)
         made.due, made.dues = wp.zeros(shape, dtype=int), wp.zeros(self._n, dtype=int)
@@ -145,7 +146,7 @@ class FluidPart:
             wp.launch(kernels.meet, (self._n, self._p), inputs=inputs)
         else:
             f.dues.zero_()
-            inputs = [f, links, self._felt, h, most, self._lanes]
+            inputs = [f, links, self._felt, gravity, h, most, self._lanes]
             wp.launch(kernels.approach, (self._n, self._lanes), inputs=inputs)
             inputs = [f, links, shapes, self._felt, gravity, h]
             wp.launch(kernels.renew, self._blocks, inputs=inputs, block_dim=BLOCK)
