@@ -183,14 +183,12 @@ def test_a_snapshot_of_a_splash_continues_as_the_run_did() -> None:
 def test_liquids_that_move_as_one_past_a_thin_divider_lose_each_other(wide: bool) -> None:
     """Two streams go along a wall 3 mm thick that begins between them, few of whose steps search."""
     fixed = {"mass": 1.0, "fixed_base": True}
-    half, begin, speed = (0.015, 0.05, 0.02), 0.07, 0.3
-    walls = [box("divider", size=(0.003, 0.4, 0.2), pose=Pose((0.0, begin + 0.2, 0.2)), **fixed)]
-    for x in (-0.037, 0.037):
-        walls.append(box(f"side_{x}", size=(0.01, 0.6, 0.2), pose=Pose((x, 0.2, 0.2)), **fixed))
+    half, begin, speed = (0.01, 0.05, 0.02), 0.07, 0.3
+    divider = box("divider", size=(0.003, 0.4, 0.2), pose=Pose((0.0, begin + 0.2, 0.2)), **fixed)
     streams = tuple(
-        Fluid(name, half, pose=Pose((x, 0.0, 0.2)), spacing=0.01) for name, x in (("left", -0.017), ("right", 0.017))
+        Fluid(name, half, pose=Pose((x, 0.0, 0.2)), spacing=0.01) for name, x in (("left", -0.016), ("right", 0.016))
     )
-    scene = Scene(objects=tuple(walls), deformables=streams, gravity=(0.0, 0.0, 0.0))
+    scene = Scene(objects=(divider,), deformables=streams, gravity=(0.0, 0.0, 0.0))
     world = simulate(scene, backend="mujoco", num_envs=1)
     for stream in world.deformables.values():
         velocities = torch.zeros_like(stream.positions)
@@ -205,10 +203,13 @@ def test_liquids_that_move_as_one_past_a_thin_divider_lose_each_other(wide: bool
         searches += int((fluid.searched.numpy() != before).any())
         before, x = fluid.searched.numpy().copy(), fluid.x.numpy()[0]
         met.append([(i, j) for i, row in enumerate(_lists(fluid)[0][:count]) for j in row if count <= j < len(x)])
+        # A wall that has come between two is looked for after a spacing at the latest, and half of it on a CPU.
+        assert np.linalg.norm(fluid.carried.numpy()) < (0.0105 if wide else 0.0055)
         # Behind the wall's edge by more than particles move together between two searches.
         beside = x[:, 1] > begin + 0.013
         assert not any(beside[i] and beside[j] for i, j in met[-1])
         apart = np.linalg.norm(x[:count, None] - x[None, count:], axis=-1)
         near += int(((apart < fluid.cell) & beside[:count, None] & beside[None, count:]).sum())
-    assert met[0] and near > 100, near
-    assert 0 < searches < 50, searches
+    assert met[0]
+    assert near > 1000, near
+    assert 0 < searches < 40, searches

@@ -246,9 +246,9 @@ def carry(f: Fluid):
 def approach(f: Fluid, links: Links, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float, lanes: int):
     """Find the pressure of each particle as :func:`meet` does, and list the particles whose walls are due.
 
-    Particles that stay where they were keep their walls. A warp of a GPU waits for its slowest thread, and walls cost most. Few particles are due at a time; :func:`renew`
-    finds their walls side by side. Each environment has ``lanes`` threads: on a CPU one, as a launch thread costs some
-    35 ns there.
+    Particles that stay where they were keep their walls. A warp of a GPU waits for its slowest thread, and walls cost
+    most. Few particles are due at a time; :func:`renew` finds their walls side by side. Each environment has ``lanes``
+    threads: on a CPU one, as a launch thread costs some 35 ns there.
     """
     env, lane = wp.tid()
     for i in range(lane, f.x.shape[1], lanes):
