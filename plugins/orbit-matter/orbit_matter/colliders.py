@@ -104,7 +104,8 @@ class Colliders:
                 return int(HEIGHT_FIELD), (x, y, 0.0), _ENDLESS, 0, (start, *heights.shape)
             case Mesh() as mesh:
                 reach = float(np.linalg.norm(mesh.vertices, axis=1).max())
-                return int(MESH), (0.0, 0.0, 0.0), reach, self._mesh(mesh), (0, 0, 0)
+                x, y, z = np.abs(mesh.vertices).max(axis=0)
+                return int(MESH), (float(x), float(y), float(z)), reach, self._mesh(mesh), (0, 0, 0)
 
     def _mesh(self, mesh: Mesh) -> int:
         vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)

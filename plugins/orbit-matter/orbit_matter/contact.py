@@ -18,7 +18,7 @@ import warp as wp
 
 from orbit_matter.block import first_in_warp, sum_of_warp
 from orbit_matter.kernels import FREE, Links, Particles, mass_of, pose_between, target
-from orbit_matter.surfaces import HEIGHT_FIELD, PLANE, Shapes, distance
+from orbit_matter.surfaces import HEIGHT_FIELD, MESH, PLANE, Shapes, distance
 
 NEAREST = wp.constant(6)
 """Shapes that one particle may be near at a time; those met first count."""
@@ -84,7 +84,11 @@ def is_near(
         elif shapes.kind[kind, s] != HEIGHT_FIELD:
             # Meshes are searched only within reach: the farther a query may look, the more of the tree it visits.
             gap = reach - shapes.reach[kind, s]  # what both move, and a margin
-            close = distance(shapes, kind, s, local, wp.max(gap, deepest(radius)))[3] < gap
+            if shapes.kind[kind, s] == MESH:
+                out = wp.vec3(wp.abs(local[0]), wp.abs(local[1]), wp.abs(local[2])) - shapes.size[kind, s]
+                close = wp.max(out[0], wp.max(out[1], out[2])) < gap
+            if close:
+                close = distance(shapes, kind, s, local, wp.max(gap, deepest(radius)))[3] < gap
     return close
 
 
@@ -376,7 +380,13 @@ def normal_of(normals: Normals, k: int) -> wp.vec3:
 @wp.func
 def carried(links: Links, env: int, shape: int, x: wp.vec3) -> wp.vec3:
     """Return the displacement in this substep of the point of a shape that is now at x, m."""
-    turn = links.turn[env, shape]
+    arm = x - wp.transform_get_translation(links.shape[env, shape])
+    return carried_by(links.way[env, shape], links.turn[env, shape], arm)
+
+
+@wp.func
+def carried_by(way: wp.vec3, turn: wp.quat, arm: wp.vec3) -> wp.vec3:
+    """Return the displacement of the point of a shape that is at ``arm`` from its origin after it went and turned."""
     v = wp.vec3(turn[0], turn[1], turn[2])
-    across = wp.cross(v, x - wp.transform_get_translation(links.shape[env, shape])) * 2.0
-    return links.way[env, shape] + across * turn[3] - wp.cross(v, across)
+    across = wp.cross(v, arm) * 2.0
+    return way + across * turn[3] - wp.cross(v, across)

@@ -64,7 +64,9 @@ class ParticleMatter(Matter):
         solid = substeps.of_solids(layout.scene, config.substep)
         # Substeps are a multiple of the steps of solids, so that both end together.
         count = max(1, math.ceil(count / solid)) * solid if len(self._model.rest) else solid
-        self._fluids = Fluids(layout.scene, num_envs, device)
+        self._graphs = Graphs(device, config.capture)
+        self._colliders = Colliders(layout, self._graphs.device)
+        self._fluids = Fluids(layout.scene, num_envs, device, self._colliders.count)
         if self._fluids.model is not None:
             longest = min(self._fluids.model.longest_substep, config.substep or math.inf)
             count = max(count, math.ceil(layout.scene.physics_dt / longest / solid - 1e-6) * solid)
@@ -75,7 +77,6 @@ class ParticleMatter(Matter):
         limits.check_apart(layout)
         limits.check_dry(layout)
         self._solids = Solids(layout, num_envs, device, layout.scene.physics_dt / solid)
-        self._graphs = Graphs(device, config.capture)
         self._begun = False
         # Kernels that loop over all particles of an environment run on CPUs only; elsewhere they cost compile time.
         by_rows = (rows,) if device.type == "cpu" else ()
@@ -85,7 +86,6 @@ class ParticleMatter(Matter):
             load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, steps), self._graphs.device)
         if self._fluids.model is not None:
             load_kernels("orbit-matter", (fluid_kernels, fluid_search), self._graphs.device)
-        self._colliders = Colliders(layout, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
         self._make_state()
@@ -156,7 +156,13 @@ class ParticleMatter(Matter):
         rounds = math.ceil(self._num_envs / self._colliders.kinds)
         count = 1 if self._device.type != "cpu" else min(threads or len(os.sched_getaffinity(0)), rounds)
         bounds = [min(round(rounds * k / count) * self._colliders.kinds, self._num_envs) for k in range(count + 1)]
-        memory = {**self._tensors, "start": self._start, "end": self._end, "wrenches": self._wrenches}
+        memory = {
+            **self._tensors,
+            **self._fluids.walls,
+            "start": self._start,
+            "end": self._end,
+            "wrenches": self._wrenches,
+        }
         memory["asked"] = self._asked
         memory["free"] = self._free.to(torch.int32).expand(self._num_envs, -1).contiguous()
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}

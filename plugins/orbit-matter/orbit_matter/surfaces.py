@@ -30,7 +30,8 @@ class Shapes:
     pose: wp.array2d[wp.transform]
     """In the link's frame."""
     size: wp.array2d[wp.vec3]
-    """Half extents; radius and half length; full extents of a height field."""
+    """Half extents; radius and half length; full extents of a height field; of a mesh, those of a box around its origin
+    that holds it."""
     reach: wp.array2d[float]
     """Radius of a ball around the shape's origin that holds it."""
     still: wp.array2d[float]

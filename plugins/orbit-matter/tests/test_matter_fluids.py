@@ -313,7 +313,7 @@ def test_nothing_holds_a_liquid(settled: World) -> None:
 
 
 def test_liquid_flows_as_on_a_cpu_where_walls_and_searches_are_as_on_a_gpu() -> None:
-    """Walls that are due are found in a launch of its own, and what moves together is not searched again."""
+    """Within a hundredth of a spacing, by which particles may move and keep their walls, on a CPU for longer."""
     found: list[torch.Tensor] = []
     for wide in (False, True):
         world = _world()
@@ -322,4 +322,4 @@ def test_liquid_flows_as_on_a_cpu_where_walls_and_searches_are_as_on_a_gpu() -> 
             world.step()
         found.append(world.deformables["water"].positions.clone())
     assert (found[0] - _world().deformables["water"].positions).abs().max() > 1e-4
-    torch.testing.assert_close(found[0], found[1], rtol=0.0, atol=2e-5)
+    torch.testing.assert_close(found[0], found[1], rtol=0.0, atol=1e-4)

@@ -6,7 +6,7 @@ A mobile base drives to the place that a phase names, and stays there in the pha
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -372,7 +372,9 @@ class _Arm:
         ``begun`` (N,) says which of them begin now; ``sag_share`` of what the hand lacks is added to :attr:`sag`.
         Where it ``teaches`` it asks for what phases ask at least.
         """
-        hand, target, error, distances = self._errors(phase)
+        # Who acts is not captured on a CPU, where targets of phases that no environment is in would cost most.
+        present = set(phase.tolist()) if phase.device.type == "cpu" else None
+        hand, target, error, distances = self._errors(phase, present)
         asked = torch.minimum(distances, self._lead)
         if teaches:
             asked = torch.where(distances > self._tolerances[phase], asked.maximum(self._least[phase]), asked)
@@ -409,13 +411,18 @@ class _Arm:
         """Return (N,) whether those phases (N,) of a hand are over after ``elapsed`` seconds (N,)."""
         return self._ends(phase, elapsed, self._errors(phase)[3])
 
-    def _errors(self, phase: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _errors(self, phase: Tensor, present: Collection[int] | None = None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the hand's pose (N, 7), its target (N, 7) in those phases (N,), the way there (N, 6), and the
         distances (N, 2) in m and rad.
+
+        ``present`` has all phases that any environment is in, where that is known.
         """
         hand = self._robot.frame_pose(self._frame)
-        targets = [hand if own.target is None else own.target(self._env) for own in self._phases]
-        # All phases' targets are computed and one is picked: a branch per environment could not be captured.
+        targets = [
+            hand if own.target is None or (present is not None and number not in present) else own.target(self._env)
+            for number, own in enumerate(self._phases)
+        ]
+        # The targets of all phases are computed and one is picked: a branch per environment could not be captured.
         target = torch.stack(targets)[phase, self._rows]
         error = pose_error(hand, target)
         return hand, target, error, torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)

@@ -21,6 +21,11 @@ SKIN = 0.2
 """Spacings by which neighbours are searched further than the kernel reaches."""
 SKIN_OF_GPU = 0.3
 """The same on a GPU, where a search costs more than a pass over neighbours; 0.4 and 0.2 made 1 and 10 % fewer steps."""
+PASSED = 0.5
+"""Spacings that all particles may move together before all are searched for: by then a wall may be between two. Those
+that a CPU searched for on the way have gone twice of it at most since then."""
+PASSED_OF_GPU = 1.0
+"""The same on a GPU, which always searches for all."""
 NEIGHBOURS = 160
 """Most that one particle has."""
 ROUGHNESS = 0.004
@@ -33,6 +38,12 @@ COUNTED = 1.003
 """Times what packing is counted: a liquid of six layers is compressed by its weight, by 0.4 % in the mean."""
 NOWHERE = 1e9
 """Metres; where particles are taken to have been that were not searched yet."""
+STAYED = 0.01
+"""Spacings that a particle may move along the shapes near it and keep its walls."""
+EASED = 0.1
+"""Part of gravity by which walls may go on with another gradient of the pressure than a particle keeps them with."""
+KEPT = 24
+"""Substeps that a particle keeps its walls at most."""
 WALLS = 6
 """Most walls that act on a particle at a time: in a narrow vessel all of its sides do."""
 MACH = 6.0
@@ -148,13 +159,22 @@ def _check_apart(first: Fluid, second: Fluid) -> None:
 
 
 class Fluids:
-    """State of the liquids of N environments."""
+    """State of the liquids of N environments.
 
-    def __init__(self, scene: Scene, num_envs: int, device: torch.device) -> None:
+    Args:
+        scene: that they are in.
+        num_envs: N.
+        device: of their memory.
+        shapes: that an environment has.
+    """
+
+    def __init__(self, scene: Scene, num_envs: int, device: torch.device, shapes: int) -> None:
         self.model = build(scene)
         """Particles and materials, or None if the scene has no liquid."""
         self.tensors: dict[str, Tensor] = {}
         """State; snapshots hold it, and kernels its memory."""
+        self.walls: dict[str, Tensor] = {}
+        """What particles know of walls; a CPU keeps it from one physics step to the next, so that it is state there."""
         self._index: dict[int, slice] = {}
         if self.model is None:
             return
@@ -169,8 +189,23 @@ class Fluids:
             "fluid_s": torch.ones(num_envs, count, **make),
             "fluid_packed": torch.zeros(num_envs, count, **make),
             "fluid_searched": torch.full((num_envs, count, 3), NOWHERE, **make),
+            "fluid_carried": torch.zeros(num_envs, 3, **make),
             "fluid_shielded": torch.zeros(num_envs, count, WALLS, 4, **make),
         }
+        whole = {"dtype": torch.int32, "device": device}
+        self.walls = {
+            "fluid_drift": torch.full((num_envs, count), NOWHERE, **make),
+            "fluid_held": torch.zeros(num_envs, count, **make),
+            "fluid_filled": torch.zeros(num_envs, count, **make),
+            "fluid_walls": torch.zeros(num_envs, count, **whole),
+            "fluid_shape": torch.zeros(num_envs, count, WALLS, **whole),
+            "fluid_plane": torch.zeros(num_envs, count, WALLS, 4, **make),
+            "fluid_given": torch.zeros(num_envs, count, WALLS, 3, **make),
+            "fluid_pull": torch.zeros(num_envs, count, WALLS, 3, **make),
+            "fluid_left": torch.zeros(num_envs, shapes, 7, **make),
+        }
+        if device.type == "cpu":
+            self.tensors |= self.walls
 
     def has(self, deformable: int) -> bool:
         """Return True if a deformable of the scene is a liquid."""
@@ -191,6 +226,7 @@ class Fluids:
         write_rows(self.tensors["fluid_v"][:, columns], velocities, env_ids)
         write_rows(self.tensors["fluid_s"][:, columns], 1.0, env_ids)
         write_rows(self.tensors["fluid_searched"], NOWHERE, env_ids)
+        write_rows(self.walls["fluid_drift"], NOWHERE, env_ids)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Put liquids where the scene has them, at rest."""
@@ -201,6 +237,7 @@ class Fluids:
         write_rows(self.tensors["fluid_v"], 0.0, env_ids)
         write_rows(self.tensors["fluid_s"], 1.0, env_ids)
         write_rows(self.tensors["fluid_searched"], NOWHERE, env_ids)
+        write_rows(self.walls["fluid_drift"], NOWHERE, env_ids)
 
     def diverged(self, deformable: int) -> Tensor:
         """Return (N,) bool: where a liquid is beyond the bounds of matter."""

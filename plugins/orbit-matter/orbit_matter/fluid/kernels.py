@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_matter.block import BOUNDS, any_in_warp, sum_of_block
-from orbit_matter.contact import NEAREST, Felt, carried, feel, feel_together, surface
+from orbit_matter.block import BLOCK, BOUNDS, any_in_warp, sum_of_block
+from orbit_matter.contact import NEAREST, Felt, carried, carried_by, feel, feel_together, surface
+from orbit_matter.fluid import fluids
 from orbit_matter.fluid.pairs import diverged_from, keep, pressed_by
 from orbit_matter.fluid.walls import (
     Filled,
@@ -29,7 +30,7 @@ from orbit_matter.fluid.walls import (
     layers_behind,
     layers_of_box,
 )
-from orbit_matter.kernels import Links
+from orbit_matter.kernels import Links, turn_between
 from orbit_matter.surfaces import BOX, PLANE, Shapes
 
 PROBE = wp.constant(0.1)
@@ -53,9 +54,7 @@ BLOW = wp.constant(3.0)
 """Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
 broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
 SOFT = wp.constant(0.01)
-"""Squares of the smoothing length that keep the shock of a particle, or of a cell, at the same place finite."""
-STAYED = wp.constant(0.01)
-"""Spacings that a particle may move along the shapes near it within a physics step and keep its walls."""
+"""Squares of the smoothing length that keep the shock of a cell at a particle's place finite."""
 SHALLOW = wp.constant(0.25)
 """Spacings of depth whose pressure a particle has at least that rests on others: half of one at a surface."""
 STRUCK = wp.constant(0.4)
@@ -70,6 +69,10 @@ INNER = wp.constant(0.17)
 the spacing."""
 GENTLE = wp.constant(0.01)
 """m/s towards a wall below which there is no blow: it would press by less than a millimetre of water."""
+
+KEPT = wp.constant(fluids.KEPT)
+BOUNDS_OF_WALLS = (BLOCK, 4)
+"""Bounds of the kernel that finds walls side by side: with 4 blocks on a multiprocessor it spills registers."""
 
 Others = wp.types.vector(length=2, dtype=int)
 Planes = wp.types.matrix(shape=(2, 4), dtype=float)
@@ -119,6 +122,18 @@ class Fluid:
     """(N, P, W) m/s^2 from a wall whose cells are deeper or higher, or that comes near fast."""
     drift: wp.array2d[float]
     """(N, P) m that particles have moved at most against the shapes near them since their walls were found."""
+    stayed: float
+    """m of it up to which they keep their walls."""
+    held: wp.array2d[float]
+    """(N, P) part of gravity that gave the gradient of the pressure behind walls when they were found."""
+    eased: float
+    """By how much it may differ from that now."""
+    left: wp.array2d[wp.transform]
+    """(N, S) where shapes were in the last substep, when drifts were found."""
+    way: wp.array2d[wp.vec3]
+    """(N, S) m that shapes' origins have gone since then."""
+    turn: wp.array2d[wp.quat]
+    """(N, S) by which they have turned since then."""
     due: wp.array2d[int]
     """(N, P) particles whose walls are to be found again, in any order."""
     dues: wp.array[int]
@@ -130,11 +145,13 @@ class Fluid:
     count: wp.array2d[int]
     """(N, P) how many of them there are, a multiple of LANES."""
     searched: wp.array2d[wp.vec3]
-    """(N, P) where particles were at the last search; on a CPU each at its own."""
+    """(N, P) where particles were at the last search; on a CPU each at its own, less ``carried`` at that time."""
     stale: wp.array[int]
     """(N,) 1 where a search is due."""
     carried: wp.array[wp.vec3]
-    """(N,) m that all particles have moved in the mean since the last search, where that is known, and else zero."""
+    """(N,) m that all particles have moved in the mean since the last search for all of them."""
+    passed: float
+    """m that all particles may move together and keep their neighbours: a wall may come between them."""
     guarded: wp.array2d[int]
     """(N, P) how many walls particles had at the last search."""
     columns: wp.array3d[float]
@@ -194,18 +211,23 @@ def find_inside(f: Fluid, links: Links, shapes: Shapes, found: wp.array2d[int]):
 
 @wp.kernel(enable_backward=False)
 def meet(
-    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float, first: int,
-    lanes: int,
+    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float,
 ):  # fmt: skip
-    """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search.
+    """Find the pressure and the walls of each particle; search where one moved by ``most`` since the last search."""
+    env, i = wp.tid()
+    note_state(f, env, i, most)
+    f.drift[env, i] = 0.0
+    f.due[env, i] = i
+    renew_walls(f, links, shapes, felt, gravity, h, env, i, i + 1, 1)
 
-    But for the ``first`` substep of a physics step, particles that stay where they were keep their walls. Each
-    environment has ``lanes`` threads: on a CPU one, as a launch thread costs some 35 ns there.
-    """
-    env, lane = wp.tid()
-    for i in range(lane, f.x.shape[1], lanes):
-        if is_due(f, links, felt, env, i, h, most, first):
-            renew_walls(f, links, shapes, felt, gravity, h, env, i)
+
+@wp.func
+def end_carry(f: Fluid, env: int, carried: wp.vec3):
+    """Note how far all particles have moved, and search anew where a wall may have come between some."""
+    f.carried[env] = carried
+    # Not a number is never less, so that what has diverged is searched for as well.
+    if not wp.length_sq(carried) < f.passed * f.passed:
+        f.stale[env] = 1
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
@@ -217,39 +239,59 @@ def carry(f: Fluid):
         whole += f.x[env, i] - f.searched[env, i]
     x, y, z = sum_of_block(whole[0]), sum_of_block(whole[1]), sum_of_block(whole[2])
     if lane == 0:
-        f.carried[env] = wp.vec3(x, y, z) / float(f.x.shape[1])
+        end_carry(f, env, wp.vec3(x, y, z) / float(f.x.shape[1]))
 
 
 @wp.kernel(enable_backward=False)
-def approach(f: Fluid, links: Links, felt: Felt, h: float, most: float):
+def approach(f: Fluid, links: Links, felt: Felt, gravity: wp.array[wp.vec3], h: float, most: float, lanes: int):
     """Find the pressure of each particle as :func:`meet` does, and list the particles whose walls are due.
 
-    A warp of a GPU waits for its slowest thread, and walls cost most. Few particles are due at a time; :func:`renew`
-    finds their walls side by side.
+    Particles that stay where they were keep their walls. A warp of a GPU waits for its slowest thread, and walls cost
+    most. Few particles are due at a time; :func:`renew` finds their walls side by side. Each environment has ``lanes``
+    threads: on a CPU one, as a launch thread costs some 35 ns there.
     """
-    env, i = wp.tid()
-    if is_due(f, links, felt, env, i, h, most, 0):
-        f.due[env, wp.atomic_add(f.dues, env, 1)] = i
+    env, lane = wp.tid()
+    for i in range(lane, f.x.shape[1], lanes):
+        note_state(f, env, i, most)
+        if is_due(f, felt, gravity, env, i, h):
+            f.due[env, wp.atomic_add(f.dues, env, 1)] = i
 
 
-@wp.kernel(enable_backward=False, launch_bounds=BOUNDS)
+@wp.kernel(enable_backward=False)
+def leave(f: Fluid, links: Links):
+    """Find how shapes have moved since the last substep, between two physics steps as well."""
+    env, s = wp.tid()
+    before, now = f.left[env, s], links.shape[env, s]
+    f.way[env, s] = wp.transform_get_translation(now) - wp.transform_get_translation(before)
+    f.turn[env, s] = turn_between(wp.transform_get_rotation(before), wp.transform_get_rotation(now))
+    f.left[env, s] = now
+
+
+@wp.kernel(enable_backward=False)
+def carry_on(f: Fluid, h: float):
+    """Add what all particles moved in the mean in the last substep to :func:`carry`'s, where each has its own search.
+
+    Any motion would do in its place that all particles of an environment are told to have in common.
+    """
+    env = wp.tid()
+    whole = wp.vec3()
+    for i in range(f.v.shape[1]):
+        whole += f.v[env, i]
+    end_carry(f, env, f.carried[env] + whole * (h / float(f.v.shape[1])))
+
+
+@wp.kernel(enable_backward=False, launch_bounds=BOUNDS_OF_WALLS)
 def renew(f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float):
     """Find the walls of the particles that are due."""
     env, lane = wp.tid()
-    for k in range(lane, f.dues[env], wp.block_dim()):
-        renew_walls(f, links, shapes, felt, gravity, h, env, f.due[env, k])
+    renew_walls(f, links, shapes, felt, gravity, h, env, lane, f.dues[env], wp.block_dim())
 
 
 @wp.func
-def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most: float, first: int) -> bool:
-    """Write the rows of a particle that its neighbours read, and return True if its walls are to be found again."""
+def note_state(f: Fluid, env: int, i: int, most: float):
+    """Write the rows of a particle that its neighbours read, and whether a search is due."""
     x, s = f.x[env, i], f.s[env, i]
-    way = x - f.searched[env, i]
-    # Not a number is never less, so that what has diverged is searched for as well. What moves together keeps its
-    # neighbours, but a wall may come between them: after a spacing it is looked for again.
-    parted = wp.length_sq(way - f.carried[env]) / (most * most)
-    gone = wp.length_sq(way) / (f.spacing * f.spacing)
-    if not wp.max(parted, gone) < 1.0:
+    if not wp.length_sq(x - f.searched[env, i] - f.carried[env]) < most * most:
         f.stale[env] = 1
     pressed = (s - 1.0) * f.rest_density[i] * f.parameters[env, f.owner[i], 0] * f.sound * f.sound
     if pressed < 0.0:
@@ -258,10 +300,32 @@ def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most:
     v = f.v[env, i]
     f.place[env, i] = wp.vec4(x[0], x[1], x[2], f.volume / s)
     f.motion[env, i] = wp.vec4(v[0], v[1], v[2], pressed)
-    drift = float(0.0)
-    if first == 0:
-        drift = f.drift[env, i] + drift_of(f, links, felt, env, i, x, v * h)
-    due = first == 1 or not drift < STAYED * f.spacing
+
+
+@wp.func
+def held_by(f: Fluid, gravity: wp.array[wp.vec3], env: int, i: int) -> float:
+    """Return the part of gravity that gives the gradient of the pressure behind a particle's walls."""
+    # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
+    weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
+    return wp.clamp(f.motion[env, i][3] / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
+
+
+@wp.func
+def is_due(f: Fluid, felt: Felt, gravity: wp.array[wp.vec3], env: int, i: int, h: float) -> bool:
+    """Return True if a particle's walls are to be found again."""
+    farthest, m, x, way = float(0.0), int(0), f.x[env, i], f.v[env, i] * h
+    while m < NEAREST:
+        shape = felt.near[env, i, m]
+        m += 1
+        if shape < 0:
+            m = NEAREST
+        else:
+            arm = x - wp.transform_get_translation(f.left[env, shape])
+            farthest = wp.max(farthest, wp.length_sq(way - carried_by(f.way[env, shape], f.turn[env, shape], arm)))
+    drift = f.drift[env, i] + wp.sqrt(farthest) + f.stayed / float(KEPT)
+    due = not drift < f.stayed
+    if f.walls[env, i] > 0 and wp.abs(held_by(f, gravity, env, i) - f.held[env, i]) > f.eased:
+        due = True
     if due:
         drift = 0.0
     f.drift[env, i] = drift
@@ -270,33 +334,24 @@ def is_due(f: Fluid, links: Links, felt: Felt, env: int, i: int, h: float, most:
 
 @wp.func
 def renew_walls(
-    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, env: int, i: int
-):
-    """Find the walls of a particle, and what they give."""
-    kind, x, row = env % shapes.kind.shape[0], f.x[env, i], f.motion[env, i]
-    count = find_walls(f, links, shapes, felt, env, i, kind, x)
-    # A wall goes on with the gradient of a pressure: what slides down on it by itself has none.
-    weight = f.rest_density[i] * f.parameters[env, f.owner[i], 0] * wp.length(gravity[env])
-    held = wp.clamp(row[3] / wp.max(weight * SHALLOW * f.spacing, 1.0e-6), 0.0, 1.0)
-    filled = float(0.0)
-    for k in range(count):
-        filled += fill(f, links, shapes, env, i, k, count, x, velocity_of(row), gravity[env] * held, h)
-    f.filled[env, i] = filled
-    f.walls[env, i] = count
+    f: Fluid, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], h: float, env: int, begin: int,
+    end: int, step: int,
+):  # fmt: skip
+    """Find the walls, and what they give, of every ``step``-th particle that is due from ``begin`` on.
 
-
-@wp.func
-def drift_of(f: Fluid, links: Links, felt: Felt, env: int, i: int, x: wp.vec3, way: wp.vec3) -> float:
-    """Return how far a particle that moved a way has gone in a substep along a shape that is near, at most."""
-    farthest, m = float(0.0), int(0)
-    while m < NEAREST:
-        shape = felt.near[env, i, m]
-        m += 1
-        if shape < 0:
-            m = NEAREST
-        else:
-            farthest = wp.max(farthest, wp.length_sq(way - carried(links, env, shape, x)))
-    return wp.sqrt(farthest)
+    The loop is in here, as a CPU copies 8 KiB of arguments for each call.
+    """
+    kind = env % shapes.kind.shape[0]
+    for n in range(begin, end, step):
+        i = f.due[env, n]
+        x, row = f.x[env, i], f.motion[env, i]
+        count = find_walls(f, links, shapes, felt, env, i, kind, x)
+        held, filled = held_by(f, gravity, env, i), float(0.0)
+        for k in range(count):
+            filled += fill(f, links, shapes, env, i, k, count, x, velocity_of(row), gravity[env] * held, h)
+        f.held[env, i] = held
+        f.filled[env, i] = filled
+        f.walls[env, i] = count
 
 
 @wp.func
@@ -498,9 +553,8 @@ def push_one(
     own, half = f.motion[env, i][3], 0.5 / f.length
     scale = f.parameters[env, owner, 0]
     density, viscosity = f.rest_density[i] * scale * f.s[env, i], f.viscosity[i]
-    soft, shock = SOFT * f.length * f.length, density * SHOCK
-    fastest = STRUCK * f.spacing / h
-    found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, f.length, soft, shock, fastest)
+    shock, fastest = density * SHOCK * f.length * f.length, STRUCK * f.spacing / (h * f.length)
+    found = pressed_by(rows, f.place, f.motion, f.neighbours, env, i, count, half, shock, fastest)
     pressing, rubbing = wp.vec3(found[0], found[1], found[2]), wp.vec3(found[3], found[4], found[5])
     # Morris, Fox, Zhu, "Modeling low Reynolds number incompressible flows using SPH" (1997)
     a = pressing * (f.slope / density) + rubbing * (2.0 * f.slope * (f.rough + viscosity / density))

@@ -38,6 +38,7 @@ _VECTORS = """
     // Within two units in the last place, by one instruction each; exact ones take some ten, of 60 for a neighbour.
     const auto root = [](Lanes a) { asm("sqrt.approx.f32 %0, %0;" : "+f"(a)); return a; };
     const auto ratio = [](Lanes a, Lanes b) { return __fdividef(a, b); };
+    const auto plus = [](Lanes a, Lanes b, Lanes c) { return fmaf(a, b, c); };
     const auto positive = [](Lanes a) { return fmaxf(a, 0.0f); };
     const auto smaller = [](Lanes a, float b) { return fminf(a, b); };
     const auto sum = [](Lanes a) { return a; };
@@ -69,8 +70,10 @@ _VECTORS = """
     };
     const auto root = [](Lanes a) { return __builtin_elementwise_sqrt(a); };
     const auto ratio = [](Lanes a, Lanes b) { return a / b; };
+    // Warp's compiler fuses no products and sums of vectors by itself.
+    const auto plus = [](Lanes a, Lanes b, Lanes c) { return __builtin_elementwise_fma(a, b, c); };
     const auto positive = [](Lanes a) { return __builtin_elementwise_max(a, Lanes(0.0f)); };
-    const auto smaller = [](Lanes a, float b) { return __builtin_elementwise_min(a, Lanes(b)); };
+    const auto smaller = [](Lanes a, Lanes b) { return a < b ? a : b; };
     const auto sum = [](Lanes a) { return ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7])); };
     const int stride = 1;
     const Row* places = reinterpret_cast<const Row*>(wp::address(place, env, 0));
@@ -86,26 +89,27 @@ _LOOP = """
     for (int k = 0; k < count; k += step) {
         const Rows a = load(places, list + k * stride), b = load(motions, list + k * stride);
         const Lanes x = own.x - a.x, y = own.y - a.y, z = own.z - a.z;
-        const Lanes square = x * x + y * y + z * z;
-        const Lanes t = positive(1.0f - root(square) * half);
+        // Two particles at one place are a little apart, for the quotient.
+        const Lanes square = plus(x, x, plus(y, y, plus(z, z, 1e-16f)));
+        const Lanes t = positive(plus(root(square), -half, 1.0f));
         const Lanes u = b.x - self.x, v = b.y - self.y, w = b.z - self.z;
-        const Lanes along = u * x + v * y + w * z;
+        const Lanes along = plus(u, x, plus(v, y, w * z));
         const Lanes cube = t * t * t, part = cube * a.w;
 """
 _PRESSED = """
     Lanes pressing_x = 0.0f, pressing_y = 0.0f, pressing_z = 0.0f;
     Lanes rubbing_x = 0.0f, rubbing_y = 0.0f, rubbing_z = 0.0f, packed = 0.0f;
     // @loop
-        const Lanes closing = smaller(ratio(positive(along) * length, square + soft), fastest);
-        const Lanes pressure = part * (self.w + b.w + shock * closing * closing);
-        pressing_x += x * pressure;
-        pressing_y += y * pressure;
-        pressing_z += z * pressure;
-        rubbing_x += u * part;
-        rubbing_y += v * part;
-        rubbing_z += w * part;
-        const Lanes rest = positive(1.0f - square * (half * half));
-        packed += (rest * rest) * (rest * rest);
+        const Lanes closing = smaller(ratio(positive(along), square), fastest);
+        const Lanes pressure = part * plus(shock * closing, closing, self.w + b.w);
+        pressing_x = plus(x, pressure, pressing_x);
+        pressing_y = plus(y, pressure, pressing_y);
+        pressing_z = plus(z, pressure, pressing_z);
+        rubbing_x = plus(u, part, rubbing_x);
+        rubbing_y = plus(v, part, rubbing_y);
+        rubbing_z = plus(w, part, rubbing_z);
+        const Lanes rest = positive(plus(square, -half * half, 1.0f)), again = rest * rest;
+        packed = plus(again, again, packed);
     }
     wp::vec_t<7, wp::float32> found;
     found[0] = sum(pressing_x);
@@ -119,14 +123,15 @@ _PRESSED = """
 """
 _DIVERGED = """
     Lanes rate = 0.0f, open_x = 0.0f, open_y = 0.0f, open_z = 0.0f;
-    const float lean_x = lean[0], lean_y = lean[1], lean_z = lean[2];
     // @loop
-        rate += part * (along * self.w + smooth * (b.w - self.w + lean_x * x + lean_y * y + lean_z * z));
-        open_x += x * part;
-        open_y += y * part;
-        open_z += z * part;
+        rate = plus(part, plus(along, self.w, smooth * (b.w - self.w)), rate);
+        open_x = plus(x, part, open_x);
+        open_y = plus(y, part, open_y);
+        open_z = plus(z, part, open_z);
     }
-    return wp::vec_t<4, wp::float32>(sum(open_x), sum(open_y), sum(open_z), sum(rate));
+    const float opened[3] = {sum(open_x), sum(open_y), sum(open_z)};
+    const float leaning = lean[0] * opened[0] + lean[1] * opened[1] + lean[2] * opened[2];
+    return wp::vec_t<4, wp::float32>(opened[0], opened[1], opened[2], sum(rate) + smooth * leaning);
 """
 _KEEP = """
 #ifdef __CUDA_ARCH__
@@ -174,8 +179,13 @@ _NEARBY = """
         const Lanes a = *reinterpret_cast<const Loaded*>(x + first) - x[i];
         const Lanes b = *reinterpret_cast<const Loaded*>(y + first) - y[i];
         const Lanes c = *reinterpret_cast<const Loaded*>(z + first) - z[i];
-        const Marks near = a * a + b * b + c * c < square;
+        const Lanes apart = __builtin_elementwise_fma(a, a, __builtin_elementwise_fma(b, b, c * c));
+        const Marks near = apart < square;
+#ifdef __AVX__
+        int bits = __builtin_ia32_movmskps256(reinterpret_cast<Lanes>(near));
+#else
         int bits = __builtin_reduce_or(near & Marks{1, 2, 4, 8, 16, 32, 64, 128});
+#endif
         if (bits == 0) continue;
         for (int k = 0; k < walls; ++k) {
             const wp::vec_t<4, wp::float32>& plane = *wp::address(planes, env, i, k);
@@ -330,8 +340,6 @@ def pressed_by(
     i: int,
     count: int,
     half: float,
-    length: float,
-    soft: float,
     shock: float,
     fastest: float,
 ) -> Pressing:
@@ -346,10 +354,8 @@ def pressed_by(
         i: of the particle, its row.
         count: of neighbours, a multiple of LANES.
         half: over the smoothing length, in 1/m.
-        length: of smoothing in metres.
-        soft: m^2 that keep the viscosity of two particles at one place finite.
-        shock: quadratic artificial viscosity times the density.
-        fastest: m/s of two particles towards each other that count at most for it.
+        shock: quadratic artificial viscosity times the density and the square of the smoothing length, in kg/m.
+        fastest: part of their distance in 1/s, at most, by which two particles come nearer that counts for it.
     """
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from torch import Tensor
 
-from orbit_matter import contact
+from orbit_matter import contact, rows
 from orbit_matter import kernels as particles
 from orbit_matter.block import BLOCK
 from orbit_matter.fluid import fluids, kernels, pairs, search
@@ -39,7 +39,7 @@ class FluidPart:
         self._blocks = (self._n, 1 if is_cpu else BLOCK)
         """Threads of kernels of which a block takes an environment; a CPU's blocks have one thread."""
         self._is_wide = not is_cpu
-        """True to launch as for a GPU: search nothing again that moves as one, and find due walls side by side."""
+        """True to launch as for a GPU: search for all particles at a time, and find walls by a thread for each."""
         self._particles = self._make_particles()
         self._felt = self._make_felt(felt)
 
@@ -60,15 +60,19 @@ class FluidPart:
         made.rest_density, made.viscosity = wp.array(model.densities), wp.array(model.viscosities)
         made.owner = wp.array(model.owners, dtype=int)
         walls = (*shape, fluids.WALLS)
-        made.plane, made.filled = wp.zeros(walls, dtype=wp.vec4), wp.zeros(shape, dtype=float)
-        made.drift = wp.zeros(shape, dtype=float)
+        made.plane, made.filled = wp.from_torch(memory["fluid_plane"], wp.vec4), wp.from_torch(memory["fluid_filled"])
+        made.drift, made.stayed = wp.from_torch(memory["fluid_drift"]), fluids.STAYED * model.spacing
+        made.held, made.eased = wp.from_torch(memory["fluid_held"]), fluids.EASED
+        made.left = wp.from_torch(memory["fluid_left"], wp.transform)
+        made.way, made.turn = wp.zeros(made.left.shape, dtype=wp.vec3), wp.zeros(made.left.shape, dtype=wp.quat)
         made.due, made.dues = wp.zeros(shape, dtype=int), wp.zeros(self._n, dtype=int)
-        made.given, made.pull = wp.zeros(walls, dtype=wp.vec3), wp.zeros(walls, dtype=wp.vec3)
-        made.shape, made.facing = wp.zeros(walls, dtype=int), wp.zeros(walls, dtype=int)
-        made.walls = wp.zeros(shape, dtype=int)
+        made.given, made.pull = (wp.from_torch(memory[f"fluid_{name}"], wp.vec3) for name in ("given", "pull"))
+        made.shape, made.walls = wp.from_torch(memory["fluid_shape"]), wp.from_torch(memory["fluid_walls"])
+        made.facing = wp.zeros(walls, dtype=int)
         made.searched = wp.from_torch(memory["fluid_searched"], wp.vec3)
         made.shielded = wp.from_torch(memory["fluid_shielded"], wp.vec4)
-        made.carried = wp.zeros(self._n, dtype=wp.vec3)
+        made.carried = wp.from_torch(memory["fluid_carried"], wp.vec3)
+        made.passed = (fluids.PASSED if made.x.device.is_cpu else fluids.PASSED_OF_GPU) * model.spacing
         made.stale, made.guarded = wp.zeros(self._n, dtype=int), wp.zeros(shape, dtype=int)
         made.neighbours = self._make_lists()
         lanes = int(pairs.LANES)
@@ -118,12 +122,15 @@ class FluidPart:
     def launch_near(self, links: Any, shapes: Any, physics_dt: float) -> None:
         """Find the shapes that particles may meet in a physics step."""
         inputs = [self._particles, links, shapes, self._felt, physics_dt]
-        wp.launch(contact.find_near, (self._n, self._p), inputs=inputs)
+        if self._is_wide:
+            wp.launch(contact.find_near, (self._n, self._p), inputs=inputs)
+        else:
+            wp.launch(rows.find_near, self._n, inputs=inputs)
 
     def launch_push(self, links: Any, shapes: Any, gravity: Any, h: float, share: float, first: bool) -> None:
         """Begin a substep, a ``share`` of a physics step, against links at its end: find what presses, and on what.
 
-        Walls are found again for all particles in the ``first`` substep of a physics step.
+        On a GPU walls are found again for all particles in the ``first`` substep of a physics step.
         """
         f = self._fluid
         f.stale.zero_()
@@ -131,12 +138,16 @@ class FluidPart:
         most = 0.5 * self._skin
         if self._is_wide:
             wp.launch(kernels.carry, self._blocks, inputs=[f], block_dim=BLOCK)
-        if first or not self._is_wide:
-            inputs = [f, links, shapes, self._felt, gravity, h, most, int(first), self._lanes]
-            wp.launch(kernels.meet, (self._n, self._lanes), inputs=inputs)
+        else:
+            wp.launch(kernels.carry_on, self._n, inputs=[f, h])
+        wp.launch(kernels.leave, f.left.shape, inputs=[f, links])
+        if first and self._is_wide:
+            inputs = [f, links, shapes, self._felt, gravity, h, most]
+            wp.launch(kernels.meet, (self._n, self._p), inputs=inputs)
         else:
             f.dues.zero_()
-            wp.launch(kernels.approach, (self._n, self._p), inputs=[f, links, self._felt, h, most])
+            inputs = [f, links, self._felt, gravity, h, most, self._lanes]
+            wp.launch(kernels.approach, (self._n, self._lanes), inputs=inputs)
             inputs = [f, links, shapes, self._felt, gravity, h]
             wp.launch(kernels.renew, self._blocks, inputs=inputs, block_dim=BLOCK)
         self._launch_search(renewed=1)

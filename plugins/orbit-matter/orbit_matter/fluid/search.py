@@ -50,13 +50,14 @@ def note(f: Fluid, renewed: int, lanes: int):
     env, lane = wp.tid()
     if f.stale[env] == 1:
         for i in range(lane, f.x.shape[1], lanes):
-            note_one(f, renewed, env, i)
+            note_one(f, renewed, wp.vec3(), env, i)
 
 
 @wp.func
-def note_one(f: Fluid, renewed: int, env: int, i: int):
+def note_one(f: Fluid, renewed: int, carried: wp.vec3, env: int, i: int):
+    """Note where a particle is that is searched, less what all are ``carried`` since the last search for all."""
     if renewed == 1:
-        f.searched[env, i] = f.x[env, i]
+        f.searched[env, i] = f.x[env, i] - carried
         for k in range(f.shape.shape[2]):
             f.shielded[env, i, k] = f.plane[env, i, k]
             if k >= f.walls[env, i]:
@@ -175,7 +176,8 @@ def compare(f: Fluid):
 
 @wp.kernel(enable_backward=False)
 def follow(f: Fluid, most: float, renewed: int):
-    """Search anew, among all particles, for those alone that moved by ``most`` since their own last search.
+    """Search anew, among all particles, for those alone that moved by ``most`` since their own last search, apart from
+    what all have moved together.
 
     One thread of a CPU takes an environment: few drops that fall fast make it stale in each substep. Lists are those of
     a search for all of them, from where each was at its last search: one that moved is put into the lists of its new
@@ -184,21 +186,25 @@ def follow(f: Fluid, most: float, renewed: int):
     env = wp.tid()
     if f.stale[env] == 0:
         return
-    moved = int(0)
+    moved, together = int(0), f.carried[env]
     if renewed == 1:
         for i in range(f.x.shape[1]):
             # As in `meet`, what is not a number has moved.
-            if not wp.length_sq(f.x[env, i] - f.searched[env, i]) < most * most:
+            if not wp.length_sq(f.x[env, i] - f.searched[env, i] - together) < most * most:
                 f.moved[env, moved] = i
                 moved += 1
     whole = renewed == 0 or float(moved) > MANY * float(f.x.shape[1]) or f.searched[env, 0][0] > UNSEARCHED
+    if not wp.length_sq(together) < f.passed * f.passed:
+        whole = True
     if not whole:
         for k in range(moved):
-            note_one(f, 1, env, f.moved[env, k])
+            note_one(f, 1, together, env, f.moved[env, k])
         whole = not spread(f, env, moved)
     if whole:
+        if renewed == 1:
+            f.carried[env] = wp.vec3()
         for i in range(f.x.shape[1]):
-            note_one(f, renewed, env, i)
+            note_one(f, renewed, wp.vec3(), env, i)
         for i in range(f.x.shape[1]):
             found = look_around(f, env, i)
             set_list(f.neighbours, f.count, f.nearby, found, env, i)
