@@ -23,6 +23,7 @@ from orbit_matter import attached, bodies, contact, kernels, rows, self_contact,
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.fluid import kernels as fluid_kernels
+from orbit_matter.fluid import maps
 from orbit_matter.fluid import search as fluid_search
 from orbit_matter.fluid.fluids import Fluids
 from orbit_matter.model import build
@@ -84,8 +85,11 @@ class ParticleMatter(Matter):
             steps = solid_rows if device.type == "cpu" else solid_blocks
             load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, steps), self._graphs.device)
         if self._fluids.model is not None:
-            load_kernels("orbit-matter", (fluid_kernels, fluid_search), self._graphs.device)
+            load_kernels("orbit-matter", (fluid_kernels, fluid_search, maps), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)
+        self._maps = None
+        if self._fluids.model is not None:
+            self._maps = maps.build(self._colliders, self._fluids.model.spacing, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
         self._make_state()
@@ -162,7 +166,7 @@ class ParticleMatter(Matter):
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}
         with wp.ScopedDevice(self._graphs.device):
             return tuple(
-                Part(slice(a, b), memory, self._model, self._colliders, self._stepping, self._solids, self._fluids)
+                Part(slice(a, b), memory, self._model, self._colliders, self._stepping, self._solids, self._fluids, self._maps)
                 for a, b in pairwise(bounds)
             )
 
