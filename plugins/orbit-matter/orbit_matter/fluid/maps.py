@@ -45,6 +45,8 @@ MOST_POINTS = 500_000
 """Of a grid; of a bowl of 40 cm at a spacing of 1 cm. On a CPU it takes half a minute."""
 STEPS = wp.constant(96)
 """Of the table of half-spaces, over the kernel's reach."""
+CONES = wp.constant(256)
+"""Around the normal of a half-space, over which it is integrated."""
 OPPOSITE = wp.constant(-0.7)
 """Cosine between the faces that a ray enters and leaves by, below which they are the two sides of a wall."""
 CLEAR = wp.constant(0.01)
@@ -167,21 +169,6 @@ def mapped(m: Maps, number: int, p: wp.vec3, n: wp.vec3, d: float, pull: wp.vec3
     return Given(given[0], given[1], given[2], -pulled[0], -pulled[1], -pulled[2], kernel)
 
 
-@wp.kernel(enable_backward=False)
-def _tabulate(spacing: float, length: float, slope: float, peak: float, found: wp.array[Half]):
-    """Write the sums over half-spaces, as of a flat wall."""
-    i = wp.tid()
-    d = 2.0 * length * float(i) / float(STEPS)
-    layers = layers_behind(d, wp.vec3(0.0, 0.0, 1.0), spacing)
-    ratio, none = length / spacing, wp.vec3()
-    got = layered_by(
-        layers.depth, layers.thick, layers.low, layers.high, spacing, 0.5 / ratio, ratio, SOFT * ratio * ratio,
-        wp.vec3(1.0, 0.0, 1.0), 1.0, none, none, 0.0, 0.0,
-    )  # fmt: skip
-    scale = slope * spacing * spacing * spacing
-    found[i] = Half(got[2] * scale, got[5] * scale, got[3] * scale, got[6] * peak, got[13] * scale)
-
-
 @wp.func
 def _moments(u: float) -> wp.vec3:
     """Integrals over a ray from 0 to u of its reach: (1 - u)^3 u^3, (1 - u)^3 u^4 and (1 - u^2)^4 u^2."""
@@ -190,6 +177,29 @@ def _moments(u: float) -> wp.vec3:
     second = s * s * u * (0.2 + u * (-0.5 + u * (3.0 / 7.0 - u / 8.0)))
     third = s * u * (1.0 / 3.0 + s * (-0.8 + s * (6.0 / 7.0 + s * (-4.0 / 9.0 + s / 11.0))))
     return wp.vec3(first, second, third)
+
+
+@wp.kernel(enable_backward=False)
+def _tabulate(spacing: float, length: float, scales: wp.vec3, slope: float, found: wp.array[Half]):
+    """Write the sums over half-spaces."""
+    i = wp.tid()
+    # Over cones around the normal, whose rays are as long in front of the wall.
+    u, cones = float(i) / float(STEPS), wp.vec3()
+    along, across, step = float(0.0), float(0.0), (1.0 - u) / float(CONES)
+    for k in range(CONES):
+        c = u + (float(k) + 0.5) * step
+        filled = (_moments(1.0) - _moments(u / c)) * (2.0 * wp.pi * step)
+        cones += wp.vec3(filled[0] * c, 0.0, filled[2])
+        along += filled[1] * c * c
+        across += filled[1] * 0.5 * (1.0 - c * c)
+    # The blow is that of a lattice, which walls of boxes have.
+    layers, ratio, none = layers_behind(u * 2.0 * length, wp.vec3(0.0, 0.0, 1.0), spacing), length / spacing, wp.vec3()
+    got = layered_by(
+        layers.depth, layers.thick, layers.low, layers.high, spacing, 0.5 / ratio, ratio, SOFT * ratio * ratio,
+        none, 1.0, none, none, 0.0, 0.0,
+    )  # fmt: skip
+    blow = got[13] * slope * spacing * spacing * spacing
+    found[i] = Half(cones[0] * scales[0], along * scales[1], across * scales[1], cones[2] * scales[2], blow)
 
 
 @wp.func
@@ -267,7 +277,7 @@ def _survey(
         squares += wp.cw_mul(way, way) * more[1]
         products += wp.vec3(way[1] * way[2], way[0] * way[2], way[0] * way[1]) * more[1]
         kernel += more[2]
-        if k == FIRST and most < 1.0e-3:
+        if k == FIRST and most < 1.0e-4:
             return
     given, kernel = given * scales[0], kernel * scales[2]
     squares, products = squares * scales[1], products * scales[1]
@@ -317,14 +327,11 @@ def grid_of(vertices: bytes, faces: bytes, spacing: float, device: str) -> Grid:
     points = np.frombuffer(vertices, np.float32).reshape(-1, 3)
     reach, cell, size = 2.0 * SMOOTHING * spacing, FINENESS * spacing, points_of(points, spacing)
     low, count = points.min(axis=0).astype(float) - reach - cell, math.prod(size)
-    slope, peak = kernel_of(spacing)
-    share = 4.0 * math.pi / RAYS
-    scales = (slope * reach**4 * share, slope * reach**5 * share, peak * (reach / spacing) ** 3 * share)
     with wp.ScopedDevice(device):
         indices = wp.array(np.frombuffer(faces, np.int32), dtype=int)
         mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3), indices=indices)
         state, nodes = wp.zeros(count, dtype=int), wp.zeros(count, dtype=Node)
-        inputs = [mesh.id, wp.vec3(*low), wp.vec3i(*size), cell, reach, spacing, wp.vec3(*scales)]
+        inputs = [mesh.id, wp.vec3(*low), wp.vec3i(*size), cell, reach, spacing, _scales(spacing) * (4.0 * math.pi / RAYS)]
         wp.launch(_survey, count, inputs=[*inputs, wp.array(_directions(), dtype=wp.vec3), state, nodes])
         index, found = state.numpy().copy(), nodes.numpy()
     chosen = index == NODE
@@ -338,8 +345,7 @@ def _directions() -> FloatArray:
     z, turn = 1.0 - 2.0 * k / RAYS, math.pi * (1.0 + math.sqrt(5.0)) * k
     across = np.sqrt(1.0 - z * z)
     found = np.stack((across * np.cos(turn), across * np.sin(turn), z), axis=-1)
-    # In the order of a golden sequence.
-    return found[np.argsort(k * 0.5 * (math.sqrt(5.0) - 1.0) % 1.0)].astype(np.float32)
+    return found[np.argsort(k * math.sqrt(2.0) % 1.0)].astype(np.float32)
 
 
 def kernel_of(spacing: float) -> tuple[float, float]:
@@ -347,6 +353,12 @@ def kernel_of(spacing: float) -> tuple[float, float]:
     length = SMOOTHING * spacing
     peak = 3465.0 / (512.0 * math.pi * (2.0 * length) ** 3) * spacing**3 * COUNTED
     return 105.0 / (16.0 * math.pi * length**5), peak
+
+
+def _scales(spacing: float) -> wp.vec3:
+    """Return what turns integrals over rays, for a steradian, into sums of gradients, second moments and the kernel."""
+    (slope, peak), reach = kernel_of(spacing), 2.0 * SMOOTHING * spacing
+    return wp.vec3(slope * reach**4, slope * reach**5, peak * (reach / spacing) ** 3)
 
 
 def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
@@ -361,7 +373,6 @@ def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
             grids.append(grid_of(*key, spacing, device.alias))
         of[place] = known[key]
     made, length = Maps(), SMOOTHING * spacing
-    slope, peak = kernel_of(spacing)
     firsts = np.cumsum([0, *(len(grid.nodes) for grid in grids)])
     indices = [np.where(grid.index >= 0, grid.index + first, grid.index) for grid, first in zip(grids, firsts)]
     with wp.ScopedDevice(device):
@@ -375,6 +386,6 @@ def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
         rows = [grid.nodes.reshape(-1, 14) for grid in grids]
         made.node = wp.array(np.concatenate([*rows, np.zeros((1, 14), np.float32)]), dtype=Node)
         made.half = wp.zeros(STEPS + 1, dtype=Half)
-        wp.launch(_tabulate, STEPS + 1, inputs=[spacing, length, slope, peak, made.half])
+        wp.launch(_tabulate, STEPS + 1, inputs=[spacing, length, _scales(spacing), kernel_of(spacing)[0], made.half])
     made.cell, made.reach, made.behind = FINENESS * spacing, 2.0 * length, float(BEHIND) * spacing
     return made
