@@ -71,9 +71,7 @@ class Colliders:
         """(K, S) coefficient of dynamic friction of each shape's material."""
         self.hollow: dict[tuple[int, int], Mesh] = {}
         """Kind and number of the shapes whose own surface liquids meet, and not that of a hull."""
-        forms = {
-            (k, s): self._form(own) for k, shapes in enumerate(rows) for s, (own, _) in enumerate(shapes)
-        }
+        forms = {(k, s): self._form(own) for k, shapes in enumerate(rows) for s, (own, _) in enumerate(shapes)}
         dry = {(k, s) for k, shapes in enumerate(kinds) for s in range(len(shapes))}
         wet = set(forms) - {(k, s) for k, found in enumerate(unions) for pieces in found.values() for s in pieces}
         for k, s in wet:

@@ -166,7 +166,16 @@ class ParticleMatter(Matter):
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}
         with wp.ScopedDevice(self._graphs.device):
             return tuple(
-                Part(slice(a, b), memory, self._model, self._colliders, self._stepping, self._solids, self._fluids, self._maps)
+                Part(
+                    slice(a, b),
+                    memory,
+                    self._model,
+                    self._colliders,
+                    self._stepping,
+                    self._solids,
+                    self._fluids,
+                    self._maps,
+                )
                 for a, b in pairwise(bounds)
             )
 
@@ -363,7 +372,9 @@ class ParticleMatter(Matter):
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
         of_liquids = stability.tossed(self._layout) + stability.passing(self._layout)
-        of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout)
+        links = self._colliders.links
+        surfaces = [(self._name_of(int(links[place])), mesh) for place, mesh in self._colliders.hollow.items()]
+        of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout, surfaces)
         of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 

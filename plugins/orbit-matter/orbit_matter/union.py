@@ -84,9 +84,7 @@ def _beyond(polygon: FloatArray, piece: _Piece, is_first: bool, near: float) -> 
 def _cut(polygon: FloatArray, height: FloatArray) -> FloatArray:
     """Return the part of a convex polygon whose height is positive."""
     corners: list[FloatArray] = []
-    for a, b, over, next_over in zip(
-        polygon, np.roll(polygon, -1, axis=0), height, np.roll(height, -1), strict=True
-    ):
+    for a, b, over, next_over in zip(polygon, np.roll(polygon, -1, axis=0), height, np.roll(height, -1), strict=True):
         if over >= 0.0:
             corners.append(a)
         if over * next_over < 0.0:

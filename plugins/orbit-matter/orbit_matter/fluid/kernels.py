@@ -18,8 +18,8 @@ import warp as wp
 
 from orbit_matter.block import BOUNDS, any_in_warp, sum_of_block
 from orbit_matter.contact import NEAREST, Felt, carried, feel, feel_together, surface
-from orbit_matter.fluid.pairs import diverged_from, keep, pressed_by
 from orbit_matter.fluid.maps import Maps, half_space, mapped
+from orbit_matter.fluid.pairs import diverged_from, keep, pressed_by
 from orbit_matter.fluid.walls import (
     SOFT,
     Filled,

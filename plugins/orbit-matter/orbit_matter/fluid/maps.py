@@ -15,7 +15,7 @@ particle is on another side of a wall: walls may be thinner than the grid is fin
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 # pyright: reportReturnType=false, reportInvalidTypeForm=false
-# ruff: noqa: UP018 - float() and int() make variables that a kernel's loops may change.
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
@@ -134,9 +134,7 @@ def mapped(m: Maps, number: int, p: wp.vec3, n: wp.vec3, d: float, pull: wp.vec3
         at = int(PLAIN)
         if wp.min(i, wp.min(j, k)) >= 0 and i < size[0] and j < size[1] and k < size[2]:
             at = m.index[m.start[number] + (i * size[1] + j) * size[2] + k]
-        weight = (
-            (1.0 - wp.abs(u[0] - float(i))) * (1.0 - wp.abs(u[1] - float(j))) * (1.0 - wp.abs(u[2] - float(k)))
-        )
+        weight = (1.0 - wp.abs(u[0] - float(i))) * (1.0 - wp.abs(u[1] - float(j))) * (1.0 - wp.abs(u[2] - float(k)))
         if at == PLAIN:
             plain += weight
         if at >= 0:
@@ -331,8 +329,9 @@ def grid_of(vertices: bytes, faces: bytes, spacing: float, device: str) -> Grid:
         indices = wp.array(np.frombuffer(faces, np.int32), dtype=int)
         mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3), indices=indices)
         state, nodes = wp.zeros(count, dtype=int), wp.zeros(count, dtype=Node)
-        inputs = [mesh.id, wp.vec3(*low), wp.vec3i(*size), cell, reach, spacing, _scales(spacing) * (4.0 * math.pi / RAYS)]
-        wp.launch(_survey, count, inputs=[*inputs, wp.array(_directions(), dtype=wp.vec3), state, nodes])
+        rays, scales = wp.array(_directions(), dtype=wp.vec3), _scales(spacing) * (4.0 * math.pi / RAYS)
+        inputs = [mesh.id, wp.vec3(*low), wp.vec3i(*size), cell, reach, spacing, scales, rays, state, nodes]
+        wp.launch(_survey, count, inputs=inputs)
         index, found = state.numpy().copy(), nodes.numpy()
     chosen = index == NODE
     index[chosen] = np.arange(chosen.sum())
@@ -374,7 +373,8 @@ def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
         of[place] = known[key]
     made, length = Maps(), SMOOTHING * spacing
     firsts = np.cumsum([0, *(len(grid.nodes) for grid in grids)])
-    indices = [np.where(grid.index >= 0, grid.index + first, grid.index) for grid, first in zip(grids, firsts)]
+    pairs = zip(grids, firsts[:-1], strict=True)
+    indices = [np.where(grid.index >= 0, grid.index + first, grid.index) for grid, first in pairs]
     with wp.ScopedDevice(device):
         made.of = wp.array(of, dtype=int)
         # Kernels take no empty arrays.
@@ -387,5 +387,6 @@ def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
         made.node = wp.array(np.concatenate([*rows, np.zeros((1, 14), np.float32)]), dtype=Node)
         made.half = wp.zeros(STEPS + 1, dtype=Half)
         wp.launch(_tabulate, STEPS + 1, inputs=[spacing, length, _scales(spacing), kernel_of(spacing)[0], made.half])
+    wp.synchronize_device(device)
     made.cell, made.reach, made.behind = FINENESS * spacing, 2.0 * length, float(BEHIND) * spacing
     return made
