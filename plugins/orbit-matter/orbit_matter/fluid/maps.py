@@ -2,7 +2,7 @@
 
 A wall presses as liquid that fills it would (``walls.py``). What fills a hollow mesh around a particle is found on a
 grid in the mesh's frame, by rays: a ray is filled from where it enters the mesh to where it leaves it, and beyond where
-it leaves through a face that is opposite to the first, as a thin wall holds as a thick one does. So every side of a
+it leaves through a face that is opposite to one around, as a thin wall holds as a thick one does. So every side of a
 hollow acts, and its curvature, as in the maps of Koschier and Bender, "Density maps for improved SPH boundary handling"
 (2017), and of Bender, Kugelstadt, Weiler and Koschier, "Volume maps: an implicit boundary representation for SPH"
 (2019).
@@ -49,6 +49,8 @@ CONES = wp.constant(256)
 """Around the normal of a half-space, over which it is integrated."""
 OPPOSITE = wp.constant(-0.7)
 """Cosine between the faces that a ray enters and leaves by, below which they are the two sides of a wall."""
+ASIDE = wp.constant(0.7)
+"""Most that the normals of two walls have in common which are taken for two."""
 CLEAR = wp.constant(0.01)
 """Spacings in front of a surface where rays begin at least."""
 BEHIND = wp.constant(0.1)
@@ -201,8 +203,8 @@ def _tabulate(spacing: float, length: float, scales: wp.vec3, slope: float, foun
 
 
 @wp.func
-def _filled_along(mesh: wp.uint64, x: wp.vec3, way: wp.vec3, reach: float, step: float) -> wp.vec3:
-    """Integrate along a ray where it is filled."""
+def _filled_along(mesh: wp.uint64, x: wp.vec3, way: wp.vec3, reach: float, step: float, seen: wp.mat33) -> wp.vec3:
+    """Integrate along a ray where it is filled; ``seen`` has the normals of the walls that are around its start."""
     found, r, k = wp.vec3(), float(0.0), int(0)
     while k < SIDES and r < reach:
         k += 1
@@ -214,11 +216,27 @@ def _filled_along(mesh: wp.uint64, x: wp.vec3, way: wp.vec3, reach: float, step:
             r = begin + step
             if wp.dot(into.normal, way) < 0.0:
                 end, out = float(reach), wp.mesh_query_ray(mesh, x + way * r, way, reach - r)
-                if out.result and wp.dot(out.normal, way) > 0.0 and wp.dot(out.normal, into.normal) > OPPOSITE:
-                    end = r + out.t
+                if out.result and wp.dot(out.normal, way) > 0.0:
+                    facing = wp.min(wp.min(seen @ out.normal), wp.dot(out.normal, into.normal))
+                    if facing > OPPOSITE:
+                        end = r + out.t
                 found += _moments(end / reach) - _moments(begin / reach)
                 r = end + step
     return found
+
+
+@wp.func
+def _walls_around(mesh: wp.uint64, x: wp.vec3, n: wp.vec3, rays: wp.array[wp.vec3], reach: float) -> wp.mat33:
+    """Return the normals, one a row, of the nearest wall and of up to two more that rays meet and that face aside."""
+    seen = wp.matrix_from_rows(n, n, n)
+    count, k = int(1), int(0)
+    while k < rays.shape[0] and count < 3:
+        hit = wp.mesh_query_ray(mesh, x, rays[k], reach)
+        if hit.result and wp.dot(hit.normal, rays[k]) < 0.0 and wp.max(seen @ hit.normal) < ASIDE:
+            seen[count] = hit.normal
+            count += 1
+        k += 1
+    return seen
 
 
 @wp.kernel(enable_backward=False)
@@ -260,13 +278,14 @@ def _survey(
     x, h = near + n * clear, clear
     if d > clear:
         x, h = q, d
+    seen = _walls_around(mesh, x, n, rays, reach)
     given, kernel = wp.vec3(), float(0.0)
     squares, products = wp.vec3(), wp.vec3()
     most, k = float(0.0), int(0)
     while k < rays.shape[0]:
         way = rays[k]
         k += 1
-        more = _filled_along(mesh, x, way, reach, 0.1 * clear)
+        more = _filled_along(mesh, x, way, reach, 0.1 * clear, seen)
         fall = -wp.dot(n, way)
         if fall * reach > h:
             more -= _moments(1.0) - _moments(h / (fall * reach))
