@@ -180,26 +180,22 @@ def _moments(u: float) -> wp.vec3:
 
 
 @wp.kernel(enable_backward=False)
-def _tabulate(spacing: float, length: float, scales: wp.vec3, slope: float, found: wp.array[Half]):
+def _tabulate(spacing: float, length: float, slope: float, share: float, found: wp.array[Half]):
     """Write the sums over half-spaces."""
     i = wp.tid()
     # Over cones around the normal, whose rays are as long in front of the wall.
-    u, cones = float(i) / float(STEPS), wp.vec3()
-    along, across, step = float(0.0), float(0.0), (1.0 - u) / float(CONES)
+    u, packed = float(i) / float(STEPS), float(0.0)
     for k in range(CONES):
-        c = u + (float(k) + 0.5) * step
-        filled = (_moments(1.0) - _moments(u / c)) * (2.0 * wp.pi * step)
-        cones += wp.vec3(filled[0] * c, 0.0, filled[2])
-        along += filled[1] * c * c
-        across += filled[1] * 0.5 * (1.0 - c * c)
-    # The blow is that of a lattice, which walls of boxes have.
+        c = u + (float(k) + 0.5) * (1.0 - u) / float(CONES)
+        packed += (_moments(1.0)[2] - _moments(u / c)[2]) * (2.0 * wp.pi * (1.0 - u) / float(CONES))
+    # Particles at a wall stand in layers, and press on it as those of a lattice do: their pressure is as on a box.
     layers, ratio, none = layers_behind(u * 2.0 * length, wp.vec3(0.0, 0.0, 1.0), spacing), length / spacing, wp.vec3()
     got = layered_by(
         layers.depth, layers.thick, layers.low, layers.high, spacing, 0.5 / ratio, ratio, SOFT * ratio * ratio,
-        none, 1.0, none, none, 0.0, 0.0,
+        wp.vec3(1.0, 0.0, 1.0), 1.0, none, none, 0.0, 0.0,
     )  # fmt: skip
-    blow = got[13] * slope * spacing * spacing * spacing
-    found[i] = Half(cones[0] * scales[0], along * scales[1], across * scales[1], cones[2] * scales[2], blow)
+    scale = slope * spacing * spacing * spacing
+    found[i] = Half(got[2] * scale, got[5] * scale, got[3] * scale, packed * share, got[13] * scale)
 
 
 @wp.func
@@ -405,7 +401,7 @@ def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
         rows = [grid.nodes.reshape(-1, 14) for grid in grids]
         made.node = wp.array(np.concatenate([*rows, np.zeros((1, 14), np.float32)]), dtype=Node)
         made.half = wp.zeros(STEPS + 1, dtype=Half)
-        wp.launch(_tabulate, STEPS + 1, inputs=[spacing, length, _scales(spacing), kernel_of(spacing)[0], made.half])
+        wp.launch(_tabulate, STEPS + 1, inputs=[spacing, length, kernel_of(spacing)[0], _scales(spacing)[2], made.half])
     wp.synchronize_device(device)
     made.cell, made.reach, made.behind = FINENESS * spacing, 2.0 * length, float(BEHIND) * spacing
     return made
