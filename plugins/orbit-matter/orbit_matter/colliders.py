@@ -16,6 +16,7 @@ from orbit_core.scene import (
     Box,
     Capsule,
     Cylinder,
+    Fluid,
     HeightField,
     Mesh,
     MeshCollision,
@@ -27,7 +28,14 @@ from orbit_core.scene import (
 from orbit_matter.bodies import free_links
 from orbit_matter.contact import STILL
 from orbit_matter.surfaces import BOX, CAPSULE, CYLINDER, HEIGHT_FIELD, MESH, PLANE, SPHERE, Shapes
+from orbit_matter.union import outer_surface
 
+_Rows = list[tuple[Shape, int]]
+_Place = tuple[int, int]
+_Form = tuple[int, tuple[float, float, float], float, int, tuple[int, int, int]]
+
+PIECES = 2
+"""Convex pieces of a link that liquids meet one by one at most; more of them can be the walls of a hollow."""
 _ENDLESS = 1e6
 """Metres; the reach of what is near everything."""
 
@@ -37,7 +45,11 @@ _STILL_FREE = 0.012
 
 
 class Colliders:
-    """All shapes of each kind of environment, links' first, then the terrain's."""
+    """All shapes of each kind of environment, links' first, then the terrain's.
+
+    In scenes of liquids the convex pieces of a link that are more than PIECES count as one for liquids: as a shape of
+    their own, after all others, which only liquids meet.
+    """
 
     def __init__(self, layout: SceneLayout, device: wp.Device) -> None:
         self._device = device
@@ -45,8 +57,11 @@ class Colliders:
         """Kept, for the kernels know them by number alone."""
         self._heights: list[np.ndarray] = []
         kinds = [_shapes_of(variant) for variant in layout.variants]
+        is_wet = any(isinstance(spec, Fluid) for spec in layout.scene.deformables)
+        unions = [united(shapes) if is_wet else {} for shapes in kinds]
+        rows = [shapes + list(found) for shapes, found in zip(kinds, unions, strict=True)]
         self._free = set(free_links(layout))
-        self.count = max(1, *(len(shapes) for shapes in kinds))
+        self.count = max(1, *(len(shapes) for shapes in rows))
         """S, the most shapes that any kind of environment has; at least 1, as kernels need an array."""
         self.kinds = len(kinds)
         """K, the number of kinds of environment, which differ in their objects' variants."""
@@ -54,37 +69,52 @@ class Colliders:
         """(K, S) link of each shape, or TERRAIN."""
         self.friction = np.zeros((self.kinds, self.count), np.float32)
         """(K, S) coefficient of dynamic friction of each shape's material."""
-        self.shapes = self._assembled(kinds, len(layout.links))
+        self.hollow: dict[tuple[int, int], Mesh] = {}
+        """Kind and number of the shapes whose own surface liquids meet, and not that of a hull."""
+        forms = {(k, s): self._form(own) for k, shapes in enumerate(rows) for s, (own, _) in enumerate(shapes)}
+        dry = {(k, s) for k, shapes in enumerate(kinds) for s in range(len(shapes))}
+        wet = set(forms) - {(k, s) for k, found in enumerate(unions) for pieces in found.values() for s in pieces}
+        for k, s in wet:
+            geometry = rows[k][s][0].geometry
+            if isinstance(geometry, Mesh) and geometry.collision is not MeshCollision.CONVEX_HULL:
+                self.hollow[k, s] = geometry
+        terrain = len(layout.links)
+        self.shapes = self._assembled(rows, forms, dry, terrain)
         """:class:`~orbit_matter.surfaces.Shapes` for kernels."""
+        self.wet = self.shapes if wet == dry else self._assembled(rows, forms, wet, terrain)
+        """The same as liquids meet them."""
 
-    def _assembled(self, kinds: list[list[tuple[Shape, int]]], terrain: int) -> Any:
+    def _assembled(self, rows: list[_Rows], forms: dict[_Place, _Form], chosen: set[_Place], terrain: int) -> Any:
+        """Return the chosen shapes as kernels take them; the others are near nothing."""
         shape = (self.kinds, self.count)
-        form, rows = np.full(shape, int(SPHERE), np.int32), np.zeros((*shape, 3), np.int32)
+        form, grid = np.full(shape, int(SPHERE), np.int32), np.zeros((*shape, 3), np.int32)
         link, mesh = np.full(shape, terrain, np.int32), np.zeros(shape, np.uint64)
         pose, size = np.zeros((*shape, 7), np.float32), np.zeros((*shape, 3), np.float32)
         pose[..., 6] = 1.0
         still = np.full(shape, float(STILL), np.float32)
-        reach = np.full(shape, -_ENDLESS, np.float32)  # where a kind has fewer shapes: near nothing
-        for k, shapes in enumerate(kinds):
-            for s, (own, number) in enumerate(shapes):
-                form[k, s], size[k, s], reach[k, s], mesh[k, s], rows[k, s] = self._form(own)
-                pose[k, s] = _transform(own.pose)
-                self.links[k, s] = number
-                still[k, s] = _STILL_FREE if number in self._free else float(STILL)
-                link[k, s] = terrain if number == TERRAIN else number
-                self.friction[k, s] = own.material.dynamic_friction
+        # What is not chosen, and where a kind has fewer shapes, is near nothing: a ball of less than no radius.
+        reach, size[..., 0] = np.full(shape, -_ENDLESS, np.float32), -_ENDLESS
+        for place, found in forms.items():
+            own, number = rows[place[0]][place[1]]
+            if place in chosen:
+                form[place], size[place], reach[place], mesh[place], grid[place] = found
+            pose[place] = _transform(own.pose)
+            self.links[place] = number
+            still[place] = _STILL_FREE if number in self._free else float(STILL)
+            link[place] = terrain if number == TERRAIN else number
+            self.friction[place] = own.material.dynamic_friction
         made = Shapes()
         with wp.ScopedDevice(self._device):
             made.kind, made.link = wp.array(form, dtype=int), wp.array(link, dtype=int)
             made.pose = wp.array(pose, dtype=wp.transform)
             made.size, made.reach = wp.array(size, dtype=wp.vec3), wp.array(reach, dtype=float)
             made.still = wp.array(still, dtype=float)
-            made.mesh, made.rows = wp.array(mesh, dtype=wp.uint64), wp.array(rows, dtype=wp.vec3i)
+            made.mesh, made.rows = wp.array(mesh, dtype=wp.uint64), wp.array(grid, dtype=wp.vec3i)
             heights = np.concatenate([np.zeros(1, np.float32), *self._heights])
             made.heights = wp.array(heights, dtype=float)
         return made
 
-    def _form(self, shape: Shape) -> tuple[int, tuple[float, float, float], float, int, tuple[int, int, int]]:
+    def _form(self, shape: Shape) -> _Form:
         """Kind, size, reach, mesh and place among the height fields."""
         match shape.geometry:
             case Box(half_extents=half):
@@ -122,6 +152,26 @@ class Colliders:
 def _shapes_of(layout: SceneLayout) -> list[tuple[Shape, int]]:
     links = [(shape, n) for n, link in enumerate(layout.links) for shape in link.collisions]
     return links + [(shape, TERRAIN) for shape in layout.scene.terrain]
+
+
+def united(shapes: _Rows) -> dict[tuple[Shape, int], list[int]]:
+    """Return the union of the convex meshes of each link that has more than PIECES, and which of the shapes they are.
+
+    Args:
+        shapes: of one kind of environment, each with the number of its link.
+    """
+    found: dict[tuple[Shape, int], list[int]] = {}
+    pieces: dict[int, list[int]] = {}
+    for s, (own, number) in enumerate(shapes):
+        if isinstance(own.geometry, Mesh) and own.geometry.collision is MeshCollision.CONVEX_HULL:
+            pieces.setdefault(number, []).append(s)
+    for number, chosen in pieces.items():
+        if len(chosen) > PIECES:
+            corners = [(own.pose, own.geometry) for own, _ in (shapes[s] for s in chosen)]
+            vertices, faces = outer_surface([pose.transform(mesh.vertices) for pose, mesh in corners])
+            surface = Mesh(vertices, faces, MeshCollision.TRIANGLES)
+            found[Shape(surface, material=shapes[chosen[0]][0].material), number] = chosen
+    return found
 
 
 def _transform(pose: Pose) -> tuple[float, ...]:

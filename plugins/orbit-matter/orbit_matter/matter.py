@@ -23,6 +23,7 @@ from orbit_matter import attached, bodies, contact, kernels, rows, self_contact,
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.fluid import kernels as fluid_kernels
+from orbit_matter.fluid import maps
 from orbit_matter.fluid import search as fluid_search
 from orbit_matter.fluid.fluids import Fluids
 from orbit_matter.model import build
@@ -84,8 +85,10 @@ class ParticleMatter(Matter):
         if self._solids.model.deformables:
             steps = solid_rows if device.type == "cpu" else solid_blocks
             load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, steps), self._graphs.device)
+        self._maps = None
         if self._fluids.model is not None:
-            load_kernels("orbit-matter", (fluid_kernels, fluid_search), self._graphs.device)
+            load_kernels("orbit-matter", (fluid_kernels, fluid_search, maps), self._graphs.device)
+            self._maps = maps.build(self._colliders, self._fluids.model.spacing, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
         self._make_state()
@@ -168,7 +171,16 @@ class ParticleMatter(Matter):
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}
         with wp.ScopedDevice(self._graphs.device):
             return tuple(
-                Part(slice(a, b), memory, self._model, self._colliders, self._stepping, self._solids, self._fluids)
+                Part(
+                    slice(a, b),
+                    memory,
+                    self._model,
+                    self._colliders,
+                    self._stepping,
+                    self._solids,
+                    self._fluids,
+                    self._maps,
+                )
                 for a, b in pairwise(bounds)
             )
 
@@ -365,7 +377,9 @@ class ParticleMatter(Matter):
         of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
         of_liquids = stability.tossed(self._layout) + stability.passing(self._layout)
-        of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout)
+        links = self._colliders.links
+        surfaces = [(self._name_of(int(links[place])), mesh) for place, mesh in self._colliders.hollow.items()]
+        of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout, surfaces)
         of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 

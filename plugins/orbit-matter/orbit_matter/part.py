@@ -59,6 +59,7 @@ class Part:
         stepping: how long a substep is.
         solids: of every environment.
         fluids: of every environment.
+        maps: of what hollow shapes give liquids; None without liquids.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class Part:
         stepping: Stepping,
         solids: Solids,
         fluids: Fluids,
+        maps: Any,
     ) -> None:
         self._rows, memory = rows, {name: tensor[rows] for name, tensor in memory.items()}
         self._model, self._colliders, self._stepping = model, colliders, stepping
@@ -78,6 +80,7 @@ class Part:
         self._particles = self._make_particles(memory)
         self._gravity = wp.from_torch(memory["gravity"], wp.vec3)
         self._links = self._make_links(memory)
+        self._wet_links = self._make_wet_links()
         felt = self._felt = contact.Felt()
         felt.forces, felt.torques = wp.from_torch(memory["forces"], wp.vec3), wp.from_torch(memory["torques"], wp.vec3)
         felt.friction = wp.from_torch(memory["friction"])
@@ -91,7 +94,7 @@ class Part:
         self._triangles.multiplier = wp.zeros((self._n, len(model.triangles.particles)), dtype=wp.vec3)
         self._bends = _struct(kernels.Bends(), model.bends)
         self._solids = self._make_solids(memory, solids)
-        self._fluid = None if fluids.model is None else FluidPart(memory, fluids.model, felt)
+        self._fluid = None if fluids.model is None else FluidPart(memory, fluids.model, felt, maps)
 
     def _make_solids(self, memory: Mapping[str, Tensor], solids: Solids) -> SolidPart | None:
         if not solids.model.deformables:
@@ -124,6 +127,16 @@ class Part:
         made.reach = wp.zeros(shapes, dtype=float)
         made.axes, made.way = wp.zeros(shapes, dtype=wp.mat33), wp.zeros(shapes, dtype=wp.vec3)
         made.turn = wp.zeros(shapes, dtype=wp.quat)
+        return made
+
+    def _make_wet_links(self) -> Any:
+        """Return the links as liquids meet them, which differ in the reach of shapes alone."""
+        if self._colliders.wet is self._colliders.shapes:
+            return self._links
+        made, own = kernels.Links(), self._links
+        made.start, made.end, made.link, made.shape = own.start, own.end, own.link, own.shape
+        made.shape_before, made.axes, made.way, made.turn = own.shape_before, own.axes, own.way, own.turn
+        made.reach = wp.zeros_like(own.reach)
         return made
 
     def _make_bodies(self, memory: Mapping[str, Tensor]) -> Any:
@@ -216,7 +229,7 @@ class Part:
         if self._fluid is None:
             return np.zeros((self._n, 0), np.int32)
         self._place(1.0, 1)
-        return self._fluid.shapes_inside(self._links, self._colliders.shapes)
+        return self._fluid.shapes_inside(self._wet_links, self._colliders.wet)
 
     def search_again(self) -> None:
         """Find the pairs that the last search found, from where particles then were."""
@@ -249,7 +262,10 @@ class Part:
             dt = self._stepping.physics_dt
             self._solids.launch_near(self._links, self._colliders.shapes, self._gravity, dt)
         if self._fluid is not None:
-            self._fluid.launch_near(self._links, self._colliders.shapes, self._stepping.physics_dt)
+            links, wet = self._wet_links, self._colliders.wet
+            if links is not self._links:
+                wp.launch(contact.bound, (self._n, self._colliders.count), inputs=[links, wet])
+            self._fluid.launch_near(links, wet, self._stepping.physics_dt)
         if self.takes_rows and self._p:
             wp.launch(rows.find_near, self._n, inputs=near)
         else:
@@ -316,14 +332,15 @@ class Part:
 
     def _launch_fluid(self, fluid: FluidPart, number: int) -> None:
         """Launch a substep of liquids, the first of which has the number 1."""
-        shapes, h, share = self._colliders.shapes, self._stepping.h, 1.0 / self._stepping.substeps
-        fluid.launch_push(self._links, shapes, self._gravity, h, share, first=number == 1)
+        links, shapes = self._wet_links, self._colliders.wet
+        h, share = self._stepping.h, 1.0 / self._stepping.substeps
+        fluid.launch_push(links, shapes, self._gravity, h, share, first=number == 1)
         if self._free:
             dt = self._stepping.physics_dt
             inputs = [self._bodies, self._attached.count, self._links, self._felt, dt, number * share, h, 2]
             wp.launch(bodies.respond, (self._n, self._free), inputs=inputs)
             wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=[self._links, shapes, 2])
-        fluid.launch_flow(self._links, shapes, self._gravity, h, share)
+        fluid.launch_flow(links, shapes, self._gravity, h, share)
 
     def _launch_rows(self, contacts: list[Any]) -> None:
         """The rest of a substep, one launch thread for each environment."""

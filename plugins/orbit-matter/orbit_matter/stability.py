@@ -10,6 +10,7 @@ of 2 and 20 kN, and cloth of 0.5 kg/m^2); a free body does not diverge, but hops
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -20,11 +21,11 @@ from orbit_core.scene import (
     Cloth,
     Entity,
     Fluid,
+    HeightField,
     Mesh,
-    MeshCollision,
     Rope,
 )
-from orbit_matter.contact import NEAREST
+from orbit_matter.fluid.maps import is_mappable
 from orbit_matter.substeps import edge_length
 
 _SAFE_SHARE = 0.5
@@ -130,25 +131,26 @@ def passing(layout: SceneLayout) -> tuple[Approximation, ...]:
     )
 
 
-def hollow(layout: SceneLayout) -> tuple[Approximation, ...]:
-    """Report meshes that may hold a liquid, and of whose walls some do not act on a particle.
+def hollow(layout: SceneLayout, surfaces: Iterable[tuple[str, Mesh]]) -> tuple[Approximation, ...]:
+    """Report what may hold a liquid and has no map of what its walls give, so that only the nearest of them acts.
 
-    The nearest wall of a mesh acts: water in a cup of revolution bore its weight and stood 9 % too low at ten layers of
-    particles, and 28 % at five. Of many pieces only the first that are met act: water ran out of a cup of thin ones.
+    Args:
+        layout: of the scene.
+        surfaces: each surface that liquids meet as it is, and not as a hull, with the name of what it is of.
     """
-    if not any(isinstance(spec, Fluid) for spec in layout.scene.deformables):
+    spacings = [spec.spacing for spec in layout.scene.deformables if isinstance(spec, Fluid)]
+    if not spacings:
         return ()
     found: list[Approximation] = []
-    entities = [(entity, each) for entity in layout.scene.entities for each in entity.alternatives]
-    for entity, link in ((entity, link) for entity, each in entities for link in each.links):
-        meshes = [shape.geometry.collision for shape in link.collisions if isinstance(shape.geometry, Mesh)]
-        where = f"link '{link.name}' of '{entity.name}'"
-        if {MeshCollision.SIGNED_DISTANCE, MeshCollision.TRIANGLES} & set(meshes):
-            why = "only the nearest wall of a mesh acts: make its walls of boxes, or the spacing finer"
-            found.append(Approximation(where, "a liquid's volume in its hollows", "up to 28 % too small", why))
-        elif len(meshes) > int(NEAREST):
-            why = f"{int(NEAREST)} of its {len(meshes)} convex pieces act at a time: make its walls of boxes"
-            found.append(Approximation(where, "holding a liquid", "may leak", why))
+    asked, got = "a liquid's volume in its hollows", "up to 28 % too small"
+    for name, mesh in surfaces:
+        if not is_mappable(mesh.vertices, spacings[0]):
+            extent = " x ".join(f"{length:.2g}" for length in np.ptp(mesh.vertices, axis=0))
+            why = f"only its nearest wall acts: {extent} m is too large for a map at a spacing of {spacings[0]:g} m"
+            found.append(Approximation(name, asked, got, why))
+    if any(isinstance(shape.geometry, HeightField) for shape in layout.scene.terrain):
+        why = "only the nearest of its slopes acts: make hollows that hold liquids of boxes or meshes"
+        found.append(Approximation("the terrain's height field", asked, got, why))
     return tuple(dict.fromkeys(found))
 
 

@@ -14,15 +14,12 @@ from orbit_assets.deformables import cuboid, sheet
 from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout, SimulationError, World
 from orbit_core.scene import (
-    Articulation,
     Attachment,
     Cloth,
     Cylinder,
     Fluid,
     HeightField,
-    Link,
     MeshCollision,
-    ObjectSpec,
     Plane,
     Pose,
     Scene,
@@ -210,17 +207,16 @@ def test_a_body_that_weighs_few_particles_is_reported_with_the_spacing_that_woul
     assert not tossed(SceneLayout.of(Scene(objects=(raft,), deformables=(replace(WATER, spacing=0.007),))))
 
 
-def test_hollow_meshes_and_many_pieces_are_reported() -> None:
-    hull, surface = _plate(MeshCollision.CONVEX_HULL), _plate(MeshCollision.TRIANGLES)
-
-    def told(*shapes: Shape) -> tuple:
-        link = Link("plate", 1.0, inertia=np.eye(3), collisions=shapes)
-        plate = ObjectSpec(name="plate", articulation=Articulation("plate", (link,)), fixed_base=True)
-        return hollow(_world(objects=(plate,), terrain=()).layout)
-
-    assert told(hull) == ()
-    assert "nearest wall" in told(surface)[0].why
-    assert "6 of its 7" in told(*[hull] * 7)[0].why
+def test_hollows_without_a_map_are_reported() -> None:
+    layout = _world(terrain=()).layout
+    small, large = (cuboid((edge, edge, 0.02), (2, 2, 2)) for edge in (0.1, 1.0))
+    assert hollow(layout, [("a cup", small)]) == ()
+    (found,) = hollow(layout, [("a cup", small), ("a pool", large)])
+    assert found.subject == "a pool"
+    assert "1 x 1 x 0.02 m is too large for a map at a spacing of 0.01 m" in found.why
+    fields = (Shape(HeightField(np.zeros((3, 3)), (0.2, 0.2))),)
+    (found,) = hollow(_world(terrain=fields).layout, ())
+    assert "height field" in found.subject
 
 
 def test_cloth_in_a_scene_of_liquid_is_reported_as_passed_through() -> None:

@@ -19,8 +19,10 @@ import warp as wp
 from orbit_matter.block import BLOCK, BOUNDS, any_in_warp, sum_of_block
 from orbit_matter.contact import NEAREST, Felt, carried, carried_by, feel, feel_together, surface
 from orbit_matter.fluid import fluids
+from orbit_matter.fluid.maps import Maps, half_space, mapped
 from orbit_matter.fluid.pairs import diverged_from, keep, pressed_by
 from orbit_matter.fluid.walls import (
+    SOFT,
     Filled,
     Layers,
     filled_by,
@@ -53,8 +55,6 @@ energy, which drops would bounce by else, and what flows smoothly feels next to 
 BLOW = wp.constant(3.0)
 """Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
 broke into drops, which kept 1 to 2 % of its energy for half a second; with 3 it spreads and stops."""
-SOFT = wp.constant(0.01)
-"""Squares of the smoothing length that keep the shock of a cell at a particle's place finite."""
 SHALLOW = wp.constant(0.25)
 """Spacings of depth whose pressure a particle has at least that rests on others: half of one at a surface."""
 STRUCK = wp.constant(0.4)
@@ -187,6 +187,8 @@ class Fluid:
     """1/s with which densities follow ``packed``, and 1 where that is smaller."""
     cell: float
     """Metres within which neighbours are searched."""
+    maps: Maps
+    """Of hollow meshes and of united pieces."""
 
 
 @wp.func
@@ -437,6 +439,9 @@ def fill(
     axes, weight, reach = wp.mat33(links.axes[env, shape]), float(1.0), 2.0 * f.length
     form = shapes.kind[kind, shape]
     local = (x - wp.transform_get_translation(links.shape[env, shape])) @ axes
+    number = f.maps.of[kind, shape]
+    if number >= 0:
+        return fill_mapped(f, links, env, i, k, number, x, local, v, gravity, h)
     layers = Layers()
     if form == BOX:
         layers = layers_of_box(local, shapes.size[kind, shape], f.spacing)
@@ -525,6 +530,28 @@ def fill(
     f.given[env, i, k] = f.given[env, i, k] + given
     f.pull[env, i, k] = f.pull[env, i, k] + pull + shock
     return got[6] * f.peak * volume / f.volume * weight
+
+
+@wp.func
+def fill_mapped(
+    f: Fluid, links: Links, env: int, i: int, k: int, number: int, x: wp.vec3, local: wp.vec3, v: wp.vec3,
+    gravity: wp.vec3, h: float,
+) -> float:  # fmt: skip
+    """Write what a wall that has a map gives, as :func:`fill` does of others, and return the same."""
+    shape, n, d = f.shape[env, i, k], wall_of(f, env, i, k), f.plane[env, i, k][3]
+    axes = wp.mat33(links.axes[env, shape])
+    got = mapped(f.maps, number, local, n @ axes, d, gravity @ axes)
+    given = axes @ wp.vec3(got[0], got[1], got[2])
+    toward = wp.max(-wp.dot(n, v - carried(links, env, shape, x) / h), 0.0)
+    shock = float(0.0)
+    if toward >= GENTLE:
+        half = half_space(f.maps.half, f.maps.reach, d)
+        part = wp.clamp(wp.dot(given, n) / wp.max(half[0], 1.0e-6), 0.0, 1.0)
+        # No more than what stops it within the substep.
+        shock = wp.min(half[4] * part * SHOCK * BLOW * BLOW * toward * toward, toward / h)
+    f.given[env, i, k] = f.given[env, i, k] + given
+    f.pull[env, i, k] = f.pull[env, i, k] + axes @ wp.vec3(got[3], got[4], got[5]) + n * shock
+    return got[6]
 
 
 @wp.kernel(enable_backward=False, launch_bounds=BOUNDS)

@@ -18,6 +18,7 @@ from orbit_matter import kernels as particles
 from orbit_matter.block import BLOCK
 from orbit_matter.fluid import fluids, kernels, pairs, search
 from orbit_matter.fluid.fluids import FluidModel
+from orbit_matter.fluid.maps import kernel_of
 
 
 class FluidPart:
@@ -27,10 +28,11 @@ class FluidPart:
         memory: state of these environments by name, of liquids and of all matter.
         model: of every environment.
         felt: what links of these environments feel from all matter.
+        maps: :class:`~orbit_matter.fluid.maps.Maps` of hollow shapes.
     """
 
-    def __init__(self, memory: Mapping[str, Tensor], model: FluidModel, felt: Any) -> None:
-        self._model = model
+    def __init__(self, memory: Mapping[str, Tensor], model: FluidModel, felt: Any, maps: Any) -> None:
+        self._model, self._maps = model, maps
         self._n, self._p = memory["fluid_s"].shape
         self._fluid = self._make_fluid(memory)
         is_cpu = self._fluid.x.device.is_cpu
@@ -84,8 +86,8 @@ class FluidPart:
         made.spacing, made.length, made.sound = model.spacing, model.length, model.sound
         made.ratio = fluids.SMOOTHING
         made.volume = model.spacing**3
-        made.slope = 105.0 / (16.0 * math.pi * model.length**5)
-        made.peak = 3465.0 / (512.0 * math.pi * (2.0 * model.length) ** 3) * made.volume * fluids.COUNTED
+        made.slope, made.peak = kernel_of(model.spacing)
+        made.maps = self._maps
         made.renewal = 1.0 / fluids.RENEWED
         made.rough = fluids.ROUGHNESS * model.length * model.sound
         made.smooth = fluids.SMOOTHNESS * model.length * model.sound

@@ -26,6 +26,8 @@ ENDLESS = wp.constant(1000)
 """Cells along an axis that has no end."""
 FAR_CELLS = wp.constant(1.0e3)
 """Spacings along a face that no kernel reaches."""
+SOFT = wp.constant(0.01)
+"""Squares of the smoothing length that keep the shock of a particle, or of a cell, at the same place finite."""
 WIDE = wp.constant(17)
 """Cells across a half-space: more than a kernel reaches, and odd, so that one is behind the particle."""
 
