@@ -127,6 +127,31 @@ def test_a_reset_of_one_environment_leaves_the_others(settled: World) -> None:
     assert torch.allclose(after[1], rest, atol=1e-6)
 
 
+def test_a_wall_that_is_taken_away_between_two_steps_presses_no_more() -> None:
+    """Particles at rest keep their walls from one step to the next, but for what moved."""
+    world = _world()
+    for _ in range(40):
+        world.step()
+    matter = world.engine._matter
+    fluid, links = matter._parts[0]._fluid._fluid, matter._colliders.links[0]
+    right = world.layout.entity("right").links.start
+
+    def touched() -> int:
+        count = fluid.walls.numpy()[..., None] > np.arange(fluid.shape.shape[2])
+        return int((count & (links[fluid.shape.numpy()] == right)).sum())
+
+    before, drift = touched(), fluid.drift.numpy().copy()
+    assert before > 8
+    world.step()
+    assert (fluid.drift.numpy() > drift).any()
+    assert touched() == before
+    pose = world.objects["right"].root_pose.clone()
+    pose[:, 0] += 0.1
+    world.objects["right"].set_root_pose(pose)
+    world.step()
+    assert touched() == 0
+
+
 def test_sides_that_are_thinner_than_a_particle_hold_water_that_is_thrown_at_them() -> None:
     world = _world(objects=_around(wall=0.002))
     water = world.deformables["water"]

@@ -17,7 +17,7 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.block import BLOCK, BOUNDS, any_in_warp, sum_of_block
-from orbit_matter.contact import NEAREST, Felt, carried, carried_by, feel, feel_together, surface
+from orbit_matter.contact import MARGIN, NEAREST, Felt, carried, carried_by, feel, feel_together, surface
 from orbit_matter.fluid import fluids
 from orbit_matter.fluid.maps import Maps, half_space, mapped
 from orbit_matter.fluid.pairs import diverged_from, keep, pressed_by
@@ -264,9 +264,16 @@ def leave(f: Fluid, links: Links):
     """Find how shapes have moved since the last substep, between two physics steps as well."""
     env, s = wp.tid()
     before, now = f.left[env, s], links.shape[env, s]
-    f.way[env, s] = wp.transform_get_translation(now) - wp.transform_get_translation(before)
-    f.turn[env, s] = turn_between(wp.transform_get_rotation(before), wp.transform_get_rotation(now))
+    way = wp.transform_get_translation(now) - wp.transform_get_translation(before)
+    turn = turn_between(wp.transform_get_rotation(before), wp.transform_get_rotation(now))
+    f.way[env, s] = way
+    f.turn[env, s] = turn
     f.left[env, s] = now
+    # Of a shape that was put elsewhere those particles do not know that are no longer near it.
+    turned = 2.0 * links.reach[env, s] * wp.length(wp.vec3(turn[0], turn[1], turn[2]))
+    if wp.length(way) + turned > 0.5 * MARGIN:
+        for i in range(f.x.shape[1]):
+            f.drift[env, i] = f.stayed
 
 
 @wp.kernel(enable_backward=False)
