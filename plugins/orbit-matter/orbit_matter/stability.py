@@ -142,7 +142,7 @@ def hollow(layout: SceneLayout, surfaces: Iterable[tuple[str, Mesh]]) -> tuple[A
     if not spacings:
         return ()
     found: list[Approximation] = []
-    asked, got = "a liquid's volume in its hollows", "up to 28 % too small"
+    asked, got = "a liquid's volume in its hollows", "up to 32 % too small"
     for name, mesh in surfaces:
         if not is_mappable(mesh.vertices, spacings[0]):
             extent = " x ".join(f"{length:.2g}" for length in np.ptp(mesh.vertices, axis=0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -120,16 +121,16 @@ def test_maps_are_the_integrals_over_all_that_is_not_the_hollow(kind: str, wall:
 
     random = np.random.default_rng(0)
     points = random.uniform((-RADIUS, -RADIUS, 0.0), (RADIUS, RADIUS, 0.05), (400, 3))
-    points = points[(depth(points) > 0.25 * SPACING) & (depth(points) < 2.0 * SPACING)][:60]
+    points = points[(depth(points) > 0.25 * SPACING) & (depth(points) < 2.0 * SPACING)][:50]
     planes, got = _looked_up(_surface(kind, wall), points, pull, device)
     if kind != "round":
         assert planes[:, 3] == pytest.approx(depth(points), abs=1e-6)
     slope, peak = maps.kernel_of(SPACING)
-    line, reach = (np.arange(-17, 17) + 0.5) * 0.16 * SPACING, 2.6 * SPACING
+    line, reach = (np.arange(-22, 22) + 0.5) * 0.12 * SPACING, 2.6 * SPACING
     way = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     away = np.linalg.norm(way, axis=1)
-    part = slope * np.maximum(0.0, 1.0 - away / reach) ** 3 * (0.16 * SPACING) ** 3
-    packed = peak * np.maximum(0.0, 1.0 - (away / reach) ** 2) ** 4 * 0.16**3
+    part = slope * np.maximum(0.0, 1.0 - away / reach) ** 3 * (0.12 * SPACING) ** 3
+    packed = peak * np.maximum(0.0, 1.0 - (away / reach) ** 2) ** 4 * 0.12**3
     wanted = np.zeros((len(points), 7))
     for row, point in zip(wanted, points, strict=True):
         out = depth(point + way) < 0.0
@@ -137,11 +138,11 @@ def test_maps_are_the_integrals_over_all_that_is_not_the_hollow(kind: str, wall:
         row[3:6] = -(way[out] * (part[out] * (way[out] @ pull))[:, None]).sum(0)
         row[6] = packed[out].sum()
     error = np.abs(got - wanted)
-    # The sums themselves are good to 1 % of a whole wall at the particle: 44/m of gradient, 9.8 m/s^2 and 0.5.
+    # A wall at the particle has 72/m of gradient, half of 9.8 m/s^2 and 0.5; most of the error is near corners.
     assert error[:, :3].mean() < 1.5
     assert error[:, 3:6].mean() < 0.15
-    assert error[:, 6].mean() < 0.01
-    assert abs((got - wanted)[:, 6].mean()) < 0.006
+    assert error[:, 6].mean() < 0.014
+    assert abs((got - wanted)[:, 6].mean()) < 0.009
 
 
 def test_the_surface_around_pieces_is_that_of_their_union() -> None:
@@ -175,7 +176,7 @@ def _filled(kind: str, wall: float, layers: int) -> tuple[ObjectSpec, Fluid, flo
 
 @pytest.mark.parametrize(("kind", "wall"), [("round", 0.003), ("round", 0.015), ("square", 0.003), ("wedges", 0.003)])
 def test_cups_hold_what_is_in_them(kind: str, wall: float) -> None:
-    """A cup six particles wide holds five layers; ten are measured in docs/measured/matter.md."""
+    """Five layers in a cup six particles wide, after a column fell; docs/measured/matter.md has them at rest."""
     cup, water, height = _filled(kind, wall, 5)
     world = simulate(Scene(objects=(cup,), deformables=(water,), terrain=()), 1, "mujoco", matter="orbit-matter")
     world.reset()
@@ -190,6 +191,57 @@ def test_cups_hold_what_is_in_them(kind: str, wall: float) -> None:
     assert (x[:, 2] > 0.0).all()
     weight = 1000.0 * 9.81 * len(x) * SPACING**3
     assert np.mean(forces) == pytest.approx(weight, rel=0.01)
-    assert np.mean(heights) == pytest.approx(height, rel=0.06)
+    assert np.mean(heights) == pytest.approx(height, rel=0.08)
     assert not [each for each in world.engine.build_report if "hollow" in each.asked]
     world.close()
+
+
+@pytest.mark.parametrize("kind", ["round", "wedges"])
+def test_particles_within_a_thin_wall_come_out_on_the_nearer_side(kind: str) -> None:
+    """Of a wall of 3 mm, with particles of 10 mm, 1 mm in from either side."""
+    cup, water, _ = _filled(kind, 0.003, 1)
+    world = simulate(Scene(objects=(cup,), deformables=(water,), terrain=()), 1, "mujoco", matter="orbit-matter")
+    world.reset()
+    matter = world.engine._matter
+    x = matter.positions(0).clone()
+    x[0] = torch.tensor([0.0, 0.0, 1.0]) + 0.1 * torch.arange(x.shape[1])[:, None]
+    x[0, 0], x[0, 1] = torch.tensor([RADIUS + 0.001, 0.0, 0.03]), torch.tensor([-RADIUS - 0.002, 0.0, 0.03])
+    matter.write(0, x, torch.zeros_like(x))
+    for _ in range(6):
+        world.step()
+    found = matter.positions(0)[0]
+    assert RADIUS - 0.02 < found[0, 0] < RADIUS - 0.001
+    assert -RADIUS - 0.02 < found[1, 0] < -RADIUS - 0.004
+    world.close()
+
+
+@pytest.mark.parametrize("kind", ["round", "square", "wedges"])
+def test_cups_that_move_and_tilt_lose_nothing(kind: str) -> None:
+    """They go to and fro at up to 0.5 m/s and tilt by up to 20 degrees; their walls are 3 mm thick."""
+    cup, water, _ = _filled(kind, 0.003, 3)
+    scene = Scene(objects=(replace(cup, articulation=_taller(kind)),), deformables=(water,), terrain=())
+    world = simulate(scene, 1, "mujoco", matter="orbit-matter")
+    world.reset()
+    matter, dt = world.engine._matter, scene.physics_dt
+
+    def pose(time: float) -> torch.Tensor:
+        half = 0.5 * math.radians(20.0) * math.sin(2.0 * math.pi * time / 1.1)
+        way = 0.5 * 0.8 / (2.0 * math.pi) * math.sin(2.0 * math.pi * time / 0.8)
+        return torch.tensor([[[way, 0.0, 0.0, math.cos(half), 0.0, math.sin(half), 0.0]]])
+
+    settling = 100
+    for step in range(settling + 200):
+        times = [max(0.0, (step + more - settling) * dt) for more in (0, 1)]
+        matter.step(pose(times[0]), pose(times[1]))
+    w, y = (float(pose(times[1])[0, 0, k]) for k in (3, 5))
+    turned = np.array([[1.0 - 2.0 * y * y, 0.0, 2.0 * w * y], [0.0, 1.0, 0.0], [-2.0 * w * y, 0.0, 1.0 - 2.0 * y * y]])
+    x = (matter.positions(0)[0].numpy() - pose(times[1])[0, 0, :3].numpy()) @ turned
+    assert (np.abs(x[:, :2]) < RADIUS).all()
+    assert (x[:, 2] > 0.0).all()
+    world.close()
+
+
+def _taller(kind: str) -> Articulation:
+    """Return a cup that nothing is spilled from."""
+    link = Link("cup", 0.2, inertia=np.eye(3) * 1e-3, collisions=_cup(kind, 0.003, 0.25))
+    return Articulation("cup", (link,))
