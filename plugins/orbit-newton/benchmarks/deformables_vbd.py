@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import newton
 import numpy as np
@@ -53,7 +54,7 @@ def _brake(velocities: wp.array[wp.vec3], kept: float) -> None:
 
 
 def grid(cells: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) of a box from the origin on and its tetrahedra (T, 4), five a cell, mirrored from cell to cell."""
+    """Vertices (V, 3) of a box from the origin on and its tetrahedra (T, 4), five a cell, mirrored between cells."""
     lines = [np.linspace(0.0, length, count + 1) for length, count in zip(size, cells, strict=True)]
     vertices = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     index = np.arange(len(vertices)).reshape([count + 1 for count in cells])
@@ -229,7 +230,7 @@ def _swing(setting: Setting, device: str, budget: Budget) -> list[Figure]:
         before = np.flatnonzero((swing[:-1] > 0.0) != (swing[1:] > 0.0))
         crossings = before + swing[before] / (swing[before] - swing[before + 1])
         frequency = 0.5 * (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * PHYSICS_STEP)
-        peaks = [np.abs(swing[a + 1 : b + 1]).max() for a, b in zip(before[:-1], before[1:], strict=True)]
+        peaks = [np.abs(swing[a + 1 : b + 1]).max() for a, b in pairwise(before)]
         found[delay] = frequency, 2.0 * math.log(peaks[0] / peaks[-1]) / (len(peaks) - 1)
     ratio = 0.5 * 0.004 * omega
     rest = math.sqrt(1.0 - ratio**2)
@@ -382,8 +383,8 @@ def _held(setting: Setting, creep: float, device: str, budget: Budget) -> list[F
     half = 0.5 * (BLOCK - shorter) + RADIUS
     solid = Solid(
         device, vertices, tetrahedra, BLOCK_DENSITY, BLOCK_MODULUS, 0.005, setting,
-        start=vertices * ((BLOCK - shorter) / BLOCK, 1.0, 1.0), plates=(Plate(0, 1, -half, 1.0), Plate(0, -1, half, 1.0)),
-        creep=creep,
+        start=vertices * ((BLOCK - shorter) / BLOCK, 1.0, 1.0),
+        plates=(Plate(0, 1, -half, 1.0), Plate(0, -1, half, 1.0)), creep=creep,
     )  # fmt: skip
     budget.restart()
     for _ in range(60):
