@@ -23,7 +23,8 @@ class Setting:
     """A grid: metres of a voxel, particles along its edge, its bases, substeps in 5 ms.
 
     Bases and integration are those of Newton's example of water where nothing else is said, which are its defaults but
-    for contacts at the particles. ``modulus`` in Pa is that of the material before it flows; Newton's examples of water and sand leave it at 1e15.
+    for contacts at the particles. ``modulus`` in Pa is that of the material before it flows; Newton's examples of water
+    and sand leave it at 1e15. ``margin`` in distances of particles is how far walls keep their middles off.
     """
 
     voxel: float
@@ -34,10 +35,12 @@ class Setting:
     strains: str = "P0"
     integration: str = "pic"
     modulus: float = 1e15
+    margin: float = 0.5
 
     def __str__(self) -> str:
         bases = ((self.contacts, "pic"), (self.velocities, "Q1"), (self.strains, "P0"), (self.integration, "pic"))
         more = [basis for basis, usual in bases if basis != usual]
+        more += [f"margin {self.margin:g}"] if self.margin != 0.5 else []
         more += [f"E {self.modulus:g}"] if self.modulus < 1e15 else []
         return ", ".join([f"{1e3 * self.voxel:g} mm, {self.particles}^3, {5.0 / self.substeps:g} ms", *more])
 
@@ -105,7 +108,10 @@ class Matter:
         config.collider_basis, config.velocity_basis = setting.contacts, setting.velocities
         config.strain_basis, config.integration_scheme = setting.strains, setting.integration
         self._solver = SolverImplicitMPM(self.model, config=config)
-        self._solver.setup_collider(collider_projection_threshold=[0.25 * setting.voxel] * len(walls))
+        self._solver.setup_collider(
+            collider_projection_threshold=[0.25 * setting.voxel] * len(walls),
+            collider_margins=[setting.margin * self.spacing] * len(walls),
+        )
         self._states = [self.model.state(), self.model.state()]
         self._states[0].mpm.particle_Jp.fill_(1.0)
         self._walls, self._substeps = len(walls), setting.substeps
@@ -385,11 +391,11 @@ CASES = (
     *(
         Case(f"rest ({setting})", partial(_rest, setting, 0.05, 2.0), setting.voxel < 0.02)
         for setting in (
-            Setting(0.02, contacts="S2"), Setting(0.02, substeps=4), Setting(0.02, 3), Setting(0.02, velocities="B2"),
-            Setting(0.02, modulus=1e5), Setting(0.02, modulus=1e6), Setting(0.02, strains="P1d"),
-            Setting(0.02, strains="Q1d"), Setting(0.02, integration="gimp"), Setting(0.005),
-            Setting(0.01, modulus=1e5), Setting(0.01, strains="P1d"), Setting(0.01, integration="gimp"),
-            Setting(0.01, contacts="S2"), Setting(0.01, velocities="B2"),
+            Setting(0.02, margin=0.0), Setting(0.02, contacts="S2"), Setting(0.02, substeps=4), Setting(0.02, 3),
+            Setting(0.02, velocities="B2"), Setting(0.02, modulus=1e5), Setting(0.02, modulus=1e6),
+            Setting(0.02, strains="P1d"), Setting(0.02, strains="Q1d"), Setting(0.02, integration="gimp"),
+            Setting(0.005), Setting(0.01, modulus=1e5), Setting(0.01, strains="P1d"),
+            Setting(0.01, integration="gimp"), Setting(0.01, contacts="S2"), Setting(0.01, velocities="B2"),
         )
     ),
     Case(f"rest, walls of 10 mm ({COARSE})", partial(_rest, COARSE, 0.01, 2.0)),
