@@ -16,6 +16,7 @@ import argparse
 import dataclasses
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import deformables_mpm
@@ -51,16 +52,16 @@ def main() -> None:
                     file.write(json.dumps(entry) + "\n")
 
 
-def _figures(case: Case, device: str, limit: float) -> list[Figure]:
-    """Figures of a case, or one that tells why there are none."""
+def _figures(case: Case, device: str, limit: float) -> Iterator[Figure]:
+    """Figures of a case as they are found, and one that tells why there are no more."""
     budget = Budget(limit, gpu=wp.get_device(device).is_cuda)
     try:
         with wp.ScopedDevice(device):
-            return case.run(device, budget)
+            yield from case.run(device, budget)
     except OutOfTime as error:
-        return [Figure("time", float("nan"), note=str(error), milliseconds=budget.milliseconds)]
+        yield Figure("time", float("nan"), note=str(error), milliseconds=budget.milliseconds)
     except Exception as error:  # one case that fails must not end those after it
-        return [Figure("failed", float("nan"), note=f"{type(error).__name__}: {error}"[:300])]
+        yield Figure("failed", float("nan"), note=f"{type(error).__name__}: {error}"[:300])
 
 
 def _line(case: Case, figure: Figure) -> str:

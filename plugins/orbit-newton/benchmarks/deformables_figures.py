@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 PHYSICS_STEP, G = 0.005, 9.81
@@ -79,5 +79,5 @@ class Case:
     """One set-up at one setting; ``large`` ones are too slow for a CPU."""
 
     name: str
-    run: Callable[[str, Budget], list[Figure]]
+    run: Callable[[str, Budget], Iterator[Figure]]
     large: bool = False

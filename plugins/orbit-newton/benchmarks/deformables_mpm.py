@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -171,7 +171,7 @@ def _tank(length: float, width: float, height: float, thick: float, friction: fl
 # Water ---------------------------------------------------------------------------------------------------------------
 
 
-def _rest(setting: Setting, thick: float, seconds: float, device: str, budget: Budget) -> list[Figure]:
+def _rest(setting: Setting, thick: float, seconds: float, device: str, budget: Budget) -> Iterator[Figure]:
     """Water in a tank: volume, force on the floor and on the sides over the half second until each of two times."""
     length, width, depth = 0.12, 0.08, 0.06
     tank = _tank(length, width, 0.12, thick)
@@ -180,7 +180,7 @@ def _rest(setting: Setting, thick: float, seconds: float, device: str, budget: B
     )
     budget.restart()
     weight, pressed = WATER * G * length * width * depth, 0.5 * WATER * G * depth**2
-    figures, forces, heights = [], [], []
+    forces, heights = [], []
     steps = round(seconds / PHYSICS_STEP)
     for step in range(1, steps + 1):
         water.step(budget)
@@ -196,12 +196,11 @@ def _rest(setting: Setting, thick: float, seconds: float, device: str, budget: B
             worst = float(sides[np.argmax(np.abs(sides - 1.0))])
             volume = float(np.mean(heights[-100:])) / depth
             out = _outside(water.positions, 0.5 * length + 0.5 * thick, 0.5 * width + 0.5 * thick, -0.5 * thick)
-            figures += [
+            yield from [
                 Figure("volume", volume, 1.0, 0.02, budget.milliseconds, f"{after}; {out:.2%} have leaked"),
                 Figure("floor", -mean[0, 2] / weight, 1.0, 0.01, budget.milliseconds, after),
                 Figure("sides", worst, 1.0, 0.01, budget.milliseconds, after),
             ]
-    return figures
 
 
 def _outside(points: np.ndarray, x: float, y: float, bottom: float) -> float:
@@ -209,7 +208,7 @@ def _outside(points: np.ndarray, x: float, y: float, bottom: float) -> float:
     return float(((np.abs(points[:, 0]) > x) | (np.abs(points[:, 1]) > y) | (points[:, 2] < bottom)).mean())
 
 
-def _cup(setting: Setting, device: str, budget: Budget) -> list[Figure]:
+def _cup(setting: Setting, device: str, budget: Budget) -> Iterator[Figure]:
     """A cup with walls of 6 mm, which stands in the air: what is left in it, and what it weighs."""
     side, depth, thick = 0.06, 0.06, 0.006
     cup = _tank(side, side, 0.08, thick)
@@ -223,7 +222,7 @@ def _cup(setting: Setting, device: str, budget: Budget) -> list[Figure]:
             forces.append(-water.forces()[:, 2].sum())
     out = _outside(water.positions, half + 0.5 * thick, half + 0.5 * thick, -0.5 * thick)
     weight = WATER * G * side**2 * depth
-    return [
+    yield from [
         Figure("weight", float(np.mean(forces)), weight, 0.02, budget.milliseconds, "N on the cup, of 1 to 1.5 s"),
         Figure("leaked", out, None, 0.0, budget.milliseconds, "part of the particles after 1.5 s"),
     ]
@@ -233,7 +232,7 @@ FRONT = ((1.219, 1.474), (1.997, 2.292), (2.547, 2.995))
 """Martin and Moyce, 1952: times in sqrt(a / 2 g) and places in a."""
 
 
-def _dam_break(setting: Setting, device: str, budget: Budget) -> list[Figure]:
+def _dam_break(setting: Setting, device: str, budget: Budget) -> Iterator[Figure]:
     """The front of a column that is twice as high as long."""
     length, width = 0.06, 0.04
     x, y = 0.5 * length, 0.5 * width
@@ -254,13 +253,13 @@ def _dam_break(setting: Setting, device: str, budget: Budget) -> list[Figure]:
         places.append((ahead + x) / length)
         water.step(budget)
     found = np.interp([time for time, _ in FRONT], times, places)
-    return [
+    yield from [
         Figure(f"front {time:.1f}", float(at), truth, 0.1, budget.milliseconds, "lengths at that time in sqrt(a / 2 g)")
         for at, (time, truth) in zip(found, FRONT, strict=True)
     ]
 
 
-def _sloshing(setting: Setting, device: str, budget: Budget) -> list[Figure]:
+def _sloshing(setting: Setting, device: str, budget: Budget) -> Iterator[Figure]:
     """The first mode of water in a tank, set in motion by its velocities."""
     length, width, depth = 0.16, 0.06, 0.06
     low, high = (-0.5 * length, -0.5 * width, 0.0), (0.5 * length, 0.5 * width, depth)
@@ -281,20 +280,18 @@ def _sloshing(setting: Setting, device: str, budget: Budget) -> list[Figure]:
     swing = np.array(middles)
     before = np.flatnonzero((swing[:-1] > 0.0) != (swing[1:] > 0.0))
     if len(before) < 2:
-        return [Figure("frequency", 0.0, 0.5 * omega / math.pi, 0.05, budget.milliseconds, "does not swing")]
+        yield Figure("frequency", 0.0, 0.5 * omega / math.pi, 0.05, budget.milliseconds, "does not swing")
+        return
     crossings = before + swing[before] / (swing[before] - swing[before + 1])
     frequency = 0.5 * (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * PHYSICS_STEP)
-    figures = [Figure("frequency", float(frequency), 0.5 * omega / math.pi, 0.05, budget.milliseconds)]
+    yield Figure("frequency", float(frequency), 0.5 * omega / math.pi, 0.05, budget.milliseconds)
     if len(before) > 2:
         swings = [np.abs(swing[a : b + 1]).max() for a, b in pairwise(before)]
         lost = 1.0 - (swings[-1] / swings[0]) ** (1.0 / (len(swings) - 1))
-        figures.append(
-            Figure("lost", float(lost), None, 0.15, budget.milliseconds, "of its amplitude in half a period")
-        )
-    return figures
+        yield Figure("lost", float(lost), None, 0.15, budget.milliseconds, "of its amplitude in half a period")
 
 
-def _outflow(setting: Setting, device: str, budget: Budget) -> list[Figure]:
+def _outflow(setting: Setting, device: str, budget: Budget) -> Iterator[Figure]:
     """Water that runs out of a square hole, between 85 and 45 % of its depth."""
     side, depth, hole, bottom = 0.10, 0.11, 0.04, 0.01
     x, h, far = 0.5 * side, 0.5 * hole, 0.5 * side + 0.05
@@ -315,13 +312,13 @@ def _outflow(setting: Setting, device: str, budget: Budget) -> list[Figure]:
     last = int(np.argmax(np.array(depths) < 0.45 * depth)) or len(depths) - 1
     fallen = 2.0 * side**2 * (math.sqrt(depths[first]) - math.sqrt(depths[last]))
     coefficient = fallen / (hole**2 * math.sqrt(2.0 * G) * max(last - first, 1) * PHYSICS_STEP)
-    return [Figure("coefficient", coefficient, 0.62, 0.1, budget.milliseconds)]
+    yield Figure("coefficient", coefficient, 0.62, 0.1, budget.milliseconds)
 
 
 # Sand and dough ------------------------------------------------------------------------------------------------------
 
 
-def _collapse(setting: Setting, aspect: float, device: str, budget: Budget) -> list[Figure]:
+def _collapse(setting: Setting, aspect: float, device: str, budget: Budget) -> Iterator[Figure]:
     """A column of sand in a channel: how far it runs and how high it stays, after Lube and others.
 
     In plane flow of constant volume the solver's coefficient of friction is the sine of the angle of friction: 30
@@ -347,13 +344,13 @@ def _collapse(setting: Setting, aspect: float, device: str, budget: Budget) -> l
     lube = 1.2 * aspect if aspect < 2.3 else 1.9 * aspect ** (2.0 / 3.0)
     height = aspect if aspect < 1.15 else 0.65 * aspect**0.4
     note = f"lengths; {len(points)} particles"
-    return [
+    yield from [
         Figure("run-out", float(run), lube, 0.1, budget.milliseconds, note),
         Figure("height", float(high_end), height, 0.1, budget.milliseconds, note),
     ]
 
 
-def _slump(setting: Setting, strength: float, device: str, budget: Budget) -> list[Figure]:
+def _slump(setting: Setting, strength: float, device: str, budget: Budget) -> Iterator[Figure]:
     """A cylinder of dough on a smooth floor, by whose slump yield stresses are measured.
 
     ``strength`` is its yield stress in shear over rho g H; yield is von Mises', sqrt(3) times that in compression.
@@ -374,9 +371,8 @@ def _slump(setting: Setting, strength: float, device: str, budget: Budget) -> li
     s = math.sqrt(3.0) * strength
     truth = 1.0 - s * (1.0 - math.log(s)) if s < 1.0 else 0.0
     note = f"of its height; {len(points)} particles"
-    if truth == 0.0:
-        return [Figure("slump", float(slump), None, 0.02, budget.milliseconds, note)]
-    return [Figure("slump", float(slump), truth, 0.1, budget.milliseconds, note)]
+    rigid = truth == 0.0
+    yield Figure("slump", float(slump), None if rigid else truth, 0.02 if rigid else 0.1, budget.milliseconds, note)
 
 
 COARSE, FINE = Setting(0.02), Setting(0.01)

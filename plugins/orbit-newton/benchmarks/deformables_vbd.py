@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -203,7 +204,7 @@ def _beam(
     return solid, np.flatnonzero(vertices[:, 0] > LENGTH - 1e-6)
 
 
-def _droop(name: str, setting: Setting, device: str, budget: Budget) -> list[Figure]:
+def _droop(name: str, setting: Setting, device: str, budget: Budget) -> Iterator[Figure]:
     """The shape at rest, found by slowing velocities: damping of the material would slow VBD's convergence."""
     modulus, truth, omega = MODULI[name]
     solid, end = _beam(device, setting, modulus, 0.0, gravity=G, brake=2.0 * omega)
@@ -211,10 +212,10 @@ def _droop(name: str, setting: Setting, device: str, budget: Budget) -> list[Fig
     seconds = 14.0 / omega
     for _ in range(round(seconds / PHYSICS_STEP)):
         solid.step(budget)
-    return [Figure("droop", -solid.positions[end, 2].mean(), truth, 0.05, budget.milliseconds)]
+    yield Figure("droop", -solid.positions[end, 2].mean(), truth, 0.05, budget.milliseconds)
 
 
-def _swing(setting: Setting, device: str, budget: Budget) -> list[Figure]:
+def _swing(setting: Setting, device: str, budget: Budget) -> Iterator[Figure]:
     """A beam that is let go in its first mode, with a damping of 4 ms and with none."""
     modulus = MODULI["stiff"][0]
     omega = CLAMPED**2 * math.sqrt(modulus * SIDE**4 / 12.0 / (DENSITY * SIDE**2 * LENGTH**4))
@@ -235,7 +236,7 @@ def _swing(setting: Setting, device: str, budget: Budget) -> list[Figure]:
     ratio = 0.5 * 0.004 * omega
     rest = math.sqrt(1.0 - ratio**2)
     lost = abs(found[0.0][1]) * 1.5 * omega / (2.0 * math.pi)
-    return [
+    yield from [
         Figure("frequency", found[0.004][0], omega * rest / (2.0 * math.pi), 0.03, budget.milliseconds),
         Figure("decay", found[0.004][1], 2.0 * math.pi * ratio / rest, 0.05, budget.milliseconds),
         Figure("lost", lost, None, 0.05, budget.milliseconds, "logarithm of its amplitude in 1.5 s, undamped"),
@@ -254,7 +255,7 @@ def _bent(points: np.ndarray, height: float) -> np.ndarray:
     return moved
 
 
-def _mesh_limit(cells: int, device: str, budget: Budget) -> list[Figure]:
+def _mesh_limit(cells: int, device: str, budget: Budget) -> Iterator[Figure]:
     """Where the same tetrahedra end however well they are solved: small droop by a direct solution."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import spsolve
@@ -287,13 +288,13 @@ def _mesh_limit(cells: int, device: str, budget: Budget) -> list[Figure]:
     moved[free] = spsolve(matrix[free][:, free], load[free])
     droop = -moved[2::3][vertices[:, 0] > LENGTH - 1e-6].mean()
     truth = DENSITY * SIDE**2 * G * LENGTH**4 / (8.0 * modulus * SIDE**4 / 12.0)
-    return [Figure("droop", droop, truth, 0.05, note=f"{len(tetrahedra)} tetrahedra, small bending, direct solution")]
+    yield Figure("droop", droop, truth, 0.05, note=f"{len(tetrahedra)} tetrahedra, small bending, direct solution")
 
 
 # Blocks --------------------------------------------------------------------------------------------------------------
 
 
-def _compression(setting: Setting, device: str, budget: Budget) -> list[Figure]:
+def _compression(setting: Setting, device: str, budget: Budget) -> Iterator[Figure]:
     """A block of foam between smooth plates, 4 % shorter; its force is what VBD tells."""
     edge, modulus, strain = 0.05, 1e5, 0.04
     vertices, tetrahedra = grid((setting.cells,) * 3, (edge,) * 3)
@@ -315,7 +316,7 @@ def _compression(setting: Setting, device: str, budget: Budget) -> list[Figure]:
     ]
     shorter, wider = 1.0 - spans[2] / edge, 0.5 * (spans[0] + spans[1]) / edge - 1.0
     felt = float(np.mean(forces)) / edge**2 / shorter
-    return [
+    yield from [
         Figure("modulus", felt, modulus, 0.03, budget.milliseconds, "by the force that VBD tells"),
         Figure("ratio", wider / shorter, RATIO, 0.03, budget.milliseconds),
     ]
@@ -337,7 +338,7 @@ def _lying(setting: Setting, tangent: float, device: str, creep: float) -> Solid
     )  # fmt: skip
 
 
-def _weight(setting: Setting, device: str, budget: Budget) -> list[Figure]:
+def _weight(setting: Setting, device: str, budget: Budget) -> Iterator[Figure]:
     """A block that lies on the ground, and the force that VBD tells of it."""
     solid = _lying(setting, 0.0, device, 1e-2)
     budget.restart()
@@ -346,15 +347,14 @@ def _weight(setting: Setting, device: str, budget: Budget) -> list[Figure]:
         solid.step(budget)
         if step >= 60:
             felt.append(-solid.force(0)[2])
-    return [
+    yield from [
         Figure("weight", float(np.mean(felt)), WEIGHT, 0.02, budget.milliseconds, "mean force on the ground in N"),
         Figure("spread", float(np.std(felt)) / WEIGHT, None, None, budget.milliseconds, "of it, over the weight"),
     ]
 
 
-def _slope(setting: Setting, creep: float, device: str, budget: Budget) -> list[Figure]:
+def _slope(setting: Setting, creep: float, device: str, budget: Budget) -> Iterator[Figure]:
     """A block that holds at tan 0.34 and slides at tan 0.6, with friction 0.4."""
-    figures = []
     for tangent in (0.34, 0.6):
         solid = _lying(setting, tangent, device, creep)
         budget.restart()
@@ -365,16 +365,15 @@ def _slope(setting: Setting, creep: float, device: str, budget: Budget) -> list[
             solid.step(budget)
         if tangent < 0.4:
             moved = float(np.linalg.norm(solid.positions.mean(axis=0) - place)) / 0.4
-            figures.append(Figure("creep", moved, None, 1e-3, budget.milliseconds, "m/s at tan 0.34"))
+            yield Figure("creep", moved, None, 1e-3, budget.milliseconds, "m/s at tan 0.34")
         else:
             angle = math.atan(tangent)
             truth = G * (math.sin(angle) - 0.4 * math.cos(angle))
             faster = float(np.linalg.norm(solid.velocity) - speed) / 0.4
-            figures.append(Figure("acceleration", faster, truth, 0.03, budget.milliseconds, "m/s^2 at tan 0.6"))
-    return figures
+            yield Figure("acceleration", faster, truth, 0.03, budget.milliseconds, "m/s^2 at tan 0.6")
 
 
-def _held(setting: Setting, creep: float, device: str, budget: Budget) -> list[Figure]:
+def _held(setting: Setting, creep: float, device: str, budget: Budget) -> Iterator[Figure]:
     """A block that two fixed plates press with 5 N and hold up, by a friction of 1."""
     vertices, tetrahedra = grid((setting.cells,) * 3, (BLOCK,) * 3)
     vertices -= (0.5 * BLOCK, 0.0, 0.0)
@@ -397,7 +396,7 @@ def _held(setting: Setting, creep: float, device: str, budget: Budget) -> list[F
         pressed.append(0.5 * (forces[1][0] - forces[0][0]))
     slip = abs(float(solid.positions[:, 2].mean() - height))
     pressure = f"pressed with {np.mean(pressed):.2f} N a side"
-    return [
+    yield from [
         Figure("force", float(np.mean(felt)), WEIGHT, 0.02, budget.milliseconds, f"N up on it; {pressure}"),
         Figure("slip", slip, None, 5e-4, budget.milliseconds, "m in 1.5 s"),
     ]
@@ -408,15 +407,14 @@ EXAMPLES = 5.0 / 3.0
 CASES = (
     *(
         Case(f"beam {name} ({setting})", partial(_droop, name, setting), large)
+        for name in MODULI
         for setting, large in (
             (Setting(2, EXAMPLES, 10), False),
             (Setting(2, 0.25, 20), False),
-            (Setting(2, 0.1, 20), False),
-            (Setting(4, 0.1, 20), False),
             (Setting(8, 0.05, 20), True),
-            (Setting(12, 0.03, 20), True),
+            (Setting(4, 0.1, 20), False),
+            (Setting(8, 0.05, 40), True),
         )
-        for name in MODULI
     ),
     *(Case(f"beam mesh ({cells} cells)", partial(_mesh_limit, cells)) for cells in (2, 4, 8)),
     *(
@@ -438,7 +436,7 @@ CASES = (
     ),
     *(
         Case(f"swing ({setting})", partial(_swing, setting), large)
-        for setting, large in ((Setting(2, 0.25, 40), False), (Setting(4, 0.1, 40), True), (Setting(8, 0.05, 40), True))
+        for setting, large in ((Setting(2, 0.25, 40), False), (Setting(4, 0.1, 40), True))
     ),
 )
 """Most telling first."""
