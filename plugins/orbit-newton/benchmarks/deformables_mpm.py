@@ -343,11 +343,14 @@ def _collapse(setting: Setting, aspect: float, device: str, budget: Budget) -> I
     high_end = (np.percentile(points[points[:, 0] < 0.1 * length, 2], 99.0) + 0.5 * matter.spacing) / length
     lube = 1.2 * aspect if aspect < 2.3 else 1.9 * aspect ** (2.0 / 3.0)
     height = aspect if aspect < 1.15 else 0.65 * aspect**0.4
+    # Heights of columns of one voxel: sand does not lose volume, and gains little as it loosens.
+    columns = np.floor(points[:, 0] / setting.voxel).astype(int)
+    tops = [points[columns == column, 2].max() + 0.5 * matter.spacing for column in np.unique(columns)]
+    area = sum(tops) * setting.voxel / (aspect * length**2)
     note = f"lengths; {len(points)} particles"
-    yield from [
-        Figure("run-out", float(run), lube, 0.1, budget.milliseconds, note),
-        Figure("height", float(high_end), height, 0.1, budget.milliseconds, note),
-    ]
+    yield Figure("run-out", float(run), lube, 0.1, budget.milliseconds, note)
+    yield Figure("height", float(high_end), height, 0.1, budget.milliseconds, note)
+    yield Figure("volume", float(area), 1.0, 0.1, budget.milliseconds, "under its surface")
 
 
 def _slump(setting: Setting, strength: float, device: str, budget: Budget) -> Iterator[Figure]:
