@@ -8,8 +8,8 @@ _NO_IMAGES = "Newton's ray tracer is not connected to this backend: choose anoth
 _NO_RAYS = "Newton's ray casts are not connected to this backend"
 _MATTER = {
     Capability.CLOTH: unsupported(
-        "Newton's cloth is VBD's, which is not connected: with 10 sweeps per 2 ms it pressed on two fingers with 4 times "
-        "its weight"
+        "Newton's cloth is VBD's, which is not connected: with 10 sweeps per 2 ms it pressed on two fingers with 4 "
+        "times its weight"
     ),
     Capability.ROPES: unsupported("Newton's rods are not connected to this backend, and not measured"),
     Capability.SOFT_BODIES: unsupported(
