@@ -278,7 +278,14 @@ class Lift(Task):
     metadata: TaskMetadata = TaskMetadata(
         instruction="lift the cube to the goal",
         subtasks=(Subtask(at_cube, off_table), Subtask(goal_frame, lifted)),
-        ppo=PpoSettings(iterations=1500, steps_per_iteration=16, initial_std=0.7, entropy_weight=0.002, target_kl=0.03),
+        ppo=PpoSettings(
+            iterations=1500,
+            steps_per_iteration=16,
+            initial_std=0.7,
+            entropy_weight=0.002,
+            target_kl=0.03,
+            clip_value=False,
+        ),
         off_policy=OffPolicySettings(updates_per_step=4),
     )
     cube: ObjectConfig = BoxConfig(size=(0.05, 0.05, 0.05), mass=0.1, color=(0.8, 0.2, 0.15, 1.0))

@@ -68,9 +68,16 @@ def compiled(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callab
         ) from error
 
 
-def _on_gpu(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]]:
-    import torch._inductor as inductor
+def _shapes_of(inputs: list[Tensor]) -> tuple[Any, list[Any]]:
+    """Return a mode, and stand-ins in it with shapes alone: only for those does inductor look code up on disk."""
+    from torch._subclasses import FakeTensorMode
+    from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
+    mode = FakeTensorMode(shape_env=ShapeEnv(), static_shapes=True, allow_non_fake_inputs=True)
+    return mode, [mode.from_tensor(tensor) for tensor in inputs]
+
+
+def _on_gpu(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]]:
     # Numbers of Python's lie on the host, from where compiled code would copy them to the device each time.
     device = next(tensor.device for tensor in inputs if tensor.device.type != "cpu")
     inputs[:] = [tensor.to(device) if tensor.dim() == 0 else tensor for tensor in inputs]
@@ -78,21 +85,30 @@ def _on_gpu(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequen
         if "device" in node.kwargs:
             node.kwargs = {**node.kwargs, "device": device}
     graph.recompile()
-    return inductor.compile(graph, list(inputs))  # pyright: ignore[reportReturnType]
+    return _by_inductor(graph, inputs)
+
+
+def _by_inductor(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]]:
+    """Return the graph as inductor compiles it on any device, with what it writes to its inputs."""
+    import torch._inductor as inductor
+
+    return inductor.compile(graph, _shapes_of(inputs)[1])  # pyright: ignore[reportReturnType]
 
 
 def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callable[..., Sequence[Tensor]]:
+    from torch._guards import TracingContext, tracing
     from torch._inductor import config
     from torch._inductor.compile_fx import compile_fx_inner
     from torch._inductor.decomposition import select_decomp_table
     from torch.fx.experimental.proxy_tensor import make_fx
 
     functional = torch.func.functionalize(graph, remove="mutations")
-    pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*inputs)
+    mode, fakes = _shapes_of(inputs)
+    pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*fakes)
     # Threads cost more than they save on a step's small tensors, and the engine needs the cores. Sizes never change.
-    with config.patch({"cpp.threads": 1, "size_asserts": False}):
+    with tracing(TracingContext(mode)), config.patch({"cpp.threads": 1, "size_asserts": False}):
         # The inner entry point: the outer one wraps the code in guards that cost more than the kernels.
-        code: Any = compile_fx_inner(pure, list(inputs))
+        code: Any = compile_fx_inner(pure, fakes)
     call = code.current_callable
     return (_launches(call, inputs) if fixed else None) or (lambda *tensors: call(list(tensors)))
 

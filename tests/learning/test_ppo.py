@@ -74,11 +74,13 @@ def process(other: Any, rollout: Rollout, last: Tensor) -> None:
     other.compute_returns(observed(last))
 
 
-@pytest.mark.parametrize("iteration", [1, 2])
-def test_an_update_is_that_of_rsl_rl(iteration: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("iteration", "changes"), [(1, {}), (2, {}), (1, {"clip_value": False})])
+def test_an_update_is_that_of_rsl_rl(
+    iteration: int, changes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From the same weights, rollout and order of samples: losses, rate, weights and statistics after the update."""
     environment = reach(16)
-    trainer = PpoTrainer(environment, SHORT, tmp_path / "ours", 0)
+    trainer = PpoTrainer(environment, replace(SHORT, **changes), tmp_path / "ours", 0)
     update = trainer._update
     other = as_in_rsl_rl(trainer, tmp_path / "theirs")
     # Episodes of several ages, so that some end within the rollout; making the other trainer has begun new ones.

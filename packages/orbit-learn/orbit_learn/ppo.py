@@ -292,8 +292,11 @@ class PpoTrainer(LoopTrainer[PpoSettings]):
         ratio = (_log_density(samples.action, mean, log_std) - old).exp()
         surrogates = -samples.advantage * ratio, -samples.advantage * ratio.clamp(1.0 - clip, 1.0 + clip)
         surrogate = torch.max(*surrogates).mean()
-        near = samples.value + (value - samples.value).clamp(-clip, clip)
-        error = torch.max((value - samples.returns).square(), (near - samples.returns).square()).mean()
+        error = (value - samples.returns).square()
+        if self.settings.clip_value:
+            near = samples.value + (value - samples.value).clamp(-clip, clip)
+            error = torch.max(error, (near - samples.returns).square())
+        error = error.mean()
         entropy = (log_std + 0.5 + _HALF_LOG_TWO_PI).sum()
         loss = surrogate + error - self.settings.entropy_weight * entropy
         with torch.no_grad():  # of two normal distributions
