@@ -18,7 +18,7 @@ _MATTER = {
         "per 5 ms; a beam of tetrahedra, 2, 4 and 8 cells across, droops 32, 11 and 3 % too little when solved exactly"
     ),
     Capability.FLUIDS: unsupported(
-        "Newton's implicit MPM is not connected: after 2 s at rest water has lost 20 to 56 % of its volume (2 cm "
+        "Newton's implicit MPM is not connected: after 2 s at rest water has lost 20 to 58 % of its volume (2 cm "
         "voxels), and 1.1 % of a cup leaked through walls of 6 mm (1 cm), though a dam breaks within 10 %"
     ),
 }
