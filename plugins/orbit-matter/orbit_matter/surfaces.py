@@ -105,17 +105,23 @@ def _height_field(p: wp.vec3, size: wp.vec3, grid: wp.vec3i, heights: wp.array[f
 
 
 @wp.func
-def _mesh(p: wp.vec3, mesh: wp.uint64, farthest: float) -> wp.vec4:
+def mesh_distance(p: wp.vec3, mesh: wp.uint64, farthest: float) -> wp.vec4:
+    """Outward normal and signed distance of a point from a mesh; 1e6 beyond ``farthest``."""
     query = wp.mesh_query_point_sign_normal(mesh, p, farthest)
     if not query.result:
         return wp.vec4(0.0, 0.0, 1.0, 1.0e6)
     near = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
     arm = p - near
     away = wp.length(arm)
-    n = wp.mesh_eval_face_normal(mesh, query.face)
+    n, sign = wp.mesh_eval_face_normal(mesh, query.face), float(query.sign)
     if away > 1.0e-7:
-        n = query.sign * arm / away
-    return wp.vec4(n[0], n[1], n[2], query.sign * away)
+        if sign < 0.0:
+            # On the axis of a cup all sides are as near, and their normals cancel out: close to one they do not.
+            again = wp.mesh_query_point_sign_normal(mesh, near + arm * 0.1, away)
+            if again.result:
+                sign = again.sign
+        n = sign * arm / away
+    return wp.vec4(n[0], n[1], n[2], sign * away)
 
 
 @wp.func
@@ -135,4 +141,4 @@ def distance(shapes: Shapes, kind: int, shape: int, p: wp.vec3, farthest: float)
         return wp.vec4(0.0, 0.0, 1.0, p[2])
     if form == HEIGHT_FIELD:
         return _height_field(p, size, shapes.rows[kind, shape], shapes.heights)
-    return _mesh(p, shapes.mesh[kind, shape], farthest)
+    return mesh_distance(p, shapes.mesh[kind, shape], farthest)

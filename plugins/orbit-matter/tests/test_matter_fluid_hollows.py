@@ -145,6 +145,14 @@ def test_maps_are_the_integrals_over_all_that_is_not_the_hollow(kind: str, wall:
     assert abs((got - wanted)[:, 6].mean()) < 0.009
 
 
+@pytest.mark.parametrize("kind", ["round", "square", "wedges"])
+def test_points_on_the_axis_of_a_cup_are_outside_of_its_walls(kind: str) -> None:
+    """All sides are as near there."""
+    points = np.column_stack((np.zeros((40, 2)), np.linspace(0.035, 0.095, 40)))
+    planes, _ = _looked_up(_surface(kind, 0.003), points, (0.0, 0.0, -9.81), "cpu")
+    assert planes[:, 3] == pytest.approx(RADIUS, abs=1e-6)
+
+
 def test_the_surface_around_pieces_is_that_of_their_union() -> None:
     """Twelve wedges and a floor touch each other face to face; two more boxes overlap."""
     vertices, faces = outer_surface([shape.geometry.vertices for shape in _cup("wedges", 0.004, 0.1)])

@@ -32,6 +32,7 @@ import warp as wp
 from orbit_matter.colliders import Colliders
 from orbit_matter.fluid.fluids import COUNTED, SMOOTHING
 from orbit_matter.fluid.walls import SOFT, layered_by, layers_behind
+from orbit_matter.surfaces import mesh_distance
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -258,20 +259,15 @@ def _survey(
     at = wp.vec3i(i // (size[1] * size[2]), (i // size[2]) % size[1], i % size[2])
     q = low + wp.vec3(float(at[0]), float(at[1]), float(at[2])) * cell
     state[i] = PLAIN
-    query = wp.mesh_query_point_sign_normal(mesh, q, reach)
-    if not query.result:
+    plane, clear = mesh_distance(q, mesh, reach), CLEAR * spacing
+    n, d = wp.vec3(plane[0], plane[1], plane[2]), plane[3]
+    if d > reach:
         return
-    near = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
-    away = wp.length(q - near)
-    n = wp.mesh_eval_face_normal(mesh, query.face)
-    if away > 1.0e-7:
-        n = (q - near) * (query.sign / away)
-    d, clear = query.sign * away, CLEAR * spacing
     if d < -1.8 * cell:
         state[i] = SOLID
         return
     # From within a wall, as on the surface that is nearest.
-    x, h = near + n * clear, clear
+    x, h = q - n * (d - clear), clear
     if d > clear:
         x, h = q, d
     seen = _walls_around(mesh, x, n, rays, reach)
