@@ -172,7 +172,8 @@ def test_the_surface_around_pieces_is_that_of_their_union() -> None:
 def _filled(kind: str, wall: float, layers: int) -> tuple[ObjectSpec, Fluid, float]:
     """Return a cup, a column of water in it, and how high this stands when it fills the cup."""
     corners = _corners(kind, RADIUS)
-    area = 0.5 * float(np.abs(np.cross(corners, np.roll(corners, -1, axis=0))).sum())
+    x, y = corners.T
+    area = 0.5 * float(np.abs(x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
     half = RADIUS if kind == "square" else 0.02
     high = round(layers * SPACING * area / (2.0 * half) ** 2 / SPACING) * SPACING
     shapes = _cup(kind, wall, high + 0.05)
