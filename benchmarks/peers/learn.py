@@ -35,7 +35,7 @@ def main() -> None:
     figures = {"mjlab": by_rsl_rl, "playground": by_brax}[arguments.peer](arguments)
     whole = {
         "peer": arguments.peer, "environment": arguments.environment, "num_envs": arguments.num_envs,
-        "device": arguments.device, **figures, "whole_s": round(time.perf_counter() - begun, 1),
+        **figures, "whole_s": round(time.perf_counter() - begun, 1),
     }  # fmt: skip
     print(json.dumps(whole), flush=True)
     if arguments.json:
@@ -48,6 +48,7 @@ def by_rsl_rl(arguments: argparse.Namespace) -> dict[str, Any]:
     from dataclasses import asdict
 
     import mjlab.tasks
+    import torch
     from mjlab.envs import ManagerBasedRlEnv
     from mjlab.rl import MjlabOnPolicyRunner, RslRlVecEnvWrapper
     from mjlab.tasks.registry import load_env_cfg, load_rl_cfg, load_runner_cls
@@ -82,6 +83,7 @@ def by_rsl_rl(arguments: argparse.Namespace) -> dict[str, Any]:
         "update_ms": round(1e3 * statistics.median(update), 2),
         "steps_per_iteration": learner.num_steps_per_env,
         "first_iterations_s": [round(value, 2) for value in seconds[:6]],
+        "device": torch.cuda.get_device_name(),
     }
 
 
@@ -120,8 +122,10 @@ def by_brax(arguments: argparse.Namespace) -> dict[str, Any]:
     return {
         "library": f"brax {metadata.version('brax')}",
         "env_steps_per_s": round(statistics.median(rates[1:])),
+        "quartiles": [round(min(rates[1:])), round(max(rates[1:]))],
         "reports": [round(rate) for rate in rates],
         "steps_per_iteration": batch // arguments.num_envs,
+        "device": jax.devices()[0].device_kind,
     }
 
 

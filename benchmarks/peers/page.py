@@ -34,9 +34,9 @@ python benchmarks/peers/run.py robosuite --environments out/peers
 _LEARNING = """## Learning on a GPU
 
 Collecting and learning in the steady state, environment steps/s with quartiles: the peer's own trainer by
-`benchmarks/peers/learn.py`, ORBIT by `benchmarks/learning/speed.py`, one after the other on one {device}.
-Other processes of the machine slow what waits for Python: the peer, RSL-RL and its update. Versions are those of
-`peers.py`.
+`benchmarks/peers/learn.py`, ORBIT by `benchmarks/learning/speed.py`, one after the other on one {device}
+but where another card is told. Of Brax, which reports seldom, brackets hold the least and the most. Other processes
+of the machine slow what waits for Python: the peer, RSL-RL and its update. Versions are those of `peers.py`.
 
 """
 
@@ -77,6 +77,7 @@ def _learning(learned: Sequence[Mapping[str, Any]]) -> str:
     def best(lines: Sequence[Mapping[str, Any]]) -> float:
         return max(each["env_steps_per_s"] for each in lines)
 
+    cards = sorted({line["device"] for line in learned if "task" in line})
     rows: list[list[str]] = []
     for (peer, environment, num_envs), lines in theirs.items():
         case = next(case for case in PEERS[peer].cases if case.environment == environment)
@@ -84,12 +85,14 @@ def _learning(learned: Sequence[Mapping[str, Any]]) -> str:
         task = f"{case.orbit.task}:{robot}" if robot else case.orbit.task
         found = ours.get((task, num_envs), {})
         own, with_rsl = found.get("orbit", []), found.get("rsl-rl", [])
-        ratio = f"{best(own) / best(lines):.2f}" if own else "-"
-        rows.append([f"{PEERS[peer].title}, {environment}", f"{num_envs:,}", rates(lines), task, rates(with_rsl),
+        elsewhere = sorted({line["device"] for line in lines} - {*cards, "cuda"})
+        # Rates of different cards have no ratio.
+        ratio = f"{best(own) / best(lines):.2f}" if own and not elsewhere else "-"
+        told = rates(lines) + "".join(f" on one {card}" for card in elsewhere)
+        rows.append([f"{PEERS[peer].title}, {environment}", f"{num_envs:,}", told, task, rates(with_rsl),
                      rates(own), ratio])  # fmt: skip
     headings = ("peer", "environments", "peer", "ORBIT's task", "by RSL-RL", "by ORBIT's PPO", "ORBIT's PPO / peer")
-    device = " and ".join(sorted({line["device"] for line in learned if "task" in line}))
-    return _LEARNING.format(device=device) + _table(headings, rows)
+    return _LEARNING.format(device=" and ".join(cards)) + _table(headings, rows)
 
 
 def case_of(measurement: Measurement) -> tuple[Peer, Case]:
