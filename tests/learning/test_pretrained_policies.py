@@ -39,6 +39,10 @@ def test_a_kept_policy_acts_as_when_it_was_kept(path: Path) -> None:
 PICTURES = [name for name in pretrained_policies() if load_policy(policy_path(name)).description.sees_pictures]
 
 
+# Made before a gripper of a given force kept its velocity limit: who plays them is told so. With it they do as well.
+OF_FASTER_GRIPPERS = ("cloth_lifting", "cloth_lifting_cloned", "soft_lifting")
+
+
 @pytest.mark.rotates
 @pytest.mark.parametrize("name", sorted({*pretrained_policies()} - {*PICTURES}))
 def test_a_kept_policy_still_fits_its_task(name: str) -> None:
@@ -46,6 +50,10 @@ def test_a_kept_policy_still_fits_its_task(name: str) -> None:
     settings = played(PlaySettings(policy=Path(name), backend=default_backend(), num_envs=2))
     with warnings.catch_warnings():
         warnings.filterwarnings("error", "the policy of .* was made with other settings")
+        if name in OF_FASTER_GRIPPERS:
+            warnings.filterwarnings(
+                "ignore", r"the policy of .* was made with other settings: assets\.robot was [^;]*$"
+            )
         environment = make_environment(settings, settings.num_envs)
         actor = make_actor(settings.agent, environment, seed=0)
     environment.reset(seed=0)

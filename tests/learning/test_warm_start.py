@@ -86,7 +86,7 @@ def test_what_the_policy_knew_keeps_its_statistics_and_what_is_new_finds_its_own
     assert torch.equal(after.std[:48], before.std[:48])
     assert not torch.isclose(after.std[48:], before.std[48:], rtol=1e-3).any()
     assert torch.equal(after(seen), before(seen))
-    assert settings().iterations_of_critic > 1
+    assert settings(256, 128, 64).iterations_of_critic > 1
     assert PpoSettings().iterations_of_critic == 0
     env.close()
 
