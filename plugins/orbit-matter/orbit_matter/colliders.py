@@ -45,7 +45,7 @@ _STILL_FREE = 0.012
 
 
 class Colliders:
-    """All shapes of each kind of environment, links' first, then the terrain's.
+    """Shapes of each kind of environment: those of links first, then the terrain's.
 
     In scenes of liquids the convex pieces of a link that are more than PIECES count as one for liquids: as a shape of
     their own, after all others, which only liquids meet.

@@ -87,7 +87,8 @@ class ParticleMatter(Matter):
             load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, steps), self._graphs.device)
         self._maps = None
         if self._fluids.model is not None:
-            load_kernels("orbit-matter", (fluid_kernels, fluid_search, maps), self._graphs.device)
+            of_maps = (maps,) if self._colliders.hollow else ()
+            load_kernels("orbit-matter", (fluid_kernels, fluid_search, *of_maps), self._graphs.device)
             self._maps = maps.build(self._colliders, self._fluids.model.spacing, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""

@@ -147,7 +147,7 @@ def test_maps_are_the_integrals_over_all_that_is_not_the_hollow(kind: str, wall:
 
 @pytest.mark.parametrize("kind", ["round", "square", "wedges"])
 def test_points_on_the_axis_of_a_cup_are_outside_of_its_walls(kind: str) -> None:
-    """All sides are as near there."""
+    """Points there are as near to all sides."""
     points = np.column_stack((np.zeros((40, 2)), np.linspace(0.035, 0.095, 40)))
     planes, _ = _looked_up(_surface(kind, 0.003), points, (0.0, 0.0, -9.81), "cpu")
     assert planes[:, 3] == pytest.approx(RADIUS, abs=1e-6)
@@ -207,7 +207,7 @@ def test_cups_hold_what_is_in_them(kind: str, wall: float) -> None:
 
 @pytest.mark.parametrize("kind", ["round", "wedges"])
 def test_particles_within_a_thin_wall_come_out_on_the_nearer_side(kind: str) -> None:
-    """Of a wall of 3 mm, with particles of 10 mm, 1 mm in from either side."""
+    """Particles of 10 mm begin in a wall of 3 mm, 1 mm in from either side."""
     cup, water, _ = _filled(kind, 0.003, 1)
     world = simulate(Scene(objects=(cup,), deformables=(water,), terrain=()), 1, "mujoco", matter="orbit-matter")
     world.reset()

@@ -1,4 +1,4 @@
-"""What a case of the benchmark of Newton's deformables finds, and how long it may take."""
+"""Figures that a case of the benchmark of Newton's deformables finds, and the time that it may take."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Figure:
 
     @property
     def passes(self) -> bool:
-        """Whether the error is within the tolerance."""
+        """True if the error is within the tolerance."""
         error = self.found if self.error is None else self.error
         return self.tolerance is not None and abs(error) <= self.tolerance
 

@@ -56,7 +56,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Material:
-    """Of the particles: without friction and with tension it is Newton's water, with friction and none its sand."""
+    """Material of the particles: Newton's water has tension and no friction, its sand friction and no tension."""
 
     density: float = WATER
     friction: float = 0.0

@@ -256,7 +256,7 @@ def _bent(points: np.ndarray, height: float) -> np.ndarray:
 
 
 def _mesh_limit(cells: int, device: str, budget: Budget) -> Iterator[Figure]:
-    """Where the same tetrahedra end however well they are solved: small droop by a direct solution."""
+    """Find the small droop of the same tetrahedra by a direct solution, which no solver of them can better."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import spsolve
 

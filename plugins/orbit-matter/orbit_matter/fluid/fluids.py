@@ -158,6 +158,13 @@ def _check_apart(first: Fluid, second: Fluid) -> None:
         )
 
 
+def kernel_of(spacing: float) -> tuple[float, float]:
+    """Return the slope of the kernel (1/m^5) and the height of the one whose sum is ``packed``, for a spacing in m."""
+    length = SMOOTHING * spacing
+    peak = 3465.0 / (512.0 * math.pi * (2.0 * length) ** 3) * spacing**3 * COUNTED
+    return 105.0 / (16.0 * math.pi * length**5), peak
+
+
 class Fluids:
     """State of the liquids of N environments.
 
@@ -174,7 +181,7 @@ class Fluids:
         self.tensors: dict[str, Tensor] = {}
         """State; snapshots hold it, and kernels its memory."""
         self.walls: dict[str, Tensor] = {}
-        """What particles know of walls; a CPU keeps it from one physics step to the next, so that it is state there."""
+        """Walls of particles. A CPU keeps them from one physics step to the next, so that they are state there."""
         self._index: dict[int, slice] = {}
         if self.model is None:
             return

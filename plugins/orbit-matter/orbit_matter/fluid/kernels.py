@@ -127,7 +127,7 @@ class Fluid:
     held: wp.array2d[float]
     """(N, P) part of gravity that gave the gradient of the pressure behind walls when they were found."""
     eased: float
-    """By how much it may differ from that now."""
+    """Largest difference of today's part of gravity from that."""
     left: wp.array2d[wp.transform]
     """(N, S) where shapes were in the last substep, when drifts were found."""
     way: wp.array2d[wp.vec3]
@@ -188,7 +188,7 @@ class Fluid:
     cell: float
     """Metres within which neighbours are searched."""
     maps: Maps
-    """Of hollow meshes and of united pieces."""
+    """Maps of hollow meshes and of united pieces."""
 
 
 @wp.func

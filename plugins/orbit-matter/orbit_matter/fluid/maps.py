@@ -30,7 +30,7 @@ import numpy.typing as npt
 import warp as wp
 
 from orbit_matter.colliders import Colliders
-from orbit_matter.fluid.fluids import COUNTED, SMOOTHING
+from orbit_matter.fluid.fluids import SMOOTHING, kernel_of
 from orbit_matter.fluid.walls import SOFT, layered_by, layers_behind
 from orbit_matter.surfaces import mesh_distance
 
@@ -43,11 +43,11 @@ RAYS = 144
 FIRST = wp.constant(36)
 """Rays after which a point is plain that has met nothing but its nearest wall, as a plane."""
 MOST_POINTS = 1_000_000
-"""Of a grid; of a bowl of 40 cm at a spacing of 1 cm. On a CPU it takes a minute."""
+"""Most points of a grid: those of a bowl of 40 cm at a spacing of 1 cm, which take a CPU a minute."""
 STEPS = wp.constant(96)
-"""Of the table of half-spaces, over the kernel's reach."""
+"""Steps of the table of half-spaces, over the kernel's reach."""
 CONES = wp.constant(256)
-"""Around the normal of a half-space, over which it is integrated."""
+"""Cones around the normal of a half-space, over which it is integrated."""
 OPPOSITE = wp.constant(-0.7)
 """Cosine between the faces that a ray enters and leaves by, below which they are the two sides of a wall."""
 ASIDE = wp.constant(0.7)
@@ -299,7 +299,7 @@ def _survey(
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """What was found around one mesh."""
+    """Grid around one mesh, and what was found at its points."""
 
     low: FloatArray
     """(3,) m, its first point in the mesh's frame."""
@@ -358,13 +358,6 @@ def _directions() -> FloatArray:
     return found[np.argsort(k * math.sqrt(2.0) % 1.0)].astype(np.float32)
 
 
-def kernel_of(spacing: float) -> tuple[float, float]:
-    """Return the slope of the kernel and the height of the one that ``packed`` sums, as of the Fluid of kernels."""
-    length = SMOOTHING * spacing
-    peak = 3465.0 / (512.0 * math.pi * (2.0 * length) ** 3) * spacing**3 * COUNTED
-    return 105.0 / (16.0 * math.pi * length**5), peak
-
-
 def _scales(spacing: float) -> wp.vec3:
     """Return what turns integrals over rays, for a steradian, into sums of gradients, second moments and the kernel."""
     (slope, peak), reach = kernel_of(spacing), 2.0 * SMOOTHING * spacing
@@ -397,7 +390,9 @@ def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
         rows = [grid.nodes.reshape(-1, 14) for grid in grids]
         made.node = wp.array(np.concatenate([*rows, np.zeros((1, 14), np.float32)]), dtype=Node)
         made.half = wp.zeros(STEPS + 1, dtype=Half)
-        wp.launch(_tabulate, STEPS + 1, inputs=[spacing, length, kernel_of(spacing)[0], _scales(spacing)[2], made.half])
+        if grids:
+            inputs = [spacing, length, kernel_of(spacing)[0], _scales(spacing)[2], made.half]
+            wp.launch(_tabulate, STEPS + 1, inputs=inputs)
     wp.synchronize_device(device)
     made.cell, made.reach, made.behind = FINENESS * spacing, 2.0 * length, float(BEHIND) * spacing
     return made

@@ -18,7 +18,6 @@ from orbit_matter import kernels as particles
 from orbit_matter.block import BLOCK
 from orbit_matter.fluid import fluids, kernels, pairs, search
 from orbit_matter.fluid.fluids import FluidModel
-from orbit_matter.fluid.maps import kernel_of
 
 
 class FluidPart:
@@ -86,7 +85,7 @@ class FluidPart:
         made.spacing, made.length, made.sound = model.spacing, model.length, model.sound
         made.ratio = fluids.SMOOTHING
         made.volume = model.spacing**3
-        made.slope, made.peak = kernel_of(model.spacing)
+        made.slope, made.peak = fluids.kernel_of(model.spacing)
         made.maps = self._maps
         made.renewal = 1.0 / fluids.RENEWED
         made.rough = fluids.ROUGHNESS * model.length * model.sound
