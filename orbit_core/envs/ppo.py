@@ -43,8 +43,8 @@ class PpoSettings:
     clip: float = 0.2
     """Largest deviation from 1 of the ratio of probabilities."""
     clip_value: bool = True
-    """True to stop the critic's learning in an iteration once its estimate has moved by ``clip``, in units of the return;
-    it then lags behind large returns that grow fast. Libraries orbit and rsl-rl take it; others never clip the critic."""
+    """True to stop the critic's learning in an iteration once its estimate has moved by ``clip``, in units of the
+    return; it then lags behind large returns that grow fast. Libraries orbit and rsl-rl take it; others never clip."""
     entropy_weight: float = 0.002
     """Weight of the entropy bonus, which keeps exploration alive."""
     normalize_observations: bool = True
