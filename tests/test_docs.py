@@ -188,6 +188,7 @@ def test_the_site_builds_strictly() -> None:
     assert (ROOT / "out" / "site" / "api" / "orbit_core.envs.environment.html").exists()
 
 
+@pytest.mark.usefixtures("forgotten_names")
 @pytest.mark.parametrize("code", [pytest.param(code, id=name) for name, code in runnable_blocks()])
 def test_shown_code_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = tmp_path / "shown.py"
@@ -196,6 +197,7 @@ def test_shown_code_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     runpy.run_path(str(script), run_name="__main__")
 
 
+@pytest.mark.usefixtures("forgotten_names")
 @pytest.mark.parametrize("example", EXAMPLES, ids=name_of)
 def test_examples_run(example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -70,20 +70,7 @@ def actuators_of(engine: Any) -> Actuators:
 
 
 @pytest.fixture
-def registered() -> Iterator[Callable[[str, Any], None]]:
-    registry, names = actuator_models(), []
-
-    def add(name: str, model: Any) -> None:
-        registry.add(name, model)
-        names.append(name)
-
-    yield add
-    for name in names:
-        del registry._loads[name]
-
-
-@pytest.fixture(scope="module")
-def example() -> Iterator[ModuleType]:
+def example(forgotten_names: None) -> Iterator[ModuleType]:
     path = Path(__file__).parents[2] / "examples" / "own_actuator.py"
     spec = importlib.util.spec_from_file_location("own_actuator", path)
     assert spec is not None
@@ -93,7 +80,6 @@ def example() -> Iterator[ModuleType]:
     spec.loader.exec_module(module)
     yield module
     del sys.modules["own_actuator"]
-    del actuator_models()._loads["SpringMotor"]
 
 
 @pytest.mark.parametrize("group", [Unknown, Softened, ActuatorConfig])
@@ -110,11 +96,11 @@ def test_a_class_that_adds_nothing_has_the_law_of_its_base(pendulums: Pendulums)
     assert engine.efforts[:, 0].tolist() == [1.5, 1.5]
 
 
-def test_what_is_registered_wrongly_is_named(pendulums: Pendulums, registered: Callable[[str, Any], None]) -> None:
-    registered("Unknown", dict)
+def test_what_is_registered_wrongly_is_named(pendulums: Pendulums, forgotten_names: None) -> None:
+    actuator_models().add("Unknown", dict)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ConfigurationError, match=r"this program of group orbit\.actuators names .*dict.*ActuatorModel"):
         actuators_of(pendulums((Unknown(joints=("joint_a",)),)))
-    registered("Driven", Counting)
+    actuator_models().add("Driven", Counting)
     with pytest.raises(ConfigurationError, match="derives from ImplicitPd, which the engine drives"):
         actuators_of(pendulums((Driven(joints=("joint_a",)),)))
 
@@ -169,8 +155,8 @@ def test_the_example_is_captured_like_others(example: ModuleType) -> None:
     torch.testing.assert_close(rollout(other), rollout(plain), rtol=0.0, atol=0.0)
 
 
-def test_a_model_that_counts_in_python_is_refused_by_name(registered: Callable[[str, Any], None]) -> None:
-    registered("Unknown", Counting)
+def test_a_model_that_counts_in_python_is_refused_by_name(forgotten_names: None) -> None:
+    actuator_models().add("Unknown", Counting)
     task = OwnReach(drive=lambda group: Unknown(joints=group.joints))
     environment = Environment(task, 3, BACKEND)
     environment._closed = CapturedStep(environment, compile=False, whole=True)
