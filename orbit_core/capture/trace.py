@@ -441,6 +441,7 @@ class _StageGraph:
     def _add_inputs(self, stage: Stage, memory: _Memory, wanted: list[Tensor]) -> None:
         groups: dict[int, dict[Tensor, None]] = {}
         made: set[Tensor] = set()
+        written = {_address(tensor) for operation in stage.operations for tensor in _written(operation)}
 
         def take(tensors: list[Tensor]) -> None:
             for tensor in tensors:
@@ -451,24 +452,32 @@ class _StageGraph:
             take(tensors_of((operation.arguments, operation.keywords)))
             made |= set(tensors_of(operation.result))
         take(wanted)
-        placeholders = [self._graph.placeholder(f"memory_{i}") for i in range(len(groups))]
-        for node, group in zip(placeholders, groups.values(), strict=True):
+        shared: list[tuple[fx.Node, dict[Tensor, None]]] = []
+        for address, group in groups.items():
             first = next(iter(group))
-            # The usual case: no other tensor shares the memory, so it is an input as it is.
-            if len(group) == 1:
-                self._nodes[first] = node
-                node.meta["shape"] = first.shape
-                if not memory.lasts(first):
-                    self.passed.append((len(self.inputs), first))
-                self.inputs.append(first)
+            # The usual case: no other tensor shares the memory, so it is an input as it is. So are several that an
+            # earlier stage made, where none is written: what shares their memory makes no difference then.
+            if len(group) == 1 or (address not in written and not memory.lasts(first)):
+                for tensor in group:
+                    self._nodes[tensor] = self._placeholder(tensor)
+                    self._nodes[tensor].meta["shape"] = tensor.shape
+                    if not memory.lasts(tensor):
+                        self.passed.append((len(self.inputs) - 1, tensor))
                 continue
             if not memory.lasts(first) or len({tensor.dtype for tensor in group}) > 1:
-                raise NotTraceable("tensors made in one stage share memory in the next")
-            self.inputs.append(torch.empty(0, dtype=first.dtype, device=first.device).set_(first.untyped_storage()))
+                raise NotTraceable("tensors made in one stage share memory that the next one writes")
+            whole = torch.empty(0, dtype=first.dtype, device=first.device).set_(first.untyped_storage())
+            shared.append((self._placeholder(whole), group))
+        for node, group in shared:
             for tensor in group:
                 view = (node, list(tensor.shape), list(tensor.stride()), tensor.storage_offset())
                 self._nodes[tensor] = self._graph.call_function(torch.ops.aten.as_strided.default, view)
                 self._nodes[tensor].meta["shape"] = tensor.shape
+
+    def _placeholder(self, tensor: Tensor) -> fx.Node:
+        """Return the node of a new input."""
+        self.inputs.append(tensor)
+        return self._graph.placeholder(f"memory_{len(self.inputs) - 1}")
 
     def _add(self, operation: Operation) -> None:
         arguments, keywords = tree_map(self._node_of, (operation.arguments, operation.keywords))
@@ -487,6 +496,17 @@ class _StageGraph:
 
 def _nothing() -> tuple[()]:
     return ()
+
+
+def _written(operation: Operation) -> list[Tensor]:
+    """Tensors whose memory an operation writes, as its schema tells."""
+    parameters = operation.function._schema.arguments
+    given = [
+        operation.arguments[place] if place < len(operation.arguments) else operation.keywords.get(parameter.name)
+        for place, parameter in enumerate(parameters)
+        if parameter.alias_info is not None and parameter.alias_info.is_write
+    ]
+    return tensors_of(given)
 
 
 def _results(stage: Stage) -> list[Tensor]:
