@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import trimesh
 import warp as wp
 
@@ -27,6 +29,8 @@ from orbit_core.scene import (
 )
 from orbit_matter.bodies import free_links
 from orbit_matter.contact import STILL
+from orbit_matter.fields import bounds_of, closed_surface
+from orbit_matter.fluid.extent import is_mappable
 from orbit_matter.surfaces import BOX, CAPSULE, CYLINDER, HEIGHT_FIELD, MESH, PLANE, SPHERE, Shapes
 from orbit_matter.union import outer_surface
 
@@ -44,11 +48,26 @@ _STILL_FREE = 0.012
 0.84 ms, in which that of a body at rest would else turn round."""
 
 
+@dataclass(frozen=True, eq=False)
+class Hollow:
+    """Surface that liquids meet as it is, and not as that of a hull."""
+
+    mesh: Mesh
+    """Closed surface."""
+    bounds: npt.NDArray[np.floating]
+    """(2, 3) m, lowest and highest corner of a box around what liquids may be in."""
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> Hollow:
+        """Return a mesh that liquids may be in, and around all of it."""
+        return cls(mesh, np.array([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], float))
+
+
 class Colliders:
     """Shapes of each kind of environment: those of links first, then the terrain's.
 
-    In scenes of liquids the convex pieces of a link that are more than PIECES count as one for liquids: as a shape of
-    their own, after all others, which only liquids meet.
+    In scenes of liquids the convex pieces of a link that are more than PIECES count as one for liquids, and a height
+    field as a closed mesh where a map holds it: as shapes of their own, after all others, which only liquids meet.
     """
 
     def __init__(self, layout: SceneLayout, device: wp.Device) -> None:
@@ -57,9 +76,10 @@ class Colliders:
         """Kept, for the kernels know them by number alone."""
         self._heights: list[np.ndarray] = []
         kinds = [_shapes_of(variant) for variant in layout.variants]
-        is_wet = any(isinstance(spec, Fluid) for spec in layout.scene.deformables)
-        unions = [united(shapes) if is_wet else {} for shapes in kinds]
-        rows = [shapes + list(found) for shapes, found in zip(kinds, unions, strict=True)]
+        # Liquids of a scene have one spacing.
+        spacings = [spec.spacing for spec in layout.scene.deformables if isinstance(spec, Fluid)]
+        of_liquids = [united(shapes) | enclosed(shapes, spacings[0]) if spacings else {} for shapes in kinds]
+        rows = [shapes + list(found) for shapes, found in zip(kinds, of_liquids, strict=True)]
         self._free = set(free_links(layout))
         self.count = max(1, *(len(shapes) for shapes in rows))
         """S, the most shapes that any kind of environment has; at least 1, as kernels need an array."""
@@ -69,15 +89,18 @@ class Colliders:
         """(K, S) link of each shape, or TERRAIN."""
         self.friction = np.zeros((self.kinds, self.count), np.float32)
         """(K, S) coefficient of dynamic friction of each shape's material."""
-        self.hollow: dict[tuple[int, int], Mesh] = {}
-        """Kind and number of the shapes whose own surface liquids meet, and not that of a hull."""
+        self.hollow: dict[tuple[int, int], Hollow] = {}
+        """By kind and number of the shape."""
         forms = {(k, s): self._form(own) for k, shapes in enumerate(rows) for s, (own, _) in enumerate(shapes)}
         dry = {(k, s) for k, shapes in enumerate(kinds) for s in range(len(shapes))}
-        wet = set(forms) - {(k, s) for k, found in enumerate(unions) for pieces in found.values() for s in pieces}
+        wet = set(forms) - {(k, s) for k, found in enumerate(of_liquids) for pieces in found.values() for s in pieces}
         for k, s in wet:
             geometry = rows[k][s][0].geometry
             if isinstance(geometry, Mesh) and geometry.collision is not MeshCollision.CONVEX_HULL:
-                self.hollow[k, s] = geometry
+                # Beneath a height field there is no liquid.
+                replaced = [kinds[k][piece][0].geometry for piece in of_liquids[k].get(rows[k][s], ())]
+                boxes = [bounds_of(each) for each in replaced if isinstance(each, HeightField)]
+                self.hollow[k, s] = Hollow(geometry, boxes[0]) if boxes else Hollow.of(geometry)
         terrain = len(layout.links)
         self.shapes = self._assembled(rows, forms, dry, terrain)
         """:class:`~orbit_matter.surfaces.Shapes` for kernels."""
@@ -171,6 +194,21 @@ def united(shapes: _Rows) -> dict[tuple[Shape, int], list[int]]:
             vertices, faces = outer_surface([pose.transform(mesh.vertices) for pose, mesh in corners])
             surface = Mesh(vertices, faces, MeshCollision.TRIANGLES)
             found[Shape(surface, material=shapes[chosen[0]][0].material), number] = chosen
+    return found
+
+
+def enclosed(shapes: _Rows, spacing: float) -> dict[tuple[Shape, int], list[int]]:
+    """Return each height field that a map holds as a closed mesh, and which of the shapes it is.
+
+    Args:
+        shapes: of one kind of environment, each with the number of its link.
+        spacing: of the liquid's particles, m.
+    """
+    found: dict[tuple[Shape, int], list[int]] = {}
+    for s, (own, number) in enumerate(shapes):
+        if isinstance(own.geometry, HeightField) and is_mappable(bounds_of(own.geometry), spacing):
+            shape = Shape(closed_surface(own.geometry, spacing), own.pose, material=own.material)
+            found.setdefault((shape, number), []).append(s)
     return found
 
 

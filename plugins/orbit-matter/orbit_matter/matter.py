@@ -379,7 +379,7 @@ class ParticleMatter(Matter):
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
         of_liquids = stability.tossed(self._layout) + stability.passing(self._layout)
         links = self._colliders.links
-        surfaces = [(self._name_of(int(links[place])), mesh) for place, mesh in self._colliders.hollow.items()]
+        surfaces = [(self._name_of(int(links[place])), own.bounds) for place, own in self._colliders.hollow.items()]
         of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout, surfaces)
         of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids

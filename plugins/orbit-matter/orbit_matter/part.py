@@ -229,7 +229,8 @@ class Part:
         if self._fluid is None:
             return np.zeros((self._n, 0), np.int32)
         self._place(1.0, 1)
-        return self._fluid.shapes_inside(self._wet_links, self._colliders.wet)
+        # Height fields as they are: all that is below one is inside of it, however deep.
+        return self._fluid.shapes_inside(self._links, self._colliders.shapes)
 
     def search_again(self) -> None:
         """Find the pairs that the last search found, from where particles then were."""

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
+import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.bodies import STANDARD_GRAVITY, hanging_weight
@@ -22,11 +23,13 @@ from orbit_core.scene import (
     Entity,
     Fluid,
     HeightField,
-    Mesh,
     Rope,
 )
-from orbit_matter.fluid.maps import is_mappable
+from orbit_matter.fields import bounds_of
+from orbit_matter.fluid.extent import is_mappable, widest_of
 from orbit_matter.substeps import edge_length
+
+FloatArray = npt.NDArray[np.floating]
 
 _SAFE_SHARE = 0.5
 """Part of the mass that a link feels in a physics step that it should have itself."""
@@ -131,26 +134,29 @@ def passing(layout: SceneLayout) -> tuple[Approximation, ...]:
     )
 
 
-def hollow(layout: SceneLayout, surfaces: Iterable[tuple[str, Mesh]]) -> tuple[Approximation, ...]:
+def hollow(layout: SceneLayout, surfaces: Iterable[tuple[str, FloatArray]]) -> tuple[Approximation, ...]:
     """Report what may hold a liquid and has no map of what its walls give, so that only the nearest of them acts.
 
     Args:
         layout: of the scene.
-        surfaces: each surface that liquids meet as it is, and not as a hull, with the name of what it is of.
+        surfaces: corners (n, 3) of a box around each surface that liquids meet as it is, and not as a hull, in metres,
+            with the name of what it is of.
     """
     spacings = [spec.spacing for spec in layout.scene.deformables if isinstance(spec, Fluid)]
     if not spacings:
         return ()
+    fields = [shape.geometry for shape in layout.scene.terrain if isinstance(shape.geometry, HeightField)]
+    named = [*surfaces, *(("the terrain's height field", bounds_of(field)) for field in fields)]
     found: list[Approximation] = []
     asked, got = "a liquid's volume in its hollows", "up to 32 % too small"
-    for name, mesh in surfaces:
-        if not is_mappable(mesh.vertices, spacings[0]):
-            extent = " x ".join(f"{length:.2g}" for length in np.ptp(mesh.vertices, axis=0))
+    for name, corners in named:
+        if not is_mappable(corners, spacings[0]):
+            size = np.ptp(corners, axis=0)
+            extent = " x ".join(f"{length:.2g}" for length in size)
             why = f"only its nearest wall acts: {extent} m is too large for a map at a spacing of {spacings[0]:g} m"
+            if (side := widest_of(float(size[2]), spacings[0])) > 0.0:
+                why += f", {side:.2g} x {side:.2g} m at this height would do"
             found.append(Approximation(name, asked, got, why))
-    if any(isinstance(shape.geometry, HeightField) for shape in layout.scene.terrain):
-        why = "only the nearest of its slopes acts: make hollows that hold liquids of boxes or meshes"
-        found.append(Approximation("the terrain's height field", asked, got, why))
     return tuple(dict.fromkeys(found))
 
 

@@ -24,7 +24,7 @@ from orbit_core.scene import (
     Shape,
 )
 from orbit_core.world import simulate
-from orbit_matter.colliders import united
+from orbit_matter.colliders import Hollow, united
 from orbit_matter.fluid import maps
 from orbit_matter.surfaces import Shapes, distance
 from orbit_matter.union import outer_surface
@@ -81,7 +81,7 @@ class _Collider:
     kinds = count = 1
 
     def __init__(self, mesh: Mesh) -> None:
-        self.hollow = {(0, 0): mesh}
+        self.hollow = {(0, 0): Hollow.of(mesh)}
 
 
 @wp.kernel(enable_backward=False)

@@ -1,4 +1,4 @@
-"""Maps of what meshes and unions of convex pieces give a particle of liquid, made once and looked up by its place.
+"""Maps of what meshes, height fields and unions of convex pieces give a particle of liquid, looked up by its place.
 
 A wall presses as liquid that fills it would (``walls.py``). What fills a hollow mesh around a particle is found on a
 grid in the mesh's frame, by rays: a ray is filled from where it enters the mesh to where it leaves it, and beyond where
@@ -22,7 +22,10 @@ from __future__ import annotations
 
 import functools
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,20 +33,20 @@ import numpy.typing as npt
 import warp as wp
 
 from orbit_matter.colliders import Colliders
+from orbit_matter.fluid.extent import FINENESS, is_mappable, points_of
 from orbit_matter.fluid.fluids import SMOOTHING, kernel_of
 from orbit_matter.fluid.walls import SOFT, layered_by, layers_behind
 from orbit_matter.surfaces import mesh_distance
 
 FloatArray = npt.NDArray[np.floating]
 
-FINENESS = 0.4
-"""Spacings between points of a grid."""
 RAYS = 144
 """Directions around a point; half of them end in a flat wall that is close."""
 FIRST = wp.constant(36)
 """Rays after which a point is plain that has met nothing but its nearest wall, as a plane."""
-MOST_POINTS = 1_000_000
-"""Most points of a grid: those of a bowl of 40 cm at a spacing of 1 cm, which take a CPU a minute."""
+EVEN = wp.constant(5.0e-5)
+"""Most by which a ray may differ from one at a plane, times the number of rays, of which a quarter or half are enough
+then; a whole ray has 0.037. Means of what points give change by 0.1 % of a wall."""
 STEPS = wp.constant(96)
 """Steps of the table of half-spaces, over the kernel's reach."""
 CONES = wp.constant(256)
@@ -54,6 +57,8 @@ ASIDE = wp.constant(0.7)
 """Most that the normals of two walls have in common which are taken for two."""
 CLEAR = wp.constant(0.01)
 """Spacings in front of a surface where rays begin at least."""
+FAR = wp.constant(0.85)
+"""Part of the kernel's reach from where on the nearest wall says enough: what more there is gives 0.3 % of a wall."""
 BEHIND = wp.constant(0.1)
 """Spacings that a particle and a point may be behind each other's walls and on the same side: of a bulge they are."""
 NODE, PLAIN, SOLID = wp.constant(0), wp.constant(-1), wp.constant(-2)
@@ -200,9 +205,21 @@ def _tabulate(spacing: float, length: float, slope: float, share: float, found: 
 
 
 @wp.func
-def _filled_along(mesh: wp.uint64, x: wp.vec3, way: wp.vec3, reach: float, step: float, seen: wp.mat33) -> wp.vec3:
-    """Integrate along a ray where it is filled; ``seen`` has the normals of the walls that are around its start."""
-    found, r, k = wp.vec3(), float(0.0), int(0)
+def _filled_along(mesh: wp.uint64, x: wp.vec3, way: wp.vec3, reach: float, step: float, seen: wp.mat33) -> wp.vec4:
+    """Integrate along a ray where it is filled.
+
+    Args:
+        mesh: Warp's number.
+        x: start of the ray.
+        way: its direction.
+        reach: m of it.
+        step: m by which it goes on behind a face.
+        seen: normals of the walls that are around its start, which say where it is filled on.
+
+    Returns:
+        The three integrals, and 1 if ``seen`` mattered, else 0.
+    """
+    found, r, k, mattered = wp.vec3(), float(0.0), int(0), float(0.0)
     while k < SIDES and r < reach:
         k += 1
         into = wp.mesh_query_ray(mesh, x + way * r, way, reach - r)
@@ -214,12 +231,13 @@ def _filled_along(mesh: wp.uint64, x: wp.vec3, way: wp.vec3, reach: float, step:
             if wp.dot(into.normal, way) < 0.0:
                 end, out = float(reach), wp.mesh_query_ray(mesh, x + way * r, way, reach - r)
                 if out.result and wp.dot(out.normal, way) > 0.0:
+                    mattered = 1.0
                     facing = wp.min(wp.min(seen @ out.normal), wp.dot(out.normal, into.normal))
                     if facing > OPPOSITE:
                         end = r + out.t
                 found += _moments(end / reach) - _moments(begin / reach)
                 r = end + step
-    return found
+    return wp.vec4(found[0], found[1], found[2], mattered)
 
 
 @wp.func
@@ -236,14 +254,36 @@ def _walls_around(mesh: wp.uint64, x: wp.vec3, n: wp.vec3, rays: wp.array[wp.vec
     return seen
 
 
+@wp.func
+def _point_of(i: int, low: wp.vec3, size: wp.vec3i, cell: float) -> wp.vec3:
+    """Return the place of a point of a grid."""
+    at = wp.vec3i(i // (size[1] * size[2]), (i // size[2]) % size[1], i % size[2])
+    return low + wp.vec3(float(at[0]), float(at[1]), float(at[2])) * cell
+
+
+@wp.kernel(enable_backward=False)
+def _sort_out(
+    first: int, mesh: wp.uint64, low: wp.vec3, size: wp.vec3i, cell: float, reach: float, state: wp.array[int]
+):
+    """Find which points of a grid need rays, from the ``first`` on."""
+    i = first + wp.tid()
+    d = mesh_distance(_point_of(i, low, size, cell), mesh, reach)[3]
+    state[i] = NODE
+    if d > FAR * reach:
+        state[i] = PLAIN
+    if d < -1.8 * cell:
+        state[i] = SOLID
+
+
 @wp.kernel(enable_backward=False)
 def _survey(
-    mesh: wp.uint64, low: wp.vec3, size: wp.vec3i, cell: float, reach: float, spacing: float,
-    scales: wp.vec3, rays: wp.array[wp.vec3], state: wp.array[int], nodes: wp.array[Node],
+    first: int, mesh: wp.uint64, low: wp.vec3, size: wp.vec3i, cell: float, reach: float, spacing: float,
+    scales: wp.vec3, rays: wp.array[wp.vec3], chosen: wp.array[int], state: wp.array[int], nodes: wp.array[Node],
 ):  # fmt: skip
     """Find what fills a mesh around points of its grid.
 
     Args:
+        first: of the chosen points that is surveyed.
         mesh: Warp's number.
         low: first point of the grid.
         size: points along each axis.
@@ -252,32 +292,32 @@ def _survey(
         spacing: m of the liquid's particles.
         scales: of the integrals of the gradient, of second moments and of the kernel.
         rays: directions, evenly over the sphere.
-        state: NODE, PLAIN or SOLID.
+        chosen: points that need rays.
+        state: of each chosen point; NODE, or PLAIN where its nearest wall says all.
         nodes: what was found.
     """
-    i = wp.tid()
-    at = wp.vec3i(i // (size[1] * size[2]), (i // size[2]) % size[1], i % size[2])
-    q = low + wp.vec3(float(at[0]), float(at[1]), float(at[2])) * cell
-    state[i] = PLAIN
+    i = first + wp.tid()
+    q = _point_of(chosen[i], low, size, cell)
     plane, clear = mesh_distance(q, mesh, reach), CLEAR * spacing
     n, d = wp.vec3(plane[0], plane[1], plane[2]), plane[3]
-    if d > reach:
-        return
-    if d < -1.8 * cell:
-        state[i] = SOLID
-        return
     # From within a wall, as on the surface that is nearest.
     x, h = q - n * (d - clear), clear
     if d > clear:
         x, h = q, d
-    seen = _walls_around(mesh, x, n, rays, reach)
+    state[i] = PLAIN
     given, kernel = wp.vec3(), float(0.0)
     squares, products = wp.vec3(), wp.vec3()
-    most, k = float(0.0), int(0)
+    most, scale, k, looked = float(0.0), float(1.0), int(0), int(0)
+    seen = wp.matrix_from_rows(n, n, n)
     while k < rays.shape[0]:
         way = rays[k]
         k += 1
-        more = _filled_along(mesh, x, way, reach, 0.1 * clear, seen)
+        found = _filled_along(mesh, x, way, reach, 0.1 * clear, seen)
+        if found[3] > 0.0 and looked == 0:
+            # Only what a ray leaves by is compared with the walls around, which take as many rays to find.
+            seen, looked = _walls_around(mesh, x, n, rays, reach), 1
+            found = _filled_along(mesh, x, way, reach, 0.1 * clear, seen)
+        more = wp.vec3(found[0], found[1], found[2])
         fall = -wp.dot(n, way)
         if fall * reach > h:
             more -= _moments(1.0) - _moments(h / (fall * reach))
@@ -288,8 +328,10 @@ def _survey(
         kernel += more[2]
         if k == FIRST and most < 1.0e-4:
             return
-    given, kernel = given * scales[0], kernel * scales[2]
-    squares, products = squares * scales[1], products * scales[1]
+        if (k == FIRST or k == 2 * FIRST) and most < EVEN * float(k):
+            scale, k = scale * float(rays.shape[0]) / float(k), rays.shape[0]
+    given, kernel = given * (scales[0] * scale), kernel * (scales[2] * scale)
+    squares, products = squares * (scales[1] * scale), products * (scales[1] * scale)
     state[i] = NODE
     nodes[i] = Node(
         n[0], n[1], n[2], d, given[0], given[1], given[2], squares[0], squares[1], squares[2],
@@ -311,42 +353,51 @@ class Grid:
     """(n, 14)"""
 
 
-def points_of(vertices: FloatArray, spacing: float) -> tuple[int, int, int]:
-    """Return the points along each axis of the grid that a mesh would have, of vertices (V, 3) in metres."""
-    extent = np.ptp(np.asarray(vertices, float), axis=0) + 2.0 * (2.0 * SMOOTHING + FINENESS) * spacing
-    x, y, z = (int(count) + 1 for count in np.ceil(extent / (FINENESS * spacing)))
-    return x, y, z
-
-
-def is_mappable(vertices: FloatArray, spacing: float) -> bool:
-    """Return True if the grid around a mesh of vertices (V, 3) has no more than MOST_POINTS."""
-    return math.prod(points_of(vertices, spacing)) <= MOST_POINTS
-
-
 @functools.lru_cache(maxsize=32)
-def grid_of(vertices: bytes, faces: bytes, spacing: float, device: str) -> Grid:
+def grid_of(vertices: bytes, faces: bytes, bounds: tuple[tuple[float, ...], ...], spacing: float, device: str) -> Grid:
     """Survey a mesh.
 
     Args:
         vertices: (V, 3) single-precision metres.
         faces: (F, 3) 32-bit indices.
+        bounds: lowest and highest corner of the box whose surroundings are surveyed, m.
         spacing: of the liquid's particles, m.
         device: that computes it.
     """
     points = np.frombuffer(vertices, np.float32).reshape(-1, 3)
-    reach, cell, size = 2.0 * SMOOTHING * spacing, FINENESS * spacing, points_of(points, spacing)
-    low, count = points.min(axis=0).astype(float) - reach - cell, math.prod(size)
-    with wp.ScopedDevice(device):
+    box = np.asarray(bounds)
+    reach, cell, size = 2.0 * SMOOTHING * spacing, FINENESS * spacing, points_of(box, spacing)
+    low, count = box.min(axis=0) - reach - cell, math.prod(size)
+    with wp.ScopedDevice(device) as scope:
         indices = wp.array(np.frombuffer(faces, np.int32), dtype=int)
         mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3), indices=indices)
-        state, nodes = wp.zeros(count, dtype=int), wp.zeros(count, dtype=Node)
-        rays, scales = wp.array(_directions(), dtype=wp.vec3), _scales(spacing) * (4.0 * math.pi / RAYS)
-        inputs = [mesh.id, wp.vec3(*low), wp.vec3i(*size), cell, reach, spacing, scales, rays, state, nodes]
-        wp.launch(_survey, count, inputs=inputs)
-        index, found = state.numpy().copy(), nodes.numpy()
-    chosen = index == NODE
-    index[chosen] = np.arange(chosen.sum())
-    return Grid(low, size, index, found[chosen])
+        state, grid = wp.zeros(count, dtype=int), [mesh.id, wp.vec3(*low), wp.vec3i(*size), cell, reach]
+        _launch(_sort_out, count, [*grid, state], scope)
+        index = state.numpy().copy()
+        near = np.flatnonzero(index == NODE).astype(np.int32)
+        # Kernels take no empty arrays.
+        kept, nodes = wp.zeros(len(near) + 1, dtype=int), wp.zeros(len(near) + 1, dtype=Node)
+        chosen, rays = wp.array(np.append(near, 0), dtype=int), wp.array(_directions(), dtype=wp.vec3)
+        scales = _scales(spacing) * (4.0 * math.pi / RAYS)
+        _launch(_survey, len(near), [*grid, spacing, scales, rays, chosen, kept, nodes], scope)
+        is_node = kept.numpy()[:-1] == NODE
+        index[near] = np.where(is_node, np.cumsum(is_node) - 1, int(PLAIN))
+        return Grid(low, size, index, nodes.numpy()[:-1][is_node])
+
+
+def _launch(kernel: Any, count: int, inputs: list[Any], device: wp.Device) -> None:
+    """Launch a kernel for ``count`` places, the first of which is its first input: by each core of a CPU for some."""
+    cores = len(os.sched_getaffinity(0)) if device.is_cpu else 1
+    ends = [count * core // cores for core in range(cores + 1)]
+    # Threads would load it at the same time.
+    wp.load_module(__name__, device=device, block_dim=1 if device.is_cpu else 256)
+    with ThreadPoolExecutor(cores) as pool:
+        running = [
+            pool.submit(wp.launch, kernel, end - begin, [begin, *inputs], device=device)
+            for begin, end in pairwise(ends)
+        ]
+        for each in running:
+            each.result()
 
 
 def _directions() -> FloatArray:
@@ -367,10 +418,11 @@ def _scales(spacing: float) -> wp.vec3:
 def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
     """Return the :class:`Maps` of the hollow meshes and united pieces among the shapes that liquids meet."""
     of, grids, known = np.full((colliders.kinds, colliders.count), -1, np.int32), [], {}
-    for place, mesh in colliders.hollow.items():
-        if not is_mappable(mesh.vertices, spacing):
+    for place, hollow in colliders.hollow.items():
+        if not is_mappable(hollow.bounds, spacing):
             continue
-        key = (mesh.vertices.astype(np.float32).tobytes(), mesh.faces.astype(np.int32).tobytes())
+        mesh, bounds = hollow.mesh, tuple(map(tuple, hollow.bounds.tolist()))
+        key = (mesh.vertices.astype(np.float32).tobytes(), mesh.faces.astype(np.int32).tobytes(), bounds)
         if key not in known:
             known[key] = len(grids)
             grids.append(grid_of(*key, spacing, device.alias))
