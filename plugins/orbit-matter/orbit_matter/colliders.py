@@ -29,7 +29,7 @@ from orbit_core.scene import (
 )
 from orbit_matter.bodies import free_links
 from orbit_matter.contact import STILL
-from orbit_matter.fields import bounds_of, closed_surface
+from orbit_matter.fields import bounds_of, closed_surface, has_hollows
 from orbit_matter.fluid.extent import is_mappable
 from orbit_matter.surfaces import BOX, CAPSULE, CYLINDER, HEIGHT_FIELD, MESH, PLANE, SPHERE, Shapes
 from orbit_matter.union import outer_surface
@@ -66,8 +66,8 @@ class Hollow:
 class Colliders:
     """Shapes of each kind of environment: those of links first, then the terrain's.
 
-    In scenes of liquids the convex pieces of a link that are more than PIECES count as one for liquids, and a height
-    field as a closed mesh where a map holds it: as shapes of their own, after all others, which only liquids meet.
+    For liquids the convex pieces of a link that are more than PIECES count as one, and a height field with hollows as a
+    closed mesh where a map holds it: as shapes of their own, after all others, which only liquids meet.
     """
 
     def __init__(self, layout: SceneLayout, device: wp.Device) -> None:
@@ -198,7 +198,7 @@ def united(shapes: _Rows) -> dict[tuple[Shape, int], list[int]]:
 
 
 def enclosed(shapes: _Rows, spacing: float) -> dict[tuple[Shape, int], list[int]]:
-    """Return each height field that a map holds as a closed mesh, and which of the shapes it is.
+    """Return each height field with hollows that a map holds as a closed mesh, and which of the shapes it is.
 
     Args:
         shapes: of one kind of environment, each with the number of its link.
@@ -206,8 +206,9 @@ def enclosed(shapes: _Rows, spacing: float) -> dict[tuple[Shape, int], list[int]
     """
     found: dict[tuple[Shape, int], list[int]] = {}
     for s, (own, number) in enumerate(shapes):
-        if isinstance(own.geometry, HeightField) and is_mappable(bounds_of(own.geometry), spacing):
-            shape = Shape(closed_surface(own.geometry, spacing), own.pose, material=own.material)
+        field = own.geometry
+        if isinstance(field, HeightField) and has_hollows(field, spacing) and is_mappable(bounds_of(field), spacing):
+            shape = Shape(closed_surface(field, spacing), own.pose, material=own.material)
             found.setdefault((shape, number), []).append(s)
     return found
 

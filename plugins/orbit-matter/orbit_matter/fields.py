@@ -12,6 +12,8 @@ FloatArray = npt.NDArray[np.float64]
 
 _BELOW = 10.0
 """Spacings of the liquid from the lowest point of a height field to its underside: no map reaches so far."""
+_LEVEL = 0.1
+"""Spacings of the liquid that a height field may rise by and count as level."""
 
 
 def bounds_of(field: HeightField) -> FloatArray:
@@ -19,6 +21,11 @@ def bounds_of(field: HeightField) -> FloatArray:
     x, y = field.size
     low, high = float(np.min(field.heights)), float(np.max(field.heights))
     return np.array([[-0.5 * x, -0.5 * y, low], [0.5 * x, 0.5 * y, high]])
+
+
+def has_hollows(field: HeightField, spacing: float) -> bool:
+    """Return True if a height field may hold a liquid of a spacing in metres: a level one acts as a plane."""
+    return float(np.ptp(field.heights)) > _LEVEL * spacing
 
 
 def closed_surface(field: HeightField, spacing: float) -> Mesh:

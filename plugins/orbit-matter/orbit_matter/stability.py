@@ -25,7 +25,7 @@ from orbit_core.scene import (
     HeightField,
     Rope,
 )
-from orbit_matter.fields import bounds_of
+from orbit_matter.fields import bounds_of, has_hollows
 from orbit_matter.fluid.extent import is_mappable, widest_of
 from orbit_matter.substeps import edge_length
 
@@ -146,7 +146,8 @@ def hollow(layout: SceneLayout, surfaces: Iterable[tuple[str, FloatArray]]) -> t
     if not spacings:
         return ()
     fields = [shape.geometry for shape in layout.scene.terrain if isinstance(shape.geometry, HeightField)]
-    named = [*surfaces, *(("the terrain's height field", bounds_of(field)) for field in fields)]
+    hollows = [bounds_of(field) for field in fields if has_hollows(field, spacings[0])]
+    named = [*surfaces, *(("the terrain's height field", corners) for corners in hollows)]
     found: list[Approximation] = []
     asked, got = "a liquid's volume in its hollows", "up to 32 % too small"
     for name, corners in named:

@@ -28,7 +28,9 @@ from orbit_core.scene import (
 )
 from orbit_core.world import simulate
 from orbit_matter.bodies import free_links
+from orbit_matter.fields import bounds_of
 from orbit_matter.fluid import search
+from orbit_matter.fluid.extent import is_mappable
 from orbit_matter.fluid.fluids import build
 from orbit_matter.stability import hollow, passing, rounded, tossed
 
@@ -234,14 +236,29 @@ def test_a_body_that_weighs_few_particles_is_reported_with_the_spacing_that_woul
 
 def test_hollows_without_a_map_are_reported() -> None:
     layout = _world(terrain=()).layout
-    small, large = (cuboid((edge, edge, 0.02), (2, 2, 2)) for edge in (0.1, 1.0))
+    small, large = (cuboid((edge, edge, 0.02), (2, 2, 2)).vertices for edge in (0.1, 2.0))
     assert hollow(layout, [("a cup", small)]) == ()
     (found,) = hollow(layout, [("a cup", small), ("a pool", large)])
     assert found.subject == "a pool"
-    assert "1 x 1 x 0.02 m is too large for a map at a spacing of 0.01 m" in found.why
-    fields = (Shape(HeightField(np.zeros((3, 3)), (0.2, 0.2))),)
-    (found,) = hollow(_world(terrain=fields).layout, ())
-    assert "height field" in found.subject
+    assert "2 x 2 x 0.02 m is too large for a map at a spacing of 0.01 m" in found.why
+
+
+@pytest.mark.parametrize(("relief", "edge", "subjects"), [
+    (0.1, 2.0, ["the terrain's height field"]), (0.1, 0.2, []), (0.0, 2.0, []),
+])  # fmt: skip
+def test_height_fields_that_are_too_large_for_a_map_are_reported(
+    relief: float, edge: float, subjects: list[str]
+) -> None:
+    heights = np.full((3, 3), -0.2)
+    heights[1] += relief
+    scene = Scene(deformables=(WATER,), terrain=(Shape(HeightField(heights, (edge, edge))),))
+    found = hollow(SceneLayout.of(scene), ())
+    assert [each.subject for each in found] == subjects
+    for each in found:
+        assert "2 x 2 x 0.1 m is too large for a map at a spacing of 0.01 m" in each.why
+        fits = float(each.why.split(", ")[-1].split(" x ")[0])
+        for side, is_small in ((fits - 0.05, True), (fits + 0.05, False)):
+            assert is_mappable(bounds_of(HeightField(heights, (side, side))), 0.01) == is_small
 
 
 def test_cloth_in_a_scene_of_liquid_is_reported_as_passed_through() -> None:

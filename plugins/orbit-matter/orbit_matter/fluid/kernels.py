@@ -484,8 +484,8 @@ def fill(
                 others[found] = other
                 if wp.max(wp.abs(seen[0]), wp.abs(seen[1])) < FACING:
                     layered = False
-                if other < k:
-                    # Where shapes overlap behind both, cells are of one of them.
+                if other < k or f.maps.of[kind, f.shape[env, i, other]] >= 0:
+                    # Where shapes overlap behind both, cells are of one of them, and of one that has a map.
                     probe = PROBE * f.spacing
                     corner = x - n * (d + probe) - facing * (plane[3] + probe)
                     inside = wall_at(f, links, shapes, env, kind, shape, corner)[3] > 0.0

@@ -1,0 +1,166 @@
+"""Liquids in the hollows of height fields and at their edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+import trimesh
+import warp as wp
+
+from orbit_assets.objects import box
+from orbit_core.interfaces import ConfigurationError, SceneLayout, World
+from orbit_core.scene import Fluid, HeightField, Pose, Scene, Shape
+from orbit_core.world import simulate
+from orbit_matter.colliders import Colliders
+from orbit_matter.fields import closed_surface
+from orbit_matter.surfaces import HEIGHT_FIELD, MESH, SPHERE, Shapes, distance
+
+SPACING, WIDTH = 0.01, 0.03
+
+
+def _paraboloid(half: float, count: int) -> HeightField:
+    """Return a bowl of ``r^2 / WIDTH``, over a square of a half side in metres and ``count`` cells along it."""
+    line = np.linspace(-half, half, count + 1)
+    return HeightField((line**2 + line[:, None] ** 2) / WIDTH, (2.0 * half, 2.0 * half))
+
+
+def _world(field: HeightField, water: Fluid, objects: tuple = ()) -> World:
+    scene = Scene(objects=objects, deformables=(water,), terrain=(Shape(field),))
+    world = simulate(scene, 1, "mujoco", matter="orbit-matter")
+    world.reset()
+    return world
+
+
+@wp.kernel(enable_backward=False)
+def look_at(shapes: Shapes, shape: int, at: wp.array[wp.vec3], found: wp.array[wp.vec4]):
+    i = wp.tid()
+    found[i] = distance(shapes, 0, shape, at[i], 0.02)
+
+
+def test_liquids_meet_a_closed_mesh_and_everything_else_the_height_field() -> None:
+    """Both are the same surface: a millimetre above and below it."""
+    random = np.random.default_rng(0)
+    field = HeightField(random.uniform(0.0, 0.02, (5, 7)), (0.12, 0.1))
+    mesh = closed_surface(field, SPACING)
+    made = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert made.is_watertight
+    assert made.is_winding_consistent
+    h = np.asarray(field.heights)
+    # Two triangles a cell, along the diagonal from its first corner.
+    means = (2.0 * h[:-1, :-1] + h[:-1, 1:] + h[1:, :-1] + 2.0 * h[1:, 1:]) / 6.0
+    assert made.volume == pytest.approx(0.12 * 0.1 * (means.mean() - h.min() + 10.0 * SPACING), rel=1e-6)
+    water = Fluid("water", (0.01, 0.01, 0.01), 1000.0, Pose((0.0, 0.0, 0.1)), spacing=SPACING)
+    layout = SceneLayout.of(Scene(deformables=(water,), terrain=(Shape(field),)))
+    with wp.ScopedDevice("cpu"):
+        colliders = Colliders(layout, wp.get_device("cpu"))
+        assert colliders.shapes.kind.numpy().tolist() == [[int(HEIGHT_FIELD), int(SPHERE)]]
+        assert colliders.wet.kind.numpy().tolist() == [[int(SPHERE), int(MESH)]]
+        at = wp.array(np.append(random.uniform(-0.049, 0.049, (500, 2)), np.zeros((500, 1)), axis=1), dtype=wp.vec3)
+        found = wp.zeros(500, dtype=wp.vec4)
+        wp.launch(look_at, 500, inputs=[colliders.shapes, 0, at, found])
+        dry = found.numpy()
+        surface = at.numpy() - np.array([0.0, 0.0, 1.0]) * (dry[:, 3] / dry[:, 2])[:, None]
+        for side in (1.0, -1.0):
+            beside = wp.array(surface + 0.001 * side * dry[:, :3], dtype=wp.vec3)
+            wp.launch(look_at, 500, inputs=[colliders.wet, 1, beside, found])
+            wet = found.numpy()
+            assert (np.sign(wet[:, 3]) == side).all()
+            # At a crease another triangle may be nearer.
+            assert (np.abs(wet[:, 3]) < 0.00101).all()
+            assert np.median(np.abs(wet[:, 3])) == pytest.approx(0.001, rel=1e-3)
+
+
+def _filled(layers: int) -> tuple[Fluid, npt.NDArray[np.float64]]:
+    """Return a liquid that fills a paraboloid as high as so many particles, and where (P, 3) they are at first."""
+    line = (np.arange(-12, 12) + 0.5) * SPACING
+    x, y, z = (axis.ravel() for axis in np.meshgrid(line, line, (np.arange(30) + 0.5) * SPACING, indexing="ij"))
+    inside = z > (np.hypot(x, y) + 0.3 * SPACING) ** 2 / WIDTH + 0.3 * SPACING
+    places = np.stack((x, y, z), axis=-1)[inside]
+    places = places[np.argsort(places[:, 2], kind="stable")]
+    high = round(0.5 * np.pi * WIDTH * layers**2 * SPACING**2 / SPACING / (3.0 * SPACING) ** 2)
+    half = 1.5 * SPACING
+    water = Fluid("water", (half, half, 0.5 * high * SPACING), 1000.0, Pose((0.0, 0.0, 0.02)), spacing=SPACING)
+    water = Fluid("water", water.half_extents, 1000.0, Pose((0.0, 0.0, 0.5 * high * SPACING + 0.1)), spacing=SPACING)
+    return water, places[: 9 * high]
+
+
+@pytest.mark.parametrize(("layers", "steps"), [(5, 900), (10, 700)])
+def test_a_bowl_in_a_height_field_holds_what_is_in_it(layers: int, steps: int) -> None:
+    """Volume is ``pi WIDTH h^2 / 2``, and its middle two thirds of h up."""
+    half = 0.06 if layers > 5 else 0.045
+    water, places = _filled(layers)
+    world = _world(_paraboloid(half + 0.01, 28), water)
+    found, heights = world.deformables["water"], []
+    x = torch.as_tensor(places, dtype=torch.float32)[None]
+    found.set_state(x, torch.zeros_like(x))
+    for step in range(steps):
+        world.step()
+        if step >= steps - 100:
+            heights.append(1.5 * float(found.positions[0, :, 2].mean()))
+    x = found.positions[0]
+    height = np.sqrt(2.0 * len(x) * SPACING**3 / (np.pi * WIDTH))
+    print(
+        layers,
+        np.mean(heights) / height - 1,
+        float(found.velocities.square().sum(-1).mean().sqrt()),
+        heights[0] - heights[-1],
+    )
+    assert (x[:, 2] > x[:, :2].square().sum(-1) / WIDTH).all()
+    assert np.mean(heights) == pytest.approx(height, rel=0.03)
+    assert not [each for each in world.engine.build_report if "hollow" in each.asked]
+    world.close()
+
+
+def test_liquids_run_off_the_edge_of_a_height_field_and_fall() -> None:
+    """They begin on a slope of a third; its lower side is at 4 cm."""
+    field = HeightField(np.linspace(0.03, 0.0, 9) + np.zeros((9, 1)), (0.08, 0.08))
+    water = Fluid("water", (0.015, 0.015, 0.015), 1000.0, Pose((0.0, 0.0, 0.035)), spacing=SPACING)
+    world = _world(field, water)
+    found = world.deformables["water"]
+    for _ in range(80):
+        world.step()
+        x = found.positions[0]
+        over = (x[:, :2].abs() < 0.04).all(-1) & (x[:, 2] > -0.05)
+        assert (x[over, 2] > 0.015 - 0.375 * x[over, 0]).all()
+    assert (x[:, 2] < -0.1).float().mean() > 0.5
+    assert not (x[:, :2].abs() < 0.035).all(-1)[x[:, 2] < 0.0].any()
+    world.close()
+
+
+def test_a_liquid_beneath_a_height_field_is_refused() -> None:
+    """Its mesh ends ten spacings below it."""
+    water = Fluid("water", (0.015, 0.015, 0.015), 1000.0, Pose((0.0, 0.0, -1.0)), spacing=SPACING)
+    with pytest.raises(ConfigurationError, match="inside the terrain"):
+        _world(_paraboloid(0.04, 8), water)
+
+
+def test_boxes_that_are_sunk_into_a_height_field_press_as_those_that_stand_on_it() -> None:
+    heights = np.zeros((9, 9))
+    heights[0, 0] = 0.02
+    water = Fluid("water", (0.02, 0.02, 0.02), 1000.0, Pose((0.0, 0.0, 0.02)), spacing=SPACING)
+    found: list[float] = []
+    for middle in (0.04, 0.02):
+        places = {"right": (0.025, 0.0), "left": (-0.025, 0.0), "front": (0.0, 0.025), "back": (0.0, -0.025)}
+        walls = tuple(
+            box(
+                name,
+                size=(0.01, 0.06, 0.08) if x else (0.04, 0.01, 0.08),
+                pose=Pose((x, y, middle)),
+                mass=1.0,
+                fixed_base=True,
+            )
+            for name, (x, y) in places.items()
+        )
+        world = _world(HeightField(heights, (0.12, 0.12)), water, walls)
+        world.step(150)
+        means = []
+        for _ in range(100):
+            world.step()
+            means.append(float(world.deformables["water"].positions[0, :, 2].mean()))
+        found.append(float(np.mean(means)))
+        world.close()
+    print(found)
+    assert found[1] == pytest.approx(found[0], rel=0.025)
+    assert found[0] == pytest.approx(0.02, rel=0.03)
