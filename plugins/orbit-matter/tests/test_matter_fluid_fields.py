@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -17,13 +19,14 @@ from orbit_matter.colliders import Colliders
 from orbit_matter.fields import closed_surface
 from orbit_matter.surfaces import HEIGHT_FIELD, MESH, SPHERE, Shapes, distance
 
-SPACING, WIDTH = 0.01, 0.03
+SPACING = 0.01
 
 
-def _paraboloid(half: float, count: int) -> HeightField:
-    """Return a bowl of ``r^2 / WIDTH``, over a square of a half side in metres and ``count`` cells along it."""
-    line = np.linspace(-half, half, count + 1)
-    return HeightField((line**2 + line[:, None] ** 2) / WIDTH, (2.0 * half, 2.0 * half))
+def _paraboloid(width: float, rim: float) -> HeightField:
+    """Return a bowl of ``r^2 / width`` up to a level rim that is a centimetre wide, all in metres."""
+    half = math.sqrt(width * rim) + 0.01
+    line = np.linspace(-half, half, 25)
+    return HeightField(np.minimum((line**2 + line[:, None] ** 2) / width, rim), (2.0 * half, 2.0 * half))
 
 
 def _world(field: HeightField, water: Fluid, objects: tuple = ()) -> World:
@@ -63,53 +66,60 @@ def test_liquids_meet_a_closed_mesh_and_everything_else_the_height_field() -> No
         dry = found.numpy()
         surface = at.numpy() - np.array([0.0, 0.0, 1.0]) * (dry[:, 3] / dry[:, 2])[:, None]
         for side in (1.0, -1.0):
-            beside = wp.array(surface + 0.001 * side * dry[:, :3], dtype=wp.vec3)
+            beside = wp.array(surface + np.array([0.0, 0.0, 0.001 * side]), dtype=wp.vec3)
             wp.launch(look_at, 500, inputs=[colliders.wet, 1, beside, found])
-            wet = found.numpy()
-            assert (np.sign(wet[:, 3]) == side).all()
-            # At a crease another triangle may be nearer.
-            assert (np.abs(wet[:, 3]) < 0.00101).all()
-            assert np.median(np.abs(wet[:, 3])) == pytest.approx(0.001, rel=1e-3)
+            away = found.numpy()[:, 3] * side
+            # At a crease another triangle is nearer than the one below, or an edge.
+            assert (away > 0.0).all()
+            assert (away < 0.001001).all()
+            assert np.median(away / dry[:, 2]) == pytest.approx(0.001, rel=1e-3)
 
 
-def _filled(layers: int) -> tuple[Fluid, npt.NDArray[np.float64]]:
+def _filled(layers: int, width: float) -> tuple[Fluid, npt.NDArray[np.float64]]:
     """Return a liquid that fills a paraboloid as high as so many particles, and where (P, 3) they are at first."""
     line = (np.arange(-12, 12) + 0.5) * SPACING
     x, y, z = (axis.ravel() for axis in np.meshgrid(line, line, (np.arange(30) + 0.5) * SPACING, indexing="ij"))
-    inside = z > (np.hypot(x, y) + 0.3 * SPACING) ** 2 / WIDTH + 0.3 * SPACING
+    inside = z > (np.hypot(x, y) + 0.3 * SPACING) ** 2 / width + 0.3 * SPACING
     places = np.stack((x, y, z), axis=-1)[inside]
     places = places[np.argsort(places[:, 2], kind="stable")]
-    high = round(0.5 * np.pi * WIDTH * layers**2 * SPACING**2 / SPACING / (3.0 * SPACING) ** 2)
-    half = 1.5 * SPACING
-    water = Fluid("water", (half, half, 0.5 * high * SPACING), 1000.0, Pose((0.0, 0.0, 0.02)), spacing=SPACING)
-    water = Fluid("water", water.half_extents, 1000.0, Pose((0.0, 0.0, 0.5 * high * SPACING + 0.1)), spacing=SPACING)
-    return water, places[: 9 * high]
+    high = round(0.5 * math.pi * width * (layers * SPACING) ** 2 / (9.0 * SPACING**3))
+    half = (1.5 * SPACING, 1.5 * SPACING, 0.5 * high * SPACING)
+    return Fluid("water", half, 1000.0, Pose((0.0, 0.0, half[2] + 0.1)), spacing=SPACING), places[: 9 * high]
 
 
-@pytest.mark.parametrize(("layers", "steps"), [(5, 900), (10, 700)])
-def test_a_bowl_in_a_height_field_holds_what_is_in_it(layers: int, steps: int) -> None:
-    """Volume is ``pi WIDTH h^2 / 2``, and its middle two thirds of h up."""
-    half = 0.06 if layers > 5 else 0.045
-    water, places = _filled(layers)
-    world = _world(_paraboloid(half + 0.01, 28), water)
+@pytest.mark.parametrize(("layers", "width"), [(5, 0.03), (10, 0.015)])
+def test_a_bowl_in_a_height_field_holds_what_is_in_it(layers: int, width: float) -> None:
+    """Volume is ``pi width h^2 / 2``, and its middle two thirds of h up; docs/measured/matter.md has it at rest."""
+    water, places = _filled(layers, width)
+    world = _world(_paraboloid(width, (layers + 2) * SPACING), water)
     found, heights = world.deformables["water"], []
     x = torch.as_tensor(places, dtype=torch.float32)[None]
     found.set_state(x, torch.zeros_like(x))
-    for step in range(steps):
+    for step in range(700):
         world.step()
-        if step >= steps - 100:
+        if step >= 600:
             heights.append(1.5 * float(found.positions[0, :, 2].mean()))
     x = found.positions[0]
-    height = np.sqrt(2.0 * len(x) * SPACING**3 / (np.pi * WIDTH))
-    print(
-        layers,
-        np.mean(heights) / height - 1,
-        float(found.velocities.square().sum(-1).mean().sqrt()),
-        heights[0] - heights[-1],
-    )
-    assert (x[:, 2] > x[:, :2].square().sum(-1) / WIDTH).all()
+    height = math.sqrt(2.0 * len(x) * SPACING**3 / (math.pi * width))
+    assert (x[:, 2] > x[:, :2].square().sum(-1) / width).all()
     assert np.mean(heights) == pytest.approx(height, rel=0.03)
     assert not [each for each in world.engine.build_report if "hollow" in each.asked]
+    world.close()
+
+
+def test_nothing_leaks_through_a_height_field_that_water_is_thrown_at() -> None:
+    """At 1.5 m/s sideways and down, against slopes as steep as two."""
+    width, rim = 0.03, 0.03
+    world = _world(_paraboloid(width, rim), Fluid("water", (0.02, 0.02, 0.01), 1000.0, Pose((0.0, 0.0, 0.05))))
+    found = world.deformables["water"]
+    velocities = torch.zeros_like(found.positions)
+    velocities[..., 0], velocities[..., 2] = 1.5, -1.5
+    found.set_state(found.positions.clone(), velocities)
+    for _ in range(60):
+        world.step()
+        x = found.positions[0]
+        over = (x[:, :2].abs() < math.sqrt(width * rim) + 0.01).all(-1) & (x[:, 2] > -0.05)
+        assert (x[over, 2] > (x[over, :2].square().sum(-1) / width).clamp(max=rim) - 0.001).all()
     world.close()
 
 
@@ -133,7 +143,7 @@ def test_a_liquid_beneath_a_height_field_is_refused() -> None:
     """Its mesh ends ten spacings below it."""
     water = Fluid("water", (0.015, 0.015, 0.015), 1000.0, Pose((0.0, 0.0, -1.0)), spacing=SPACING)
     with pytest.raises(ConfigurationError, match="inside the terrain"):
-        _world(_paraboloid(0.04, 8), water)
+        _world(_paraboloid(0.03, 0.01), water)
 
 
 def test_boxes_that_are_sunk_into_a_height_field_press_as_those_that_stand_on_it() -> None:
@@ -161,6 +171,5 @@ def test_boxes_that_are_sunk_into_a_height_field_press_as_those_that_stand_on_it
             means.append(float(world.deformables["water"].positions[0, :, 2].mean()))
         found.append(float(np.mean(means)))
         world.close()
-    print(found)
     assert found[1] == pytest.approx(found[0], rel=0.025)
     assert found[0] == pytest.approx(0.02, rel=0.03)
