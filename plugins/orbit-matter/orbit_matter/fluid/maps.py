@@ -391,11 +391,14 @@ def _launch(kernel: Any, count: int, inputs: list[Any], device: wp.Device) -> No
     ends = [count * core // cores for core in range(cores + 1)]
     # Threads would load it at the same time.
     wp.load_module(__name__, device=device, block_dim=1 if device.is_cpu else 256)
-    with ThreadPoolExecutor(cores) as pool:
-        running = [
-            pool.submit(wp.launch, kernel, end - begin, [begin, *inputs], device=device)
-            for begin, end in pairwise(ends)
-        ]
+
+    def launch(begin: int, end: int) -> None:
+        wp.launch(kernel, end - begin, inputs=[begin, *inputs], device=device)
+
+    first, *others = pairwise(ends)
+    with ThreadPoolExecutor(max(len(others), 1)) as pool:
+        running = [pool.submit(launch, *each) for each in others]
+        launch(*first)
         for each in running:
             each.result()
 
