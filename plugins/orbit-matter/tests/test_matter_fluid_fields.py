@@ -20,6 +20,7 @@ from orbit_matter.fields import closed_surface
 from orbit_matter.surfaces import HEIGHT_FIELD, MESH, SPHERE, Shapes, distance
 
 SPACING = 0.01
+GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs the capability of a GPU")
 
 
 def _paraboloid(width: float, rim: float) -> HeightField:
@@ -29,9 +30,10 @@ def _paraboloid(width: float, rim: float) -> HeightField:
     return HeightField(np.minimum((line**2 + line[:, None] ** 2) / width, rim), (2.0 * half, 2.0 * half))
 
 
-def _world(field: HeightField, water: Fluid, objects: tuple = ()) -> World:
+def _world(field: HeightField, water: Fluid, objects: tuple = (), device: str = "cpu") -> World:
     scene = Scene(objects=objects, deformables=(water,), terrain=(Shape(field),))
-    world = simulate(scene, 1, "mujoco", matter="orbit-matter")
+    backend = "mujoco" if device == "cpu" else "warp"
+    world = simulate(scene, 1, backend, device=device, matter="orbit-matter")
     world.reset()
     return world
 
@@ -87,13 +89,14 @@ def _filled(layers: int, width: float) -> tuple[Fluid, npt.NDArray[np.float64]]:
     return Fluid("water", half, 1000.0, Pose((0.0, 0.0, half[2] + 0.1)), spacing=SPACING), places[: 9 * high]
 
 
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=GPU)])
 @pytest.mark.parametrize(("layers", "width"), [(5, 0.03), (10, 0.015)])
-def test_a_bowl_in_a_height_field_holds_what_is_in_it(layers: int, width: float) -> None:
+def test_a_bowl_in_a_height_field_holds_what_is_in_it(layers: int, width: float, device: str) -> None:
     """Volume is ``pi width h^2 / 2``, and its middle two thirds of h up; docs/measured/matter.md has it at rest."""
     water, places = _filled(layers, width)
-    world = _world(_paraboloid(width, (layers + 2) * SPACING), water)
+    world = _world(_paraboloid(width, (layers + 2) * SPACING), water, device=device)
     found, heights = world.deformables["water"], []
-    x = torch.as_tensor(places, dtype=torch.float32)[None]
+    x = torch.as_tensor(places, dtype=torch.float32, device=device)[None]
     found.set_state(x, torch.zeros_like(x))
     for step in range(700):
         world.step()
