@@ -279,6 +279,28 @@ def test_two_liquids_at_one_place_are_refused() -> None:
     assert build(Scene(deformables=(WATER, replace(oil, pose=Pose((0.04, 0.0, 0.02)))))) is not None
 
 
+@pytest.mark.parametrize(("density", "viscosity"), [(300.0, 1e-3), (1000.0, 1.0)])
+def test_two_liquids_that_collide_keep_their_momentum(density: float, viscosity: float) -> None:
+    """Each took its own density and viscosity for both: a third of the momentum of one appeared from nowhere."""
+    x, y = 0.021, 0.004
+    one = replace(WATER, pose=Pose((-x, y, 0.0)))
+    other = replace(WATER, name="other", density=density, viscosity=viscosity, pose=Pose((x, -y, 0.0)))
+    world = _world(objects=(), terrain=(), deformables=(one, other), gravity=(0.0, 0.0, 0.0))
+    for spec, speed in ((one, 0.5), (other, -0.5)):
+        liquid = world.deformables[spec.name]
+        velocities = torch.tensor([speed, 0.0, 0.0]).expand_as(liquid.positions)
+        liquid.set_state(liquid.positions.clone(), velocities.clone())
+
+    def momentum() -> torch.Tensor:
+        velocities = {spec: world.deformables[spec.name].velocities[0].double().mean(0) for spec in (one, other)}
+        return sum(spec.density / one.density * velocity for spec, velocity in velocities.items())
+
+    before = momentum()
+    world.step(30)
+    assert world.deformables["other"].velocities[0, :, 0].mean() > -0.3
+    assert (momentum() - before).norm() < 1e-3
+
+
 def test_a_liquid_whose_particles_are_larger_than_its_box_is_refused_and_one_of_part_layers_is_reported() -> None:
     with pytest.raises(ArgumentError, match=r"'water'\].spacing is 0.1: give 0.08 m at most, twice the shortest edge"):
         _world(deformables=(replace(WATER, spacing=0.1),))
