@@ -25,7 +25,7 @@ from orbit_matter.config import MatterConfig
 from orbit_matter.fluid import kernels as fluid_kernels
 from orbit_matter.fluid import maps, mixing
 from orbit_matter.fluid import search as fluid_search
-from orbit_matter.fluid.fluids import Fluids
+from orbit_matter.fluid.fluids import Fluids, thickened
 from orbit_matter.model import build
 from orbit_matter.part import Part, Stepping
 from orbit_matter.solids import blocks as solid_blocks
@@ -382,6 +382,7 @@ class ParticleMatter(Matter):
         links = self._colliders.links
         surfaces = [(self._name_of(int(links[place])), mesh) for place, mesh in self._colliders.hollow.items()]
         of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout, surfaces)
+        of_liquids += thickened(self._layout.scene, self._fluids.model)
         of_solids = limits.light_bodies(self._layout)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 
