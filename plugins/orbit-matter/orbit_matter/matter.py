@@ -383,7 +383,8 @@ class ParticleMatter(Matter):
         surfaces = [(self._name_of(int(links[place])), mesh) for place, mesh in self._colliders.hollow.items()]
         of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout, surfaces)
         of_liquids += thickened(self._layout.scene, self._fluids.model)
-        of_solids = limits.light_bodies(self._layout)
+        of_solids = limits.light_bodies(self._layout) + limits.squeezed(self._layout)
+        of_solids += limits.thin_plates(self._layout, self._solids.h)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 
     @property

@@ -54,8 +54,8 @@ energy, which drops would bounce by else, and what flows smoothly feels next to 
 RUBBING = wp.constant(13.0)
 """Times the viscosity that particles resist where they come nearer or part (Monaghan and Gingold, "Shock simulation by
 the particle method SPH", 1983). It acts along the line between two, so that turning is kept; by differences of
-velocities (Morris, Fox, Zhu, 1997) a lump of honey lost two thirds of its spin in 50 ms. 10 would do in an endless liquid
-(Monaghan, "Smoothed particle hydrodynamics", 2005); with 13, layers of 6 and 12 particles lack 11 and 6 % of it."""
+velocities (Morris, Fox, Zhu, 1997) a lump of honey lost two thirds of its spin in 50 ms. 10 would do in an endless
+liquid (Monaghan, "Smoothed particle hydrodynamics", 2005); with 13, 6 and 12 layers lack 11 and 6 % of it."""
 
 BLOW = wp.constant(3.0)
 """Times as fast as it comes that a particle meets the cells of a wall: with 2 a lump of glycerol that fell by 20 cm
