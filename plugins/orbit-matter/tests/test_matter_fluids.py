@@ -118,6 +118,14 @@ def test_a_snapshot_continues_as_the_run_did(settled: World) -> None:
     assert torch.equal(settled.deformables["water"].positions, first)
 
 
+def test_a_snapshot_of_more_particles_is_refused(settled: World) -> None:
+    before = settled.deformables["water"].positions.clone()
+    other = _world(num_envs=2, deformables=(replace(WATER, half_extents=(0.01, 0.02, 0.02)),)).save_state()
+    with pytest.raises(ArgumentError, match="the numbers of particles must be the same"):
+        settled.load_state(other)
+    assert torch.equal(settled.deformables["water"].positions, before)
+
+
 def test_a_reset_of_one_environment_leaves_the_others(settled: World) -> None:
     before = settled.deformables["water"].positions.clone()
     settled.reset(torch.tensor([1]))
