@@ -28,7 +28,7 @@ PASSED_OF_GPU = 1.0
 """The same on a GPU, which always searches for all."""
 NEIGHBOURS = 160
 """Most that one particle has."""
-ROUGHNESS = 0.0015
+ROUGHNESS = 0.0014
 """Least viscosity, as a part of ``length * sound``: enough against noise between particles. Water of 1 cm ones at rest
 moves at 7.5 mm/s in the mean, and a slosh loses 12 % of its amplitude in half a period; 15 % with twice as much."""
 SMOOTHNESS = 0.03
@@ -54,7 +54,7 @@ LEAST_HEIGHT = 0.1
 COURANT = 1.2
 """Spacings that sound goes in a substep."""
 DIFFUSIVE = 0.06
-"""``nu h / length^2`` at most: friction along the lines between particles on a grid overshoots above 0.085."""
+"""``nu h / length^2`` at most: friction along the lines between particles on a grid overshoots above 0.079."""
 
 MOST_SUBSTEPS = 200
 """In a physics step; a second of 1,000 particles then takes minutes of a core."""
