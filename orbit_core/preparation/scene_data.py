@@ -51,6 +51,8 @@ _LEAST_AREA = 1e-6
 _LEAST_VOLUME = 1e-4
 # Part of a solid's volume that its surface may enclose twice, and the samples along each axis that tell it.
 _MOST_TWICE, _SAMPLES = 0.01, 32
+# The same along x and y for a surface of one piece.
+_LINES = 10
 # Spacing of a liquid's particles, over the shortest edge of its box.
 _WIDEST_SPACING = 2.0
 _MOST_PARTICLES = 1_000_000
@@ -435,17 +437,23 @@ def _check_pieces(solid: SoftBody, where: str) -> None:
                 f"{where}.mesh has a piece that is inside out, at triangle {int(number)}: have its triangles wind "
                 "counter-clockwise as seen from outside"
             )
-    if len(numbers) > 1:
-        _check_counted_once(solid, where)
+    _check_counted_once(solid, where, len(numbers))
 
 
-def _check_counted_once(solid: SoftBody, where: str) -> None:
-    """Refuse pieces that overlap: their common volume would weigh twice, and be as stiff as once."""
+def _check_counted_once(solid: SoftBody, where: str, pieces: int) -> None:
+    """Refuse pieces that overlap, and one that crosses itself: their volume would weigh otherwise than it is stiff."""
     low, extent = solid.rest_positions.min(axis=0), np.ptp(solid.rest_positions, axis=0)
-    between = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    axes = [low[axis] + extent[axis] * between for axis in range(3)]
+    # Each line of points looks at all triangles, and few surfaces cross themselves.
+    lines = _SAMPLES if pieces > 1 else _LINES
+    axes = [low[k] + extent[k] * (np.arange(n) + 0.5) / n for k, n in enumerate((lines, lines, _SAMPLES))]
     winding = winding_numbers(axes, solid.rest_positions, np.asarray(solid.mesh.faces))
-    twice = float(np.maximum(winding - 1, 0).sum() / max((winding > 0).sum(), 1))
+    volume = max(int((winding > 0).sum()), 1)
+    twice, inverted = (float(np.maximum(each, 0).sum() / volume) for each in (winding - 1, -winding))
+    if pieces == 1 and max(twice, inverted) > _MOST_TWICE:
+        raise ArgumentError(
+            f"{where}.mesh crosses itself: {100.0 * max(twice, inverted):.0f} % of its volume is enclosed twice or "
+            "inside out; repair the mesh"
+        )
     if twice > _MOST_TWICE:
         raise ArgumentError(
             f"{where}.mesh is of pieces that overlap, which would weigh {100.0 * twice:.0f} % too much: unite them "

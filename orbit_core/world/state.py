@@ -51,7 +51,7 @@ class WorldState:
     steps: int
     """Physics steps so far."""
     made_by: tuple[str, int, tuple[str, ...]]
-    """Backend, number of environments and names of all things of the world that it is of."""
+    """Backend, number of environments, and names and numbers of particles of all things of the world that it is of."""
 
 
 def check_copy(world: World, origin: World, source: int) -> None:

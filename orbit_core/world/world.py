@@ -370,8 +370,8 @@ class SimulatedWorld(World):
         """
         if not isinstance(state, WorldState) or state.made_by != self._identity:
             raise ArgumentError(
-                "the state is not one that save_state() of such a world gave: the backend, the number of environments "
-                "and the names of all things in the scene must be the same"
+                "the state is not one that save_state() of such a world gave: the backend, the number of environments, "
+                "the names of all things in the scene and the numbers of particles must be the same"
             )
         self._engine.load_state(state.engine)
         self.actuators.load_state(state.actuators)
@@ -423,7 +423,8 @@ class SimulatedWorld(World):
     @property
     def _identity(self) -> tuple[str, int, tuple[str, ...]]:
         specs = (*self.scene.entities, *self.scene.deformables, *self.scene.sensors, *self.scene.markers)
-        return self.backend, self.num_envs, tuple(spec.name for spec in specs)
+        particles = tuple(f"{len(spec.rest_positions)} particles" for spec in self.scene.deformables)
+        return self.backend, self.num_envs, (*(spec.name for spec in specs), *particles)
 
 
 class _WorldSchedule(Schedule):

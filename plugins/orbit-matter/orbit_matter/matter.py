@@ -23,9 +23,9 @@ from orbit_matter import attached, bodies, contact, kernels, rows, self_contact,
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.fluid import kernels as fluid_kernels
-from orbit_matter.fluid import maps
+from orbit_matter.fluid import maps, mixing
 from orbit_matter.fluid import search as fluid_search
-from orbit_matter.fluid.fluids import Fluids
+from orbit_matter.fluid.fluids import Fluids, thickened
 from orbit_matter.model import build
 from orbit_matter.part import Part, Stepping
 from orbit_matter.solids import blocks as solid_blocks
@@ -88,7 +88,8 @@ class ParticleMatter(Matter):
         self._maps = None
         if self._fluids.model is not None:
             of_maps = (maps,) if self._colliders.hollow else ()
-            load_kernels("orbit-matter", (fluid_kernels, fluid_search, *of_maps), self._graphs.device)
+            of_many = (mixing,) if len(self._fluids.model.deformables) > 1 else ()
+            load_kernels("orbit-matter", (fluid_kernels, fluid_search, *of_maps, *of_many), self._graphs.device)
             self._maps = maps.build(self._colliders, self._fluids.model.spacing, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
@@ -381,7 +382,9 @@ class ParticleMatter(Matter):
         links = self._colliders.links
         surfaces = [(self._name_of(int(links[place])), own.bounds) for place, own in self._colliders.hollow.items()]
         of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout, surfaces)
-        of_solids = limits.light_bodies(self._layout)
+        of_liquids += thickened(self._layout.scene, self._fluids.model)
+        of_solids = limits.light_bodies(self._layout) + limits.squeezed(self._layout)
+        of_solids += limits.thin_plates(self._layout, self._solids.h)
         return of_substeps + of_contacts + of_ropes + of_liquids + of_solids
 
     @property

@@ -34,8 +34,9 @@ _DECLARED = {
     Capability.FLUIDS: approximate(
         "a liquid is particles of one spacing: of six layers of them the volume at rest is within 2 %, forces on floor "
         "and sides within 1 %, sloshing loses a seventh of its amplitude in half a period, holes should be four "
-        "spacings wide; it does not wet, has no surface tension, and meets no cloth, rope or soft body; links feel it "
-        "one physics step late; the draught of a raft is within a tenth"
+        "spacings wide; it does not wet, has no surface tension, is at least as thick as 0.15 Pa s at a spacing of 1 "
+        "cm and meets no cloth, rope or soft body; links feel it one physics step late; the draught of a raft is "
+        "within a tenth"
     ),
     Capability.GPU: EXACT,
     Capability.SNAPSHOTS: EXACT,

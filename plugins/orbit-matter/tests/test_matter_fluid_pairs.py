@@ -16,9 +16,9 @@ from orbit_core.scene import Fluid, Plane, Pose, Scene, Shape
 from orbit_core.world import simulate
 from orbit_matter.block import BLOCK
 from orbit_matter.fluid import fluids, search
-from orbit_matter.fluid.pairs import FAR, LANES, Pressing, diverged_from, keep, pressed_by
+from orbit_matter.fluid.pairs import FAR, LANES, diverged_from, keep, pressed_by
 
-HALF, SHOCK, SMOOTH, FASTEST = 60.0, 0.14, 0.004, 180.0
+HALF, SHOCK, RUBBING, SMOOTH, FASTEST = 60.0, 0.14, 3.0, 0.004, 180.0
 LEAN = (0.02, -0.01, 0.14)
 
 
@@ -30,28 +30,28 @@ def sums(
     kept: int,
     count: int,
     lean: wp.vec3,
-    pressed: wp.array[Pressing],
+    pressed: wp.array[wp.vec4],
     diverged: wp.array[wp.vec4],
 ):
     """Write both sums of each particle of the second environment, of which a block keeps so many rows."""
     lane = wp.tid()
     rows = keep(place, motion, 1, kept)
     for i in range(lane, pressed.shape[0], wp.block_dim()):
-        pressed[i] = pressed_by(rows, place, motion, neighbours, 1, i, count, HALF, SHOCK, FASTEST)
+        pressed[i] = pressed_by(rows, place, motion, neighbours, 1, i, count, HALF, SHOCK, RUBBING, FASTEST)
         diverged[i] = diverged_from(rows, place, motion, neighbours, 1, i, count, HALF, SMOOTH, lean)
 
 
 def _plain(place: npt.NDArray, motion: npt.NDArray, i: int, listed: list[int]) -> tuple[npt.NDArray, npt.NDArray]:
-    pressing, diverging = np.zeros(7), np.zeros(4)
+    pressing, diverging = np.zeros(4), np.zeros(4)
     for j in listed:
         way, flow = place[i, :3] - place[j, :3], motion[j, :3] - motion[i, :3]
         away = float(np.linalg.norm(way))
         t = max(0.0, 1.0 - away * HALF)
         part = t**3 * place[j, 3]
-        closing = min(max(0.0, float(flow @ way)) / away**2, FASTEST)
-        pressing[:3] += way * part * (motion[i, 3] + motion[j, 3] + SHOCK * closing**2)
-        pressing[3:6] += flow * part
-        pressing[6] += max(0.0, 1.0 - (away * HALF) ** 2) ** 4
+        closing = float(flow @ way) / away**2
+        struck = min(max(0.0, closing), FASTEST)
+        pressing[:3] += way * part * (motion[i, 3] + motion[j, 3] + SHOCK * struck**2 + RUBBING * closing)
+        pressing[3] += max(0.0, 1.0 - (away * HALF) ** 2) ** 4
         lean = float(np.asarray(LEAN) @ way)
         diverging[:3] += way * part
         diverging[3] += part * (float(flow @ way) * motion[i, 3] + SMOOTH * (motion[j, 3] - motion[i, 3] + lean))
@@ -79,7 +79,7 @@ def test_sums_over_neighbours_are_those_of_one_after_another(device: str, kept: 
     neighbours = np.full((2, particles, 64), particles, np.int32)
     neighbours[1, :, :count] = listed
     with wp.ScopedDevice(device):
-        pressed, diverged = wp.zeros(particles, dtype=Pressing), wp.zeros(particles, dtype=wp.vec4)
+        pressed, diverged = (wp.zeros(particles, dtype=wp.vec4) for _ in range(2))
         rows = [wp.array(each.astype(np.float32), dtype=wp.vec4) for each in (place, motion)]
         # Lists one after another, and side by side.
         listing = wp.array(neighbours)

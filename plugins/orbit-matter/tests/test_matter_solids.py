@@ -11,11 +11,11 @@ import torch
 
 from orbit_assets.deformables import ball, cuboid, ring, sheet
 from orbit_assets.objects import box
-from orbit_core.interfaces import ArgumentError, ConfigurationError, SimulationError, World
+from orbit_core.interfaces import ArgumentError, ConfigurationError, SceneLayout, SimulationError, World
 from orbit_core.scene import Attachment, CameraSpec, Channel, Cloth, Fluid, Mesh, Pose, Scene, SoftBody, look_at
 from orbit_core.scene.pose import Vector3
 from orbit_core.world import simulate
-from orbit_matter.solids import element, grid, skin
+from orbit_matter.solids import element, grid, limits, skin
 from orbit_matter.solids.distance import lattice
 from orbit_matter.solids.model import build
 from orbit_matter.solids.part import SolidPart
@@ -401,6 +401,14 @@ def test_pieces_that_overlap_are_refused(way: float, share: float) -> None:
     assert found == pytest.approx(100.0 * share / (2.0 - share), abs=2.0)
 
 
+def test_a_surface_that_crosses_itself_is_refused() -> None:
+    """The middle of a block's upper side is pulled through its floor."""
+    vertices = MESH.vertices.copy()
+    vertices[np.linalg.norm(vertices - [0.0, 0.0, 0.025], axis=1).argmin(), 2] = -0.1
+    with pytest.raises(ArgumentError, match=r"crosses itself: .* inside out"):
+        simulate(Scene(deformables=(replace(BLOCK, mesh=Mesh(vertices, MESH.faces)),)), 1, "mujoco")
+
+
 def test_pieces_that_do_not_touch_are_refused() -> None:
     apart = replace(BLOCK, mesh=_joined((MESH, (0.0, 0.0, 0.0)), (SMALL, (0.3, 0.0, 0.0))))
     with pytest.raises(ConfigurationError, match="'block' is of 2 pieces that do not touch"):
@@ -434,6 +442,17 @@ WALL = box("wall", (0.05, 0.05, 0.05), fixed_base=True, pose=Pose((0.029, 0.0, 0
 def test_a_solid_that_begins_in_a_rigid_thing_is_refused(scene: Scene, what: str) -> None:
     with pytest.raises(ConfigurationError, match=what):
         simulate(scene, 1, "mujoco", matter="orbit-matter")
+
+
+def test_the_build_report_names_what_sinks_into_itself_and_plates_that_are_thin() -> None:
+    tall = replace(BLOCK, mesh=Mesh(1000.0 * MESH.vertices, MESH.faces), pose=Pose((0.0, 0.0, 26.0)))
+    (found,) = limits.squeezed(SceneLayout.of(Scene(deformables=(tall, replace(HELD, pose=Pose((90.0, 0.0, 1.0)))))))
+    assert found.subject == "'block'"
+    assert "is its mesh in metres" in found.why
+    plates = tuple(box(name, (0.2, 0.2, z), pose=Pose((0.0, 0.0, -z))) for name, z in (("foil", 1e-3), ("slab", 6e-3)))
+    (found,) = limits.thin_plates(SceneLayout.of(Scene(objects=plates, deformables=(BLOCK,), terrain=())), 1.25e-3)
+    assert found.subject == "link 'foil' of 'foil'"
+    assert found.got == "lets those pass that meet it at more than 0.4 m/s"
 
 
 def test_the_build_report_names_light_bodies() -> None:

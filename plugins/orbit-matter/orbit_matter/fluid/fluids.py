@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, ConfigurationError
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, ConfigurationError
 from orbit_core.plugin_kit.rows import take_rows, write_rows
 from orbit_core.scene import Fluid, Scene
 
@@ -28,8 +28,9 @@ PASSED_OF_GPU = 1.0
 """The same on a GPU, which always searches for all."""
 NEIGHBOURS = 160
 """Most that one particle has."""
-ROUGHNESS = 0.004
-"""Artificial viscosity, as a part of ``length * sound``: enough against noise between particles."""
+ROUGHNESS = 0.0014
+"""Least viscosity, as a part of ``length * sound``: enough against noise between particles. Water of 1 cm ones at rest
+moves at 7.5 mm/s in the mean, and a slosh loses 12 % of its amplitude in half a period; 15 % with twice as much."""
 SMOOTHNESS = 0.03
 """Diffusion of densities, as a part of ``length * sound``; the usual value."""
 RENEWED = 0.04
@@ -52,8 +53,8 @@ LEAST_HEIGHT = 0.1
 """Metres of fall that the speed of sound is made for at least: what is poured falls further than what stands."""
 COURANT = 1.2
 """Spacings that sound goes in a substep."""
-DIFFUSIVE = 0.12
-"""``nu h / length^2`` at most, above which viscosity overshoots."""
+DIFFUSIVE = 0.06
+"""``nu h / length^2`` at most: friction along the lines between particles on a grid overshoots above 0.079."""
 
 MOST_SUBSTEPS = 200
 """In a physics step; a second of 1,000 particles then takes minutes of a core."""
@@ -84,6 +85,11 @@ class FluidModel:
     def length(self) -> float:
         """Smoothing length in metres."""
         return SMOOTHING * self.spacing
+
+    @property
+    def least_viscosity(self) -> npt.NDArray[np.float32]:
+        """(P,) Pa s below which a particle's viscosity is this."""
+        return self.densities * (ROUGHNESS * self.length * self.sound)
 
     @property
     def longest_substep(self) -> float:
@@ -130,6 +136,20 @@ def build(scene: Scene) -> FluidModel | None:
     )
     _check_substeps(made, scene)
     return made
+
+
+def thickened(scene: Scene, model: FluidModel | None) -> tuple[Approximation, ...]:
+    """Report liquids that are computed with more viscosity than they have."""
+    if model is None:
+        return ()
+    found: list[Approximation] = []
+    for index, columns in zip(model.deformables, model.slices, strict=True):
+        asked, least = float(model.viscosities[columns.start]), float(model.least_viscosity[columns.start])
+        if asked < least:
+            why = f"less leaves noise between particles of {model.spacing:g} m: it falls with the spacing"
+            viscosities = (f"a viscosity of {asked:.2g} Pa s", f"{least:.2g} Pa s")
+            found.append(Approximation(f"'{scene.deformables[index].name}'", *viscosities, why))
+    return tuple(found)
 
 
 def _check_substeps(model: FluidModel, scene: Scene) -> None:

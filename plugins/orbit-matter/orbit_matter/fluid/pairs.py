@@ -23,9 +23,6 @@ FAR = 1e9
 SHARED = 1500
 """Most rows of an environment that a block of a GPU's threads keeps; two arrays of them are 48,000 of 49,152 bytes."""
 
-Pressing = wp.types.vector(length=7, dtype=float)
-"""Pressure on a particle, differences of velocities to it, and the sum of the kernel."""
-
 # A CPU turns eight rows of four numbers, two in each register, into four vectors of eight numbers by shuffles:
 # gathers of single numbers take half as much again for the whole loop.
 _VECTORS = """
@@ -98,28 +95,17 @@ _LOOP = """
 """
 _PRESSED = """
     Lanes pressing_x = 0.0f, pressing_y = 0.0f, pressing_z = 0.0f;
-    Lanes rubbing_x = 0.0f, rubbing_y = 0.0f, rubbing_z = 0.0f, packed = 0.0f;
+    Lanes packed = 0.0f;
     // @loop
-        const Lanes closing = smaller(ratio(positive(along), square), fastest);
-        const Lanes pressure = part * plus(shock * closing, closing, self.w + b.w);
+        const Lanes closing = ratio(along, square), struck = smaller(positive(closing), fastest);
+        const Lanes pressure = part * plus(shock * struck, struck, plus(closing, rubbing, self.w + b.w));
         pressing_x = plus(x, pressure, pressing_x);
         pressing_y = plus(y, pressure, pressing_y);
         pressing_z = plus(z, pressure, pressing_z);
-        rubbing_x = plus(u, part, rubbing_x);
-        rubbing_y = plus(v, part, rubbing_y);
-        rubbing_z = plus(w, part, rubbing_z);
         const Lanes rest = positive(plus(square, -half * half, 1.0f)), again = rest * rest;
         packed = plus(again, again, packed);
     }
-    wp::vec_t<7, wp::float32> found;
-    found[0] = sum(pressing_x);
-    found[1] = sum(pressing_y);
-    found[2] = sum(pressing_z);
-    found[3] = sum(rubbing_x);
-    found[4] = sum(rubbing_y);
-    found[5] = sum(rubbing_z);
-    found[6] = sum(packed);
-    return found;
+    return wp::vec_t<4, wp::float32>(sum(pressing_x), sum(pressing_y), sum(pressing_z), sum(packed));
 """
 _DIVERGED = """
     Lanes rate = 0.0f, open_x = 0.0f, open_y = 0.0f, open_z = 0.0f;
@@ -341,9 +327,12 @@ def pressed_by(
     count: int,
     half: float,
     shock: float,
+    rubbing: float,
     fastest: float,
-) -> Pressing:
-    """Sum the pressure on a particle, the differences of velocities to it, and the kernel over its neighbours.
+) -> wp.vec4:
+    """Sum the pressure and the friction on a particle, along the lines to its neighbours, and the kernel over these.
+
+    What acts along the line between two particles keeps their angular momentum.
 
     Args:
         rows: those of the environment, as :func:`keep` returns them.
@@ -355,6 +344,7 @@ def pressed_by(
         count: of neighbours, a multiple of LANES.
         half: over the smoothing length, in 1/m.
         shock: quadratic artificial viscosity times the density and the square of the smoothing length, in kg/m.
+        rubbing: friction per rate at which two particles come nearer, in Pa s.
         fastest: part of their distance in 1/s, at most, by which two particles come nearer that counts for it.
     """
 

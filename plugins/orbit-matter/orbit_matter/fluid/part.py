@@ -16,7 +16,7 @@ from torch import Tensor
 from orbit_matter import contact, rows
 from orbit_matter import kernels as particles
 from orbit_matter.block import BLOCK
-from orbit_matter.fluid import fluids, kernels, pairs, search
+from orbit_matter.fluid import fluids, kernels, mixing, pairs, search
 from orbit_matter.fluid.fluids import FluidModel
 
 
@@ -154,6 +154,8 @@ class FluidPart:
         self._launch_search(renewed=1)
         inputs = [f, links, shapes, self._felt, gravity, h, share]
         wp.launch(kernels.push, self._blocks, inputs=inputs, block_dim=BLOCK)
+        if len(self._model.deformables) > 1:
+            wp.launch(mixing.mix, (self._n, self._lanes), inputs=[f, h, self._lanes])
 
     def launch_flow(self, links: Any, shapes: Any, gravity: Any, h: float, share: float) -> None:
         """End the substep: let particles flow, against links that have answered the push."""

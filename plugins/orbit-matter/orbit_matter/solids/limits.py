@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
-from orbit_core.scene import Fluid, SoftBody
+from orbit_core.scene import Box, Fluid, SoftBody
 from orbit_matter.solids.distance import distances
 from orbit_matter.solids.element import FloatArray
 from orbit_matter.solids.grid import IntArray, cell_counts
@@ -24,6 +24,12 @@ _FLATTEST = 200.0
 _LIGHTEST = 0.3
 """Part of a solid's mass that a free body should have: one of half of it and more came to rest on a block within
 1 cm/s, one of a tenth hopped at up to 2 cm/s."""
+
+_MOST_STRAIN = 0.3
+"""Above it elements are too soft, being linear in their own axes."""
+_HOLDS, _FAST = 0.5, 2.0
+"""Part of a plate's thickness that a solid may come in a step and be held, and m/s that a plate should hold: plates of
+0.5, 1, 2, 4 and 6 mm held 0, 0.5, 1, 1 and 2 m/s in steps of 1.25 ms, and none of them twice as much."""
 
 
 def check_stiffness(layout: SceneLayout, steps: int) -> None:
@@ -145,6 +151,48 @@ def light_bodies(layout: SceneLayout) -> tuple[Approximation, ...]:
                 asked = f"resting on '{spec.name}'"
                 found.append(Approximation(f"'{entity.name}'", asked, "hops by up to some cm/s", why))
     return tuple(found)
+
+
+def squeezed(layout: SceneLayout) -> tuple[Approximation, ...]:
+    """Report solids that their own weight squeezes further than their elements are right."""
+    pull = np.asarray(layout.scene.gravity)
+    found: list[Approximation] = []
+    for spec in _solids(layout):
+        # Pascals under the tallest column of it.
+        pressure = spec.density * float(np.ptp(spec.pose.transform(spec.rest_positions) @ pull))
+        if pressure > _MOST_STRAIN * spec.youngs_modulus:
+            tall = float(np.ptp(spec.rest_positions, axis=0).max())
+            why = (
+                f"{pressure:.2g} Pa of its own weight rest on its {spec.youngs_modulus:.2g} Pa, and it is {tall:.2g} m "
+                f"long: strains of more than {100.0 * _MOST_STRAIN:.0f} % are too soft; is its mesh in metres?"
+            )
+            found.append(Approximation(f"'{spec.name}'", "standing under its own weight", "sinks into itself", why))
+    return tuple(found)
+
+
+def thin_plates(layout: SceneLayout, h: float) -> tuple[Approximation, ...]:
+    """Report plates that points of a solid pass in a step of ``h`` seconds where they come as fast as from a table."""
+    solids = _solids(layout)
+    if not solids:
+        return ()
+    wide = 0.5 * min(float(np.ptp(spec.rest_positions, axis=0).min()) for spec in solids)
+    parts = [("the terrain", layout.scene.terrain)]
+    parts += [
+        (f"link '{link.name}' of '{entity.name}'", link.collisions)
+        for entity in layout.entities
+        for articulation in entity.spec.alternatives
+        for link in articulation.links
+    ]
+    found: list[Approximation] = []
+    for name, shapes in parts:
+        plates = [sorted(shape.geometry.half_extents) for shape in shapes if isinstance(shape.geometry, Box)]
+        thin = min((2.0 * a for a, b, _ in plates if b >= wide), default=math.inf)
+        speed = _HOLDS * thin / h
+        if speed < _FAST:
+            asked, got = "holding soft bodies", f"lets those pass that meet it at more than {speed:.2g} m/s"
+            why = f"it is {thin:.2g} m thick: {_FAST * h / _HOLDS:.2g} m hold what comes at {_FAST:g} m/s"
+            found.append(Approximation(name, asked, got, why))
+    return tuple(dict.fromkeys(found))
 
 
 def _solids(layout: SceneLayout) -> tuple[SoftBody, ...]:
