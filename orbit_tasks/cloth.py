@@ -149,12 +149,12 @@ def finger_reach(world: World, closed: bool | float) -> float:
     return max(float(cloud[:, 2].max()) for cloud in clouds)
 
 
-def pressed(world: World) -> float:
-    """Metres below the tray's top to which open fingers are sent.
+def pressed(world: World, depth: float = PRESSED) -> float:
+    """Return the metres below the tray's top to which open fingers are sent, ``depth`` for those that slide.
 
     Fingers that close on arcs reach further down as they do, and press by that: sent lower, they would be stuck.
     """
-    return max(0.0, PRESSED - max(0.0, finger_reach(world, True) - finger_reach(world, False)))
+    return max(0.0, depth - max(0.0, finger_reach(world, True) - finger_reach(world, False)))
 
 
 def following(world: World, base: float) -> TermFunction:

@@ -12,8 +12,9 @@ from torch.linalg import vector_norm
 
 from orbit_core.envs import Environment, EventTerm, ObservationGroup, RewardTerm
 from orbit_core.envs.state import TaskState, buffer
-from orbit_core.envs.task import TaskCheck, TaskException, TaskMetadata
+from orbit_core.envs.task import ROBOT, TaskCheck, TaskException, TaskMetadata
 from orbit_core.envs.terms import TermFunction, once_per_state
+from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Scene, look_at
 from orbit_motion.experts import Expert, Phase, Retry
@@ -25,18 +26,22 @@ from orbit_tasks.mdp import matter
 PAIRS = (("corner--", "corner++"), ("side-", "back"), ("front", "side+"))
 # Of the tray, as of a rubber mat: the lower half stays in place while the other is carried over it.
 MAT = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
-# Metres that the hand takes the cloth further in for each metre that its fingers reach down as they close: a hand that
-# rises by as much closes them later, and its fingers gather more of the cloth.
-ARCS = 0.6
 # Metres by which the hand's way over the fold ends short of its mirror image: cloth drawn tight would draw the fold
 # along. Where the hand lets go it looks where the sides are.
 SHORT = 0.03
 # Metres at most that it then goes off that end.
 ASTRAY = 0.05
 # Metres below the tray's top to which the open fingers are sent: hardly, for a mat would hold them by its friction.
+# Those that close on arcs are not sent below it: a stiff arm would jam them when they are 0.7 closed.
 PRESSED = 0.001
+# m/s of the hand. Twice as fast, as an arm of stiffer drives is with the same lead, the cloth swings on.
+SPEED = 0.2
+# Metres, at least and at most, by which commands lead the hand for that.
+LEADS = (0.01, 0.04)
 # Metres above the tray's top of the finger tips that open.
 LOW = 0.03
+# Metres above the tray's top of the tips of open fingers at both ends of the way over the fold.
+CLEAR = 0.02
 # Height of the hand's way over the fold, in parts of its half width: a full arc draws the lower half along.
 ARC = 0.5
 # On that way, from the tray to the tray again.
@@ -96,10 +101,17 @@ def half_diagonal(env: Environment[ClothFolding]) -> float:
     return 0.5 * math.sqrt(2.0) * env.task.size
 
 
-def grasp_depth(env: Environment[ClothFolding]) -> float:
-    """Metres from the corner's tip to the hand that takes it."""
-    reach = [cloth.finger_reach(env.world, shut) for shut in (False, True)]
-    return env.task.taken + ARCS * max(0.0, reach[1] - reach[0])
+def lead(world: World) -> float:
+    """Return the metres by which commands lead the hand for it to go at :data:`SPEED`.
+
+    A damped drive follows a lead at ``lead * stiffness / damping``, which is 5 1/s for a Panda and 13 1/s for a UR10.
+    """
+    robot = world.robots[ROBOT]
+    arm = set(robot.find_joints(*robot.spec.end_effector.arm_joints))
+    drives = [drive for drive in robot.spec.actuators if arm & set(robot.find_joints(*drive.joints))]
+    lags = [drive.damping / drive.stiffness for drive in drives if drive.stiffness > 0.0]
+    least, most = LEADS
+    return min(most, max(least, SPEED * max(lags, default=math.inf)))
 
 
 def at_corner(height: float, depth: float) -> TermFunction:
@@ -225,8 +237,7 @@ class ClothFolding(cloth.ClothTask):
     tolerance: float = 0.15
     """Of the cloth's side, that the two key points of a pair may be apart."""
     taken: float = 0.018
-    """Metres from the corner's tip, along the diagonal, to the expert's hand that takes it. Fingers that close on arcs
-    take it further in, by 0.6 of what they reach down as they close: 8 mm those of a Robotiq 2F-85."""
+    """Metres from the corner's tip, along the diagonal, to the expert's hand that takes it."""
     observations: ClothFoldingObservations = field(default_factory=ClothFoldingObservations)
     rewards: ClothFoldingRewards = field(default_factory=ClothFoldingRewards)
     terminations: cloth.TimeLimit = field(default_factory=cloth.TimeLimit)
@@ -245,19 +256,21 @@ class ClothFolding(cloth.ClothTask):
         return {"pair_distance_m": distance(env)}
 
     def expert(self, env: Environment) -> Expert:
-        opened, closed = (TRAY - PRESSED + cloth.finger_reach(env.world, shut) for shut in (False, True))
-        low, base = TRAY + LOW + cloth.finger_reach(env.world, closed=False), closed + 0.02
-        depth = grasp_depth(env)
+        world, depth = env.world, self.taken
+        tray, open_reach = TRAY - cloth.pressed(world, PRESSED), cloth.finger_reach(world, closed=False)
+        # Pads hold the cloth at the hand's frame, however far fingers that closed on arcs reach below it.
+        low, base = TRAY + LOW + open_reach, tray + CLEAR + open_reach
+        closing = max(0.7, common.closing_time(world))
         way = (over_fold(angle, base, depth) for angle in ANGLES)
         first, *others = (Phase(target, False, position_tolerance=0.02, timeout=1.2) for target in way)
         phases = (
-            Phase(at_corner(opened + 0.1, depth), position_tolerance=0.02, free=True),
-            Phase(at_corner(opened, depth), position_tolerance=0.002, timeout=1.4),
-            Phase(here(cloth.following(env.world, TRAY - PRESSED)), gripper_open=False, dwell=0.7, timeout=0.7),
+            Phase(at_corner(tray + open_reach + 0.1, depth), position_tolerance=0.02, free=True),
+            Phase(at_corner(tray + open_reach, depth), position_tolerance=0.002, timeout=1.4),
+            Phase(here(cloth.following(world, tray)), gripper_open=False, dwell=closing, timeout=closing),
             replace(first, retry=Retry(3, taken, most=1)),
             *others,
             Phase(at_place(low, depth), gripper_open=False, position_tolerance=0.01, dwell=0.5, timeout=1.2),
             Phase(here(always(low)), position_tolerance=1.0, rotation_tolerance=4.0, dwell=0.4),
             Phase(here(always(low + 0.1))),
         )
-        return Expert(env, phases, position_lead=0.04)
+        return Expert(env, phases, position_lead=lead(world))

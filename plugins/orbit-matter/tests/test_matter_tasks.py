@@ -217,10 +217,15 @@ def _flat(world: World, name: str) -> torch.Tensor:
     return (rest + torch.tensor([0.0, 0.0, cloth.TRAY + 0.002]))[None]
 
 
-def test_fingers_that_close_on_arcs_take_a_cloth_further_in() -> None:
-    depths = []
-    for name in ("franka_panda", "ur10_robotiq_2f85"):
-        environment = make("Cloth-Folding", 1, "mujoco", robot=name, particles=9)
-        depths.append(cloth_folding.grasp_depth(environment))
-        environment.close()
-    assert depths == pytest.approx([0.018, 0.026], abs=1e-3)
+@pytest.mark.parametrize(
+    ("name", "lead", "pressed"), [("franka_panda", 0.04, 0.001), ("ur10_robotiq_2f85", 0.016, 0.0)]
+)
+def test_a_cloth_is_folded_at_one_speed_by_fingers_that_the_mat_does_not_jam(
+    name: str, lead: float, pressed: float
+) -> None:
+    """An arm of stiffer drives leads by less, and fingers that close on arcs are not sent below the mat's top."""
+    environment = make("Cloth-Folding", 1, "mujoco", robot=name, particles=9)
+    world = environment.world
+    found = cloth_folding.lead(world), cloth.pressed(world, cloth_folding.PRESSED)
+    environment.close()
+    assert found == pytest.approx((lead, pressed), abs=2e-4)
