@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from orbit_core.scene import Fluid, HeightField, Pose, Scene, Shape
 from orbit_core.world import simulate
 from orbit_matter.colliders import Colliders
 from orbit_matter.fields import closed_surface
+from orbit_matter.fluid import maps
 from orbit_matter.surfaces import HEIGHT_FIELD, MESH, SPHERE, Shapes, distance
 
 SPACING = 0.01
@@ -140,6 +142,19 @@ def test_liquids_run_off_the_edge_of_a_height_field_and_fall() -> None:
     assert (x[:, 2] < -0.1).float().mean() > 0.5
     assert not (x[:, :2].abs() < 0.035).all(-1)[x[:, 2] < 0.0].any()
     world.close()
+
+
+def test_a_map_that_takes_long_tells_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(maps, "MANY", 100)
+    maps.grid_of.cache_clear()
+    water = Fluid("water", (0.01, 0.01, 0.01), pose=Pose((0.0, 0.0, 0.1)), spacing=0.01)
+    _world(_paraboloid(0.06, 0.02), water)
+    told = capsys.readouterr().err
+    assert re.search(
+        r"orbit-matter: mapping what a surface gives liquids, [\d,]+ points 10 % 20 % .* 90 % 100 %\n", told
+    )
 
 
 def test_a_liquid_beneath_a_height_field_is_refused() -> None:

@@ -29,9 +29,9 @@ def load_kernels(what: str, modules: Sequence[ModuleType], device: wp.Device) ->
             wp.load_module(module, device=device, block_dim=block)
             continue
         name, begin = module.__name__, time.perf_counter()
-        _tell(f"{what}: compiling kernels, once on this machine: {name} ({new.index(module) + 1} of {len(new)}) ... ")
+        tell(f"{what}: compiling kernels, once on this machine: {name} ({new.index(module) + 1} of {len(new)}) ... ")
         wp.load_module(module, device=device, block_dim=block)
-        _tell(f"{time.perf_counter() - begin:.0f} s\n")
+        tell(f"{time.perf_counter() - begin:.0f} s\n")
 
 
 def _is_cached(module: ModuleType, block: int) -> bool:
@@ -41,6 +41,7 @@ def _is_cached(module: ModuleType, block: int) -> bool:
     return Path(wp.config.kernel_cache_dir or "", folder).is_dir()
 
 
-def _tell(words: str) -> None:
+def tell(words: str) -> None:
+    """Write to standard error at once: what takes long, and how far it is."""
     sys.stderr.write(words)
     sys.stderr.flush()

@@ -37,6 +37,7 @@ from orbit_matter.fluid.extent import FINENESS, is_mappable, points_of
 from orbit_matter.fluid.fluids import SMOOTHING, kernel_of
 from orbit_matter.fluid.walls import SOFT, layered_by, layers_behind
 from orbit_matter.surfaces import mesh_distance
+from orbit_warpkit.loading import tell
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -47,6 +48,10 @@ FIRST = wp.constant(36)
 EVEN = wp.constant(5.0e-5)
 """Most by which a ray may differ from one at a plane, times the number of rays, of which a quarter or half are enough
 then; a whole ray has 0.037. Means of what points give change by 0.1 % of a wall."""
+MANY = 100_000
+"""Points near a surface above which a CPU takes seconds, and tells how far it is."""
+PARTS = 10
+"""Times that it tells."""
 STEPS = wp.constant(96)
 """Steps of the table of half-spaces, over the kernel's reach."""
 CONES = wp.constant(256)
@@ -372,33 +377,48 @@ def grid_of(vertices: bytes, faces: bytes, bounds: tuple[tuple[float, ...], ...]
         indices = wp.array(np.frombuffer(faces, np.int32), dtype=int)
         mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3), indices=indices)
         state, grid = wp.zeros(count, dtype=int), [mesh.id, wp.vec3(*low), wp.vec3i(*size), cell, reach]
-        _launch(_sort_out, count, [*grid, state], scope)
+        _launch(_sort_out, 0, count, [*grid, state], scope)
         index = state.numpy().copy()
         near = np.flatnonzero(index == NODE).astype(np.int32)
         # Kernels take no empty arrays.
         kept, nodes = wp.zeros(len(near) + 1, dtype=int), wp.zeros(len(near) + 1, dtype=Node)
         chosen, rays = wp.array(np.append(near, 0), dtype=int), wp.array(_directions(), dtype=wp.vec3)
         scales = _scales(spacing) * (4.0 * math.pi / RAYS)
-        _launch(_survey, len(near), [*grid, spacing, scales, rays, chosen, kept, nodes], scope)
+        inputs = [*grid, spacing, scales, rays, chosen, kept, nodes]
+        parts = PARTS if scope.is_cpu and len(near) > MANY else 1
+        if parts > 1:
+            tell(f"orbit-matter: mapping what a surface gives liquids, {len(near):,} points")
+        for part in range(parts):
+            _launch(_survey, len(near) * part // parts, len(near) * (part + 1) // parts, inputs, scope)
+            if parts > 1:
+                tell(f" {100 * (part + 1) // parts} %" + "\n" * (part == parts - 1))
         is_node = kept.numpy()[:-1] == NODE
         index[near] = np.where(is_node, np.cumsum(is_node) - 1, int(PLAIN))
         return Grid(low, size, index, nodes.numpy()[:-1][is_node])
 
 
-def _launch(kernel: Any, count: int, inputs: list[Any], device: wp.Device) -> None:
-    """Launch a kernel for ``count`` places, the first of which is its first input: by each core of a CPU for some."""
+def _launch(kernel: Any, first: int, end: int, inputs: list[Any], device: wp.Device) -> None:
+    """Launch a kernel for the places from ``first`` to ``end``: by each core of a CPU for some.
+
+    Args:
+        kernel: whose first input is the first place.
+        first: of the places.
+        end: the place after the last.
+        inputs: the others.
+        device: that computes it.
+    """
     cores = len(os.sched_getaffinity(0)) if device.is_cpu else 1
-    ends = [count * core // cores for core in range(cores + 1)]
+    ends = [first + (end - first) * core // cores for core in range(cores + 1)]
     # Threads would load it at the same time.
     wp.load_module(__name__, device=device, block_dim=1 if device.is_cpu else 256)
 
     def launch(begin: int, end: int) -> None:
         wp.launch(kernel, end - begin, inputs=[begin, *inputs], device=device)
 
-    first, *others = pairwise(ends)
+    own, *others = pairwise(ends)
     with ThreadPoolExecutor(max(len(others), 1)) as pool:
         running = [pool.submit(launch, *each) for each in others]
-        launch(*first)
+        launch(*own)
         for each in running:
             each.result()
 
