@@ -118,18 +118,23 @@ def test_solids_repeat_to_the_bit_however_many_environments_share_a_precondition
     assert (one[1] - one[0]).abs().max() > 0.01, "what was released has fallen"
 
 
-@pytest.mark.parametrize("half", [(0.03, 0.03, 0.02), (0.08, 0.08, 0.04)])
-def test_liquid_flows_as_on_a_cpu(half: tuple[float, float, float]) -> None:
+WATER = Fluid("water", (0.03, 0.03, 0.02), pose=Pose((0.3, 0.0, 0.02)), spacing=0.01)
+DEEP = replace(WATER, half_extents=(0.08, 0.08, 0.04), pose=Pose((0.3, 0.0, 0.04)))
+HONEY = replace(WATER, name="honey", density=1400.0, viscosity=5.0, pose=Pose((0.3, 0.0, 0.06)))
+
+
+@pytest.mark.parametrize("liquids", [(WATER,), (DEEP,), (WATER, HONEY)])
+def test_liquids_flow_as_on_a_cpu(liquids: tuple[Fluid, ...]) -> None:
     """The second one has 2,048 particles: more than the memory of a block holds."""
-    water = Fluid("water", half, pose=Pose((0.3, 0.0, half[2])), spacing=0.01)
-    scene = Scene(objects=(BLOCK,), deformables=(water,), terrain=(Shape(Plane()),))
+    scene = Scene(objects=(BLOCK,), deformables=liquids, terrain=(Shape(Plane()),))
     places = []
     for device in ("cpu", "cuda"):
         world = world_on(device, scene, 2)
-        begin = world.deformables["water"].positions.clone()
+        begin = {name: liquid.positions.clone() for name, liquid in world.deformables.items()}
         world.step(10)
-        places.append(world.deformables["water"].positions.cpu().clone())
-        assert (places[-1] - begin.cpu()).abs().max() > 1e-3
+        for name, liquid in world.deformables.items():
+            assert (liquid.positions - begin[name]).abs().max() > 1e-3
+        places.append(torch.cat([liquid.positions for liquid in world.deformables.values()], dim=1).cpu())
         world.close()
     # Neighbours are in no order on a GPU, so that sums are rounded otherwise.
     torch.testing.assert_close(places[1], places[0], rtol=0.0, atol=1e-4)
