@@ -6,7 +6,7 @@ import json
 import re
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import packaging.requirements
@@ -24,14 +24,18 @@ from tests.forked import run_forked
 Folder = Callable[..., Path]
 
 
+def forget_what_is_installed() -> None:
+    for cached in (distributions._installed, distributions._check_needs, distributions.warn_of_copies):
+        cached.cache_clear()
+
+
 @pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Folder:
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Folder]:
     """Write a distribution's metadata into a folder and search that folder, and those made before, only."""
     searched: list[str] = []
     monkeypatch.setattr(sys, "path", searched)
     monkeypatch.setattr(installing, "checkout", lambda: None)
-    for cached in (distributions._installed, distributions._check_needs, distributions.warn_of_copies):
-        cached.cache_clear()
+    forget_what_is_installed()
 
     def write(name: str, version: str, *needs: str, where: str = "site", source: str = "", **points: str) -> Path:
         folder = tmp_path / where
@@ -39,7 +43,8 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Folder:
             searched.append(str(folder))
         return write_distribution(folder, name, version, *needs, source=source, **points)
 
-    return write
+    yield write
+    forget_what_is_installed()
 
 
 def write_distribution(folder: Path, name: str, version: str, *needs: str, source: str = "", **points: str) -> Path:

@@ -97,6 +97,7 @@ class Maps:
     index: wp.array[int]
     """Node of each point, PLAIN or SOLID."""
     node: wp.array[Node]
+    """What was found at the points that need it."""
     half: wp.array[Half]
     """Half-spaces from one at the particle to one out of reach."""
     cell: float
@@ -385,6 +386,7 @@ def grid_of(vertices: bytes, faces: bytes, bounds: tuple[tuple[float, ...], ...]
         chosen, rays = wp.array(np.append(near, 0), dtype=int), wp.array(_directions(), dtype=wp.vec3)
         scales = _scales(spacing) * (4.0 * math.pi / RAYS)
         inputs = [*grid, spacing, scales, rays, chosen, kept, nodes]
+        # A GPU takes all points at once.
         parts = PARTS if scope.is_cpu and len(near) > MANY else 1
         if parts > 1:
             tell(f"orbit-matter: mapping what a surface gives liquids, {len(near):,} points")
