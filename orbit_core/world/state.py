@@ -50,8 +50,8 @@ class WorldState:
     """(N, M, 7) poses of the markers."""
     steps: int
     """Physics steps so far."""
-    made_by: tuple[str, int, tuple[str, ...]]
-    """Backend, number of environments, and names and numbers of particles of all things of the world that it is of."""
+    made_by: tuple[str, int, tuple[str, ...], tuple[int, ...]]
+    """Backend, number of environments, names of all things, and numbers of particles of deformables of its world."""
 
 
 def check_copy(world: World, origin: World, source: int) -> None:

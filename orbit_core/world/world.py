@@ -421,10 +421,10 @@ class SimulatedWorld(World):
         return (*(thing for things in self._names for thing in things.values()), self.random, self._engine, self)
 
     @property
-    def _identity(self) -> tuple[str, int, tuple[str, ...]]:
+    def _identity(self) -> tuple[str, int, tuple[str, ...], tuple[int, ...]]:
         specs = (*self.scene.entities, *self.scene.deformables, *self.scene.sensors, *self.scene.markers)
-        particles = tuple(f"{len(spec.rest_positions)} particles" for spec in self.scene.deformables)
-        return self.backend, self.num_envs, (*(spec.name for spec in specs), *particles)
+        particles = tuple(len(spec.rest_positions) for spec in self.scene.deformables)
+        return self.backend, self.num_envs, tuple(spec.name for spec in specs), particles
 
 
 class _WorldSchedule(Schedule):

@@ -90,7 +90,7 @@ class Colliders:
         self.friction = np.zeros((self.kinds, self.count), np.float32)
         """(K, S) coefficient of dynamic friction of each shape's material."""
         self.hollow: dict[tuple[int, int], Hollow] = {}
-        """By kind and number of the shape."""
+        """Hollow surfaces by the kind of environment and the number of their shape."""
         forms = {(k, s): self._form(own) for k, shapes in enumerate(rows) for s, (own, _) in enumerate(shapes)}
         dry = {(k, s) for k, shapes in enumerate(kinds) for s in range(len(shapes))}
         wet = set(forms) - {(k, s) for k, found in enumerate(of_liquids) for pieces in found.values() for s in pieces}

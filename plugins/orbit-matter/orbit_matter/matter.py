@@ -161,30 +161,14 @@ class ParticleMatter(Matter):
         rounds = math.ceil(self._num_envs / self._colliders.kinds)
         count = 1 if self._device.type != "cpu" else min(threads or len(os.sched_getaffinity(0)), rounds)
         bounds = [min(round(rounds * k / count) * self._colliders.kinds, self._num_envs) for k in range(count + 1)]
-        memory = {
-            **self._tensors,
-            **self._fluids.walls,
-            "start": self._start,
-            "end": self._end,
-            "wrenches": self._wrenches,
-        }
+        memory = {**self._tensors, **self._fluids.walls}
+        memory |= {"start": self._start, "end": self._end, "wrenches": self._wrenches}
         memory["asked"] = self._asked
         memory["free"] = self._free.to(torch.int32).expand(self._num_envs, -1).contiguous()
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}
+        of_all = (self._model, self._colliders, self._stepping, self._solids, self._fluids, self._maps)
         with wp.ScopedDevice(self._graphs.device):
-            return tuple(
-                Part(
-                    slice(a, b),
-                    memory,
-                    self._model,
-                    self._colliders,
-                    self._stepping,
-                    self._solids,
-                    self._fluids,
-                    self._maps,
-                )
-                for a, b in pairwise(bounds)
-            )
+            return tuple(Part(slice(a, b), memory, *of_all) for a, b in pairwise(bounds))
 
     # Time ------------------------------------------------------------------------------------------------------------
 

@@ -87,9 +87,14 @@ class FluidModel:
         return SMOOTHING * self.spacing
 
     @property
+    def roughness(self) -> float:
+        """Least kinematic viscosity between particles, m^2/s."""
+        return ROUGHNESS * self.length * self.sound
+
+    @property
     def least_viscosity(self) -> npt.NDArray[np.float32]:
         """(P,) Pa s below which a particle's viscosity is this."""
-        return self.densities * (ROUGHNESS * self.length * self.sound)
+        return self.densities * self.roughness
 
     @property
     def longest_substep(self) -> float:

@@ -97,7 +97,7 @@ class Maps:
     index: wp.array[int]
     """Node of each point, PLAIN or SOLID."""
     node: wp.array[Node]
-    """What was found at the points that need it."""
+    """Nearest wall and sums of each point that has a node."""
     half: wp.array[Half]
     """Half-spaces from one at the particle to one out of reach."""
     cell: float

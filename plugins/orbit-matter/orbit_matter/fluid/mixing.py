@@ -1,4 +1,4 @@
-"""What liquids of different densities and viscosities do to each other, so that what one gains the other loses.
+"""Friction and blows between liquids of different densities and viscosities: what one gains the other loses.
 
 Sums over neighbours take a particle's own viscosity and density for all of them, which is right within one liquid.
 Where two meet, either would feel another friction and another blow than it gives. Both have the harmonic mean here, as

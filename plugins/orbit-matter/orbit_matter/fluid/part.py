@@ -88,7 +88,7 @@ class FluidPart:
         made.slope, made.peak = fluids.kernel_of(model.spacing)
         made.maps = self._maps
         made.renewal = 1.0 / fluids.RENEWED
-        made.rough = fluids.ROUGHNESS * model.length * model.sound
+        made.rough = model.roughness
         made.smooth = fluids.SMOOTHNESS * model.length * model.sound
         made.cell = 2.0 * model.length + self._skin
         return made
