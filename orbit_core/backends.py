@@ -41,7 +41,7 @@ RENDERERS = "orbit.renderers"
 MATTER_SOLVERS = "orbit.matter"
 _MATTER_EXTRA = "matter"
 # Extras that bring a distribution of the same name which simulates nothing
-_NO_PLUGINS = frozenset({"conformance", "data", "tasks", "viewer"})
+_NO_PLUGINS = frozenset({"conformance", "data", "deploy", "ros", "scenes", "sound", "tasks", "viewer"})
 
 
 def backend_names() -> list[str]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -172,6 +174,17 @@ def test_a_backend_whose_extra_is_not_installed_says_how_to_install_it(install: 
         backends.backend("plain-fast")
     install(("plain-fast more", "orbit-plain", MeshBackend), extras=("plain[more]",))
     assert backends.installable_backends() == {"plain-fast": 'pip install "orbit-core[plain]"'}
+
+
+def test_of_this_distributions_extras_only_plugins_of_engines_are_installable_backends(install: Install) -> None:
+    root = Path(__file__).resolve().parents[1]
+    extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    install(extras=tuple(name for name, brought in extras.items() if any(f"orbit-{name}" in each for each in brought)))
+    plugins = (tomllib.loads(path.read_text())["project"] for path in root.glob("plugins/*/pyproject.toml"))
+    engines = {
+        each["name"].removeprefix("orbit-") for each in plugins if "orbit.backends" in each.get("entry-points", {})
+    }
+    assert {*backends.installable_backends()} == engines
 
 
 def test_a_matter_solver_is_installable_as_such_and_never_as_a_backend(install: Install) -> None:
