@@ -87,7 +87,7 @@ class ParticleMatter(Matter):
             load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, steps), self._graphs.device)
         self._maps = None
         if self._fluids.model is not None:
-            of_maps = (maps,) if self._colliders.hollow else ()
+            of_maps = (maps,) if self._colliders.hollow or self._colliders.curved else ()
             of_many = (mixing,) if len(self._fluids.model.deformables) > 1 else ()
             load_kernels("orbit-matter", (fluid_kernels, fluid_search, *of_maps, *of_many), self._graphs.device)
             self._maps = maps.build(self._colliders, self._fluids.model.spacing, self._graphs.device)

@@ -441,12 +441,12 @@ def _scales(spacing: float) -> wp.vec3:
 
 
 def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
-    """Return the :class:`Maps` of the hollow meshes and united pieces among the shapes that liquids meet."""
+    """Return the :class:`Maps` of the hollow meshes, united pieces and curved objects among what liquids meet."""
     of, grids, known = np.full((colliders.kinds, colliders.count), -1, np.int32), [], {}
-    for place, hollow in colliders.hollow.items():
-        if not is_mappable(hollow.bounds, spacing):
+    for place, surface in (colliders.hollow | colliders.curved).items():
+        if not is_mappable(surface.bounds, spacing):
             continue
-        mesh, bounds = hollow.mesh, tuple(map(tuple, hollow.bounds.tolist()))
+        mesh, bounds = surface.mesh, tuple(map(tuple, surface.bounds.tolist()))
         key = (mesh.vertices.astype(np.float32).tobytes(), mesh.faces.astype(np.int32).tobytes(), bounds)
         if key not in known:
             known[key] = len(grids)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from orbit_assets.objects import box
+from orbit_assets.objects import box, sphere
 from orbit_conformance.bodies import G
 from orbit_conformance.scenario import Metric, Scenario, Trial
 from orbit_conformance.scenarios.ropes import GROUP
@@ -213,6 +213,50 @@ def _splash(trial: Trial) -> Mapping[str, float]:
     return {"rebound": float((heights - lowest).max()) / fall, "energy": energy / (G * fall)}
 
 
+def _submerged(trial: Trial) -> Mapping[str, float]:
+    """Water is poured on a fixed ball, and stands around it; forces and heights are means of the last 0.8 s."""
+    radius, side, depth = 2.0 * SPACING, 0.12, 0.14
+    middle, volume = 0.4 * depth, 4.0 / 3.0 * math.pi * radius**3
+    ball = sphere("ball", radius, mass=1.0, pose=Pose((0.0, 0.0, middle)), fixed_base=True)
+    water = _water((side, side, depth), (0.0, 0.0, middle + radius + 0.5 * SPACING))
+    world = trial.world(_scene((*_tank(side, side, 0.36), ball), water))
+    up, heights = [], []
+    for time in trial.advance(world, 2.4):
+        if time > 1.6:
+            up.append(_force(world, "ball", 2))
+            heights.append(float(world.deformables["water"].positions[0, :, 2].mean()))
+    # The ball's place is empty: heights of the water and of the ball, by their volumes, are those of a full tank.
+    level = math.sqrt(2.0 * (float(np.mean(heights)) * depth + middle * volume / side**2))
+    return {
+        "buoyancy": abs(float(np.mean(up)) / (DENSITY * G * volume) - 1.0),
+        "volume": abs((level - volume / side**2) / depth - 1.0),
+    }
+
+
+def _settling(trial: Trial) -> Mapping[str, float]:
+    """A ball is let go on honey, and timed from 0.6 to 0.45 of its depth."""
+    radius, side, depth, honey, viscosity = 2.0 * SPACING, 0.12, 0.18, 1400.0, 10.0
+    heavier, volume = 1600.0, 4.0 / 3.0 * math.pi * radius**3
+    # First corrections are 2.1044 radii over a tube's, and 1.9033 over half a square's side (Happel and Bart, 1974).
+    a = radius / (0.5 * side) * 1.9033 / 2.1044
+    slowed = (1.0 - 0.75857 * a**5) / (1.0 - 2.105 * a + 2.0865 * a**3 - 1.7068 * a**5 + 0.72603 * a**6)
+    truth = 2.0 / 9.0 * heavier * G * radius**2 / (viscosity * slowed)
+    ball = sphere(
+        "ball", radius, mass=(honey + heavier) * volume, pose=Pose((0.0, 0.0, depth + radius + 0.3 * SPACING))
+    )
+    half = (0.5 * side, 0.5 * side, 0.5 * depth)
+    liquid = Fluid("honey", half, honey, Pose((0.0, 0.0, half[2])), viscosity=viscosity, spacing=SPACING)
+    world = trial.world(_scene((*_tank(side, side, 0.26), ball), liquid))
+    times = []
+    for time in trial.advance(world, 3.5):
+        height = float(world.objects["ball"].root_pose[0, 2])
+        if height < 0.6 * depth:
+            times.append(time)
+        if height < 0.45 * depth:
+            break
+    return {"speed": abs(0.15 * depth / (times[-1] - times[0]) / truth - 1.0)}
+
+
 def _metric(name: str, tolerance: float, meaning: str, unit: str = "", reason: str = COARSE) -> Metric:
     return Metric(name=name, unit=unit, tolerance=tolerance, meaning=meaning, looser_because=reason)
 
@@ -297,5 +341,28 @@ SCENARIOS: tuple[Scenario, ...] = (
         _splash,
         _metric("rebound", 0.05, "way that its middle rises again, as a part of its fall"),
         _metric("energy", 0.01, "energy of its motion 0.5 s after it came down, as a part of that of its fall"),
+    ),
+    _scenario(
+        "fluid_submerged",
+        "Does a ball under water feel the weight of the water that it displaces?",
+        "rho g V",
+        "Batchelor, An Introduction to Fluid Dynamics, section 4.1",
+        _submerged,
+        _metric("buoyancy", 0.05, "relative error of the force on a ball that is four particles wide"),
+        _metric("volume", 0.02, "relative error of the water's volume after it was poured, by its mean height"),
+    ),
+    _scenario(
+        "fluid_settling",
+        "Does a ball sink in honey as fast as Stokes and the walls of its tank say?",
+        "2 (rho_b - rho) g a^2 / (9 mu K), K = 2.38 in a square tank three times as wide as the ball",
+        "Haberman and Sayre, David Taylor Model Basin report 1143, 1958; Happel and Bart, Appl. Sci. Res. 29, 1974",
+        _settling,
+        _metric(
+            "speed",
+            0.3,
+            "relative error of the speed in the middle of the tank",
+            reason="friction along the lines between particles is too large where they are in disorder, and too small "
+            "where layers slide over each other; it is set between the two",
+        ),
     ),
 )
