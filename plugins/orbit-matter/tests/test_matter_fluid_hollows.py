@@ -264,7 +264,7 @@ def _taller(kind: str) -> Articulation:
 
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "cylinder", "hull"])
 def test_objects_with_curves_displace_their_volume(kind: str) -> None:
-    """Water is poured on a fixed thing; half-spaces behind its nearest points pressed on them by 25 % too little to 40 % too much."""
+    """Water is poured on a fixed thing; half-spaces behind nearest points pressed 25 % too little to 40 % too much."""
     half, side, depth = 0.015, 0.1, 0.09
     made = trimesh.creation.icosphere(subdivisions=1, radius=half)
     geometry, volume = {
