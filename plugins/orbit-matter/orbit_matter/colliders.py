@@ -41,10 +41,10 @@ _Rows = list[tuple[Shape, int]]
 _Place = tuple[int, int]
 _Form = tuple[int, tuple[float, float, float], float, int, tuple[int, int, int]]
 
-CURVED = 40.0
+CURVED = 24.0
 """Spacings of the longest side of a convex object of which liquids meet the curvature and the edges. Half-spaces behind
-the nearest points of a ball press on it as if it were larger: by 30 % at a radius of 1.5 spacings, 9 % at 3 and, by
-the same layer, 2 % at 20."""
+the nearest points of a ball press on it as if it were larger: by 30 % at a radius of 1.5 spacings, 9 % at 3 and, by the
+same layer, 3 % at 12, whose map takes two seconds of a core."""
 PIECES = 2
 """Convex pieces of a link that liquids meet one by one at most; more of them can be the walls of a hollow."""
 _ENDLESS = 1e6

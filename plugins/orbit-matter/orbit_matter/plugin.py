@@ -35,8 +35,10 @@ _DECLARED = {
         "a liquid is particles of one spacing: of six layers of them the volume at rest is within 2 %, forces on floor "
         "and sides within 1 %, sloshing loses a seventh of its amplitude in half a period, holes should be four "
         "spacings wide; it does not wet, has no surface tension, is at least as thick as 0.15 Pa s at a spacing of 1 "
-        "cm and meets no cloth, rope or soft body; links feel it one physics step late; the draught of a raft is "
-        "within a tenth"
+        "cm and meets no cloth, rope or soft body; a ball sinks in honey by a quarter too slowly; links feel it one "
+        "physics step late; the draught of a raft is within a tenth; curved links of robots, and curved objects longer "
+        "than 24 spacings, feel it as by the planes behind their nearest points, 30 % too strongly on balls 3 spacings "
+        "wide"
     ),
     Capability.GPU: EXACT,
     Capability.SNAPSHOTS: EXACT,

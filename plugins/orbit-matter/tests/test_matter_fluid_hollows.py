@@ -298,7 +298,7 @@ def test_objects_with_curves_displace_their_volume(kind: str) -> None:
 
 
 def test_of_long_objects_and_of_robots_the_nearest_points_are_met() -> None:
-    short, long = Shape(Cylinder(0.02, 0.1)), Shape(Cylinder(0.02, 0.3))
+    short, long = Shape(Cylinder(0.02, 0.1)), Shape(Cylinder(0.02, 0.2))
     objects = [
         ObjectSpec(
             name=f"rod_{n}",
