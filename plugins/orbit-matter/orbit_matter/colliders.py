@@ -103,6 +103,7 @@ class Colliders:
         forms = {(k, s): self._form(own) for k, shapes in enumerate(rows) for s, (own, _) in enumerate(shapes)}
         dry = {(k, s) for k, shapes in enumerate(kinds) for s in range(len(shapes))}
         wet = set(forms) - {(k, s) for k, found in enumerate(of_liquids) for pieces in found.values() for s in pieces}
+        # A robot has tens of hulls, whose maps would take many seconds at each start.
         objects = {link for entity in layout.entities if isinstance(entity.spec, ObjectSpec) for link in _links(entity)}
         for k, s in wet if spacings else ():
             geometry, link = rows[k][s][0].geometry, rows[k][s][1]
@@ -113,6 +114,7 @@ class Colliders:
                 self.hollow[k, s] = Surface(geometry, boxes[0]) if boxes else Surface.of(geometry)
             elif link in objects and (curved := convex_surface(geometry)) is not None:
                 surface = Surface.of(curved)
+                # What is larger is flat for a kernel's reach, and its map costs with its area.
                 if np.ptp(surface.bounds, axis=0).max() <= CURVED * spacings[0]:
                     self.curved[k, s] = surface
         terrain = len(layout.links)
@@ -205,6 +207,7 @@ def convex_surface(geometry: Geometry) -> Mesh | None:
         case Cylinder(radius=r, half_length=h):
             made, volume = trimesh.creation.cylinder(r, 2.0 * h, sections=48), np.pi * r**2 * 2.0 * h
         case Mesh(collision=MeshCollision.CONVEX_HULL):
+            # Behind an edge the half-spaces of both faces overlap, and press twice.
             return hull_of(geometry)
         case _:
             return None

@@ -128,13 +128,13 @@ def _run(settings: RobotSettings, missing: Sequence[str]) -> None:
         computer.on_fault.append(faults.append)
         computer.watch()
         server = carrier.serve(computer, f"{settings.bridge}://{settings.host}:{settings.port}", settings.keys)
-        out.print(f"serving {hardware.description.model} at {server.address} (Ctrl-C ends)", soft_wrap=True)
         timer = threading.Timer(settings.seconds or 0.0, computer.end)
         # A command that ends before does not wait for it.
         timer.daemon = True
-        if settings.seconds is not None:
-            timer.start()
         try:
+            out.print(f"serving {hardware.description.model} at {server.address} (Ctrl-C ends)", soft_wrap=True)
+            if settings.seconds is not None:
+                timer.start()
             # Ctrl-C raises in the loop; it is run again to bring the robot to rest.
             computer.run()
         except KeyboardInterrupt:
