@@ -81,7 +81,7 @@ def lame(modulus: float) -> tuple[float, float]:
 
 
 class Solid:
-    """A solid in VBD, stepped by a recorded graph of a physics step where launches can be recorded.
+    """A solid in VBD, stepped by a recorded graph of a physics step.
 
     Args:
         device: Warp's name of it.
@@ -151,13 +151,9 @@ class Solid:
                     wp.launch(_brake, after.particle_count, [after.particle_qd, kept], device=self.model.device)
 
         physics_step()
-        self._physics_step, self._graph = physics_step, None
-        try:
-            with wp.ScopedCapture(device=self.model.device) as captured:
-                physics_step()
-            self._graph = captured.graph
-        except RuntimeError as error:
-            print(f"launches are not recorded, Python issues them: {error}", flush=True)
+        with wp.ScopedCapture(device=self.model.device) as captured:
+            physics_step()
+        self._graph = captured.graph
         if start is not None or not plates:
             self._put_back()
 
@@ -169,10 +165,7 @@ class Solid:
 
     def step(self, budget: Budget) -> None:
         """Take a physics step."""
-        if self._graph is None:
-            self._physics_step()
-        else:
-            wp.capture_launch(self._graph)
+        wp.capture_launch(self._graph)
         budget.step()
 
     @property
