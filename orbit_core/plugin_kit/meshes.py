@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import heapq
 import math
 from collections.abc import Iterator, Sequence
@@ -87,6 +88,15 @@ def triangles(geometry: Geometry) -> Trimesh:
         case Plane():
             raise ConfigurationError("a plane has no end and cannot be made of triangles: draw it as a grid")
     return trimesh.graph.smooth_shade(mesh, angle=CREASE_ANGLE)
+
+
+@functools.lru_cache(maxsize=32)
+def hull_of(mesh: Mesh) -> Mesh:
+    """Return the convex hull of a mesh, which need not be convex where its collision is ``CONVEX_HULL``."""
+    import trimesh
+
+    hull = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).convex_hull
+    return Mesh(np.asarray(hull.vertices), np.asarray(hull.faces))
 
 
 def convex_faces(vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.integer]) -> list[FloatArray]:

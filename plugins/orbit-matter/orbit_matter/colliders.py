@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
 import warp as wp
 
 from orbit_core.interfaces import TERRAIN, SceneLayout
-from orbit_core.interfaces.layout import EntityLayout
+from orbit_core.plugin_kit.meshes import hull_of, triangles
 from orbit_core.scene import (
     Box,
     Capsule,
     Cylinder,
     Fluid,
+    Geometry,
     HeightField,
     Mesh,
     MeshCollision,
@@ -29,7 +29,6 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_core.scene.shapes import Geometry
 from orbit_matter.bodies import free_links
 from orbit_matter.contact import STILL
 from orbit_matter.fields import bounds_of, closed_surface, has_hollows
@@ -96,27 +95,26 @@ class Colliders:
         """(K, S) link of each shape, or TERRAIN."""
         self.friction = np.zeros((self.kinds, self.count), np.float32)
         """(K, S) coefficient of dynamic friction of each shape's material."""
-        self.hollow: dict[tuple[int, int], Surface] = {}
-        """Hollow surfaces by the kind of environment and the number of their shape."""
-        self.curved: dict[tuple[int, int], Surface] = {}
-        """The same of objects' convex shapes that are no boxes and not long."""
+        self.surfaces: dict[_Place, Surface] = {}
+        """By kind of environment and number of the shape: hollow ones, and convex ones of objects that are no boxes."""
         forms = {(k, s): self._form(own) for k, shapes in enumerate(rows) for s, (own, _) in enumerate(shapes)}
         dry = {(k, s) for k, shapes in enumerate(kinds) for s in range(len(shapes))}
         wet = set(forms) - {(k, s) for k, found in enumerate(of_liquids) for pieces in found.values() for s in pieces}
         # A robot has tens of hulls, whose maps would take many seconds at each start.
-        objects = {link for entity in layout.entities if isinstance(entity.spec, ObjectSpec) for link in _links(entity)}
+        ranges = [entity.links for entity in layout.entities if isinstance(entity.spec, ObjectSpec)]
+        objects = {link for each in ranges for link in range(each.start, each.stop)}
         for k, s in wet if spacings else ():
             geometry, link = rows[k][s][0].geometry, rows[k][s][1]
             if isinstance(geometry, Mesh) and geometry.collision is not MeshCollision.CONVEX_HULL:
                 # Beneath a height field there is no liquid.
                 replaced = [kinds[k][piece][0].geometry for piece in of_liquids[k].get(rows[k][s], ())]
                 boxes = [bounds_of(each) for each in replaced if isinstance(each, HeightField)]
-                self.hollow[k, s] = Surface(geometry, boxes[0]) if boxes else Surface.of(geometry)
+                self.surfaces[k, s] = Surface(geometry, boxes[0]) if boxes else Surface.of(geometry)
             elif link in objects and (curved := convex_surface(geometry)) is not None:
                 surface = Surface.of(curved)
                 # What is larger is flat for a kernel's reach, and its map costs with its area.
                 if np.ptp(surface.bounds, axis=0).max() <= CURVED * spacings[0]:
-                    self.curved[k, s] = surface
+                    self.surfaces[k, s] = surface
         terrain = len(layout.links)
         self.shapes = self._assembled(rows, forms, dry, terrain)
         """:class:`~orbit_matter.surfaces.Shapes` for kernels."""
@@ -187,35 +185,25 @@ class Colliders:
         return int(self._meshes[-1].id)
 
 
-def hull_of(mesh: Mesh) -> Mesh:
-    """Return the convex hull of a mesh."""
-    hull = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).convex_hull
-    return Mesh(np.asarray(hull.vertices), np.asarray(hull.faces))
-
-
 def convex_surface(geometry: Geometry) -> Mesh | None:
-    """Return the triangles of a convex shape that has curves or slanted edges; None for boxes and what has no end.
+    """Return the triangles of a convex shape that has curves or slanted edges; None for any other.
 
-    Triangles within a curve are as much larger as makes their volume that of the shape.
+    Triangles within a curve are scaled to the volume of the shape.
     """
     match geometry:
         case Sphere(radius=r):
-            made, volume = trimesh.creation.icosphere(subdivisions=3, radius=r), 4.0 / 3.0 * np.pi * r**3
+            volume = 4.0 / 3.0 * np.pi * r**3
         case Capsule(radius=r, half_length=h):
-            made = trimesh.creation.capsule(height=2.0 * h, radius=r, count=[24, 24])
             volume = np.pi * r**2 * (2.0 * h + 4.0 / 3.0 * r)
         case Cylinder(radius=r, half_length=h):
-            made, volume = trimesh.creation.cylinder(r, 2.0 * h, sections=48), np.pi * r**2 * 2.0 * h
+            volume = np.pi * r**2 * 2.0 * h
         case Mesh(collision=MeshCollision.CONVEX_HULL):
             # Behind an edge the half-spaces of both faces overlap, and press twice.
             return hull_of(geometry)
         case _:
             return None
+    made = triangles(geometry)
     return Mesh(np.asarray(made.vertices) * (volume / made.volume) ** (1.0 / 3.0), np.asarray(made.faces))
-
-
-def _links(entity: EntityLayout) -> range:
-    return range(entity.links.start, entity.links.stop)
 
 
 def _shapes_of(layout: SceneLayout) -> list[tuple[Shape, int]]:

@@ -87,7 +87,7 @@ class ParticleMatter(Matter):
             load_kernels("orbit-matter", (solid_inside, solid_kernels, solid_launches, steps), self._graphs.device)
         self._maps = None
         if self._fluids.model is not None:
-            of_maps = (maps,) if self._colliders.hollow or self._colliders.curved else ()
+            of_maps = (maps,) if self._colliders.surfaces else ()
             of_many = (mixing,) if len(self._fluids.model.deformables) > 1 else ()
             load_kernels("orbit-matter", (fluid_kernels, fluid_search, *of_maps, *of_many), self._graphs.device)
             self._maps = maps.build(self._colliders, self._fluids.model.spacing, self._graphs.device)
@@ -364,7 +364,7 @@ class ParticleMatter(Matter):
         of_ropes = stability.late_links(self._layout) + stability.folding(self._layout)
         of_liquids = stability.tossed(self._layout) + stability.passing(self._layout)
         links = self._colliders.links
-        surfaces = [(self._name_of(int(links[place])), own.bounds) for place, own in self._colliders.hollow.items()]
+        surfaces = [(self._name_of(int(links[place])), own.bounds) for place, own in self._colliders.surfaces.items()]
         of_liquids += stability.rounded(self._layout) + stability.hollow(self._layout, surfaces)
         of_liquids += thickened(self._layout.scene, self._fluids.model)
         of_solids = limits.light_bodies(self._layout) + limits.squeezed(self._layout)

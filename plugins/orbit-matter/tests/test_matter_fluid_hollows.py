@@ -82,12 +82,12 @@ def _surface(kind: str, wall: float) -> Mesh:
 
 
 class _Collider:
-    """One hollow surface, as maps take it."""
+    """One surface, as maps take it."""
 
     kinds = count = 1
 
     def __init__(self, mesh: Mesh) -> None:
-        self.hollow, self.curved = {(0, 0): Surface.of(mesh)}, {}
+        self.surfaces = {(0, 0): Surface.of(mesh)}
 
 
 @wp.kernel(enable_backward=False)
@@ -310,6 +310,6 @@ def test_of_long_objects_and_of_robots_the_nearest_points_are_met() -> None:
     water = Fluid("water", (0.02, 0.02, 0.02), pose=Pose((0.0, 1.0, 0.5)))
     layout = SceneLayout.of(Scene(objects=tuple(objects), robots=(robot("franka_panda"),), deformables=(water,)))
     found = Colliders(layout, wp.get_device("cpu"))
-    assert [int(found.links[place]) for place in found.curved] == [layout.entity("rod_0").links.start]
+    assert [int(found.links[place]) for place in found.surfaces] == [layout.entity("rod_0").links.start]
     dry = SceneLayout.of(Scene(objects=tuple(objects)))
-    assert not Colliders(dry, wp.get_device("cpu")).curved
+    assert not Colliders(dry, wp.get_device("cpu")).surfaces

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import newton
 import numpy as np
-import trimesh
 import warp as wp
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.meshes import hull_of
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -86,12 +86,10 @@ class ShapeBuilder:
     def _mesh(self, mesh: Mesh) -> newton.Mesh:
         # Keyed by the mesh, because a scene repeats meshes, and each has an acceleration structure on the device.
         if mesh not in self._meshes:
-            vertices, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces)
-            if mesh.collision is MeshCollision.CONVEX_HULL:
-                # The description's mesh need not be convex, and Newton takes the mesh of a hull as it is.
-                hull = trimesh.Trimesh(vertices, faces, process=False).convex_hull
-                vertices, faces = np.asarray(hull.vertices, dtype=np.float32), np.asarray(hull.faces)
-            self._meshes[mesh] = newton.Mesh(vertices, faces.astype(np.int32).ravel(), compute_inertia=False)
+            # The description's mesh need not be convex, and Newton takes the mesh of a hull as it is.
+            own = hull_of(mesh) if mesh.collision is MeshCollision.CONVEX_HULL else mesh
+            vertices, faces = np.asarray(own.vertices, np.float32), np.asarray(own.faces, np.int32)
+            self._meshes[mesh] = newton.Mesh(vertices, faces.ravel(), compute_inertia=False)
         return self._meshes[mesh]
 
 

@@ -443,7 +443,7 @@ def _scales(spacing: float) -> wp.vec3:
 def build(colliders: Colliders, spacing: float, device: wp.Device) -> Any:
     """Return the :class:`Maps` of the hollow meshes, united pieces and curved objects among what liquids meet."""
     of, grids, known = np.full((colliders.kinds, colliders.count), -1, np.int32), [], {}
-    for place, surface in (colliders.hollow | colliders.curved).items():
+    for place, surface in colliders.surfaces.items():
         if not is_mappable(surface.bounds, spacing):
             continue
         mesh, bounds = surface.mesh, tuple(map(tuple, surface.bounds.tolist()))
